@@ -12,16 +12,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array, Indices, Problem, SingularError, Solve
 from casadi_skin.native.bordered import BorderedKernel, bordered_kernel
-
-if TYPE_CHECKING:
-    from scipy.sparse.linalg import SuperLU
+from casadi_skin.solvers.factors import BandFactors, CompiledFactors, SparseFactors
 
 SINGULAR = 1e12  # growth of a right-hand side of size 1 that only a singular matrix gives
 LONG = 1e-2  # factor of rows through most unknowns, as of integrals and of the arclength
@@ -85,61 +83,6 @@ class BandLayout:
             entries.into(array, nonzeros)
 
 
-class _BandFactors:
-    """Solves with a factorised band and its border: unknowns are eliminated in the band, then those of the border."""
-
-    def __init__(self, width: int, lu: Array, pivots: Indices, spread: Array, below: Array, border: Array) -> None:
-        from scipy.linalg.lapack import dgbtrs, dgetrf, dgetrs
-
-        self._width, self._lu, self._pivots, self._spread, self._below = width, lu, pivots, spread, below
-        self._band_solve, self._border_solve = dgbtrs, dgetrs
-        self._schur, self._order, info = dgetrf(border - below @ spread)
-        self.regular = info == 0
-
-    @property
-    def orientation(self) -> float:
-        """The sign of the determinant: the unknown and the row that pin the band do not change it."""
-        band, border = self._lu[2 * self._width], self._schur.diagonal()
-        negative = np.count_nonzero(band < 0.0) + np.count_nonzero(border < 0.0)
-        swaps = np.count_nonzero(self._pivots != np.arange(band.size))
-        swaps += np.count_nonzero(self._order != np.arange(border.size))
-        return -1.0 if (negative + swaps) % 2 else 1.0
-
-    def completed(self, inner: Array, outer: Array) -> Array:
-        """Solution, from that of the band alone for the first rows, shape (n, columns), and the remaining rows."""
-        n, edge = inner.shape[0], self._schur.shape[0]
-        right = np.zeros((edge, inner.shape[1]))
-        right[1:] = outer
-        right -= self._below @ inner
-        x, _ = self._border_solve(self._schur, self._order, right)
-        whole = np.empty((n + edge - 1, inner.shape[1]))
-        np.subtract(inner, self._spread @ x, out=whole[:n])
-        whole[n:] = x[1:]
-        return whole
-
-    def __call__(self, b: Array) -> Array:
-        n, columns = self._lu.shape[1], b.reshape(b.shape[0], -1)
-        inner, _ = self._band_solve(self._lu, self._width, self._width, columns[:n], self._pivots)
-        return self.completed(inner, columns[n:]).reshape(b.shape)
-
-
-class CompiledFactors:
-    """The same by the compiled kernel; `orientation` is the sign of the determinant."""
-
-    def __init__(self, kernel: BorderedKernel, memory: Array, orientation: float) -> None:
-        self.kernel, self.memory, self.orientation = kernel, memory, orientation
-
-    @property
-    def addresses(self) -> tuple[int, int, int]:
-        """Where the compiled solver, its layout and the factors begin."""
-        return self.kernel.solve_address, self.kernel.address, self.memory.ctypes.data
-
-    def __call__(self, b: Array) -> Array:
-        x = np.array(b.reshape(b.shape[0], -1).T, order="C")
-        self.kernel.solve(self.memory, x)
-        return x.T.reshape(b.shape)
-
-
 @dataclass(frozen=True)
 class _Places:
     """The closed matrix: columns in the order of elimination, with the closing row as the last entry of every column.
@@ -166,26 +109,6 @@ class _Places:
         closed = np.full(rows.size + size, size - 1)
         closed[opened] = rows[taken]
         return cls(order, closing, opened, taken, closed.astype(np.intc), bounds.astype(np.intc))  # as SuperLU has them
-
-
-class _SparseFactors:
-    """Solves with factors by SuperLU of a matrix whose columns are in another order and whose rows are scaled."""
-
-    def __init__(self, factors: SuperLU, order: Indices, scale: Array | None) -> None:
-        self._factors, self._columns, self._scale = factors, order, scale
-
-    def __call__(self, b: Array) -> Array:
-        if self._scale is None:
-            return np.asarray(self._factors.solve(b))
-        found = np.empty(b.shape)
-        found[self._columns] = self._factors.solve((self._scale * b.T).T)
-        return found
-
-    @property
-    def orientation(self) -> float:
-        """The sign of the determinant, 0 where it vanishes."""
-        factors, permutations = self._factors, [self._factors.perm_r, self._factors.perm_c, self._columns]
-        return float(np.prod([_parity(p) for p in permutations]) * np.prod(np.sign(factors.U.diagonal())))
 
 
 class BorderedSolver:
@@ -306,7 +229,7 @@ class BorderedSolver:
 
         lu, pivots, failed = dgbtrf(storage.T, width, width, overwrite_ab=True)
         inner, _ = dgbtrs(lu, width, width, right.T, pivots, overwrite_b=True)
-        factors = _BandFactors(width, lu, pivots, inner[:, :edge], below, corner)
+        factors = BandFactors(width, lu, pivots, inner[:, :edge], below, corner)
         if failed or not factors.regular:
             return factors, np.full(self._probes.shape, np.nan)
         return factors, factors.completed(inner[:, edge:], self._probes[n:])
@@ -317,9 +240,9 @@ class BorderedSolver:
         self._close(nonzeros, row)
         try:
             if not self.problem.in_order:
-                return _SparseFactors(splu(self._closed), self._order, None)
+                return SparseFactors(splu(self._closed), self._order, None)
             self._closed.data *= self._scales
-            return _SparseFactors(splu(self._closed, permc_spec="NATURAL"), self._order, self._scale)
+            return SparseFactors(splu(self._closed, permc_spec="NATURAL"), self._order, self._scale)
         except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
             raise SingularError(f"the Jacobian with its border cannot be factorised: {error}") from error
 
@@ -331,15 +254,3 @@ class BorderedSolver:
 def long_rows(rows: NDArray[np.integer[Any]], size: int) -> Indices:
     """Those of the rows of all non-zeros that go through most unknowns."""
     return np.flatnonzero(np.bincount(rows) > 0.5 * size)
-
-
-def _parity(permutation: Indices) -> float:
-    """1 for an even permutation, -1 for an odd one, by its cycles."""
-    seen, sign = np.zeros(permutation.size, dtype=bool), 1.0
-    for start in range(permutation.size):
-        length, place = 0, start
-        while not seen[place]:
-            seen[place], place, length = True, int(permutation[place]), length + 1
-        if length and length % 2 == 0:
-            sign = -sign
-    return sign

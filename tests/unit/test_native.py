@@ -29,7 +29,8 @@ from casadi_skin.native.graph import graph_kernel
 from casadi_skin.native.library import KernelWarning, cache_folder, library, without
 from casadi_skin.native.splitting import splitting_kernel
 from casadi_skin.orbits.request import family_request
-from casadi_skin.solvers.bordered import BorderedSolver, CompiledFactors
+from casadi_skin.solvers.bordered import BorderedSolver
+from casadi_skin.solvers.factors import CompiledFactors
 from casadi_skin.stability import splitting
 from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.jacobian import JacobianAlong
