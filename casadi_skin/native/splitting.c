@@ -170,10 +170,11 @@ typedef struct {
 /* Transition matrices phi of several orbits in several numbers of steps, (levels, points, 2n, 2n) in kicks[r] kicks, all
    of whose entries are computed. J is sampled orbit by orbit, so that it stays in the cache of a core; `weights` and
    `drifts` are those of one number of steps after the other, and so are the phases; `steps` has shape (levels, points).
+   Matrices of one level are `apart` numbers after those of the level before.
    Returns 0, or 1 where there is no memory. */
 EXPORTED int casadi_skin_flows(const orbits *o, int64_t points, int64_t n, int64_t reach, const int32_t *indptr,
                                const int32_t *indices, int64_t levels, const int64_t *kicks, const double *weights,
-                               const double *drifts, const double *steps, double *phi)
+                               const double *drifts, const double *steps, int64_t apart, double *phi)
 {
     const int64_t width = width_for(n, n);
     lanes *x, *v;
@@ -186,7 +187,7 @@ EXPORTED int casadi_skin_flows(const orbits *o, int64_t points, int64_t n, int64
                      o->parameters + p, indptr[n], o->constant, o->terms, o->states, o->products, o->found);
         for (int64_t r = 0, k = 0; r < levels; k += kicks[r], r++)
             orbit_of_width(width, n, reach, n, indptr, indices, kicks[r], weights + k, drifts + k - r,
-                           steps[r * points + p], o->found + k * indptr[n], -1, phi + (r * points + p) * 4 * n * n, x, v, scaled);
+                           steps[r * points + p], o->found + k * indptr[n], -1, phi + r * apart + p * 4 * n * n, x, v, scaled);
     }
     free(memory);
     return 0;

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Pattern = tuple[NDArray[np.int32], NDArray[np.int32]]  # indptr and indices of the rows of J
 Kernel = Callable[[Pattern, tuple[int, int], tuple[Array, Array], Array, Array, int | None], Array]
 Sequences = tuple[NDArray[np.int64], Array, Array]  # numbers of kicks, all kicks and drifts, one after the other
-Flows = Callable[[Orbits, Pattern, int, Sequences, Array], Array]
+Flows = Callable[[Orbits, Pattern, int, Sequences, Array, Array], None]
 COLUMNS = 8  # that go through the stages together
 
 
@@ -63,26 +63,29 @@ def flows_kernel() -> Flows | None:
     """Function of orbits, the pattern of J, its half bandwidth, kicks and drifts, and steps; None without a compiler.
 
     Kicks and drifts are those of several numbers of steps, of which `steps`, shape (levels, points), are the lengths;
-    the phases of the orbits are theirs, one after the other. The result has shape (levels, points, 2n, 2n).
+    the phases of the orbits are theirs, one after the other. The last argument takes the result, (levels, points, 2n,
+    2n): some points of an array of more.
     """
     found = library("splitting")
     if found is None:
         return None
     function, integer, pointer = found.casadi_skin_flows, ctypes.c_int64, ctypes.c_void_p
-    function.argtypes = [pointer, *[integer] * 3, *[pointer] * 2, integer, *[pointer] * 5]
+    function.argtypes = [pointer, *[integer] * 3, *[pointer] * 2, integer, *[pointer] * 4, integer, pointer]
     function.restype = ctypes.c_int
 
-    def transitions(orbits: Orbits, pattern: Pattern, reach: int, sequences: Sequences, steps: Array) -> Array:
+    def transitions(
+        orbits: Orbits, pattern: Pattern, reach: int, sequences: Sequences, steps: Array, result: Array
+    ) -> None:
         (indptr, indices), (counts, kicks, drifts), (levels, points) = pattern, sequences, steps.shape
         size = indptr.size - 1
         assert orbits.phases == kicks.size == drifts.size + levels
         held: list[NDArray[Any]] = [indptr, indices, counts, kicks, drifts, np.ascontiguousarray(steps)]
         assert all(array.flags.c_contiguous for array in held)
-        result = np.empty((levels, points, 2 * size, 2 * size))
-        at = [_address(array) for array in held]
-        if function(ctypes.addressof(orbits), points, size, reach, *at[:2], levels, *at[2:], _address(result)):
+        assert result.shape == (levels, points, 2 * size, 2 * size)
+        assert result[0].flags.c_contiguous
+        at, apart = [_address(array) for array in held], result.strides[0] // result.itemsize
+        if function(ctypes.addressof(orbits), points, size, reach, *at[:2], levels, *at[2:], apart, _address(result)):
             raise MemoryError(f"the variational flow of {size} components")
-        return result
 
     return transitions
 

@@ -240,16 +240,18 @@ class SplittingFlow(SteppedFlow):
             sequences, phases = self._sequences(tuple(steps for steps, _ in those))
             if int(min(sequences[0])) * jacobian.half_bandwidth < jacobian.size:
                 return None
-            parts = []
-            for problem, some in groupby(those[0][1], key=lambda orbit: orbit.problem):
-                orbits = list(some)
-                sampled = jacobian.orbits(problem, np.stack([orbit.z for orbit in orbits]), phases)
+            orbits, done = those[0][1], 0
+            lengths = self._durations(orbits) / np.array([[steps] for steps, _ in those])
+            result = np.empty((*lengths.shape, 2 * jacobian.size, 2 * jacobian.size))
+            pattern = jacobian.indptr, jacobian.indices
+            for problem, some in groupby(orbits, key=lambda orbit: orbit.problem):
+                z = np.stack([orbit.z for orbit in some])
+                sampled, part = jacobian.orbits(problem, z, phases), slice(done, done + len(z))
                 if sampled is None:
                     return None
-                steps = self._durations(orbits) / np.array([[steps] for steps, _ in those])
-                pattern = jacobian.indptr, jacobian.indices
-                parts.append(kernel(sampled, pattern, jacobian.half_bandwidth, sequences, steps))
-            found.extend(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1))
+                kernel(sampled, pattern, jacobian.half_bandwidth, sequences, lengths[:, part], result[:, part])
+                done += len(z)
+            found.extend(result)
         return found
 
     def _sequences(self, numbers: tuple[int, ...]) -> tuple[Sequences, Array]:
