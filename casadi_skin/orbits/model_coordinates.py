@@ -10,23 +10,20 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.problem import Array, Problem
-from casadi_skin.bvp.statement import named_values
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.polynomial import NotPolynomialError, homogeneous_parts
 from casadi_skin.orbits.amplitude import amplitude_square
 from casadi_skin.orbits.coordinates import Coordinates, quarter_phases, shift_by_projection
-from casadi_skin.orbits.linear_modes import SYMMETRIC, LinearModes, linear_modes, with_small_amplitudes
+from casadi_skin.orbits.family_modes import SIMPLE, check_alone, check_kind, fixed_values, number_of_mode
+from casadi_skin.orbits.linear_modes import SYMMETRIC, linear_modes, with_small_amplitudes
 
-SIMPLE = 1e-10  # relative distance of squared frequencies that doubles distinguish
 DEEPEST = -230.0  # of log D: its cube is still a double
 HIGHEST = 7  # harmonic whose resonance with another mode is looked for: the coarsest level has no higher ones
 LARGEST = 1e3  # amplitude of a scaled mode
 TIE = 1e-9  # relative difference of amplitudes that are the same but for rounding
 RANDOM = 0.1  # amplitude of random positions
 TRIALS = 3  # random states at which the symmetry of the forces' derivative is looked at
-FIRST, LAST = "first", "last"
 
 
 class ModelCoordinates(Coordinates):
@@ -44,11 +41,11 @@ class ModelCoordinates(Coordinates):
         parameters: Mapping[str, float] | None = None,
         amplitude_max: float = 1.0,
     ) -> None:
-        _check_kind(model)
+        check_kind(model)
         self._unit = float(2.0 ** round(0.5 * np.log2(amplitude_max)))  # of positions: a power of 2 rounds nothing
         self._model, self._amplitude = model, amplitude_square(model)
         free = () if self._amplitude.parameter is None else (self._amplitude.parameter,)
-        self._values = _fixed_values(model, parameters or {}, free)
+        self._values = fixed_values(model, parameters or {}, free)
         numbers = ca.SX([self._values.get(name, 0.0) for name in model.parameter_names])
         self._numbers = numbers
         self._force = self._at_values(model.rhs)
@@ -56,7 +53,7 @@ class ModelCoordinates(Coordinates):
         if np.min(self.modes.log_scale) < DEEPEST:
             span = f"positions whose scales differ by exp({-np.min(self.modes.log_scale):.4g})"
             raise ValueError(f"model: given {model.name} with {span}; accepted: up to exp({-DEEPEST:g}), or a Chain")
-        self.mode_number = _mode_number(model, mode)
+        self.mode_number = number_of_mode(model, mode)
         self._check_mode()
         self._check_drift()
         self._check_amplitude()
@@ -71,7 +68,7 @@ class ModelCoordinates(Coordinates):
     def _check_mode(self) -> None:
         """Raises ValueError for a mode that has no family of its own."""
         squares, number, name = self.modes.squares, self.mode_number, self._model.name
-        _check_mode(squares, number, name)
+        check_alone(squares, number, name)
         for m in range(2, HIGHEST + 1):
             off = np.abs(squares - m**2 * squares[number - 1])
             if (m % 2 or self._model.half_period is None) and np.min(off) <= SIMPLE * np.max(np.abs(squares)):
@@ -260,62 +257,6 @@ class ModelCoordinates(Coordinates):
         size = float(np.linalg.norm(fundamental) * np.linalg.norm(left))
         nonlinear, Omega = -float(cosine @ forces @ left), problem.frequency(z)
         return shift_by_projection(Omega, self.frequency, nonlinear, float(fundamental @ left), size)
-
-
-def modes_of(model: OdeModel, parameters: Mapping[str, float]) -> LinearModes:
-    """Linear modes of a model of second order about rest; raises ValueError where there are none."""
-    _check_kind(model)
-    amplitude = amplitude_square(model).parameter
-    values = _fixed_values(model, parameters, () if amplitude is None else (amplitude,))
-    numbers = ca.SX([values.get(name, 0.0) for name in model.parameter_names])
-    return linear_modes(ca.substitute(model.rhs, model.parameters, numbers), model.state, model.name)
-
-
-# Checks ---------------------------------------------------------------------------------------------------------------
-
-
-def _check_kind(model: OdeModel) -> None:
-    """Raises ValueError, in one line, for a model that has no families of brake orbits from rest."""
-    even = (1,) * model.size + (-1,) * model.size
-    for accepted, holds in (
-        ("of second order, with positions as its state", model.order == 2),
-        ("without forcing", not model.forced),
-        ("with a declared reversal that keeps positions and turns velocities", model.reversal == even),
-        ("with half_period = -1 for every component, or none", model.half_period in (None, (-1,) * model.full_size)),
-    ):
-        if not holds:
-            raise ValueError(f"model: given {model.name}; accepted for families: a model {accepted}")
-
-
-def _fixed_values(model: OdeModel, given: Mapping[str, float], free: tuple[str, ...]) -> dict[str, float]:
-    """Values of the parameters but for the free ones, given or nominal."""
-    for name in free:
-        if name in given:
-            raise ValueError(f"parameters: given {name}, which the family is followed in; accepted: the others")
-    values = named_values(model, {**dict.fromkeys(free, 0.0), **given})
-    return {name: value for name, value in values.items() if name not in free}
-
-
-def _mode_number(model: OdeModel, mode: int | str) -> int:
-    if isinstance(mode, str) and mode in (FIRST, LAST):
-        return 1 if mode == FIRST else model.size
-    if isinstance(mode, bool) or not isinstance(mode, int | np.integer) or not 1 <= int(mode) <= model.size:
-        raise ValueError(f"mode: given {short_repr(mode)}; accepted: 1..{model.size}, {FIRST}, {LAST}")
-    return int(mode)
-
-
-def _check_mode(squares: Array, number: int, name: str) -> None:
-    """Raises ValueError for a mode that does not oscillate or is not alone at its frequency."""
-    square = squares[number - 1]
-    if square <= SIMPLE * np.max(np.abs(squares)):
-        words = f"mode {number} of {name} does not oscillate: omega^2 = {square:.6g}"
-        raise ValueError(f"mode: {words}; accepted: a mode with omega^2 > 0")
-    near = [k + 1 for k in np.flatnonzero(np.abs(squares - square) <= SIMPLE * np.max(np.abs(squares))).tolist()]
-    if len(near) > 1:
-        words = f"modes {', '.join(map(str, near))} of {name} have the same frequency"
-        raise ValueError(
-            f"mode: {words}: no family belongs to one of them alone; accepted: a mode with a frequency of its own"
-        )
 
 
 def _homogeneous(force: ca.SX, state: ca.SX) -> dict[int, ca.SX] | None:

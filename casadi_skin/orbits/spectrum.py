@@ -10,7 +10,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.model_coordinates import modes_of
+from casadi_skin.orbits.family_modes import modes_of
 
 
 @dataclass(frozen=True, eq=False)
