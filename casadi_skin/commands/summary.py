@@ -140,6 +140,8 @@ def _print_stability(branches: list[Branch]) -> None:
             print(f"mode {mode_of(branch)}: changes of stability are not known {where}: {stretch.reason}")
         for point in branch.not_located if "_sought" in vars(branch) else ():
             print(f"mode {mode_of(branch)}: not located: {point}")
+        for passed in (branch.passed_resonances or ()) if branch.with_events else ():
+            print(f"mode {mode_of(branch)}: {passed}")
 
 
 def _print_proofs(branches: list[Branch]) -> None:

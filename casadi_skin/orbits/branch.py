@@ -209,7 +209,7 @@ class Branch(Result):
         if not isinstance(self.space, Family):
             return None
         points = [solution.point for solution in self.solutions]
-        return passed_resonances(self.space.point_solver.levels, points, self.S.tolist())
+        return passed_resonances(self.space.point_solver, points, lambda point: self.space.value("S", point))
 
     def first_instability(self, growth: float = 0.0) -> Place | None:
         """The place where a family first becomes unstable, with the error of S.

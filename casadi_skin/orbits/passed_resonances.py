@@ -2,28 +2,30 @@
 
 Along a smooth family the Jacobian by the orbit, at fixed frequency and amplitude, has as many positive eigenvalues
 throughout, and one more or less after each turn of the frequency (Sylvester's law of inertia; Keller 1977 for signs of
-determinants alone, in which two changes cancel). Where the number changes otherwise, branches cross, or a corner was
-passed that is narrower than was resolved.
+determinants alone, in which two changes cancel). Where the number changes otherwise, and the two sides are no smooth
+continuation of one another as where branches cross, a corner was passed that is narrower than was resolved.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
 from casadi_skin.bvp.cosines import cosine_matrix, second_derivative_matrix
-from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.problem import EPSILON, Array, Indices
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
+from casadi_skin.continuation.corners import side_of, turned
+from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
 from casadi_skin.solvers.levels import Levels
 
 SYMMETRIC = 1e-9  # of the largest entry: difference of a symmetric Jacobian from its transpose
 NEAR = 3  # stretches between a turn of the frequency and the change of the number that belongs to it, at most
+HALVINGS = 6  # of a stretch that a resonance may lie on
+SHORTEST = 1e-7  # of its length in the metric: corners of this size are those of branches that cross
 BEYOND = 1.1  # times the highest frequency: harmonics above it have no resonance
 
 
@@ -43,36 +45,74 @@ class PassedResonance:
     changes: int
     meetings: tuple[tuple[int, int], ...]
 
+    @property
+    def met(self) -> str:
+        """The meetings in words, empty where frequencies show none."""
+        return ", ".join(f"{harmonic} Omega with mode {mode}" for harmonic, mode in self.meetings)
+
     def __str__(self) -> str:
-        met = ", ".join(f"{harmonic} Omega with mode {mode}" for harmonic, mode in self.meetings)
-        named = f" ({met})" if met else ""
+        named = f" ({self.met})" if self.met else ""
         between = f"between S = {self.S[0]:.10g} and {self.S[1]:.10g}"
-        return f"branches cross, or a narrow resonance is passed over, {between}{named}"
+        return f"a narrow resonance is passed over {between}{named}"
 
 
 def passed_resonances(
-    levels: Levels, points: Sequence[Point], S: Sequence[float]
+    point_solver: PointSolver, points: Sequence[Point], S_of: Callable[[Point], float]
 ) -> tuple[PassedResonance, ...] | None:
     """Stretches between neighbouring points that may pass a resonance; None where the Jacobian is not symmetric.
 
+    A stretch is halved as long as orbits are found on it: where the frequency turns more than once between two points
+    the number changes by more than one, or not at all. Where branches cross nothing is passed over.
+
     Arguments:
-        levels: of resolution, of the family.
+        point_solver: of the family.
         points: of it in order.
-        S: their amplitudes.
+        S_of: the amplitude of a point.
     """
-    known = [_counted(levels, point) for point in points]
-    if None in known:
+    points, known = list(points), _counted(point_solver.levels, points)
+    if known is None:
         return None
-    found = []
-    for place in _unexplained([one for one in known if one is not None]):
-        before, after = known[place], known[place + 1]
-        assert before is not None
-        assert after is not None
-        met = tuple(sorted(_meetings(before.by_harmonic, after.by_harmonic)))
-        Omega = points[place].Omega, points[place + 1].Omega
-        changes = abs(before.positive - after.positive)
-        found.append(PassedResonance((S[place], S[place + 1]), Omega, changes, met))
-    return tuple(found)
+    for _ in range(HALVINGS):
+        for place in reversed(_unexplained(known)):
+            middle = _between(point_solver, points[place], points[place + 1])
+            counted = None if middle is None else _counted(point_solver.levels, [middle])
+            if middle is not None and counted is not None:
+                points.insert(place + 1, middle)
+                known[place + 1 : place + 1] = counted
+    stretches = [(points[k : k + 2], known[k : k + 2]) for k in _unexplained(known)]
+    return tuple(_passed(*one, S_of) for one in stretches if not _cross(point_solver, *one))
+
+
+def _cross(point_solver: PointSolver, points: Sequence[Point], known: Sequence[_Counted]) -> bool:
+    """Whether another branch crosses between two points, as where an excursion meets orbits of a third of its period.
+
+    There both sides go over into one another; those of a corner do not.
+    """
+    problem = max((one.problem for one in known), key=lambda problem: problem.resolution)
+    sides = [side_of(point_solver, problem, point) for point in points]
+    if sides[0] is None or sides[1] is None or sides[0].orientation * sides[1].orientation >= 0.0:
+        return False
+    return turned(point_solver, sides[0], sides[1]) is None
+
+
+def _between(point_solver: PointSolver, before: Point, after: Point) -> Point | None:
+    """An orbit between two, on their line to third order; None where none is found there."""
+    curve, length = point_solver.curve(before, after)
+    if not length > SHORTEST or not curve.slope(length) @ curve.t0 > 0.0:
+        return None
+    return point_solver.along(before, after, 0.5)
+
+
+def _passed(points: Sequence[Point], known: Sequence[_Counted], S_of: Callable[[Point], float]) -> PassedResonance:
+    """The stretch between two points."""
+    (before, after), (one, other) = points, known
+    met = (
+        ()
+        if one.eliminates
+        else tuple(sorted(_meetings(_by_harmonic(one.problem, one.z), _by_harmonic(other.problem, other.z))))
+    )
+    S, Omega = (S_of(before), S_of(after)), (before.Omega, after.Omega)
+    return PassedResonance(S, Omega, abs(one.positive - other.positive), met)
 
 
 def _unexplained(known: Sequence[_Counted]) -> list[int]:
@@ -96,18 +136,38 @@ def _unexplained(known: Sequence[_Counted]) -> list[int]:
 
 @dataclass(frozen=True)
 class _Counted:
-    """Positive eigenvalues at a point, the sign of the rate of Omega, and the eigenvalues of each harmonic alone.
+    """Positive eigenvalues at a point, on a level with z there, and the sign of the rate of Omega.
 
-    The number may be one up to a constant, and harmonics are left out, where sites are eliminated.
+    The number may be one up to a constant where sites are eliminated.
     """
 
+    problem: TrigonometricProblem
+    z: Array
     positive: int
     direction: float
-    by_harmonic: Array
+    eliminates: bool
 
 
-def _counted(levels: Levels, point: Point) -> _Counted | None:
-    """Those of a point, on a level with all harmonics that may meet a mode; None where there is no such count."""
+def _counted(levels: Levels, points: Sequence[Point]) -> list[_Counted] | None:
+    """Those of points, on levels with all harmonics that may meet a mode; None where there is no such count."""
+    placed = [_on_enough(levels, point) for point in points]
+    known = [one for one in placed if one is not None]
+    found: dict[int, _Counted] = {}
+    for problem in dict.fromkeys(problem for problem, _ in known):
+        these = [k for k, (other, _) in enumerate(known) if other is problem]
+        counts = _positive(problem, np.array([known[k][1] for k in these]))
+        if counts is None:
+            return None
+        for k, positive in zip(these, counts.tolist(), strict=True):
+            # u in the place of Omega rises with it, or falls, also where Omega itself stands still
+            direction = float(np.sign(points[k].tangent[points[k].problem.Omega_index]))
+            eliminates = problem.by_itself(known[k][1])[0] is not problem
+            found[k] = _Counted(problem, known[k][1], positive, direction, eliminates)
+    return [found[k] for k in range(len(points))] if len(known) == len(points) else None
+
+
+def _on_enough(levels: Levels, point: Point) -> tuple[TrigonometricProblem, Array] | None:
+    """The level for a point with its unknowns there; None where there is none, or no odd cosines."""
     problem, z = point.problem, point.z
     if not isinstance(problem, TrigonometricProblem):
         return None
@@ -118,41 +178,66 @@ def _counted(levels: Levels, point: Point) -> _Counted | None:
         return None
     finer = levels.problem(enough[0])
     assert isinstance(finer, TrigonometricProblem)
-    z = problem.prolong(z, finer)
-    core, own = finer.by_itself(z)
-    matrix: Any = _jacobian(core, own)
-    if abs(matrix - matrix.T).max() > SYMMETRIC * abs(matrix).max():
+    return finer, problem.prolong(z, finer)
+
+
+def _positive(problem: TrigonometricProblem, states: Array) -> Indices | None:
+    """Numbers of positive eigenvalues of the Jacobians by the orbit at states; None where these are not symmetric."""
+    alone = [problem.by_itself(z) for z in states]
+    core = alone[0][0]
+    rows, columns = core.pattern
+    inner = (rows < core.states) & (columns < core.states)
+    rows, columns = rows[inner], columns[inner]
+    values = core.evaluate_all(np.array([own for _, own in alone]))[1][:, inner]
+    keys, turned = rows * core.states + columns, columns * core.states + rows
+    order, reverse = np.argsort(keys), np.argsort(turned)
+    if not np.array_equal(keys[order], turned[reverse]):
         return None
-    block, there, beyond = finer.eliminated(z)
-    if block.size:
-        matrix = matrix.tolil()
-        matrix[there, there] += block
-        matrix = matrix.tocsr()
-    # u in the place of Omega rises with it, or falls, also where Omega itself stands still
-    direction = float(np.sign(point.tangent[problem.Omega_index]))
-    positive = beyond + _positive_eigenvalues(matrix, core.half_bandwidth or core.states)
-    return _Counted(positive, direction, np.zeros((0, 1)) if block.size else _by_harmonic(finer, z))
+    if np.max(np.abs(values[:, order] - values[:, reverse])) > SYMMETRIC * np.max(np.abs(values)):
+        return None
+    blocks = _Blocks.of(rows, columns, values, core.states, core.half_bandwidth or core.states)
+    beyond = np.zeros(len(states), dtype=np.int64)
+    for k, z in enumerate(states):
+        block, there, beyond[k] = problem.eliminated(z)
+        if block.size:
+            blocks.inside[k, there.start // blocks.width] += block
+    return np.asarray(beyond + blocks.positive())
 
 
-def _jacobian(problem: TrigonometricProblem, z: Array) -> csr_matrix:
-    """Derivative of the equations by the node values at fixed frequency and parameter."""
-    rows, columns = problem.pattern
-    whole = csr_matrix((problem.evaluate(z)[1], (rows, columns)), shape=(problem.size - 1, problem.size))
-    return whole[: problem.states, : problem.states]
+@dataclass(frozen=True, eq=False)
+class _Blocks:
+    """Symmetric band matrices by blocks on the diagonal and left of it, shape (matrices, blocks, width, width)."""
 
+    inside: Array
+    beside: Array
 
-def _positive_eigenvalues(matrix: csr_matrix, width: int) -> int:
-    """Number of positive eigenvalues of a symmetric band matrix, from its Schur complements block by block."""
-    positive, complement = 0, np.zeros((0, 0))
-    for start in range(0, matrix.shape[0], width):
-        here, before = slice(start, start + width), slice(max(start - width, 0), start)
-        beside = matrix[here, before].toarray()
-        block = matrix[here, here].toarray()
-        if start:
-            block -= beside @ np.linalg.solve(complement, beside.T)
-        complement = 0.5 * (block + block.T)
-        positive += int(np.count_nonzero(np.linalg.eigvalsh(complement) > 0.0))
-    return positive
+    @classmethod
+    def of(cls, rows: Indices, columns: Indices, values: Array, size: int, width: int) -> _Blocks:
+        """From the places of entries, and their values, shape (matrices, entries)."""
+        shape = (len(values), -(-size // width), width, width)
+        inside, beside = np.zeros(shape), np.zeros(shape)
+        for blocks, apart in ((inside, 0), (beside, 1)):
+            here = rows // width == columns // width + apart
+            blocks[:, rows[here] // width, rows[here] % width, columns[here] % width] = values[:, here]
+        left_over = np.arange(size - (shape[1] - 1) * width, width)
+        inside[:, -1, left_over, left_over] = -1.0
+        return cls(inside, beside)
+
+    @property
+    def width(self) -> int:
+        return int(self.inside.shape[-1])
+
+    def positive(self) -> Indices:
+        """Numbers of positive eigenvalues, from the Schur complements block by block."""
+        found, complement = np.zeros(len(self.inside), dtype=np.int64), np.zeros_like(self.inside[:, 0])
+        for k in range(self.inside.shape[1]):
+            values, vectors = np.linalg.eigh(self.inside[:, k] - complement)
+            values[values == 0.0] = EPSILON
+            found += np.count_nonzero(values > 0.0, axis=1)
+            if k + 1 < self.inside.shape[1]:
+                along = self.beside[:, k + 1] @ vectors
+                complement = (along / values[:, None]) @ along.transpose(0, 2, 1)
+        return found
 
 
 def _forces(problem: TrigonometricProblem, z: Array) -> Array:

@@ -129,10 +129,11 @@ class Branches:
             self.failures.append(f"{where}{error}")
 
     def _seek_changes(self, name: str, branch: Branch) -> None:
-        """Every change of stability of a family, where the scene requests events."""
+        """Every change of stability of a family, and resonances passed over, where the scene requests events."""
         if branch.with_events and isinstance(branch.space, Family):
             self.progress.say(f"j = {name}: changes of stability")
             branch.diagram_of_changes  # noqa: B018  computed once, and kept by the branch
+            branch.passed_resonances  # noqa: B018  likewise
 
     def _spaces(self, journal: Records) -> Iterator[tuple[str, SolutionSpace]]:
         """Names and spaces of the branches to follow; a single orbit or solution is kept at once."""

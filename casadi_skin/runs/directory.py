@@ -18,10 +18,10 @@ JOURNAL = "journal.msgpack"
 LOCK = ".casadi_skin.lock"  # first letters of the files by which processes keep each other out
 SCENE_MODEL = "scene_model"  # stem of the copy of a model's file
 WRITTEN = ("family.csv", "events.csv", "further_events.csv", "tongues.csv", "spectrum.csv", "family.nc",
-           "dynamics.csv", "dynamics.nc", "search.csv", "starts.csv", "search.nc", "branch.csv", "branch.nc",
-           "special_points.csv", "cycles_*.csv", "cycles_*.nc", "other_*.csv", "other_*.nc", "curve_*.csv",
-           "curve_*.nc", "bands.csv", f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", "map.csv", "map.nc", "boundary.csv",
-           "journal_*_of_*.msgpack", "explore.html", SCENE, JOURNAL)  # fmt: skip
+           "passed_resonances.csv", "dynamics.csv", "dynamics.nc", "search.csv", "starts.csv", "search.nc",
+           "branch.csv", "branch.nc", "special_points.csv", "cycles_*.csv", "cycles_*.nc", "other_*.csv",
+           "other_*.nc", "curve_*.csv", "curve_*.nc", "bands.csv", f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json",
+           "map.csv", "map.nc", "boundary.csv", "journal_*_of_*.msgpack", "explore.html", SCENE, JOURNAL)  # fmt: skip
 MADE = "# The scene of a run of casadi-skin, whose results are beside this file."  # first line of its copy
 EXPORT = "export"  # the folder of generated C
 EXPORTED = ("{0}.h", "{0}.c", "{0}_*.c", "main.c", "README.md", "CMakeLists.txt", "license.txt")  # of a model's name

@@ -29,6 +29,8 @@ from casadi_skin.results.stability_tables import (
 from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.request import Request
 
+PASSED_COLUMNS = ("mode", "S_before", "S_after", "Omega_before", "Omega_after", "changes", "meetings")
+
 
 def write_branches(
     request: Request, branches: Sequence[Branch], scene_text: str, directory: Path, progress: Progress
@@ -78,6 +80,8 @@ def _write_families(request: Request, branches: Sequence[Branch], directory: Pat
             ("tongues", TONGUE_COLUMNS, tongue_rows),
         ):
             write_csv(directory / f"{name}.csv", names, [row for each in known for row in make(*each)])
+        passed = [row for branch in branches if branch.with_events for row in passed_rows(branch)]
+        write_csv(directory / "passed_resonances.csv", PASSED_COLUMNS, passed)
     picture(request.scene, directory / "frequency", figures.frequency_figure, branches)
     picture(request.scene, directory / "profile", figures.profile_figure, branches)
     for branch in branches:
@@ -86,6 +90,13 @@ def _write_families(request: Request, branches: Sequence[Branch], directory: Pat
 
             picture(request.scene, directory / f"plane_j{mode_of(branch)}", plane_figure, branch)
         picture(request.scene, directory / f"multipliers_j{mode_of(branch)}", figures.multiplier_figure, branch)
+
+
+def passed_rows(branch: Branch) -> list[dict[str, Cell]]:
+    """Rows of passed_resonances.csv."""
+    found = branch.passed_resonances or ()
+    rows = [(mode_of(branch), *one.S, *one.Omega, one.changes, one.met) for one in found]
+    return [dict(zip(PASSED_COLUMNS, row, strict=True)) for row in rows]
 
 
 def mode_of(branch: Branch) -> int:
