@@ -13,7 +13,8 @@ from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.follow import following_space
 from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.solution import Solution
-from casadi_skin.results.branch_records import BranchRecord, known_of, point_record, stability_record
+from casadi_skin.results.branch_reading import known_of
+from casadi_skin.results.branch_records import BranchRecord, point_record, stability_record
 
 
 def buckling() -> BoundaryValueProblem:

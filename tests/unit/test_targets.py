@@ -23,7 +23,8 @@ from casadi_skin.continuation.series import SeriesContinuation
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.following import Following
 from casadi_skin.orbits.request import family_request
-from casadi_skin.results.branch_records import EndRecord, known_of, point_record
+from casadi_skin.results.branch_reading import known_of
+from casadi_skin.results.branch_records import EndRecord, point_record
 from casadi_skin.solvers.estimates import ErrorEstimate
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.newton import NewtonCorrector
