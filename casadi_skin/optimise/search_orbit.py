@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from typing import Any
 
-from casadi_skin.arguments import short_repr, truth, whole
+from casadi_skin.arguments import check_options, short_repr, truth, whole
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.optimise.chain_family import ChainFamily
 from casadi_skin.optimise.family_search import FamilySearch
+from casadi_skin.optimise.family_statement import FamilyStatement
 from casadi_skin.optimise.model_family import ModelFamily
 from casadi_skin.optimise.orbit_search import OrbitSearch
 from casadi_skin.optimise.processes import Report
@@ -92,6 +93,10 @@ def stated_search(chain_or_model: Chain | OdeModel, **stated: Any) -> SearchProb
     if isinstance(chain_or_model, OdeModel) and stated.get("guess") is not None:
         return OrbitSearch.of(chain_or_model, **stated)
     mode, S, parameters = stated.pop("mode", None), stated.pop("S", 1.0), stated.pop("parameters", None)
+    stated.pop("guess", None)
+    check_options("search_orbit", stated, search_orbit, FamilyStatement.of)
+    if stated.get("objective") is None:
+        raise ValueError("objective: given none; accepted: the name of a quantity, or a function of observables")
     if isinstance(chain_or_model, Chain):
         return FamilySearch.of(ChainFamily.of(chain_or_model, mode), S=S, **stated)
     if isinstance(chain_or_model, OdeModel):

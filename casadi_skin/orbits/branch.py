@@ -96,6 +96,9 @@ class Branch(Result):
         """Values of a parameter or of the continuation parameter along the branch, shape (solutions,)."""
         if name == self.parameter:
             return self.values
+        for solution in self.solutions[:1]:
+            if name not in solution.parameters:
+                raise KeyError(f"{name}; known: {', '.join(dict.fromkeys([self.parameter, *solution.parameters]))}")
         return np.array([solution.parameters[name] for solution in self.solutions])
 
     @property

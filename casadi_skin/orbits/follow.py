@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from casadi_skin.arguments import check_name, duration, function_of, number, numbers, truth, whole
+from casadi_skin.arguments import check_name, check_options, duration, function_of, number, numbers, truth, whole
 from casadi_skin.bvp.problem import Scalar
 from casadi_skin.continuation.points import ContinuationSettings, Target
 from casadi_skin.models.forcing import check_forcing_period
@@ -16,7 +16,7 @@ from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.following import Following, run_following
-from casadi_skin.orbits.method import MAX_POINTS
+from casadi_skin.orbits.method import MAX_POINTS, Method
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.request import FamilyModel, family_request
 from casadi_skin.orbits.solution import Solution
@@ -85,6 +85,7 @@ def follow_family(
     Collocation and pseudo-arclength continuation in scaled coordinates (paper, Sec. II; Keller 1977).
     """
     _check_choices(stability, events, until, progress)
+    check_options("follow_family", method, follow_family, Method)
     seconds = duration("time_limit", time_limit)
     request = family_request(
         model, mode, amplitude_max, at=at, at_Omega=at_Omega, at_period=at_period, period_max=period_max,

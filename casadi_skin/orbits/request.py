@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
-from casadi_skin.arguments import check_options, number, short_repr
+from casadi_skin.arguments import number, short_repr
 from casadi_skin.bvp.problem import Scalar
 from casadi_skin.continuation.points import ContinuationSettings, Target
 from casadi_skin.methods import COLLOCATION_TABLES, FLOWS, TRIGONOMETRIC
@@ -228,7 +228,6 @@ def family_request(
     **method: Any,
 ) -> FamilyRequest:
     """A request from keywords as scripts write them; `method` are fields of `Method`. Raises as `FamilyRequest`."""
-    check_options("follow_family", method, family_request, Method)
     some = {} if max_points is None else {"max_points": max_points}
     targets = Targets(at, at_Omega, at_period, period_max, **some)
     return FamilyRequest(model, mode, amplitude_max, targets, tolerance, Method(**method), parameters)

@@ -20,6 +20,7 @@ from casadi_skin import (
     find_orbit,
     follow_family,
     import_fmu,
+    search_orbit,
     smallest_kick,
 )
 from casadi_skin.arguments import short_repr
@@ -288,7 +289,7 @@ def test_a_message_shows_any_value_in_one_short_line() -> None:
 
 def test_options_of_other_names_are_refused_with_the_nearest() -> None:
     chain = Chain(2, 1.0, 0.25, -1.0)
-    family = r"^follow_family: given the option 'stabilty'; .*accepted: .*tolerance"
+    family = r"^follow_family: given the option 'stabilty'; did you mean stability\? accepted: .*tolerance"
     with pytest.raises(TypeError, match=family):
         follow_family(chain, 1, 0.1, stabilty=True)
     with pytest.raises(TypeError, match=r"^follow_family: given the option 'tolerence'; did you mean tolerance\?"):
@@ -300,6 +301,12 @@ def test_options_of_other_names_are_refused_with_the_nearest() -> None:
     problem = BoundaryValueProblem(OdeModel("line", x, -x), lambda start, end, p: start - 1.0)
     with pytest.raises(ValueError, match="options: given 'tol'; accepted: tolerance"):
         problem.solve([0.0], tol=1e-3)
+    with pytest.raises(TypeError, match=r"^search_orbit: given the option 'bound'; did you mean bounds\?"):
+        search_orbit(chain, objective="S", free=["S"], bound={"S": (0.1, 1.0)})
+    with pytest.raises(ValueError, match=r"^objective: given none; accepted: the name of a quantity"):
+        search_orbit(chain, free=["S"])
+    with pytest.raises(KeyError, match=r"q; known: S, alpha, gamma, g"):
+        follow_family(chain, 1, 0.1)["q"]
 
 
 def test_an_offset_is_one_number_in_one_direction() -> None:
