@@ -20,7 +20,7 @@ from casadi_skin.commands.json_output import add_output
 from casadi_skin.commands.status import FAILED, INTERRUPTED, WRONG_INPUT, InputError
 from casadi_skin.commands.streams import OutputError, guarded_streams
 
-RARELY = (400_000, 20, 50)  # thresholds of the collector: modules live to the end, and it looked at them in vain
+RARELY = (200_000, 20, 50)  # thresholds of the collector: modules live to the end, and a picture is 20,000 objects
 
 
 class _Parser(argparse.ArgumentParser):

@@ -1,4 +1,4 @@
-"""Imports of the program without what no command uses: half of matplotlib's time, a third of scipy's and msgspec's.
+"""Imports of the program without what no command uses: a quarter of matplotlib's time, a third of scipy's and msgspec's.
 
 The program alone does this, in a process of its own; where the package is imported, others stay as they are.
 """
@@ -33,7 +33,7 @@ def _without(name: str) -> Iterator[None]:
 
 @contextmanager
 def _without_tables() -> Iterator[None]:
-    """No tables of properties in the docstrings of matplotlib: they took a third of its import."""
+    """No tables of properties in the docstrings of matplotlib: they took a quarter of its import."""
     from matplotlib import artist
 
     table = artist.kwdoc
