@@ -1,4 +1,4 @@
-"""Imports of the program without what no command uses: a quarter of matplotlib's time, a third of scipy's and msgspec's.
+"""Imports of the program without parts that no command uses: a third of scipy's time, a quarter of matplotlib's.
 
 The program alone does this, in a process of its own; where the package is imported, others stay as they are.
 """
