@@ -21,6 +21,7 @@ TURN = 0.6  # of the argument from one value to the next, at most
 MOST = 4000  # values of sigma under arcs
 DEGREES = (16, 32, 64, 128)  # of the series in a gap
 CONVERGED = 1e-6
+ROUGH = 1e-8  # of the stiffness: what the argument does without
 WHOLE = 0.02  # distance of a count from a whole number, at most
 COSINE_START, SINE_START = f"{START} cosine", f"{START} sine"
 COSINE_HALF, VELOCITY = f"{HALF} cosine", f"{HALF} velocity"
@@ -51,7 +52,8 @@ class Counts:
 def count(hill: Hill, layout: Layout) -> Counts:
     """Count localised multipliers; raises CountError where the argument does not turn by whole half turns."""
     zeros = tuple(zeros_in(hill, start, end) for start, end in layout.gaps)
-    turned = sum(_turned(hill, a.sigma, b.sigma) for a, b, covered in layout.intervals if covered) / np.pi
+    rough = hill.coarser(ROUGH)
+    turned = sum(_turned(rough, a.sigma, b.sigma) for a, b, covered in layout.intervals if covered) / np.pi
     total = turned - sum(map(len, zeros)) - (0 if layout.pinned else 1) + hill.medium.bound.size
     if abs(total - round(total)) > WHOLE or round(total) < 0:
         raise CountError(f"the argument of Hill's determinant turns by {total:.3f} half turns")

@@ -13,7 +13,6 @@ from casadi_skin.stability.hill import Hill
 from casadi_skin.stability.localised_counts import Counts, count, function_of
 
 NARROW_GAP, FILLS = "narrow", "fills"
-ROUGH = 1e-8  # of the stiffness: what signs and numbers do without
 EXACT = 1e-14  # relative distance from the edge of a band that rounding leaves
 NARROW = 1e-6  # of Omega: a gap beside a harmonic of the orbit in which rounding decides
 
@@ -34,21 +33,16 @@ class Sample:
         """Frequency."""
         return self.hill.Omega
 
-    @cached_property
-    def rough(self) -> Hill:
-        """The same equations as far as signs and numbers need them."""
-        return self.hill.coarser(ROUGH)
-
     def function(self, name: str) -> float:
-        """A function of the orbit, nearly; each is zero where a multiplier passes an end of a gap."""
+        """A function of the orbit; each is zero where a multiplier passes an end of a gap."""
         if name not in self._functions:
-            self._functions[name] = function_of(self.rough, self.layout, name)
+            self._functions[name] = function_of(self.hill, self.layout, name)
         return self._functions[name]
 
     @cached_property
     def counts(self) -> Counts:
         """Localised multipliers; raises CountError."""
-        return count(self.rough, self.layout)
+        return count(self.hill, self.layout)
 
 
 def names_of_arcs(layout: Layout) -> tuple[str, ...]:

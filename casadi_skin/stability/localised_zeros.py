@@ -47,22 +47,14 @@ def _brackets(search: Search, name: str, a: float, b: float) -> list[tuple[float
 
 
 def _zero(search: Search, name: str, a: float, b: float) -> Zero:
-    """The zero between two places; at one of them where the sign there was that of an error."""
+    """The zero between two places with values of opposite signs."""
     from scipy.optimize import brentq
 
-    known: dict[float, float] = {}
-
     def value(c: float) -> float:
-        if c not in known:
-            sample = search.at(c)
-            known[c] = function_of(sample.hill, sample.layout, name)
-        return known[c]
+        return search.at(c).function(name)
 
     ends = [value(a), value(b)]
-    if ends[0] * ends[1] > 0.0:
-        at = a if abs(ends[0]) < abs(ends[1]) else b
-    else:
-        at = float(brentq(lambda c: value(float(c)), a, b, xtol=PRECISE * (b - a), rtol=4e-16 * 4))
+    at = float(brentq(lambda c: value(float(c)), a, b, xtol=PRECISE * (b - a), rtol=4e-16 * 4))
     sample, step = search.at(at), 1e-3 * (b - a)
     low, high = np.clip([at - step, at + step], a, b).tolist()
     slope = abs(value(high) - value(low)) / (high - low)
