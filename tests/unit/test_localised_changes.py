@@ -373,6 +373,25 @@ def test_the_chain_as_a_long_lattice_and_its_mirror_image_have_the_same_changes(
 
 
 @pytest.mark.slow
+def test_multipliers_of_a_dimer_return_to_1_where_the_energy_is_extremal() -> None:
+    """A cell of two sites: the place found by Hill's determinant is that of the energy along the family."""
+    gains = ("1 - gamma", "1 + gamma")
+    sites = [Site(name, onsite="y + g*y^3") for name in "ab"]
+    bonds = [Bond("a", "b", [0], "u*d", gains), Bond("b", "a", [1])]
+    lattice = LongLattice(math.inf, sites, bonds, "fixed", {"u": 0.4, "gamma": 0.4, "g": 1.0})
+    branch = follow_family(lattice, 5, 0.82, tolerance=1e-10)
+    assert isinstance(branch.space, Family)
+    found = localised_changes(branch.space, [orbit.point for orbit in branch.orbits])
+    assert found.complete
+    assert [(change.kind, change.off_after) for change in found.all] == [("real", 1), ("band edge", 1), ("real", 0)]
+    S = found.all[-1].S
+    places = S + 0.004 * np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+    energy = np.polynomial.Polynomial.fit(places, [branch.at(float(place)).energy for place in places], 4)
+    (extremum,) = (root.real for root in energy.deriv().roots() if abs(root - S) < 0.004)
+    assert extremum == pytest.approx(S, abs=1e-6)
+
+
+@pytest.mark.slow
 def test_counts_are_those_of_cut_problems() -> None:
     """At single orbits of a short stretch: on the circle and off it."""
     branch = follow_family(SOFT, "first", 0.2, at=(0.08, 0.2), tolerance=1e-7)
