@@ -108,6 +108,11 @@ class EquilibriumSpace(EquilibriumEquations):
     def singular_near(self, guess: Point) -> None:
         """None: all special points are sought on every stretch."""
 
+    @property
+    def held_names(self) -> tuple[str, ...]:
+        """Names of the quantities that `target` accepts."""
+        return (self.parameter,)
+
     def target(self, name: str, value: float) -> Target:
         """Condition that the continuation parameter has a value."""
         if name != self.parameter or self.course is None:

@@ -202,16 +202,21 @@ class BoundarySpace(BoundarySolutions):
             return point.error.parameter * size * abs(self.to - self.statement.values[self.parameter])
         return point.error.relative(point.Omega) * abs(self.value(self.parameter, point))
 
+    @property
+    def held_names(self) -> tuple[str, ...]:
+        """Names of the quantities that `target` accepts."""
+        unknown = self.periodic is not None and PERIOD in self.statement.free
+        return (self.parameter, "Omega", PERIOD) if unknown else (self.parameter,)
+
     def target(self, name: str, value: float) -> Target:
         """Condition that the continuation parameter, or an unknown period or frequency, has a value."""
         if name == self.parameter:
             return Target(Scalar.PARAMETER, self._fraction(value))
-        if self.periodic is not None and PERIOD in self.statement.free and name in (PERIOD, "Omega"):
-            if not 0 < value < math.inf:
-                raise ValueError(f"at: given {name} = {value!r}; accepted: a finite number > 0")
-            return Target(Scalar.OMEGA, value if name == "Omega" else TWO_PI / value)
-        known = [self.parameter, *(("Omega", PERIOD) if PERIOD in self.statement.free else ())]
-        raise ValueError(f"at: given {name}; accepted: {', '.join(known)}")
+        if name not in self.held_names:
+            raise ValueError(f"at: given {name}; accepted: {', '.join(self.held_names)}")
+        if not 0 < value < math.inf:
+            raise ValueError(f"at: given {name} = {value!r}; accepted: a finite number > 0")
+        return Target(Scalar.OMEGA, value if name == "Omega" else TWO_PI / value)
 
     def _fraction(self, value: float) -> float:
         start = self.statement.values[self.parameter]

@@ -340,7 +340,7 @@ class Branch(Result):
         """
         given = {name: v for name, v in {self.parameter: value, **named}.items() if v is not None}
         if len(given) != 1 or (value is not None and named):
-            accepted = "one of S, Omega, period" if isinstance(self.space, Family) else f"one of {self.parameter}"
+            accepted = f"one of {', '.join(self.space.held_names)}"
             raise ValueError(f"at: given {' and '.join(given) or 'nothing'}; accepted: {accepted}")
         ((name, found),) = given.items()
         whole("which", which, 0)

@@ -155,12 +155,17 @@ class Family(FamilyStability):
 
         return PolynomialForm.of(self.coordinates.scaled)
 
+    @property
+    def held_names(self) -> tuple[str, ...]:
+        """Names of the quantities that `target` accepts."""
+        return "S", "Omega", "period"
+
     def target(self, name: str, value: float) -> Target:
         """Condition that S, Omega or the period has a value; raises ValueError for other names."""
         if name == "S":
             return Target(Scalar.PARAMETER, self.coordinates.parameter_of(value))
-        if name not in ("Omega", "period"):
-            raise ValueError(f"at: given {name}; accepted: S, Omega, period")
+        if name not in self.held_names:
+            raise ValueError(f"at: given {name}; accepted: {', '.join(self.held_names)}")
         if not 0 < value < math.inf:
             raise ValueError(f"at: given {name} = {value!r}; accepted: a finite number > 0")
         return Target(Scalar.OMEGA, value if name == "Omega" else TWO_PI / value)

@@ -67,6 +67,11 @@ class SolutionSpace(Protocol):
         """The continuation from its last points, the start among them, and from points reported after these."""
         ...
 
+    @property
+    def held_names(self) -> tuple[str, ...]:
+        """Names of the quantities that `target` accepts."""
+        ...
+
     def target(self, name: str, value: float) -> Target:
         """Condition that a quantity has a value; raises ValueError for quantities that cannot be held."""
         ...

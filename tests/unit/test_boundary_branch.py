@@ -221,7 +221,7 @@ def test_orbits_at_a_period_of_a_branch() -> None:
     assert again.period == pytest.approx(7.0, rel=1e-8)
     with pytest.raises(ValueError, match="at: given amplitude; accepted: mu, Omega, period"):
         branch.at(amplitude=1.0)
-    with pytest.raises(ValueError, match="at: given mu and period; accepted: one of mu"):
+    with pytest.raises(ValueError, match="at: given mu and period; accepted: one of mu, Omega, period"):
         branch.at(1.5, period=7.0)
 
 
