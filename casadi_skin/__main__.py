@@ -8,12 +8,10 @@ import sys
 from typing import NoReturn
 
 from casadi_skin.cli import main
-from casadi_skin.commands import lean_imports
 
 
 def program() -> NoReturn:
     """Run the command line and end the process, without taking apart what it holds: that took a tenth of a run."""
-    lean_imports.install()
     status = list[int]()
     atexit.register(_leave, status)  # the first that is registered is called last, when all others have cleaned up
     try:

@@ -141,7 +141,7 @@ def test_families_of_a_lattice_of_ones_own(pair_run: Path) -> None:
     pictures = {"frequency", "profile", "spectrum", "dynamics", "multipliers_j1", "multipliers_j2"}
     assert {path.name for path in pair_run.iterdir()} == {
         *(f"{stem}.png" for stem in pictures), "film_j1.gif", "film_j2.gif",
-        "family.csv", "events.csv", "further_events.csv", "tongues.csv", "family.nc",
+        "family.csv", "events.csv", "further_events.csv", "tongues.csv", "passed_resonances.csv", "family.nc",
         "spectrum.csv", "dynamics.csv", "dynamics.nc", "export",
         "scene.toml", "scene_model.py",
     }  # fmt: skip
