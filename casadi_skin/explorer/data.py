@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.explorer.damaged import readable
+from casadi_skin.results.damaged import readable
 from casadi_skin.results.netcdf import read_name
 
 FILES = ("family.nc", "branch.nc", "cycles_*.nc", "other_*.nc", "curve_*.nc")

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.explorer.damaged import readable
 from casadi_skin.explorer.data import read_netcdf, short_numbers
+from casadi_skin.results.damaged import readable
 
 MAP = "map.nc"
 CELLS = 40_000  # of a map, in all

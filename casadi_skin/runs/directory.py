@@ -58,6 +58,7 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
         _check_same(directory, scene)
         written = any((directory / name).exists() for name in ("family.nc", "search.nc", "branch.nc", "dynamics.nc"))
         if written and not (directory / JOURNAL).exists():
+            _check_complete(directory)
             return False
     if held and existing is Existing.OVERWRITE:
         _remove_results(directory, names[:-1])
@@ -66,6 +67,17 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
     make_directory(directory)
     _write_scene(directory, scene_text)
     return True
+
+
+def _check_complete(directory: Path) -> None:
+    """Raises DirectoryError where a file of numbers of a complete run is damaged: its journal is gone."""
+    from casadi_skin.results.damaged import check_whole
+
+    for path in sorted(p for name in WRITTEN if name.endswith((".nc", ".csv")) for p in directory.glob(name)):
+        try:
+            check_whole(path)
+        except ValueError as error:
+            raise DirectoryError(f"{error}; --overwrite computes it anew") from error
 
 
 def prepare_part(directory: Path, scene: Scene, scene_text: str) -> None:

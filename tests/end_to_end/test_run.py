@@ -295,6 +295,26 @@ def test_resume_wants_the_same_scene_but_for_its_title(tmp_path: Path, capsys: p
     assert told.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("name", "cut"), [("family.nc", 0), ("family.nc", 0.03), ("family.nc", 0.9), ("family.csv", 0.9)]
+)
+def test_resume_of_a_complete_run_names_a_file_that_was_cut_off(
+    name: str, cut: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, scene = tmp_path / "out", write_scene(tmp_path / "a.toml", sites=3, end=0.2, at="[0.2]")
+    assert main(["run", str(scene), "--out", str(out), "--quiet"]) == 0
+    whole = (out / name).read_bytes()
+    (out / name).write_bytes(whole[: int(cut * len(whole))])
+    assert main(["run", str(scene), "--out", str(out), "--resume"]) == 2
+    told = capsys.readouterr().err
+    assert f"{out / name}: damaged" in told
+    assert "--overwrite" in told
+    assert told.count("\n") == 1
+    assert main(["run", str(scene), "--out", str(out), "--overwrite", "--quiet"]) == 0
+    assert (out / name).read_bytes() == whole
+    assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
+
+
 # Directories --------------------------------------------------------------------------------------------------------
 
 

@@ -11,6 +11,20 @@ WRONG = (ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, V
 ACCEPTED = "accepted: a file as a run or a map writes it"
 
 
+def check_whole(path: Path) -> None:
+    """Raises ValueError, naming the file, where a netCDF file or a table of a run was cut off or cannot be read."""
+    with readable(path):
+        if path.suffix == ".csv":
+            if not path.read_bytes().endswith(b"\n"):
+                raise ValueError("its last row is cut off")
+            return
+        from scipy.io import netcdf_file
+
+        with netcdf_file(path, "r", mmap=False) as file:  # all variables are read
+            if not file.variables:
+                raise ValueError("it has no variables")
+
+
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
     """Raises ValueError, naming the file, where its contents cannot be read or do not fit together."""
