@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.native.addresses import address
 from casadi_skin.native.library import library
 
 Array = NDArray[np.float64]
@@ -71,7 +72,7 @@ class BorderedKernel:
         self.banded, self.size, width = sizes
         held = [array for pair in (*places, pattern) for array in pair]
         self._held = [np.ascontiguousarray(array) for array in (*held, *_extents(self.banded, width, places[0][1]))]
-        at = [array.ctypes.data for array in self._held]
+        at = [address(array) for array in self._held]
         parts = [_Entries(places[i][0].size, at[2 * i], at[2 * i + 1]) for i in range(4)]
         self._layout = _Layout(*sizes, pattern[0].size, *parts, *at[8:10], *limits, *at[10:])
         self.address = ctypes.addressof(self._layout)
@@ -93,14 +94,14 @@ class BorderedKernel:
         """
         arrays = [z, nonzeros, rows, x, np.empty(len(z)), self._scratch if memory is None else memory, self._defect]
         assert all(array.flags.c_contiguous for array in arrays)
-        at = [array.__array_interface__["data"][0] for array in arrays]
+        at = [address(array) for array in arrays]
         failed = self._steps(self.address, len(z), *at[:3], x.shape[1], *at[3:])
         return None if failed else arrays[4]
 
     def solve(self, memory: Array, x: Array) -> None:
         """Overwrite right-hand sides, (count, size), by solutions with the factors in `memory`."""
         assert x.flags.c_contiguous
-        at = [array.__array_interface__["data"][0] for array in (memory, x)]
+        at = [address(array) for array in (memory, x)]
         self._solve(self.address, at[0], len(x), at[1])
 
 

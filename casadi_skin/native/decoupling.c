@@ -6,13 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#if defined(__AVX512F__)
-enum { LANES = 8 };
-#else
-enum { LANES = 4 };
-#endif
-enum { ROWS = 4 };
-typedef double lanes __attribute__((vector_size(LANES * sizeof(double)), aligned(sizeof(double))));
+#include "product.h"
 
 #define EXPORTED __attribute__((visibility("default")))
 
@@ -26,36 +20,15 @@ typedef struct {
     double *K[2], *T[2], *product[2], *weights[2], *block[2];
 } node;
 
-/* result (rows, width) += sign A B with A (rows, inner), `stride` numbers a row, and B (inner, width). */
-static void add_product(int64_t rows, int64_t inner, int64_t width, double sign, const double *A, int64_t stride,
-                        const double *B, double *result)
-{
-    for (int64_t first = 0; first < rows; first += ROWS) {
-        const double *row[ROWS];
-        for (int64_t r = 0; r < ROWS; r++)
-            row[r] = A + (first + r < rows ? first + r : rows - 1) * stride;
-        for (int64_t k = 0; k < width; k += LANES) {
-            lanes sums[ROWS] = {{0.0}};
-            for (int64_t b = 0; b < inner; b++) {
-                const lanes here = *(const lanes *)(B + b * width + k);
-                for (int64_t r = 0; r < ROWS; r++)
-                    sums[r] += row[r][b] * here;
-            }
-            for (int64_t r = 0; r < ROWS && first + r < rows; r++)
-                *(lanes *)(result + (first + r) * width + k) += sign * sums[r];
-        }
-    }
-}
-
 /* The same of real and imaginary parts. */
 static void add_products(const node *at, int64_t inner, double sign, double *const A[2], int64_t stride,
                          double *const B[2], double *const result[2])
 {
-    add_product(at->size, inner, at->width, sign, A[0], stride, B[0], result[0]);
+    add_product(at->size, inner, at->width, sign, A[0], stride, 1, B[0], result[0]);
     if (at->parts == 2) {
-        add_product(at->size, inner, at->width, -sign, A[1], stride, B[1], result[0]);
-        add_product(at->size, inner, at->width, sign, A[0], stride, B[1], result[1]);
-        add_product(at->size, inner, at->width, sign, A[1], stride, B[0], result[1]);
+        add_product(at->size, inner, at->width, -sign, A[1], stride, 1, B[1], result[0]);
+        add_product(at->size, inner, at->width, sign, A[0], stride, 1, B[1], result[1]);
+        add_product(at->size, inner, at->width, sign, A[1], stride, 1, B[0], result[1]);
     }
 }
 

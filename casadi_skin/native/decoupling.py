@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.native.addresses import address
 from casadi_skin.native.library import library
 
 Numbers = NDArray[Any]  # real or complex
@@ -42,9 +43,9 @@ class DecouplingKernel:
         weights = np.concatenate([prediction.ravel() for _, _, prediction in levels])
         assert columns.dtype == counts.dtype == numbers.dtype == np.int64
         held = [*_matrices(K, same), *(np.ascontiguousarray(each) for each in (columns, counts, numbers, weights))]
-        K_at, same_at, columns_at, *levels_at = (_address(each) for each in held)
+        K_at, same_at, columns_at, *levels_at = (address(each) for each in held)
         shape = intervals, nodes, size, columns.shape[1], K.itemsize // 8, K_at, columns_at, same_at
-        if self._invariant(*shape, len(levels), *levels_at, iterations, enough, _address(T), _address(done)):
+        if self._invariant(*shape, len(levels), *levels_at, iterations, enough, address(T), address(done)):
             raise MemoryError(f"bases of {size} multipliers")
         return T, done
 
@@ -56,8 +57,8 @@ class DecouplingKernel:
         diagonals, done = np.zeros((intervals, nodes, size), dtype=K.dtype), np.zeros(intervals, dtype=bool)
         held = [*_matrices(K, same), np.arange(size, dtype=np.int64)]
         shape = intervals, nodes, size, K.itemsize // 8
-        results = _address(diagonals), _address(done)
-        if self._contracts(*shape, *(_address(each) for each in held), steps, small, largest, *results):
+        results = address(diagonals), address(done)
+        if self._contracts(*shape, *(address(each) for each in held), steps, small, largest, *results):
             raise MemoryError(f"bases of {size} multipliers")
         return diagonals, done
 
@@ -68,11 +69,6 @@ def _matrices(K: Numbers, same: Booleans) -> list[NDArray[Any]]:
     assert K.shape[2:] == same.shape[1:]
     assert len(K) == len(same)
     return [np.ascontiguousarray(K), np.ascontiguousarray(same)]
-
-
-def _address(array: NDArray[Any]) -> int:
-    """Where the numbers of an array begin; faster than `ctypes.data`."""
-    return int(array.__array_interface__["data"][0])
 
 
 @cache

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.native.addresses import address
 from casadi_skin.native.library import library
 
 Array = NDArray[np.float64]
@@ -48,12 +49,12 @@ def eliminated(blocks: Array, springs: Array, ends: tuple[int, int], sites: int,
     assert springs.shape == (len(blocks) - 1,)
     assert len(blocks) > 1
     held = [np.ascontiguousarray(each, dtype=np.float64) for each in (blocks, springs)]
-    row = _Row(len(blocks), size, parts, sites, *ends, *(each.ctypes.data for each in held))
+    row = _Row(len(blocks), size, parts, sites, *ends, *(address(each) for each in held))
     split = np.stack([squares.real, squares.imag], axis=1) if is_complex else np.ascontiguousarray(squares[:, None])
     inverse, logs, phases = np.empty((values, parts, size, size)), np.empty(values), np.empty((values, 2))
     memory, exchanges = np.empty(parts * size * size), np.empty(size, dtype=np.int64)
     results = (split, inverse, logs, phases, memory, exchanges)
-    function(ctypes.byref(row), values, *(each.ctypes.data for each in results))
+    function(ctypes.byref(row), values, *(address(each) for each in results))
     if not np.all(np.isfinite(logs)):
         raise np.linalg.LinAlgError("Singular matrix")
     if is_complex:

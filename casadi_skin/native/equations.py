@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.models.lifted import Program
+from casadi_skin.native.addresses import address
 from casadi_skin.native.library import library
 
 Array = NDArray[np.float64]
@@ -91,7 +92,7 @@ class EquationsKernel:
 
     def _at(self, array: NDArray[Any]) -> int:
         self._held.append(np.ascontiguousarray(array))
-        return int(self._held[-1].ctypes.data)
+        return address(self._held[-1])
 
     def _program(self, program: Program, constants: Array) -> _Program:
         """The instructions with their constants, and places of results counted through all of them."""
@@ -114,7 +115,7 @@ class EquationsKernel:
         found = np.empty((count, equations)), np.empty((count, nonzeros))
         arrays = np.ascontiguousarray(z), np.ascontiguousarray(numbers), *found
         assert arrays[0].shape == (count, equations + 1)
-        self._function(self._address, count, *(array.__array_interface__["data"][0] for array in arrays))
+        self._function(self._address, count, *(address(array) for array in arrays))
         return found
 
 

@@ -6,13 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#if defined(__AVX512F__)
-enum { LANES = 8 };
-#else
-enum { LANES = 4 };
-#endif
-enum { ROWS = 4 };
-typedef double lanes __attribute__((vector_size(LANES * sizeof(double)), aligned(sizeof(double))));
+#include "product.h"
 
 #define EXPORTED __attribute__((visibility("default")))
 
@@ -22,28 +16,6 @@ typedef struct {
     int64_t size, count, width, parts;
     double *right[2], *left[2], *image[2], *inner[2];
 } node;
-
-/* result (rows, width) += sign A B with A (rows, inner), `down` and `across` numbers from entry to entry, and
-   B (inner, width). */
-static void add_product(int64_t rows, int64_t inner, int64_t width, double sign, const double *A, int64_t down,
-                        int64_t across, const double *B, double *result)
-{
-    for (int64_t first = 0; first < rows; first += ROWS) {
-        const double *row[ROWS];
-        for (int64_t r = 0; r < ROWS; r++)
-            row[r] = A + (first + r < rows ? first + r : rows - 1) * down;
-        for (int64_t k = 0; k < width; k += LANES) {
-            lanes sums[ROWS] = {{0.0}};
-            for (int64_t b = 0; b < inner; b++) {
-                const lanes here = *(const lanes *)(B + b * width + k);
-                for (int64_t r = 0; r < ROWS; r++)
-                    sums[r] += row[r][b * across] * here;
-            }
-            for (int64_t r = 0; r < ROWS && first + r < rows; r++)
-                *(lanes *)(result + (first + r) * width + k) += sign * sums[r];
-        }
-    }
-}
 
 /* result (rows, width) = A B of numbers in `parts` arrays; A may have one, a real one. */
 static void multiply(const node *at, int64_t rows, const double *real, const double *imaginary, int64_t down,

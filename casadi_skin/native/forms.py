@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.native.addresses import address, contiguous
 from casadi_skin.native.library import library
 
 Array = NDArray[np.float64]
@@ -49,12 +50,12 @@ class FormsKernel:
         assert np.all((numbers >= 0) & (numbers < len(matrices)))
         assert same.dtype == special.dtype == np.bool_
         assert all(each.dtype == T.dtype for each in (*coordinates, *bases))
-        held = [_checked(each) for each in (matrices, *coordinates, *bases)]
+        held = [contiguous(each) for each in (matrices, *coordinates, *bases)]
         others = [np.ascontiguousarray(each) for each in (same, columns, special, numbers)]
-        held_errors = None if errors is None else _checked(errors)
-        matrices_at, vectors_at, inverse_at, T_at, S_at = (_address(each) for each in held)
-        same_at, columns_at, special_at, numbers_at = (_address(each) for each in others)
-        errors_at = None if held_errors is None else _address(held_errors)
+        held_errors = None if errors is None else contiguous(errors)
+        matrices_at, vectors_at, inverse_at, T_at, S_at = (address(each) for each in held)
+        same_at, columns_at, special_at, numbers_at = (address(each) for each in others)
+        errors_at = None if held_errors is None else address(held_errors)
         inputs = (
             matrices_at,
             errors_at,
@@ -67,21 +68,11 @@ class FormsKernel:
             special_at,
             T_at,
         )
-        results = (_address(each) for each in (values, changes, squares, found))
+        results = (address(each) for each in (values, changes, squares, found))
         parts = T.itemsize // 8
         if self._forms(intervals, nodes, forms, size, parts, *inputs, bases[1].shape[3], S_at, *results):
             raise MemoryError(f"blocks of {size} multipliers")
         return values, changes, squares, found
-
-
-def _checked(numbers: Numbers) -> Numbers:
-    assert numbers.dtype in (np.float64, np.complex128)
-    return np.ascontiguousarray(numbers)
-
-
-def _address(array: Numbers) -> int:
-    """Where the numbers of an array begin; faster than `ctypes.data`."""
-    return int(array.__array_interface__["data"][0])
 
 
 @cache

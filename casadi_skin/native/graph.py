@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.native.addresses import address, contiguous
 from casadi_skin.native.library import library
 
 Array = NDArray[np.float64]
@@ -34,11 +35,11 @@ class GraphKernel:
         """Which mu stay in one block, (intervals, m, m), and what the others move each by, (intervals, m)."""
         intervals, nodes, size, _ = K.shape
         same, shifts = np.zeros((intervals, size, size), dtype=bool), np.empty((intervals, size))
-        held = _checked(K), np.ascontiguousarray(glued)
+        held = contiguous(K), np.ascontiguousarray(glued)
         assert glued.dtype == np.bool_
         shape = intervals, nodes, size, K.itemsize // 8
         limits = apart, coupled, resolved, nodes - 1
-        if self._joined(*shape, *(_address(each) for each in held), *limits, _address(same), _address(shifts)):
+        if self._joined(*shape, *(address(each) for each in held), *limits, address(same), address(shifts)):
             raise MemoryError(f"blocks of {size} multipliers")
         return same, shifts
 
@@ -47,22 +48,12 @@ class GraphKernel:
         intervals, probes, size = values.shape
         assert same.dtype == np.bool_
         assert probes <= MOST_PROBES
-        held = _checked(values), np.ascontiguousarray(same), _checked(weights)
-        values_at, same_at, weights_at = (_address(each) for each in held)
+        held = contiguous(values), np.ascontiguousarray(same), contiguous(weights)
+        values_at, same_at, weights_at = (address(each) for each in held)
         found = np.zeros(intervals, dtype=bool)
         shape = intervals, probes, size, values.itemsize // 8
-        self._apart(*shape, values_at, same_at, len(weights), weights_at, nearer, _address(found))
+        self._apart(*shape, values_at, same_at, len(weights), weights_at, nearer, address(found))
         return found
-
-
-def _checked(numbers: Numbers) -> Numbers:
-    assert numbers.dtype in (np.float64, np.complex128)
-    return np.ascontiguousarray(numbers)
-
-
-def _address(array: Numbers) -> int:
-    """Where the numbers of an array begin; faster than `ctypes.data`."""
-    return int(array.__array_interface__["data"][0])
 
 
 @cache

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.native.addresses import address
 from casadi_skin.native.library import library
 
 Array = NDArray[np.float64]
@@ -69,7 +70,7 @@ class JacobianKernel:
         # The structure holds addresses alone.
         self._held: list[NDArray[Any]] = [np.array(values, dtype=np.int64) for values in lists]
         self._held += [np.array([term[2] for term in terms], dtype=float), np.ascontiguousarray(constant)]
-        self._terms = _Terms(len(terms), *(array.ctypes.data for array in self._held[:-1]))
+        self._terms = _Terms(len(terms), *(address(array) for array in self._held[:-1]))
 
     def __call__(self, sites: int, values: Array, weights: Array, parameters: Array, result: Array) -> None:
         """Fill (orbits, phases, non-zeros) from values at nodes, (orbits, sites * nodes or more), times `weights`.
@@ -84,7 +85,7 @@ class JacobianKernel:
         assert values.shape[1] >= sites * nodes
         assert parameters.shape == (len(values),)
         scratch = np.empty((sites + 1) * phases)
-        data = [array.ctypes.data for array in (values, weights, parameters, self._held[-1], scratch, result)]
+        data = [address(array) for array in (values, weights, parameters, self._held[-1], scratch, result)]
         self._function(
             len(values), sites, nodes, phases, data[0], values.shape[1], data[1], data[2], self._held[-1].size,
             data[3], ctypes.addressof(self._terms), data[4], data[4] + 8 * sites * phases, data[5],
@@ -98,7 +99,7 @@ class JacobianKernel:
         assert weights.flags.c_contiguous
         assert values.shape[1] >= sites * nodes
         assert parameters.shape == (len(values),)
-        *at, first = (array.__array_interface__["data"][0] for array in (*held, room))
+        *at, first = (address(array) for array in (*held, room))
         places = first, first + 8 * sites * phases, first + 8 * (sites + 1) * phases
         found = Orbits(
             self._function_address, sites, nodes, phases, values.shape[1], *at,

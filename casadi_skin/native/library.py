@@ -1,8 +1,9 @@
 """Shared libraries of this package's own C sources: compiled once, kept in the user's cache, loaded with ctypes.
 
 A library runs with the user's rights, so the folder has to be the user's own, closed to everybody else, and below
-no folder in which others may put another one in its place. The name of a library has the sum of its source, its
-compiler, the flags and the processor; it is written under another name and renamed, so that no process sees half of it.
+no folder in which others may put another one in its place. The name of a library has the sum of its source and of
+the headers, its compiler, the flags and the processor; it is written under another name and renamed, so that no
+process sees half of it.
 """
 
 from __future__ import annotations
@@ -80,7 +81,8 @@ def _caches_at_home() -> Path:
 
 def _loaded(source: Path, compiler: str, folder: Path) -> ctypes.CDLL:
     """The library of a source, compiled where the folder does not have it yet."""
-    text, processor = source.read_bytes(), _processor()
+    text = b"".join(path.read_bytes() for path in (source, *sorted(SOURCES.glob("*.h"))))
+    processor = _processor()
     flags = (*STRICT, *LIBRARY_FLAGS, *(("-march=native",) if processor else ()))
     one = os.stat(compiler)
     build = (platform.machine(), processor, os.path.realpath(compiler), one.st_size, one.st_mtime_ns, flags)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.native.addresses import address
 from casadi_skin.native.jacobian import Orbits
 from casadi_skin.native.library import library
 
@@ -49,7 +50,7 @@ def splitting_kernel() -> Kernel | None:
         assert all(array.flags.c_contiguous for array in held)
         assert band is None or reaches[1] + COLUMNS - 1 <= band
         result = np.zeros((points, 2 * size, 2 * (size if band is None else 2 * band + 1)))
-        at = [_address(array) for array in (*held, jacobians, result)]
+        at = [address(array) for array in (*held, jacobians, result)]
         stride = jacobians.strides[0] // jacobians.itemsize
         if function(points, size, *reaches, *at[:2], count, *at[2:-1], stride, -1 if band is None else band, at[-1]):
             raise MemoryError(f"the variational flow of {size} components")
@@ -83,13 +84,8 @@ def flows_kernel() -> Flows | None:
         assert all(array.flags.c_contiguous for array in held)
         assert result.shape == (levels, points, 2 * size, 2 * size)
         assert result[0].flags.c_contiguous
-        at, apart = [_address(array) for array in held], result.strides[0] // result.itemsize
-        if function(ctypes.addressof(orbits), points, size, reach, *at[:2], levels, *at[2:], apart, _address(result)):
+        at, apart = [address(array) for array in held], result.strides[0] // result.itemsize
+        if function(ctypes.addressof(orbits), points, size, reach, *at[:2], levels, *at[2:], apart, address(result)):
             raise MemoryError(f"the variational flow of {size} components")
 
     return transitions
-
-
-def _address(array: NDArray[Any]) -> int:
-    """Where the numbers of an array begin; faster than `ctypes.data`."""
-    return int(array.__array_interface__["data"][0])

@@ -9,6 +9,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from casadi_skin.native.addresses import address
 from casadi_skin.native.library import library
 
 INTEGER, POINTER = ctypes.c_int64, ctypes.c_void_p
@@ -48,7 +49,7 @@ class TailKernel:
     ) -> None:
         self._held = [arrays[name] for name in ARRAYS]  # the structure holds addresses alone
         assert all(array.flags.c_contiguous for array in self._held)
-        at = [array.__array_interface__["data"][0] for array in self._held]
+        at = [address(array) for array in self._held]
         self._structure = _Tail(*compiled[:2], *sizes, *at, bond)
         solve = int(ctypes.cast(_function(), POINTER).value or 0)
         self.addresses = solve, ctypes.addressof(self._structure), compiled[2]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.native.addresses import address
 from casadi_skin.native.library import library
 
 Array = NDArray[np.float64]
@@ -86,7 +87,7 @@ class TaylorKernel:
     def _at(self, array: NDArray[Any]) -> int:
         assert array.flags.c_contiguous
         self._held.append(array)
-        return int(array.ctypes.data)
+        return address(array)
 
     def _terms(self, terms: Sequence[Term], orders: int, length: int) -> _Terms:
         degrees = [len(term[3]) for term in terms]

@@ -248,10 +248,11 @@ def test_another_processor_or_source_is_compiled_anew(
         library.cache_clear()
         assert library("one") is not None
         assert len(list(caches.iterdir())) == count
-    (tmp_path / "one.c").write_text("int one(void) { return 2; }")
-    library.cache_clear()
-    assert library("one") is not None
-    assert len(list(caches.iterdir())) == 4
+    for count, name in enumerate(("one.c", "shared.h"), start=4):
+        (tmp_path / name).write_text("int one(void) { return 2; }")
+        library.cache_clear()
+        assert library("one") is not None
+        assert len(list(caches.iterdir())) == count
 
 
 @needs_compiler
