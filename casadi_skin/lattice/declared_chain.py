@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import casadi as ca
@@ -22,6 +23,9 @@ def declared_chain(declaration: Declaration, autonomous: bool, values: Mapping[s
 
     Returns:
         The chain with the same forces; None for any other lattice.
+
+    Raises:
+        ValueError: a formula is not finite at these values.
     """
     one = len(declaration.sites) == len(declaration.bonds) == 1 and declaration.boundary == (FIXED,)
     if not one or not autonomous or declaration.differing:
@@ -48,4 +52,9 @@ def _powers(declaration: Declaration, values: Mapping[str, float], kind: str, fi
         terms = polynomial_terms(expression(declaration.formulas[kind, 0, field], known), x, ca.SX.sym("p"))
     except NotPolynomialError:
         return {-1: float("nan")}
-    return {term.degree: float(term.coefficients[0]) for term in terms}
+    found = {term.degree: float(term.coefficients[0]) for term in terms}
+    if not all(map(math.isfinite, found.values())):
+        text = declaration.formulas[kind, 0, field].text
+        given = f'{kind} 1 {field}: given "{text}", in which a value is not finite'
+        raise ValueError(f"{given}; accepted: formulas and values of parameters that are finite")
+    return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -129,10 +129,11 @@ class Equations:
 
     # Checks -----------------------------------------------------------------------------------------------------------
 
-    def at_nominal(self, *results: ca.SX) -> list[Any]:
-        """Expressions in parameters as arrays, at the declared values."""
-        function = ca.Function("f", [self.parameters], [ca.densify(result) for result in results])
-        found = function(self.nominal) if results else []
+    def at_nominal(self, *results: ca.SX, at_zero: Mapping[str, ca.SX] | None = None) -> list[Any]:
+        """Expressions in parameters, and in further symbols that are 0, as arrays, at the declared values."""
+        zeros = list((at_zero or {}).values())
+        function = ca.Function("f", [self.parameters, *zeros], [ca.densify(result) for result in results])
+        found = function(self.nominal, *(0.0 for _ in zeros)) if results else []  # in numbers: 0 * inf is not 0
         found = found if isinstance(found, list | tuple) else [found]
         return [np.array(value).ravel() for value in found]
 
@@ -140,8 +141,8 @@ class Equations:
         """Raises ValueError, with the place, for forces not finite at rest, and masses and gains out of range."""
         declaration = self.declaration
         for kind, number, field in declaration.formulas:
-            variables = dict.fromkeys("yvdt", ca.SX(0))
-            (values,) = self.at_nominal(self.at(kind, number, field, self.cells, **variables))
+            variables = {name: ca.SX.sym(name) for name in "yvdt"}
+            (values,) = self.at_nominal(self.at(kind, number, field, self.cells, **variables), at_zero=variables)
             text, place = declaration.formulas[kind, number, field].text, f"{kind} {number + 1} {field}"
             bad, accepted = ~np.isfinite(values), "a formula that is finite at rest"
             if field == "mass" and not bad.any():
@@ -151,6 +152,5 @@ class Equations:
             if bad.any():
                 k = int(np.argmax(bad))
                 where = ", ".join(str(i + 1) for i in self.cells[k])
-                raise ValueError(
-                    f'{place}: given "{text}", which is {values[k]:g} in cell {where}; accepted: {accepted}'
-                )
+                value = "not finite" if np.isnan(values[k]) else f"{values[k]:g}"
+                raise ValueError(f'{place}: given "{text}", which is {value} in cell {where}; accepted: {accepted}')

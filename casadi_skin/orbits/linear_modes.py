@@ -44,12 +44,10 @@ def linear_modes(force: ca.SX, state: ca.SX, name: str) -> LinearModes:
         Modes in ascending order of their squared frequencies.
 
     Raises:
-        ValueError: the model does not rest at 0, or a frequency is complex.
+        ValueError: the model does not rest at 0, is not finite or smooth there, or a frequency is complex.
     """
-    zero = ca.DM.zeros(state.numel())
-    K = -np.array(ca.evalf(ca.substitute(ca.densify(ca.jacobian(force, state)), state, zero)))
-    at_rest = np.array(ca.evalf(ca.substitute(ca.densify(force), state, zero)))
-    if not (np.all(np.isfinite(K)) and np.max(np.abs(at_rest)) <= REST * max(1.0, float(np.max(np.abs(K))))):
+    K, at_rest = _at_rest(force, state, name)
+    if np.max(np.abs(at_rest)) > REST * max(1.0, float(np.max(np.abs(K)))):
         raise ValueError(f"{name}: its families grow from rest at 0; accepted: forces that are finite and vanish there")
     log_scale = scale_of_couplings(K, force, state)
     if log_scale is not None:
@@ -67,6 +65,24 @@ def linear_modes(force: ca.SX, state: ca.SX, name: str) -> LinearModes:
     order = np.argsort(values.real)
     modes = vectors.real[:, order]
     return LinearModes(values.real[order], modes, np.linalg.inv(modes), np.zeros(len(K)), K, False)
+
+
+def _at_rest(force: ca.SX, state: ca.SX, name: str) -> tuple[Array, Array]:
+    """Stiffness and force at 0; raises ValueError, naming the force, where one of them is not finite.
+
+    They are computed in numbers, as a family computes them: an expression simplifies 0 * inf and 0 / 0 away.
+    """
+    columns = [ca.densify(force), ca.densify(ca.jacobian(force, state))]
+    at_rest, slopes = (np.array(v) for v in ca.Function("rest", [state], columns)(ca.DM.zeros(state.numel())))
+    if np.all(np.isfinite(at_rest)) and np.all(np.isfinite(slopes)):
+        return -slopes, at_rest
+    bad = int(np.argmax(~np.isfinite(np.hstack([at_rest, slopes])).all(axis=1)))
+    place = f"{name}: the force on {state[bad].name()}"
+    if not np.isfinite(at_rest[bad, 0]):
+        raise ValueError(f"{place} is not finite at rest; accepted: forces that are finite and vanish there")
+    by = state[int(np.argmax(~np.isfinite(slopes[bad])))].name()
+    accepted = "families grow from rest; accepted: forces with finite derivatives there"
+    raise ValueError(f"{place} is not smooth at rest: its derivative by {by} is not finite; {accepted}")
 
 
 def with_small_amplitudes(mode: Array, stiffness: Array, square: float) -> Array:

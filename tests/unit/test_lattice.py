@@ -256,6 +256,8 @@ A = Site("a", "y")
         ({"bonds": [Bond("a", "a", (1,), gain=("1", "1 - c"))]}, 'bond 1 gain 2: given "1 - c", which is 0 in cell 1'),
         ({"bonds": [Bond("a", "a", (1,), "log(d)")]}, 'bond 1 force: given "log\\(d\\)", which is -inf in cell 1'),
         ({"sites": [Site("a", "1/y")]}, 'site 1 onsite: given "1/y", which is (inf|nan) in cell 1; .*finite at rest'),
+        ({"sites": [Site("a", "9^9^9^9*y")]}, 'site 1 onsite: given "9.*y", which is not finite in cell 1; .*rest'),
+        ({"bonds": [Bond("a", "a", (1,), "d + 9^9^9^9*d^3")]}, 'bond 1 force: given "d.*, which is not finite in cell 1'),
         ({"sites": [Site("a", mass="2 - n")]}, 'site 1 mass: given "2 - n", which is 0 in cell 2; .*a mass > 0'),
         ({"sites": [A, A]}, "site 2 name: given 'a'"),
         ({"sites": []}, "sites: given none"),
@@ -283,6 +285,21 @@ def test_refusals_are_one_line_with_the_place(given: dict[str, Any], message: st
 def test_an_unstable_linear_lattice_is_refused_by_its_families() -> None:
     with pytest.raises(ValueError, match=r"mode 1 of lattice does not oscillate: omega\^2 = -"):
         follow_family(chain(4, -3.0, 0.2, 1.0), mode=1, amplitude_max=1.0)
+
+
+@pytest.mark.parametrize("more", ["", " + y^5"])
+def test_a_parameter_at_which_a_formula_is_not_finite_is_refused_with_the_formula(more: str) -> None:
+    """Where the lattice is the chain of the paper, and where another power makes it no longer so."""
+    lattice = Lattice(3, [Site("a", f"y + c^999*y^3{more}")], [Bond("a", "a", (1,))], parameters={"c": 1.0})
+    with pytest.raises(ValueError, match=r'site 1 onsite: given "y \+ c\^999\*y\^3.*", in which a value is not finite'):
+        follow_family(lattice, 1, 0.5, parameters={"c": 9.0})
+
+
+@pytest.mark.parametrize(("onsite", "bond"), [("y + sqrt(abs(y))*y", "d"), ("y", "d + sqrt(abs(d))*d")])
+def test_a_force_that_is_not_smooth_at_rest_is_named(onsite: str, bond: str) -> None:
+    with pytest.raises(ValueError, match="lattice: the force on y_1 is not smooth at rest") as caught:
+        follow_family(Lattice(3, [Site("a", onsite)], [Bond("a", "a", (1,), bond)]), 1, 0.5)
+    assert "\n" not in str(caught.value)
 
 
 def test_modes_that_share_their_frequency_are_refused() -> None:

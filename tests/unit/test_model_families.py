@@ -460,6 +460,7 @@ def test_normalisations_that_fix_no_amplitude(spelled: Callable[[ca.SX, ca.SX], 
 # Refusals -------------------------------------------------------------------------------------------------------------
 
 Q, V, P, T = ca.SX.sym("q", 2), ca.SX.sym("v", 2), ca.SX.sym("p"), ca.SX.sym("t")
+ROUGH = -Q - ca.sqrt(ca.fabs(Q)) * Q
 CUBIC = ca.vertcat(-Q[0], -2 * Q[1]) - Q**3
 ONE_LINE = 300  # characters
 KIND = "accepted for families: a model"
@@ -481,7 +482,9 @@ def pair(force: ca.SX, **changes: Any) -> OdeModel:
         (pair(CUBIC, reversal=(-1, -1, 1, 1)), f"{KIND} with a declared reversal that keeps positions and turns"),
         (pair(CUBIC, half_period=(-1, 1, -1, 1)), f"{KIND} with half_period = -1 for every component, or none"),
         (pair(CUBIC + 0.1), AT_REST),
-        (pair(-ca.sqrt(Q)), AT_REST),
+        (pair(-ca.sqrt(Q)), "pair: the force on q_0 is not smooth at rest: its derivative by q_0 is not finite"),
+        (pair(ROUGH), "pair: the force on q_0 is not smooth at rest: its derivative by q_0 is not finite"),
+        (pair(-Q - np.inf * Q**3), "pair: the force on q_0 is not finite at rest; accepted: forces that are finite"),
         (pair(CUBIC + ca.vertcat(2 * Q[0], 0)), "mode: mode 1 of pair does not oscillate: omega^2 = -1; accepted: a"),
         (pair(-Q - Q**3), "mode: modes 1, 2 of pair have the same frequency: no family belongs to one of them alone"),
         (pair(ca.vertcat(-Q[0] - Q[1], Q[0] - Q[1])), "j of a linear mode is complex; accepted: real ones"),
