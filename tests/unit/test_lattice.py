@@ -257,7 +257,7 @@ A = Site("a", "y")
         ({"bonds": [Bond("a", "a", (1,), "log(d)")]}, 'bond 1 force: given "log\\(d\\)", which is -inf in cell 1'),
         ({"sites": [Site("a", "1/y")]}, 'site 1 onsite: given "1/y", which is (inf|nan) in cell 1; .*finite at rest'),
         ({"sites": [Site("a", "9^9^9^9*y")]}, 'site 1 onsite: given "9.*y", which is not finite in cell 1; .*rest'),
-        ({"bonds": [Bond("a", "a", (1,), "d + 9^9^9^9*d^3")]}, 'bond 1 force: given "d.*, which is not finite in cell 1'),
+        ({"bonds": [Bond("a", "a", (1,), "d + 9^9^9^9*d^3")]}, 'bond 1 force: given "d.*, which is not finite'),
         ({"sites": [Site("a", mass="2 - n")]}, 'site 1 mass: given "2 - n", which is 0 in cell 2; .*a mass > 0'),
         ({"sites": [A, A]}, "site 2 name: given 'a'"),
         ({"sites": []}, "sites: given none"),
