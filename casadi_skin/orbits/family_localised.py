@@ -72,6 +72,11 @@ class EdgeOrbits:
             raise self._not_found(before)
         return Layout(following.problem.frequency(correction.z), self._bands)
 
+    def amplitude(self, coordinate: float) -> float:
+        """S between two points, without an orbit."""
+        S = [self.family.request.S_of(point.parameter) for point in self.points]
+        return float(np.interp(coordinate, self.coordinates, S))
+
     def _before(self, coordinate: float) -> int:
         """Number of the point before a coordinate."""
         return int(np.clip(np.floor(coordinate), 0, len(self.points) - 2))

@@ -13,7 +13,6 @@ from itertools import pairwise
 import numpy as np
 
 from casadi_skin.stability.continuous import ContinuousSpectrum
-from casadi_skin.stability.flow import FlowError
 from casadi_skin.stability.gaps import HALF, START, Layout
 from casadi_skin.stability.localised_counts import CountError, Counts
 from casadi_skin.stability.localised_diagram import (
@@ -27,13 +26,12 @@ from casadi_skin.stability.localised_diagram import (
 )
 from casadi_skin.stability.localised_meetings import MeetingError, collision, resonance
 from casadi_skin.stability.localised_samples import EdgeBranch
-from casadi_skin.stability.localised_search import FINEST, Search, mu_of
+from casadi_skin.stability.localised_search import FAILURES, FINEST, Search, mu_of
 from casadi_skin.stability.localised_stretches import stretches
 from casadi_skin.stability.localised_zeros import Zero, zeros_along
 from casadi_skin.stability.tongues import Unresolved
 
 NEAR = 0.1  # of an interval between points: from where on two that meet are sought by Newton's method
-FAILURES = (ArithmeticError, np.linalg.LinAlgError, FlowError, RuntimeError)
 
 
 def find_localised_changes(branch: EdgeBranch) -> LocalisedDiagram:
@@ -55,10 +53,17 @@ def find_localised_changes(branch: EdgeBranch) -> LocalisedDiagram:
         except FAILURES as error:
             search.gaps.append((start, end, str(error)))
     for before, after in pairwise(looked):
-        _across(search, before, after)
+        missing = (before.end, after.start)
+        if missing in {(a, b) for a, b, _ in search.gaps}:
+            continue
+        try:
+            _across(search, before, after)
+        except FAILURES as error:
+            search.gaps.append((*missing, str(error)))
     ordered = sorted(search.found, key=lambda change: change.place.coordinate)
     unresolved = tuple(
-        Unresolved(search.at(start).S, search.at(end).S, start, end, reason) for start, end, reason in search.gaps
+        Unresolved(search.amplitude(start), search.amplitude(end), start, end, reason)
+        for start, end, reason in search.gaps
     )
     return LocalisedDiagram(
         tuple(change for change in ordered if change.stable_before != change.stable_after),

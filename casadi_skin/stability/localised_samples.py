@@ -70,3 +70,7 @@ class EdgeBranch(Protocol):
     def layout(self, coordinate: float) -> Layout:
         """Its arcs and gaps, from a frequency that is nearly that of the sample; raises OrbitNotFoundError."""
         ...
+
+    def amplitude(self, coordinate: float) -> float:
+        """S near a coordinate, to a few digits and without an orbit: it names places that are not known."""
+        ...

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from casadi_skin.stability.flow import FlowError
 from casadi_skin.stability.gaps import Layout
 from casadi_skin.stability.hill import Hill
 from casadi_skin.stability.localised_diagram import LocalisedChange
@@ -17,6 +18,7 @@ FINEST = 1e-7  # of such an interval: stretches that are halved no further
 SAFETY = 2.0
 ROUNDING = 1e-13  # of a determinant relative to its size
 MORE = 4  # sidebands that show the error of those left out
+FAILURES = (ArithmeticError, np.linalg.LinAlgError, FlowError, RuntimeError)  # of orbits and linear algebra
 
 
 @dataclass
@@ -42,6 +44,11 @@ class Search:
         if coordinate not in self.layouts:
             self.layouts[coordinate] = self.branch.layout(coordinate)
         return self.layouts[coordinate]
+
+    def amplitude(self, coordinate: float) -> float:
+        """S at a coordinate, to a few digits where no orbit is known there."""
+        known = self.known.get(coordinate)
+        return self.branch.amplitude(coordinate) if known is None else known.S
 
     def place(self, coordinate: float, error: float) -> Place:
         """A place with the error of S, by its slope and bend."""

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 from casadi_skin.stability.gaps import crossings
 from casadi_skin.stability.localised_samples import FILLS, NARROW_GAP, names_of_arcs
-from casadi_skin.stability.localised_search import Search
+from casadi_skin.stability.localised_search import FAILURES, Search
 
 APART = 1e-3  # of an interval between points: where the frequency leaves a band, between two stretches
 INSIDE = 1e-6  # of an interval between points: how far from a meeting of arcs the ends of a stretch are
@@ -21,13 +21,28 @@ def stretches(search: Search) -> list[tuple[float, float]]:
     places = search.branch.coordinates.tolist()
     bounds = [places[0]]
     for start, end in pairwise(places):
-        for before, after in _breaks(search, start, end):
+        try:
+            found = _breaks(search, start, end)
+        except FAILURES as error:
+            found = [(start, end)]
+            search.gaps.append((start, end, str(error)))
+        for before, after in found:
             bounds += [before, after]
     bounds.append(places[-1])
-    pairs = list(zip(bounds[::2], bounds[1::2], strict=True))
-    pairs = [(a, b) for a, b in pairs if b > a]
-    search.gaps += [(a, b, FILLED) for a, b in pairs if names_of_arcs(search.layout(a)) == (FILLS,)]
-    return [(a, b) for a, b in pairs if names_of_arcs(search.layout(a)) not in ((FILLS,), (NARROW_GAP,))]
+    pairs = zip(bounds[::2], bounds[1::2], strict=True)
+    return [(a, b) for a, b in pairs if b > a and _sought(search, a, b)]
+
+
+def _sought(search: Search, start: float, end: float) -> bool:
+    """Whether changes are sought on a stretch; one that is filled, or whose arcs are not found, is a gap."""
+    try:
+        names = names_of_arcs(search.layout(start))
+    except FAILURES as error:
+        search.gaps.append((start, end, str(error)))
+        return False
+    if names == (FILLS,):
+        search.gaps.append((start, end, FILLED))
+    return names not in ((FILLS,), (NARROW_GAP,))
 
 
 def _breaks(search: Search, start: float, end: float) -> list[tuple[float, float]]:

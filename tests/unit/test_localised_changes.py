@@ -22,7 +22,9 @@ from casadi_skin.orbits.family_localised import EdgeOrbits, localised_changes
 from casadi_skin.stability.continuous import ContinuousSpectrum
 from casadi_skin.stability.gaps import Layout, crossings
 from casadi_skin.stability.hill import Hill, Parity
+from casadi_skin.stability.interpolation import OrbitNotFoundError
 from casadi_skin.stability.localised import LocalisedFloquet
+from casadi_skin.stability.localised_changes import find_localised_changes
 from casadi_skin.stability.localised_counts import count, zeros_in
 from casadi_skin.stability.localised_diagram import LocalisedDiagram
 from casadi_skin.stability.waves import Medium
@@ -346,6 +348,28 @@ def test_changes_of_the_softening_chain() -> None:
         assert near.size == 2
         assert np.all(near.imag == 0.0) == stable
         assert abs(near.mean() - last.mu) < 1e-4
+
+
+def test_orbits_that_are_not_found_where_arcs_meet_leave_a_named_gap(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The three points about the threshold, where a stretch of the family ends, with and without orbits between."""
+    branch = follow_family(HARD, "last", 0.5, tolerance=1e-9)
+    assert isinstance(branch.space, Family)
+    first = next(number for number, orbit in enumerate(branch.orbits) if orbit.Omega > HIGH + 1e-6)
+    points = [orbit.point for orbit in branch.orbits[first - 2 : first + 1]]
+    orbits = EdgeOrbits(branch.space, points)
+    assert find_localised_changes(orbits).complete
+    known = EdgeOrbits.layout
+
+    def layout(self: EdgeOrbits, coordinate: float) -> Layout:
+        if coordinate != round(coordinate):
+            raise OrbitNotFoundError("no orbit is found there")
+        return known(self, coordinate)
+
+    monkeypatch.setattr(EdgeOrbits, "layout", layout)
+    found = find_localised_changes(orbits)
+    (gap,) = found.unresolved
+    assert (gap.coordinate_start, gap.coordinate_end, gap.reason) == (1.0, 2.0, "no orbit is found there")
+    assert (gap.S_start, gap.S_end) == pytest.approx([orbits.amplitude(place) for place in (1.0, 2.0)], rel=1e-6)
 
 
 @pytest.mark.slow
