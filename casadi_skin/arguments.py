@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import reprlib
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, cast
@@ -64,6 +64,13 @@ def check_name(label: str, name: object, known: Iterable[str]) -> None:
     names = list(known)
     if not isinstance(name, str) or name not in names:
         raise ValueError(f"{label}: given {short_repr(name)}; {accepted_names(name, names)}")
+
+
+def state_by_name(label: str, given: Mapping[str, Any], names: Sequence[str]) -> list[float]:
+    """One number a state from numbers by name, where those left out are 0; raises ValueError and TypeError."""
+    for name in given:
+        check_name(label, name, names)
+    return [number(f"{label}, {name}", given.get(name, 0.0)) for name in names]
 
 
 def check_options(label: str, given: Iterable[str], *functions: Callable[..., Any]) -> None:

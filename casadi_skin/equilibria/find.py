@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin import methods
-from casadi_skin.arguments import by_name, check_name, number, short_repr, whole
+from casadi_skin.arguments import by_name, check_name, number, short_repr, state_by_name, whole
 from casadi_skin.bvp.problem import Array
 from casadi_skin.equilibria.equations import corrector_of
 from casadi_skin.equilibria.equilibrium import Equilibrium
@@ -148,9 +148,7 @@ def positions_of(model: OdeModel, guess: Any, label: str = "guess") -> Array:
     elif hasattr(guess, "states") and hasattr(guess, "t"):  # a simulation, or an orbit
         guess = np.asarray(guess.states)[-1]
     if isinstance(guess, Mapping):
-        for name in guess:
-            check_name(label, name, names)
-        guess = [number(f"{label}, {name}", guess.get(name, 0.0)) for name in names]
+        guess = state_by_name(label, guess, names)
     try:
         values = np.asarray(guess, dtype=float).ravel()
     except (TypeError, ValueError):

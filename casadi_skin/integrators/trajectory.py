@@ -31,7 +31,7 @@ class IntegrationError(ArithmeticError):
         count = len(trajectory.states)
         reached = t[count - 1] if count else origin
         super().__init__(f"{method}: the state was followed to t = {reached:.6g} of {t[-1]:.6g}: {reason}")
-        self.trajectory = trajectory
+        self.reason, self.trajectory = reason, trajectory
 
 
 Integrator = Callable[[OdeModel, Array, Array, Array, float], Trajectory]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import casadi as ca
@@ -52,14 +53,30 @@ def test_a_cycle_is_not_looked_for_in_a_few_output_times() -> None:
 
 
 def test_a_state_that_runs_away_is_told() -> None:
-    with pytest.raises(IntegrationError, match=r"cvodes: .* it returned"):
-        simulate(OdeModel("blow-up", X, X**2), [1.0], [0.0, 2.0])
+    """x' = x^2 from x(0) = 1 is 1/(1 - t): it is told with the time and the state, which are large together."""
+    words = r"cvodes: the state was followed to t = 0.5 of 2: x runs to infinity: it is (\S+) at t = (\S+)$"
+    with pytest.raises(IntegrationError, match=words) as caught:
+        simulate(OdeModel("blow-up", ca.vertcat(X, Y), ca.vertcat(X**2, -Y)), {"x": 1.0}, [0.0, 0.5, 2.0])
+    np.testing.assert_allclose(caught.value.trajectory.states, [[2.0, 0.0]], atol=1e-7)
+    told = re.search(words, str(caught.value))
+    assert told is not None
+    x, t = map(float, told.groups())
+    assert x > 100.0
+    assert t == pytest.approx(1.0 - 1.0 / x, abs=1e-5)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_start_by_names_is_the_state_with_zeros_elsewhere() -> None:
+    by_name, in_order = (simulate(VAN_DER_POL, start, [0.0, 1.0]) for start in ({"y": 0.3}, [0.0, 0.3]))
+    np.testing.assert_array_equal(by_name.states, in_order.states)
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
         ({"start": [0.0]}, "start: given 1 states; accepted: 2, x, y"),
+        ({"start": {"z": 1.0}}, "start: given 'z'; accepted: x, y"),
+        ({"start": {"x": np.nan}}, "start, x: given nan; accepted: a finite number"),
         ({"t": [0.0]}, "t: given .*; accepted: two or more times, ascending"),
         ({"t": [1.0, 0.0]}, "t: given .*; accepted: two or more times, ascending"),
         ({"parameters": {"nu": 1.0}}, "parameters: given 'nu'; accepted: mu"),
