@@ -33,6 +33,11 @@ Array = NDArray[np.float64]
 
 SOFT, HARD = Chain(math.inf, 1.0, 0.25, -1.0), Chain(math.inf, 1.0, 0.25, 1.0)
 LOW, HIGH = (math.sqrt(square) for square in SOFT.band())
+GAINS = ("1 - gamma", "1 + gamma")
+DIMER = LongLattice(
+    math.inf, [Site(name, onsite="y + g*y^3") for name in "ab"],
+    [Bond("a", "b", [0], "u*d", GAINS), Bond("b", "a", [1])], "fixed", {"u": 0.4, "gamma": 0.4, "g": 1.0},
+)  # fmt: skip
 CHAIN = Medium(np.array([[3.0]]), math.sqrt(1.0 - 0.25**2))
 TWO_SITES = Medium(np.array([[3.0, -0.4], [-0.4, 3.5]]), 0.9, 0, 1)
 THREE_SITES = Medium(np.array([[3.0, -0.4, 0.0], [-0.4, 3.5, -0.7], [0.0, -0.7, 2.8]]), 0.9, 0, 2)
@@ -399,11 +404,7 @@ def test_the_chain_as_a_long_lattice_and_its_mirror_image_have_the_same_changes(
 @pytest.mark.slow
 def test_multipliers_of_a_dimer_return_to_1_where_the_energy_is_extremal() -> None:
     """A cell of two sites: the place found by Hill's determinant is that of the energy along the family."""
-    gains = ("1 - gamma", "1 + gamma")
-    sites = [Site(name, onsite="y + g*y^3") for name in "ab"]
-    bonds = [Bond("a", "b", [0], "u*d", gains), Bond("b", "a", [1])]
-    lattice = LongLattice(math.inf, sites, bonds, "fixed", {"u": 0.4, "gamma": 0.4, "g": 1.0})
-    branch = follow_family(lattice, 5, 0.82, tolerance=1e-10)
+    branch = follow_family(DIMER, 5, 0.82, tolerance=1e-10)
     assert isinstance(branch.space, Family)
     found = localised_changes(branch.space, [orbit.point for orbit in branch.orbits])
     assert found.complete
@@ -413,6 +414,24 @@ def test_multipliers_of_a_dimer_return_to_1_where_the_energy_is_extremal() -> No
     energy = np.polynomial.Polynomial.fit(places, [branch.at(float(place)).energy for place in places], 4)
     (extremum,) = (root.real for root in energy.deriv().roots() if abs(root - S) < 0.004)
     assert extremum == pytest.approx(S, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_a_multiplier_of_a_dimer_that_passes_the_edge_of_a_band_is_listed() -> None:
+    """One more or less is then in the gap, by its Chebyshev series with more sidebands."""
+    branch = follow_family(replace(DIMER, edge="last"), 3, 1.21, tolerance=1e-9)
+    assert isinstance(branch.space, Family)
+    behind = next(number for number, orbit in enumerate(branch.orbits) if orbit.S > 1.189)
+    orbits = EdgeOrbits(branch.space, [orbit.point for orbit in branch.orbits[behind - 1 : behind + 1]])
+    found = find_localised_changes(orbits)
+    (change,) = found.further
+    assert found.complete
+    assert not found.changes
+    assert (change.kind, change.signatures) == ("band edge", (1,))
+    assert pytest.approx(1.1889630050, abs=1e-9) == change.S
+    before, after = (count(at.hill.with_more(3), at.layout) for at in map(orbits.sample, (0.0, 1.0)))
+    assert before.off == after.off == 0
+    assert abs(sum(after.inside) - sum(before.inside)) == 1
 
 
 @pytest.mark.slow
