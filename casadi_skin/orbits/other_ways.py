@@ -53,7 +53,9 @@ def other_ways(space: BoundarySpace, guess: Guess, first: First) -> tuple[Soluti
                     return replace(found, found_by=words), words
                 break  # the branch does not come here: nor does it from farther off
         tried.append(f"{name} followed from {', '.join(starts)}")
-    return None, "; ".join(tried)
+    names = " or ".join(name for name, _ in _parameters(space))
+    hint = f"; not tried: {names} by arclength past folds, with follow from a solution at another value"
+    return None, "; ".join(tried) + (hint if names else "")
 
 
 def _parameters(space: BoundarySpace) -> Iterator[tuple[str, float]]:

@@ -43,5 +43,8 @@ def test_what_was_tried_is_told_where_nothing_leads_to_a_solution() -> None:
     u, v, lam = symbols("u v lambda")
     model = OdeModel("Bratu", ca.vertcat(u, v), ca.vertcat(v, -lam * ca.exp(u)), lam)
     problem = BoundaryValueProblem(model, [model.start(u), model.end(u)], parameters={"lambda": 5.0})
-    with pytest.raises(BoundaryError, match=r"tried as well: .*lambda followed from 50, 500, 0\.5"):
+    words = (
+        r"tried as well: .*lambda followed from 50, 500, 0\.5; not tried: lambda by arclength past folds, with follow"
+    )
+    with pytest.raises(BoundaryError, match=words):
         problem.solve([0.0, 0.0])
