@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from outputs import EXAMPLES, drawn, load
+from drawing import blank_pictures
+from outputs import EXAMPLES, drawn, load, read_rows
 from scipy.integrate import solve_ivp
 
 from casadi_skin import Orbit
+from casadi_skin.cli import main
 from casadi_skin.dynamics import distance_from_orbit, evolve
 
 PICTURES = Path(__file__).parents[2] / "docs" / "pictures"
@@ -252,3 +254,20 @@ def test_isola(tmp_path: Path) -> None:
     assert [point.kind for point in isola.special_points] == ["fold", "fold"]  # a closed curve has two
     assert "closed on itself" in isola.reason
     assert min(frequencies) < crossings[1].Omega < crossings[2].Omega < max(frequencies) < 1.21
+
+
+@pytest.mark.slow
+def test_localised_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The script and the scene have the same four; the second is at the extremum of the energy."""
+    branch = load("localised_changes").main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    found = branch.localised_diagram
+    expected = [0.10182823265077, 2.3316117706867, 2.8691016136668, 2.8693340820587]
+    assert found.complete
+    assert [change.S for change in found.all] == pytest.approx(expected, abs=1e-10)
+    energy = np.interp([2.2, 2.3316, 2.5], branch.S, branch.energy)
+    assert (energy[1] - energy[0]) * (energy[2] - energy[1]) < 0.0
+    blank_pictures(monkeypatch)
+    assert main(["run", str(EXAMPLES / "localised_changes.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    rows = [row for name in ("events", "further_events") for row in read_rows(tmp_path / "out" / f"{name}.csv")]
+    assert sorted(float(row["S"]) for row in rows) == pytest.approx(expected, abs=1e-10)
