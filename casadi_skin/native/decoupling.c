@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "product.h"
+#include "matrices.h"
 
 #define EXPORTED __attribute__((visibility("default")))
 
@@ -85,16 +85,6 @@ static double improve(const node *at)
         sum += sums[l];
     }
     return isnan(sum) ? INFINITY : largest;
-}
-
-/* Numbers by rows, real and imaginary parts side by side, (rows, columns) -> (rows, width) each. */
-static void separate(int64_t parts, const double *from, int64_t rows, int64_t columns, int64_t width,
-                     double *const to[2])
-{
-    for (int64_t i = 0; i < parts; i++)
-        for (int64_t a = 0; a < rows; a++)
-            for (int64_t k = 0; k < columns; k++)
-                to[i][a * width + k] = from[(a * columns + k) * parts + i];
 }
 
 /* Memory for a node, all of it zero; NULL where there is none. */

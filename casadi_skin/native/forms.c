@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "product.h"
+#include "matrices.h"
 
 #define EXPORTED __attribute__((visibility("default")))
 
@@ -33,6 +33,23 @@ static void multiply(const node *at, int64_t rows, const double *real, const dou
 static void contract(const node *at, double *const A[2], double *const B[2])
 {
     multiply(at, at->count, A[0], at->parts == 2 ? A[1] : NULL, 1, at->width, B, at->inner);
+}
+
+/* `count` numbers from `first` on, `stride` apart, divided by x + iy. */
+static void divide(int64_t parts, double x, double y, int64_t count, int64_t stride, int64_t first, double *const to[2])
+{
+    const double real = x / (x * x + y * y), imaginary = -y / (x * x + y * y);
+    for (int64_t b = 0; b < count; b++) {
+        const int64_t k = first + b * stride;
+        const double u = to[0][k];
+        if (parts == 1)
+            to[0][k] = u / x;
+        else {
+            const double v = to[1][k];
+            to[0][k] = u * real - v * imaginary;
+            to[1][k] = u * imaginary + v * real;
+        }
+    }
 }
 
 /* left (size, width): of the rows that it has, those combinations that give the identity within blocks with the right
@@ -78,27 +95,8 @@ static int normalise(node *at, const int64_t *places, const uint8_t *same)
             }
         }
         const double x = at->inner[0][k * width + k], y = at->parts == 2 ? at->inner[1][k * width + k] : 0.0;
-        const double real = x / (x * x + y * y), imaginary = -y / (x * x + y * y);
-        for (int64_t b = 0; b < at->size; b++) {
-            const double u = at->left[0][b * width + k];
-            if (at->parts == 1)
-                at->left[0][b * width + k] = u / x;
-            else {
-                const double v = at->left[1][b * width + k];
-                at->left[0][b * width + k] = u * real - v * imaginary;
-                at->left[1][b * width + k] = u * imaginary + v * real;
-            }
-        }
-        for (int64_t b = k + 1; b < count; b++) {
-            const double u = at->inner[0][k * width + b];
-            if (at->parts == 1)
-                at->inner[0][k * width + b] = u / x;
-            else {
-                const double v = at->inner[1][k * width + b];
-                at->inner[0][k * width + b] = u * real - v * imaginary;
-                at->inner[1][k * width + b] = u * imaginary + v * real;
-            }
-        }
+        divide(at->parts, x, y, at->size, width, k, at->left);
+        divide(at->parts, x, y, count - k - 1, 1, k * width + k + 1, at->inner);
         for (int64_t a = 0; a < count; a++) {
             const double f = at->inner[0][a * width + k], g = at->parts == 2 ? at->inner[1][a * width + k] : 0.0;
             if (a == k || (f == 0.0 && g == 0.0))
@@ -118,16 +116,6 @@ static int normalise(node *at, const int64_t *places, const uint8_t *same)
         }
     }
     return 1;
-}
-
-/* Numbers by rows, real and imaginary parts side by side, (rows, columns) -> (rows, width) each. */
-static void separate(int64_t parts, const double *from, int64_t rows, int64_t columns, int64_t width,
-                     double *const to[2])
-{
-    for (int64_t i = 0; i < parts; i++)
-        for (int64_t a = 0; a < rows; a++)
-            for (int64_t k = 0; k < columns; k++)
-                to[i][a * width + k] = from[(a * columns + k) * parts + i];
 }
 
 /* Bases at one node: right = vectors T, and left, of which rows are those of P right or, for `special` columns, those of

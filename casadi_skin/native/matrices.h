@@ -1,4 +1,4 @@
-/* Products of matrices of which only the second is copied into lanes. */
+/* Matrices by their real and imaginary parts, in rows of whole lanes. */
 
 #include <stdint.h>
 
@@ -30,4 +30,14 @@ static void add_product(int64_t rows, int64_t inner, int64_t width, double sign,
                 *(lanes *)(result + (first + r) * width + k) += sign * sums[r];
         }
     }
+}
+
+/* Numbers by rows, real and imaginary parts side by side, (rows, columns) -> (rows, width) each. */
+static void separate(int64_t parts, const double *from, int64_t rows, int64_t columns, int64_t width,
+                     double *const to[2])
+{
+    for (int64_t i = 0; i < parts; i++)
+        for (int64_t a = 0; a < rows; a++)
+            for (int64_t k = 0; k < columns; k++)
+                to[i][a * width + k] = from[(a * columns + k) * parts + i];
 }
