@@ -25,7 +25,7 @@ from casadi_skin.equilibria.equations import EquilibriumEquations
 from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF, jacobian_of
 from casadi_skin.equilibria.normal_forms import critical_pair, lyapunov_terms
 from casadi_skin.equilibria.samples import Sample
-from casadi_skin.equilibria.search import Search
+from casadi_skin.equilibria.search import EquilibriumSearch
 from casadi_skin.equilibria.statics import ComplexArray, Statics
 from casadi_skin.equilibria.stretch import Stretch, crossings, height, less
 from casadi_skin.equilibria.systems import ExtendedSystem, HopfSystem
@@ -85,7 +85,7 @@ def _by_differences(space: Followed, before: Point, after: Point) -> Iterator[Po
     yield replace(point, error=replace(point.error, parameter=point.error.parameter + moved))
 
 
-class _Search(Search):
+class _Search(EquilibriumSearch):
     """Points of codimension two on one stretch of a curve."""
 
     def __init__(self, space: Followed, start: Point) -> None:

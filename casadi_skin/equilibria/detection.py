@@ -17,7 +17,7 @@ import numpy as np
 from casadi_skin.continuation.points import Point
 from casadi_skin.equilibria.equations import EquilibriumEquations
 from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF, Located, locate
-from casadi_skin.equilibria.search import Search
+from casadi_skin.equilibria.search import EquilibriumSearch
 from casadi_skin.equilibria.stretch import Signs, Stretch, crossings, height
 from casadi_skin.solvers.estimates import ErrorEstimate
 
@@ -48,7 +48,7 @@ def special_between(equations: EquilibriumEquations, before: Point, after: Point
     yield from _Search(equations, before, after).between(before, after)
 
 
-class _Search(Search):
+class _Search(EquilibriumSearch):
     """Folds, branch points and Hopf points on one stretch of a branch."""
 
     def __init__(self, equations: EquilibriumEquations, before: Point, after: Point) -> None:

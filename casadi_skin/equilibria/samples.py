@@ -29,6 +29,7 @@ class Sample:
         bend: the second derivative of z by the length along the branch.
         orientation: the sign of the determinant of the Jacobian closed by `row`.
         leading: values and rates of other quantities that matter, in place of the rate of the parameter.
+        turn: period of the imaginary parts: 2 pi of logarithms of multipliers, infinite of eigenvalues.
     """
 
     point: Point
@@ -39,12 +40,20 @@ class Sample:
     bend: Array
     orientation: float
     leading: tuple[tuple[float, float], ...] | None = None
+    turn: float = np.inf
 
     @property
     def symmetric(self) -> bool:
         """Whether with each eigenvalue its opposite is one, as where an energy is conserved, declared or not."""
         apart = np.min(np.abs(self.values[:, None] + self.values), axis=1)
         return bool(np.all(apart <= self.noise) and np.any(self.values))
+
+    def apart(self, values: ComplexArray, others: ComplexArray) -> Array:
+        """Distances of values from others, shape (values, others)."""
+        difference = values[:, None] - others
+        if np.isfinite(self.turn):
+            difference -= 1j * self.turn * np.round(difference.imag / self.turn)
+        return np.abs(difference)
 
     def along(self, row: Array) -> tuple[float, float, float]:
         """By sigma = row . z: that of the length along the branch, and two derivatives of the parameter."""

@@ -22,8 +22,16 @@ PLACES = (WITHIN, 0.3, 0.7)  # of a stretch, where one point after the other is 
 class Search(ABC):
     """The search on one stretch of the continuation; `parts` counts the parts that it has been divided into."""
 
-    def __init__(self, equations: EquilibriumEquations, signs: Signs) -> None:
-        self.equations, self.signs, self.parts = equations, signs, 0
+    def __init__(self, signs: Signs) -> None:
+        self.signs, self.parts = signs, 0
+
+    @abstractmethod
+    def sample(self, point: Point) -> Sample:
+        """The sample at a point."""
+
+    @abstractmethod
+    def along(self, before: Point, after: Point, fraction: float) -> Point | None:
+        """The point at a fraction of the way between two points; None where it is not found."""
 
     @abstractmethod
     def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point] | None:
@@ -33,15 +41,10 @@ class Search(ABC):
     def unresolved(self, stretch: Stretch) -> Iterator[Point]:
         """The description of a part that can be divided no further."""
 
-    def sample(self, point: Point) -> Sample:
-        """The sample at a point."""
-        return self.equations.sample(point)
-
     def between(self, before: Point, after: Point, depth: int = 0) -> Iterator[Point]:
         """Special points between two points, in order."""
         self.parts += 1
-        solver = self.equations.point_solver
-        tried = (solver.along(before, after, place) for place in PLACES)
+        tried = (self.along(before, after, place) for place in PLACES)
         middle = next((point for point in tried if point is not None), None)
         points = (before, after) if middle is None else (before, middle, after)
         stretch = Stretch.of(tuple(self.sample(point) for point in points), self.signs)
@@ -54,7 +57,7 @@ class Search(ABC):
             yield from self.unresolved(stretch)
             return
         dip = stretch.dip()
-        divided = None if dip is None else solver.along(before, after, dip)
+        divided = None if dip is None else self.along(before, after, dip)
         if divided is None or not _apart(before, divided, after):
             divided = middle
         yield from self.between(before, divided, depth + 1)
@@ -64,3 +67,17 @@ class Search(ABC):
 def _apart(*points: Point) -> bool:
     """Whether neighbouring points are not the same but for rounding."""
     return all(float(np.max(np.abs(one.z - other.z))) > SHORTEST for one, other in pairwise(points))
+
+
+class EquilibriumSearch(Search):
+    """A search among equilibria, or curves of their special points."""
+
+    def __init__(self, equations: EquilibriumEquations, signs: Signs) -> None:
+        super().__init__(signs)
+        self.equations = equations
+
+    def sample(self, point: Point) -> Sample:
+        return self.equations.sample(point)
+
+    def along(self, before: Point, after: Point, fraction: float) -> Point | None:
+        return self.equations.point_solver.along(before, after, fraction)

@@ -192,8 +192,8 @@ def matched(first: Sample, last: Sample, length: float, row: Array) -> Indices:
 
     expected = first.values + 0.5 * length * first.along(row)[0] * first.rates
     back = last.values - 0.5 * length * last.along(row)[0] * last.rates
-    direct = np.abs(first.values[:, None] - last.values)
-    predicted = np.abs(expected[:, None] - back)
+    direct = first.apart(first.values, last.values)
+    predicted = first.apart(expected, back)
     return np.asarray(linear_sum_assignment(np.minimum(direct, predicted))[1])
 
 
