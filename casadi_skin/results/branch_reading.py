@@ -149,7 +149,8 @@ def _floquet(record: ReversibleRecord | LocalisedRecord | FullPeriodRecord) -> F
         return ReversibleFloquet(mu, errors, record.trivial_deviation, record.power)
     multipliers = doubles_of(record.multipliers, "<c16")
     monodromy = doubles_of(record.monodromy).reshape(multipliers.size, multipliers.size)
-    logs = doubles_of(record.log_moduli)
+    errors, logs = doubles_of(record.other_errors), doubles_of(record.log_moduli)
     return FullPeriodFloquet(
-        multipliers, monodromy, record.trivial, record.trivial_deviation, record.allowed, logs, record.lost
-    )
+        multipliers, monodromy, record.trivial, record.trivial_deviation, errors, record.allowed_deviation, logs,
+        record.lost,
+    )  # fmt: skip

@@ -47,7 +47,8 @@ class FullPeriodRecord(msgspec.Struct, frozen=True, tag="full period"):
     monodromy: bytes
     trivial: int
     trivial_deviation: float
-    allowed: float
+    other_errors: bytes
+    allowed_deviation: float
     log_moduli: bytes = b""
     lost: bool = False
 
@@ -191,7 +192,7 @@ def stability_record(branch: str, orbit: Solution, changes: Sequence[StabilityCh
         assert isinstance(floquet, FullPeriodFloquet)
         multipliers, monodromy = bytes_of(floquet.multipliers, "<c16"), bytes_of(floquet.monodromy)
         found = FullPeriodRecord(
-            multipliers, monodromy, floquet.trivial, floquet.trivial_deviation, floquet.allowed,
-            bytes_of(floquet.log_moduli), floquet.lost,
+            multipliers, monodromy, floquet.trivial, floquet.trivial_deviation, bytes_of(floquet.other_errors),
+            floquet.allowed_deviation, bytes_of(floquet.log_moduli), floquet.lost,
         )  # fmt: skip
     return StabilityRecord(branch, found, tuple(changes))

@@ -124,7 +124,8 @@ def multipliers_of(
     monodromy = matrix * np.exp(min(size, LARGEST_LOGARITHM))
     values = np.concatenate([near.values, others.values])
     allowed = allowed if count < 2 else float(np.sqrt(allowed))
-    return FullPeriodFloquet(values, monodromy, count, deviation, allowed, logs, lost)
+    errors = np.full(others.logs.size, allowed)
+    return FullPeriodFloquet(values, monodromy, count, deviation, errors, allowed, logs, lost)
 
 
 def _parted(balanced: Array, units: Array, trivial: Trivial, along: Array | None) -> tuple[Spectrum, Spectrum]:

@@ -39,12 +39,16 @@ class Floquet(Result, ABC):
             reversible one, none in a forced one.
         trivial_deviation: distance of the trivial ones from their exact value.
         monodromy: matrix over the full period at phase zero, shape (n, n); None where it was not formed.
+        other_errors: estimated absolute errors of `others`, of one shape with them.
+        allowed_deviation: largest `trivial_deviation` of multipliers that can be trusted.
     """
 
     multipliers: ComplexArray
     trivial: int
     trivial_deviation: float
     monodromy: Array | None
+    other_errors: Array
+    allowed_deviation: float
 
     def __repr__(self) -> str:
         largest = f"largest modulus {self.max_abs_multiplier:.8g}, " if self.others.size else ""
@@ -97,11 +101,6 @@ class Floquet(Result, ABC):
         """Estimated absolute error of the multipliers."""
 
     @property
-    def allowed_deviation(self) -> float:
-        """Largest `trivial_deviation` of multipliers that can be trusted."""
-        return np.inf
-
-    @property
     def log10_abs_multipliers(self) -> Array:
         """Decimal logarithms of the moduli of all multipliers, also of those that no double holds; -inf of zeros."""
         with np.errstate(divide="ignore"):
@@ -134,6 +133,7 @@ class ReversibleFloquet(Floquet):
     power: int
     trivial: int = field(default=2, init=False)
     monodromy: None = field(default=None, init=False)
+    allowed_deviation: float = field(default=np.inf, init=False)
 
     @property
     def outside(self) -> NDArray[np.bool_]:
@@ -188,6 +188,17 @@ class ReversibleFloquet(Floquet):
         outer = self.root ** (2 * self.power)
         return np.concatenate([np.ones(2, complex), np.stack([outer, 1.0 / outer], axis=1).ravel()])
 
+    @cached_property
+    def other_errors(self) -> Array:  # type: ignore[override]
+        """From the multipliers at mu changed by its error: near the circle they go with the root of mu."""
+        directions = np.where(self.is_real, np.sign(DIRECTIONS.real)[:, None], DIRECTIONS[:, None])
+        mu = np.where(self.is_real, self.mu.real, self.mu) + self.mu_error * directions
+        moved = (np.sqrt(mu + 0j) + np.sqrt(1.0 + mu + 0j)) ** (2 * self.power)
+        pairs = np.stack([moved, 1.0 / moved], axis=-1)  # the multipliers of a mu, in either order
+        own = np.stack([self.root, 1.0 / self.root], axis=-1) ** (2 * self.power)
+        distances = np.min(np.abs(own[..., :, None] - pairs[..., None, :]), axis=-1)
+        return np.asarray(np.max(distances, axis=0).ravel())
+
     @property
     def max_abs_multiplier(self) -> float:
         """Largest modulus of a multiplier, the trivial pair left out; exactly 1 for a stable orbit."""
@@ -215,7 +226,7 @@ class ReversibleFloquet(Floquet):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FullPeriodFloquet(Floquet):
-    """Stability from all eigenvalues of a monodromy matrix; `allowed` is by how much a modulus may exceed 1.
+    """Stability from all eigenvalues of a monodromy matrix, each with an error of its own by which it is judged.
 
     `log_moduli` are natural logarithms of the moduli of the multipliers, which doubles may not hold; `lost` is whether
     maps over intervals have lost digits of those that are far from 1; `blurred` how many multipliers are smaller than
@@ -226,7 +237,8 @@ class FullPeriodFloquet(Floquet):
     monodromy: Array
     trivial: int
     trivial_deviation: float
-    allowed: float
+    other_errors: Array
+    allowed_deviation: float
     log_moduli: Array = field(default_factory=lambda: np.empty(0))
     lost: bool = False
     blurred: int = 0
@@ -251,23 +263,23 @@ class FullPeriodFloquet(Floquet):
 
     @property
     def outside(self) -> NDArray[np.bool_]:
-        return np.abs(self.others) > 1.0 + self.allowed
+        return np.abs(self.others) > 1.0 + self.other_errors
 
     @property
     def on_circle(self) -> NDArray[np.bool_]:
-        return np.abs(np.abs(self.others) - 1.0) <= self.allowed
+        return np.abs(np.abs(self.others) - 1.0) <= self.other_errors
 
     @property
     def real(self) -> NDArray[np.bool_]:
-        return np.asarray(self.others.imag == 0.0)
+        return np.abs(self.others.imag) <= self.other_errors
 
     @property
     def unstable_real(self) -> int:
-        return int(np.count_nonzero(self.outside & (self.others.imag == 0.0)))
+        return int(np.count_nonzero(self.outside & self.real))
 
     @property
     def unstable_complex(self) -> int:
-        return int(np.count_nonzero(self.outside & (self.others.imag != 0.0)))
+        return int(np.count_nonzero(self.outside & ~self.real))
 
     @property
     def max_abs_multiplier(self) -> float:
@@ -275,11 +287,9 @@ class FullPeriodFloquet(Floquet):
 
     @property
     def error(self) -> float:
-        return self.allowed
-
-    @property
-    def allowed_deviation(self) -> float:
-        return self.allowed
+        """The largest of those that are not inside the circle by more than their error; of all where all are."""
+        decisive = np.abs(self.others) >= 1.0 - self.other_errors
+        return float(np.max(self.other_errors[decisive] if decisive.any() else self.other_errors, initial=0.0))
 
 
 def _modulus(mu: ComplexArray) -> Array:

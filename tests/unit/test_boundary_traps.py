@@ -64,7 +64,7 @@ def test_stability_does_not_depend_on_units(x: float, y: float, by: str) -> None
     found = orbit.floquet(by)
     assert found.others[0].real == pytest.approx(1.87592885, abs=1e-6)
     assert not found.stable
-    assert found.allowed < 1e-4
+    assert found.error < 1e-4
 
 
 @pytest.mark.parametrize("corrector", ["ipopt", "newton"])

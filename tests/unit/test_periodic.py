@@ -211,7 +211,7 @@ def test_multipliers_that_are_sought_where_the_mesh_is_coarse_warn() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = coarse.floquet()
-    assert 1e-8 < found.trivial_deviation < found.allowed
+    assert 1e-8 < found.trivial_deviation < found.allowed_deviation
     judged = replace(coarse, space=replace(coarse.space, tolerance=1e-12))  # type: ignore[type-var]
     with pytest.warns(TrivialMultiplierWarning, match="the trivial multiplier is off by .*; try a smaller tolerance"):
         judged.floquet()
