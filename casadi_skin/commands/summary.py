@@ -15,6 +15,7 @@ from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.results.family_quantities import certified
 from casadi_skin.results.quantities import places_of
+from casadi_skin.results.stability_tables import UNRESOLVED
 from casadi_skin.runs.writing import mode_of
 
 if TYPE_CHECKING:
@@ -112,6 +113,9 @@ def _diagram(run: Run, branches: list[Branch]) -> TextTable:
         for point in branch.special_points:
             words = point.criticality if point.has_criticality else ""
             rows.append((point.kind, point.parameters, f"{point.error:.1e}", words))
+        for stretch in branch.passed_over:
+            width = f"{abs(stretch.end - stretch.start):.1e}"
+            rows.append((UNRESOLVED, {**first.parameters, name: stretch.start}, width, stretch.kind))
         if len(branch) > 1:
             rows.append(("end", last.parameters, "", _stability(branch, -1)))
         curve = bool(getattr(branch.space, "kind", ""))

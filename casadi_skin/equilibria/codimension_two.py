@@ -30,6 +30,7 @@ from casadi_skin.equilibria.statics import ComplexArray, Statics
 from casadi_skin.equilibria.stretch import Stretch, crossings, height, less
 from casadi_skin.equilibria.systems import ExtendedSystem, HopfSystem
 from casadi_skin.orbits.special_points import FINE, zero_between
+from casadi_skin.unresolved import Unresolved
 
 CUSP, TAKENS, ZERO_HOPF = "cusp", "bogdanov-takens", "zero-hopf"
 BAUTIN, HOPF_HOPF = "generalized hopf", "hopf-hopf"
@@ -49,9 +50,14 @@ class Followed:
     kind: str
 
 
-def special_on_curve(space: Followed, before: Point, after: Point) -> Iterator[Point]:
-    """Points of codimension two between two points of a curve, in order; raises NotLocatedError."""
-    found = list(_Search(space, before).between(before, after))
+def special_on_curve(space: Followed, before: Point, after: Point) -> Iterator[Point | Unresolved]:
+    """Points of codimension two between two points of a curve, in order, and parts of it that are not resolved.
+
+    Raises NotLocatedError.
+    """
+    all_found = list(_Search(space, before).between(before, after))
+    found = [point for point in all_found if isinstance(point, Point)]
+    yield from (part for part in all_found if isinstance(part, Unresolved))
     if space.kind == HOPF and not space.equations.statics.exact and not any(p.special == TAKENS for p in found):
         found += _by_differences(space, before, after)
         found.sort(key=lambda point: float(before.tangent @ (point.z - before.z)))
@@ -142,7 +148,7 @@ class _Search(EquilibriumSearch):
         """Kinds whose functions change their sign."""
         return [kind for kind, changed in zip(self.tests, stretch.changed, strict=False) if changed]
 
-    def unresolved(self, stretch: Stretch) -> Iterator[Point]:
+    def unresolved(self, stretch: Stretch) -> Iterator[Unresolved]:
         yield from ()
 
 

@@ -21,6 +21,7 @@ from casadi_skin.equilibria.statics import Statics
 from casadi_skin.orbits.follow import following_settings
 from casadi_skin.orbits.special_points import SpecialPoint, check_second
 from casadi_skin.solvers.levels import Levels
+from casadi_skin.unresolved import Unresolved
 
 UNFOLDS = 1e-7  # of a step: an imperfection that grows along a curve of branch points
 
@@ -62,8 +63,8 @@ class CurveSpace(EquilibriumSpace):
         """The parameter that is solved for with the state."""
         return () if self.second is None else (self.second.name,)
 
-    def special_between(self, before: Point, after: Point) -> Iterator[Point]:
-        """Points of codimension two on the stretch between two points, in order."""
+    def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
+        """Points of codimension two on the stretch between two points, in order, and parts that are not resolved."""
         yield from special_on_curve(Followed(self, self.kind), before, after)
 
     def stop(self, point: Point) -> tuple[End | None, str]:

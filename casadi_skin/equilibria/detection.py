@@ -8,7 +8,6 @@ the samples (see `stretch`). Neutral saddles have no eigenvalue on the axis, and
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -20,6 +19,7 @@ from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF, Located, l
 from casadi_skin.equilibria.search import EquilibriumSearch
 from casadi_skin.equilibria.stretch import Signs, Stretch, crossings, height
 from casadi_skin.solvers.estimates import ErrorEstimate
+from casadi_skin.unresolved import Unresolved
 
 TOGETHER = 4  # divisions after which a fold and a branch point that cannot be separated are one
 BISECTIONS = 40
@@ -36,14 +36,10 @@ class Found:
     point: Point
 
 
-class UnresolvedWarning(UserWarning):
-    """Several eigenvalues cross the imaginary axis on a stretch of a branch that is too short to separate them."""
+def special_between(equations: EquilibriumEquations, before: Point, after: Point) -> Iterator[Point | Unresolved]:
+    """Special points between two points of a branch in order, each marked by its kind, and parts not resolved.
 
-
-def special_between(equations: EquilibriumEquations, before: Point, after: Point) -> Iterator[Point]:
-    """Special points between two points of a branch, in order, each marked by its kind.
-
-    Warns with UnresolvedWarning where several lie too near to each other to be separated.
+    Where several lie too near to each other to be separated, they are all at the start of the part that is named.
     """
     yield from _Search(equations, before, after).between(before, after)
 
@@ -69,7 +65,7 @@ class _Search(EquilibriumSearch):
             return ()
         return self._each(stretch, expected, reals, pairs)
 
-    def unresolved(self, stretch: Stretch) -> Iterator[Point]:
+    def unresolved(self, stretch: Stretch) -> Iterator[Point | Unresolved]:
         reals, pairs = crossings(stretch) if self.free else ([], [])
         several = len(reals) > 1 and not (stretch.turns or stretch.reorients)  # at once, as where a symmetry keeps them
         kinds = [FOLD] * stretch.turns + [BRANCH_POINT] * (stretch.reorients or several) + [HOPF] * len(pairs)
@@ -157,16 +153,14 @@ def _by_bisection(equations: EquilibriumEquations, stretch: Stretch, kind: str) 
     return replace(known, error=error, walked=False, special=kind)
 
 
-def _unresolved(equations: EquilibriumEquations, stretch: Stretch, kinds: list[str]) -> Iterator[Point]:
-    """Special points of a stretch that cannot be halved, at its start, with a warning."""
+def _unresolved(equations: EquilibriumEquations, stretch: Stretch, kinds: list[str]) -> Iterator[Point | Unresolved]:
+    """Special points of a stretch that cannot be halved, at its start, with the record of it."""
     assert equations.course is not None
     low, high = (float(equations.course.at(end.point.z[-1])) for end in (stretch.first, stretch.last))
     if not kinds:
         return  # an eigenvalue that was matched to another one
     words = " and ".join(dict.fromkeys(kinds)) + (f", {len(kinds)} in all" if len(kinds) > 1 else "")
-    name = equations.parameter
-    message = f"between {name} = {low:.12g} and {high:.12g} there is more than can be distinguished: {words}"
-    warnings.warn(message, UnresolvedWarning, stacklevel=2)
+    yield Unresolved(low, high, f"more than can be distinguished: {words}", kinds[0], equations.parameter)
     width = abs(float(stretch.last.point.z[-1] - stretch.first.point.z[-1]))
     for kind in kinds:
         point = stretch.first.point

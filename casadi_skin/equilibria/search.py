@@ -12,6 +12,7 @@ from casadi_skin.continuation.points import Point
 from casadi_skin.equilibria.equations import EquilibriumEquations
 from casadi_skin.equilibria.samples import Sample
 from casadi_skin.equilibria.stretch import WITHIN, Signs, Stretch
+from casadi_skin.unresolved import Unresolved
 
 DEEPEST = 20  # divisions of a stretch between two points of the continuation
 SHORTEST = 1e-11  # of a step: shorter parts are not divided
@@ -38,11 +39,11 @@ class Search(ABC):
         """Special points on a resolved part, in order; None where it has to be divided, unless it is the last."""
 
     @abstractmethod
-    def unresolved(self, stretch: Stretch) -> Iterator[Point]:
-        """The description of a part that can be divided no further."""
+    def unresolved(self, stretch: Stretch) -> Iterator[Point | Unresolved]:
+        """What is known of a part that can be divided no further, and its record."""
 
-    def between(self, before: Point, after: Point, depth: int = 0) -> Iterator[Point]:
-        """Special points between two points, in order."""
+    def between(self, before: Point, after: Point, depth: int = 0) -> Iterator[Point | Unresolved]:
+        """Special points between two points in order, and the parts that are not resolved."""
         self.parts += 1
         tried = (self.along(before, after, place) for place in PLACES)
         middle = next((point for point in tried if point is not None), None)

@@ -21,6 +21,7 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.solvers.corrector import Correction
 from casadi_skin.solvers.estimates import ErrorEstimate
 from casadi_skin.stability.result import Floquet
+from casadi_skin.unresolved import Unresolved
 
 NO_ORBIT = "an equilibrium is no orbit: it has eigenvalues in place of multipliers, and no period"
 BESIDE = 0.01  # of a step from a special point: where the search for other ones starts
@@ -95,8 +96,8 @@ class EquilibriumSpace(EquilibriumEquations):
         first = replace(solution.point, z=z)
         return EquilibriumSpace(statics, self.tolerance, self.corrector, sizes, parameter, to, settings, at, first)
 
-    def special_between(self, before: Point, after: Point) -> Iterator[Point]:
-        """Special points on the stretch between two points, in order; raises NotLocatedError."""
+    def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
+        """Special points on the stretch between two points, in order, and parts of it that are not resolved."""
         for place, point in ((BESIDE, before), (1.0 - BESIDE, after)):
             if self.leaves and not np.any(point.z != self.start.z):  # a special point itself, which is known
                 beside = self.point_solver.along(before, after, place)

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from casadi_skin.orbits.branch import Branch
-    from casadi_skin.stability.tongues import StabilityDiagram, Tongue, Unresolved
+    from casadi_skin.stability.tongues import StabilityDiagram, Tongue
+    from casadi_skin.unresolved import Unresolved
 
 POINTS = 300  # along a family, evenly
 IN_TONGUE, FEW_IN_TONGUE = 17, 7  # in a tongue that a picture shows the shape of, and in a short one beside even places

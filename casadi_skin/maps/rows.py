@@ -134,6 +134,8 @@ def _special(branch: Branch) -> Iterator[tuple[str, Any, str]]:
     if isinstance(branch.space, Family):
         return
     points = branch.special_points
+    if branch.diagram_of_changes is None:
+        yield "unresolved", len(branch.unresolved), "stretches on which special points may be missing"
     for kind in dict.fromkeys(point.kind for point in points):
         mine, name = [point for point in points if point.kind == kind], plain_kind(kind)
         first, parameter = mine[0], branch.parameter

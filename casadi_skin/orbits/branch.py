@@ -24,11 +24,12 @@ from casadi_skin.orbits.passed_resonances import PassedResonance, passed_resonan
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_of_families import edges_left_at, folds_of_family, special_point
-from casadi_skin.orbits.special_points import EDGE, FOLD, NotLocated, SpecialPoint
+from casadi_skin.orbits.special_points import EDGE, FOLD, SpecialPoint
 from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.result import Result
 from casadi_skin.stability.localised_diagram import LocalisedChange, LocalisedDiagram
-from casadi_skin.stability.tongues import Place, StabilityDiagram, StabilityEdge, Unresolved
+from casadi_skin.stability.tongues import Place, StabilityDiagram, StabilityEdge
+from casadi_skin.unresolved import Unresolved
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +47,7 @@ class Branch(Result):
         misses: requested values at which no solution was found, by the name of the quantity.
         stopped: whether the condition `until` ended the branch.
         with_events: whether changes of stability are sought.
+        passed_over: stretches that could not be resolved while the branch was followed.
     """
 
     space: SolutionSpace
@@ -57,6 +59,7 @@ class Branch(Result):
     misses: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     stopped: bool = False
     with_events: bool = False
+    passed_over: tuple[Unresolved, ...] = ()
 
     def __len__(self) -> int:
         return len(self.solutions)
@@ -73,7 +76,9 @@ class Branch(Result):
         changes = f", {len(self.changes)} changes of stability" if sought else ""
         kinds = [point.kind for point in self.special_points] if self.space.locates_folds else []
         special = "".join(f", {kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
-        return f"<Branch: {len(self)} points, {self.parameter}{words}{changes}{special}; {cut(self.reason)}>"
+        left = len(self.unresolved if known else self.passed_over)
+        gaps = f", unresolved: {left} stretch{'es' * (left > 1)}" if left else ""
+        return f"<Branch: {len(self)} points, {self.parameter}{words}{changes}{special}{gaps}; {cut(self.reason)}>"
 
     @property
     def parameter(self) -> str:
@@ -199,8 +204,13 @@ class Branch(Result):
 
     @property
     def unresolved(self) -> tuple[Unresolved, ...]:
-        """Stretches of a family on which changes of stability may be missing, with the reason."""
-        return () if self.diagram_of_changes is None else self.diagram_of_changes.unresolved
+        """Stretches on which special points or changes of stability may be missing, with the reason.
+
+        () says that none is: of a branch of equilibria for its special points, of others where stability was computed
+        and changes of it are sought.
+        """
+        diagram = self.diagram_of_changes
+        return (*self.passed_over, *(() if diagram is None else diagram.unresolved))
 
     @cached_property
     def passed_resonances(self) -> tuple[PassedResonance, ...] | None:
@@ -275,12 +285,12 @@ class Branch(Result):
         return tuple(point for point in self._sought if isinstance(point, SpecialPoint))
 
     @property
-    def not_located(self) -> tuple[NotLocated, ...]:
+    def not_located(self) -> tuple[Unresolved, ...]:
         """Special points that a family passes and that are not among `special_points`, with the reason."""
-        return tuple(point for point in self._sought if isinstance(point, NotLocated))
+        return tuple(point for point in self._sought if isinstance(point, Unresolved))
 
     @cached_property
-    def _sought(self) -> tuple[SpecialPoint | NotLocated, ...]:
+    def _sought(self) -> tuple[SpecialPoint | Unresolved, ...]:
         if self.space.locates_folds:
             special = (solution for solution in self.solutions if solution.point.special)
             return tuple(special_point(self.space, solution) for solution in special)

@@ -21,7 +21,7 @@ from casadi_skin.orbits.section_orbits import SectionOrbit, find_all, find_one
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
 from casadi_skin.stability.interpolation import OrbitNotFoundError, Samples
-from casadi_skin.stability.tongues import Unresolved
+from casadi_skin.unresolved import Unresolved
 
 STEEPEST = 0.6  # cosine of the angle between the branch and the direction of its section, at least
 NEARBY = 0.3  # of the distance of neighbouring points: how far an orbit may be from where they predict it
@@ -173,7 +173,7 @@ class OrbitSampler:
             S = (self._amplitude(start.parameter), self._amplitude(end.parameter))
             away = start.problem.prolong(start.z, end.problem) - end.z
             length = np.sqrt(np.sum(self.point_solver.metric(end.problem, end.z) * away**2))
-            return Unresolved(*S, offset, offset + float(length), str(error))
+            return Unresolved(*S, str(error), coordinates=(offset, offset + float(length)))
 
     def _is_straight(self, problem: Problem, z: Array) -> bool:
         """Whether all chords from point to point go along the one from the first to the last."""

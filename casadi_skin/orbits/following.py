@@ -24,16 +24,17 @@ from casadi_skin.orbits.stability_changes import StabilityChange, locate_change
 from casadi_skin.orbits.walk import Walk
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.threads import one_thread
+from casadi_skin.unresolved import Unresolved
 
 
 class Following:
     """Iterates over the solutions of a branch and, between two of them, over the changes of stability.
 
     `branch()` returns the part computed so far, but for the few points whose stability is computed together;
-    `keep` is called with each point as it converges, and with the targets missed so far. Solutions and
-    changes computed earlier may be given, points after them whose stability is `waiting`, and what was `missed`: the
-    branch goes on from the last of these as if it had not been broken off. It ends before its next point once
-    `time_limit` seconds are over; the points that wait then are finished.
+    `keep` is called with each point as it converges, and with the walk, which has what is missed so far. Solutions and
+    changes computed earlier may be given, points after them whose stability is `waiting`, and what was `missed` and
+    `unresolved`: the branch goes on from the last of these as if it had not been broken off. It ends before its next
+    point once `time_limit` seconds are over; the points that wait then are finished.
     """
 
     def __init__(
@@ -46,8 +47,9 @@ class Following:
         until: Callable[[Any], bool] | None = None,
         waiting: Sequence[Point] = (),
         missed: Sequence[Target] = (),
-        keep: Callable[[Point, Sequence[Target]], None] | None = None,
+        keep: Callable[[Point, Walk], None] | None = None,
         time_limit: float = math.inf,
+        unresolved: Sequence[Unresolved] = (),
     ) -> None:
         stability = stability and not space.stability_included
         events = events and stability
@@ -56,7 +58,8 @@ class Following:
         self._waiting: deque[Point] = deque(waiting)  # reached, but not yet among the solutions
         self._keep = keep
         self._time_limit, self._end_time = time_limit, time.monotonic() + time_limit
-        self._walk = Walk(space, [*(s.point for s in self.solutions), *waiting], missed)
+        self._walk = Walk(space, [*(s.point for s in self.solutions), *waiting], missed, unresolved)
+        self._unresolved = list[Unresolved]()  # beside those of the walk
         self._stopped = self._at_hand = False  # the second: whether the next result has been computed
         self.solutions = list(self._with_bifurcations(self.solutions))
 
@@ -98,7 +101,7 @@ class Following:
                 break
             self._waiting.append(point)
             if self._keep is not None:
-                self._keep(point, self._walk.missed)
+                self._keep(point, self._walk)
             # The first ones sooner: a run that is interrupted early has something to write.
             if len(self._waiting) >= (together if self.solutions else max(1, together // 2)):
                 yield from self._finish_waiting()
@@ -154,7 +157,11 @@ class Following:
         before = self.solutions[-1]
         leaving = isinstance(self.space, BoundarySpace) and self.space.leaves and len(self.solutions) == 1
         if _closes(before) and _closes(solution) and not leaving:
-            yield from bifurcations_between(before, solution)
+            for found in bifurcations_between(before, solution):
+                if isinstance(found, Unresolved):
+                    self._unresolved.append(found)
+                else:
+                    yield found
 
     def _with_stability(self) -> Iterable[Solution]:
         """Solutions of the points that wait, a list where nothing is left to be computed.
@@ -183,7 +190,7 @@ class Following:
         return Branch(
             self.space, tuple(self.solutions), tuple(self.changes),
             self.stability or self.space.stability_included, end, detail, misses,
-            stopped or self._stopped, self.events,
+            stopped or self._stopped, self.events, tuple(dict.fromkeys([*self._walk.unresolved, *self._unresolved])),
         )  # fmt: skip
 
 

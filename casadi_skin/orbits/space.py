@@ -12,6 +12,7 @@ from casadi_skin.continuation.points import Continuation, End, Point, Target
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
+from casadi_skin.unresolved import Unresolved
 
 
 class SolutionSpace(Protocol):
@@ -88,8 +89,11 @@ class SolutionSpace(Protocol):
         """End of a branch at a point, with the reason in words; None where it goes on."""
         ...
 
-    def special_between(self, before: Point, after: Point) -> Iterator[Point]:
-        """Special points between two points, in order, each marked by its kind; raises NotLocatedError."""
+    def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
+        """Special points between two points in order, each marked by its kind, and parts where some may be missing.
+
+        Raises NotLocatedError.
+        """
         ...
 
     def singular_near(self, guess: Point) -> Point | None:

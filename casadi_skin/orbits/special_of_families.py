@@ -15,12 +15,12 @@ from casadi_skin.orbits.special_points import (
     DOUBLING,
     EDGE,
     FOLD,
-    NotLocated,
     NotLocatedError,
     SpecialPoint,
 )
 from casadi_skin.stability.localised_diagram import LocalisedDiagram
 from casadi_skin.stability.tongues import StabilityDiagram
+from casadi_skin.unresolved import Unresolved
 
 REAL = "real"  # kind of an edge at which a multiplier is 1
 
@@ -32,19 +32,19 @@ def special_point(space: SolutionSpace, solution: Solution) -> SpecialPoint:
     return SpecialPoint(point.special, name, values, space.parameter_error(point), solution)
 
 
-def folds_of_family(space: SolutionSpace, solutions: Sequence[Solution]) -> Iterator[SpecialPoint | NotLocated]:
+def folds_of_family(space: SolutionSpace, solutions: Sequence[Solution]) -> Iterator[SpecialPoint | Unresolved]:
     """Folds between the points of a family."""
     for before, after in pairwise(solutions):
         try:
-            for point in space.special_between(before.point, after.point):
-                yield special_point(space, solution_at(space, point))
+            for found in space.special_between(before.point, after.point):
+                yield found if isinstance(found, Unresolved) else special_point(space, solution_at(space, found))
         except NotLocatedError as error:
-            yield NotLocated(FOLD, before.value(space.parameter), after.value(space.parameter), str(error))
+            yield Unresolved(before.value(space.parameter), after.value(space.parameter), str(error), FOLD)
 
 
 def edges_left_at(
     branch: Passes, diagram: StabilityDiagram | None, localised: LocalisedDiagram | None
-) -> Iterator[SpecialPoint | NotLocated]:
+) -> Iterator[SpecialPoint | Unresolved]:
     """Edges of real tongues of a family at which other orbits leave it, by its changes of stability."""
     if diagram is None:
         yield from _not_followed(localised)
@@ -54,7 +54,7 @@ def edges_left_at(
         try:
             orbit = orbit_at_edge(branch, edge)
         except ArithmeticError as error:
-            yield NotLocated(EDGE, edge.S, edge.S, str(error))
+            yield Unresolved(edge.S, edge.S, str(error), EDGE)
             continue
         breaking = methods.TASKS["breaking"].load()(orbit, edge.mu)
         if breaking is not None:
@@ -64,9 +64,9 @@ def edges_left_at(
             yield SpecialPoint(kind, branch.space.parameter, values, edge.error, orbit, edge.mu)
 
 
-def _not_followed(localised: LocalisedDiagram | None) -> Iterator[NotLocated]:
+def _not_followed(localised: LocalisedDiagram | None) -> Iterator[Unresolved]:
     """Places at which a localised multiplier is 1, of a family with an endless tail."""
     for change in () if localised is None else localised.all:
         if change.kind == REAL:
             words = "orbits that leave a family with an endless tail are not sought"
-            yield NotLocated(EDGE, change.S, change.S, words)
+            yield Unresolved(change.S, change.S, words, EDGE)

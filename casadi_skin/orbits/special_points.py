@@ -28,21 +28,6 @@ class NotLocatedError(ArithmeticError):
     """A special point that the branch passes cannot be located; the message gives the reason."""
 
 
-@dataclass(frozen=True)
-class NotLocated:
-    """A special point that a family passes and that is not located: its kind, S on both sides, and the reason."""
-
-    kind: str
-    S_start: float
-    S_end: float
-    reason: str
-
-    def __str__(self) -> str:
-        """One line."""
-        where = f"S = {self.S_start:.8g}" + (f" to {self.S_end:.8g}" if self.S_end != self.S_start else "")
-        return f"{self.kind} at {where}: {self.reason}"
-
-
 @dataclass(frozen=True, eq=False)
 class SpecialPoint(Result):
     """A special point of a branch, with the coefficient of its normal form.

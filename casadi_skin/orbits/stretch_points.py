@@ -14,6 +14,7 @@ from casadi_skin.bvp.problem import EPSILON, Scalar
 from casadi_skin.continuation.points import Point, Target
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_points import FOLD
+from casadi_skin.unresolved import Unresolved
 
 SAME_PLACE = 1e-2  # of a stretch: a requested point that near to a special one of the same value is that one
 DIGITS = 4.0 * EPSILON  # relative difference of a value that is the requested one
@@ -42,14 +43,15 @@ class StretchPoints:
     """The points between `before` and `after`, which may lie beyond the end of the branch.
 
     `requested` are the points of the continuation on the stretch, its end among them where that comes before `after`;
-    `missed` the targets that it passed without a point, also by this search.
+    `missed` the targets that it passed without a point, also by this search; `unresolved` fills with the parts on which
+    special points may be missing.
     """
 
     def __init__(
         self, space: SolutionSpace, before: Point, after: Point, requested: Sequence[Point], missed: Sequence[Target]
     ) -> None:
         self.space, self.before, self.after = space, before, after
-        self.requested, self.missed = list(requested), list(missed)
+        self.requested, self.missed, self.unresolved = list(requested), list(missed), list[Unresolved]()
         self._z, t = (before.problem.prolong(v, after.problem) for v in (before.z, before.tangent))
         self._row = space.point_solver.metric(after.problem, self._z) * t
 
@@ -61,6 +63,9 @@ class StretchPoints:
         """Special points in order, those at requested values exactly there; raises NotLocatedError."""
         targets, found = self.space.point_solver.settings.at, list[Point]()
         for point in self.space.special_between(self.before, self.after):
+            if isinstance(point, Unresolved):
+                self.unresolved.append(point)
+                continue
             target = target_of(self.space, point)
             found.append(point if target is None else snapped(point, target, target in targets))
         for target in self.missed:

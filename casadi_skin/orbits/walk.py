@@ -11,6 +11,7 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_points import NotLocatedError
 from casadi_skin.orbits.stretch_points import StretchPoints
+from casadi_skin.unresolved import Unresolved
 
 ROUNDED = 100.0 * EPSILON  # change of the parameter, of the way to go, that is rounding
 CLOSED = 1e-3  # of a step: distance from the start of a branch that has come back to it
@@ -22,10 +23,17 @@ class Walk:
     Attributes:
         end: why the branch ended; None where it can go on.
         detail: more about the end, in words.
+        unresolved: stretches on which special points may be missing.
     """
 
-    def __init__(self, space: SolutionSpace, known: Sequence[Point] = (), missed: Sequence[Target] = ()) -> None:
-        self.space, self._known = space, known
+    def __init__(
+        self,
+        space: SolutionSpace,
+        known: Sequence[Point] = (),
+        missed: Sequence[Target] = (),
+        unresolved: Sequence[Unresolved] = (),
+    ) -> None:
+        self.space, self._known, self.unresolved = space, known, list(unresolved)
         self._continuation = self._continued() if known or space.start_is_limit else None
         if self._continuation is not None:
             self._continuation.missed.extend(missed)
@@ -187,6 +195,7 @@ class Walk:
             return []
         missed[self._settled :] = stretch.missed
         self._settled = len(missed)
+        self.unresolved += [part for part in stretch.unresolved if part not in self.unresolved]
         if after is self._continuation.beyond and all(point.parameter != last for point in found):
             found = list(points)  # up to where the branch was followed
         return found

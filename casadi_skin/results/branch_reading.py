@@ -33,6 +33,7 @@ from casadi_skin.solvers.estimates import ErrorEstimate, Refinement
 from casadi_skin.stability.continuous import ContinuousSpectrum
 from casadi_skin.stability.localised import LocalisedFloquet
 from casadi_skin.stability.result import Floquet, FullPeriodFloquet, ReversibleFloquet
+from casadi_skin.unresolved import Unresolved
 
 
 @dataclass
@@ -43,6 +44,7 @@ class Known:
         solutions, changes: with their stability where that is computed.
         waiting: points after them whose stability is to be computed.
         missed: requested values without a solution.
+        unresolved: stretches on which special points may be missing.
         end: how the branch ended; None where it goes on.
         kept: number of its records that hold.
         fault: why the others do not, in words.
@@ -52,6 +54,7 @@ class Known:
     changes: list[StabilityChange] = field(default_factory=list)
     waiting: list[Point] = field(default_factory=list)
     missed: tuple[Target, ...] = ()
+    unresolved: tuple[Unresolved, ...] = ()
     end: EndRecord | None = None
     kept: int = 0
     fault: str = ""
@@ -66,7 +69,7 @@ def known_of(records: Sequence[BranchRecord], branch: str, space: SolutionSpace,
             known.fault = "a point of another discretisation" if point is None else _fault(space, point, known)
             if point is None or known.fault:
                 return known
-            known.missed = record.missed
+            known.missed, known.unresolved = record.missed, record.unresolved
             if stability:
                 known.waiting.append(point)
             else:
@@ -75,7 +78,7 @@ def known_of(records: Sequence[BranchRecord], branch: str, space: SolutionSpace,
             known.changes.extend(record.changes)
             known.solutions.append(solution_at(space, known.waiting.pop(0), _floquet(record.floquet)))
         else:
-            known.end = record
+            known.end, known.unresolved = record, record.unresolved
         known.kept += 1
     return known
 

@@ -12,8 +12,10 @@ import numpy as np
 from casadi_skin.continuation.points import End, Point, Target
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.stability_changes import StabilityChange
+from casadi_skin.orbits.walk import Walk
 from casadi_skin.stability.localised import LocalisedFloquet
 from casadi_skin.stability.result import FullPeriodFloquet, ReversibleFloquet
+from casadi_skin.unresolved import Unresolved
 
 
 class ReversibleRecord(msgspec.Struct, frozen=True, tag="reversible"):
@@ -82,6 +84,7 @@ class PointRecord(msgspec.Struct, frozen=True, tag="point"):
     at_round_off: bool
     better: RefinementRecord | None
     missed: tuple[Target, ...]  # by the continuation so far
+    unresolved: tuple[Unresolved, ...] = ()  # stretches so far
 
 
 class StabilityRecord(msgspec.Struct, frozen=True, tag="stability"):
@@ -99,6 +102,7 @@ class EndRecord(msgspec.Struct, frozen=True, tag="end"):
     end: End | None
     detail: str
     misses: dict[str, tuple[float, ...]]
+    unresolved: tuple[Unresolved, ...] = ()  # stretches
 
 
 class CutRecord(msgspec.Struct, frozen=True, tag="cut"):
@@ -149,7 +153,7 @@ def bytes_of(values: np.ndarray, kind: str = "<f8") -> bytes:
 # Writing ------------------------------------------------------------------------------------------------------------
 
 
-def point_record(branch: str, point: Point, missed: Sequence[Target] = (), with_better: bool = False) -> PointRecord:
+def point_record(branch: str, point: Point, walk: Walk | None = None, with_better: bool = False) -> PointRecord:
     """Record of a point of the branch of that name; with its better solution where its stability is to be computed."""
     better = point.better if with_better else None
     return PointRecord(
@@ -172,7 +176,8 @@ def point_record(branch: str, point: Point, missed: Sequence[Target] = (), with_
         better=None
         if better is None
         else RefinementRecord(better.problem.resolution, bytes_of(better.problem.constants), bytes_of(better.z)),
-        missed=tuple(missed),
+        missed=() if walk is None else tuple(walk.missed),
+        unresolved=() if walk is None else tuple(walk.unresolved),
     )
 
 

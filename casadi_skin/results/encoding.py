@@ -100,7 +100,7 @@ PLACES = {  # of every class that a file may name, with its own name where that 
     "Tongue": "stability.tongues",
     "TransientGrowth": "stability.growth",
     "Uniform": "lattice.declaration",
-    "Unresolved": "stability.tongues",
+    "Unresolved": "unresolved",
 }
 
 

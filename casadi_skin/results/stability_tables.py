@@ -9,7 +9,8 @@ import numpy as np
 
 from casadi_skin.results.dataset import Cell
 from casadi_skin.stability.localised_diagram import LocalisedChange, LocalisedDiagram
-from casadi_skin.stability.tongues import StabilityDiagram, StabilityEdge, Tongue, Unresolved
+from casadi_skin.stability.tongues import StabilityDiagram, StabilityEdge, Tongue
+from casadi_skin.unresolved import Unresolved
 
 EVENT_COLUMNS = (
     "mode", "S", "Omega", "kind", "stable_before", "stable_after", "mu", "S_width",

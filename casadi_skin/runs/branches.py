@@ -11,7 +11,7 @@ from typing import Protocol
 
 import msgspec
 
-from casadi_skin.continuation.points import End, Point, Target
+from casadi_skin.continuation.points import End, Point
 from casadi_skin.interrupts import interrupts_deferred
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.family import Family
@@ -22,6 +22,7 @@ from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.stability_changes import StabilityChange
+from casadi_skin.orbits.walk import Walk
 from casadi_skin.progress import Progress
 from casadi_skin.results.branch_reading import known_of
 from casadi_skin.results.branch_records import (
@@ -201,12 +202,12 @@ class Branches:
             self.progress.report(f"{journal.path}: {words}")
             journal.append(CutRecord(name, known.kept))
 
-        def keep(point: Point, missed: Sequence[Target]) -> None:
-            journal.append(point_record(name, point, missed, self._with_stability))
+        def keep(point: Point, walk: Walk) -> None:
+            journal.append(point_record(name, point, walk, self._with_stability))
 
         following = Following(
             space, self._with_stability, self._with_events, known.solutions, known.changes,
-            waiting=known.waiting, missed=known.missed, keep=keep,
+            waiting=known.waiting, missed=known.missed, keep=keep, unresolved=known.unresolved,
         )  # fmt: skip
         if known.end is not None:
             self.tables.add(name, following.solutions, space)
@@ -235,4 +236,4 @@ class Branches:
                 branch = replace(branch, with_events=False)
             self.branches.append(branch)
             self.tables.add(name, branch.solutions[self.tables.count(name, space) - before :], space)
-        journal.append(EndRecord(name, branch.end, branch.detail, dict(branch.misses)))
+        journal.append(EndRecord(name, branch.end, branch.detail, dict(branch.misses), branch.passed_over))

@@ -23,6 +23,7 @@ from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_points import DOUBLING, TORUS, SpecialPoint
 from casadi_skin.results.dataset import Cell, unique_names, write_csv, write_netcdf
 from casadi_skin.results.quantities import dataset_of
+from casadi_skin.results.stability_tables import UNRESOLVED
 from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.request import Request
 from casadi_skin.scene.model_tables import ContinuationTable
@@ -156,11 +157,18 @@ def diagram_columns(branch: Branch) -> list[str]:
 
 
 def diagram_rows(name: str, branch: Branch, columns: Sequence[str]) -> Iterator[dict[str, Cell]]:
-    """A row for each special point of a branch; quantities that a point does not have are empty."""
+    """A row for each special point of a branch; quantities that a point does not have are empty.
+
+    A stretch that is not resolved has a row too, with its width for the error.
+    """
     for point in branch.special_points:
         known = list(branch_parameters(point, columns[2:-5]).values())
         period: Cell = point.solution.period if isinstance(point.solution, Orbit) else EMPTY
         yield dict(zip(columns, [name, point.kind, *known, point.error, period, *_critical(point)], strict=True))
+    for stretch in branch.passed_over:
+        row: dict[str, Cell] = dict.fromkeys(columns, EMPTY)
+        width = abs(stretch.end - stretch.start)
+        yield {**row, "branch": name, "kind": UNRESOLVED, columns[2]: stretch.start, "error": width}
 
 
 def branch_parameters(point: SpecialPoint, columns: Sequence[str]) -> dict[str, Cell]:

@@ -88,13 +88,13 @@ class Run:
         """Reasons why the run is not as requested, in a line each."""
         reasons = []
         for branch in self.branches:
-            if self._ended_well(branch):
-                continue
             if isinstance(branch.space, Family):
-                reasons.append(f"mode {branch.space.coordinates.mode_number}: {branch.reason}")
+                part = f"mode {branch.space.coordinates.mode_number}"
             else:
-                table = "continuation" if branch.parameter else "stability"
-                reasons.append(f"[{table}]: {branch.reason}")
+                part = "[continuation]" if branch.parameter else "[stability]"
+            if not self._reached_its_end(branch):
+                reasons.append(f"{part}: {branch.reason}")
+            reasons += [f"{part}: not resolved: {stretch}" for stretch in branch.passed_over]
         return [*reasons, *self._other_reasons()]
 
     def _other_reasons(self) -> list[str]:
@@ -106,6 +106,10 @@ class Run:
         return [*reasons(self.offshoots), *self.failures]
 
     def _ended_well(self, branch: Branch) -> bool:
+        """Whether a branch reached its end, and all of it was resolved."""
+        return self._reached_its_end(branch) and not branch.passed_over
+
+    def _reached_its_end(self, branch: Branch) -> bool:
         """Whether a branch reached its requested end, or the natural end of a branch that leaves another one."""
         if not self.request.scene.has_diagram:
             return branch.complete

@@ -22,6 +22,7 @@ from casadi_skin.results.stability_tables import (
     EVENT_COLUMNS,
     PROVED_COLUMNS,
     TONGUE_COLUMNS,
+    UNRESOLVED,
     event_rows,
     further_rows,
     tongue_rows,
@@ -131,7 +132,10 @@ def special_columns(branch: Branch) -> list[str]:
 
 
 def special_rows(branch: Branch) -> list[dict[str, Cell]]:
-    """Rows of special_points.csv: folds and changes of stability in the order of the branch."""
+    """Rows of special_points.csv: folds and changes of stability in the order of the branch; what is unresolved last.
+
+    The error of a stretch that is not resolved is its width.
+    """
     columns, rows, changes = special_columns(branch), list[list[Cell]](), iter(branch.located)
     folds = {id(point.solution): point for point in branch.special_points}
     for before, here in zip((None, *branch.solutions), branch.solutions, strict=False):
@@ -143,6 +147,7 @@ def special_rows(branch: Branch) -> list[dict[str, Cell]]:
             fold = folds[id(here)]
             period = here.period if isinstance(here, Orbit) else math.nan
             rows.append([fold.kind, fold.parameters[branch.parameter], fold.error, period])
+    rows += [[UNRESOLVED, stretch.start, abs(stretch.end - stretch.start), math.nan] for stretch in branch.passed_over]
     return [dict(zip(columns, row, strict=False)) for row in rows]
 
 

@@ -20,7 +20,8 @@ from casadi_skin.stability.interpolation import (
     joined,
 )
 from casadi_skin.stability.rotation import TWO_PI, Tracks, follow_angles
-from casadi_skin.stability.tongues import Passage, StabilityDiagram, Unresolved
+from casadi_skin.stability.tongues import Passage, StabilityDiagram
+from casadi_skin.unresolved import Unresolved
 
 INTERPOLATION = 1e-11  # tolerance, relative to the largest entries
 WORK = 2e9  # see `Crossings.work`: a minute or two
@@ -134,7 +135,7 @@ def _unresolved(branch: BranchSampler, known: Interpolated, found: Crossings) ->
     others = [gap for gap in (*known.gaps, *found.gaps) if gap.reason != NOT_LOOKED_AT]
     for gap in sorted([*joined(others), *rest], key=lambda gap: gap.start):
         S_start, S_end = (_amplitude(branch, known.pieces, at) for at in (gap.start, gap.end))
-        yield Unresolved(S_start, S_end, gap.start, gap.end, gap.reason)
+        yield Unresolved(S_start, S_end, gap.reason, coordinates=(gap.start, gap.end))
 
 
 def _amplitude(branch: BranchSampler, pieces: Sequence[Piece], coordinate: float) -> float:

@@ -29,7 +29,7 @@ from casadi_skin.stability.localised_samples import EdgeBranch
 from casadi_skin.stability.localised_search import FAILURES, FINEST, Search, mu_of
 from casadi_skin.stability.localised_stretches import stretches
 from casadi_skin.stability.localised_zeros import Zero, zeros_along
-from casadi_skin.stability.tongues import Unresolved
+from casadi_skin.unresolved import Unresolved
 
 NEAR = 0.1  # of an interval between points: from where on two that meet are sought by Newton's method
 
@@ -62,7 +62,7 @@ def find_localised_changes(branch: EdgeBranch) -> LocalisedDiagram:
             search.gaps.append((*missing, str(error)))
     ordered = sorted(search.found, key=lambda change: change.place.coordinate)
     unresolved = tuple(
-        Unresolved(search.amplitude(start), search.amplitude(end), start, end, reason)
+        Unresolved(search.amplitude(start), search.amplitude(end), reason, coordinates=(start, end))
         for start, end, reason in search.gaps
     )
     return LocalisedDiagram(

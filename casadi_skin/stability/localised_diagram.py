@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadi_skin.result import Result
-from casadi_skin.stability.tongues import Meeting, Unresolved
+from casadi_skin.stability.tongues import Meeting
+from casadi_skin.unresolved import Unresolved
 
 REAL, COMPLEX, BAND_EDGE, RESONANCE, OVERLAP = "real", "complex", "band edge", "resonance", "overlap"
 

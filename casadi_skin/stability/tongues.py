@@ -13,6 +13,7 @@ from casadi_skin.result import Result
 from casadi_skin.stability.interpolation import Piece
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.small_blocks import growth_of
+from casadi_skin.unresolved import Unresolved
 
 NOISE = 1e-7  # of log |multiplier|: the effect of rounding on two mu that nearly meet
 
@@ -154,17 +155,6 @@ class Passage:
     place: Place
     mu: float
     distance: float
-
-
-@dataclass(frozen=True)
-class Unresolved:
-    """A stretch of branch on which changes of stability may be missing, with the reason."""
-
-    S_start: float
-    S_end: float
-    coordinate_start: float
-    coordinate_end: float
-    reason: str
 
 
 @dataclass(frozen=True, eq=False)

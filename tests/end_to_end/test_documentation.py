@@ -80,7 +80,6 @@ def prepared(page: str) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::casadi_skin.equilibria.detection.UnresolvedWarning")
 @pytest.mark.parametrize("page", [name for name in WITH_PROGRAMS if name not in (*NOTEBOOKS, *ELSEWHERE)])
 def test_the_programs_of_a_page_run_one_after_the_other(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

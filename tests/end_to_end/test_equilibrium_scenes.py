@@ -24,6 +24,7 @@ crossing = OdeModel("crossing", x, x * (1 - p**2 - x), p, nominal=(-2.0,))
 cubic = OdeModel("cubic", ca.vertcat(x, y), ca.vertcat(p + x - x**3, -y), p, nominal=(-1.0,))
 v = (p - y**2) * y - x + p
 rayleigh = OdeModel("rayleigh", ca.vertcat(x, y), ca.vertcat(y, v), p, nominal=(0.75,))
+twins = OdeModel("twins", ca.vertcat(x, y), ca.vertcat(p * x - x**3, p * y - y**3), p)
 forced = OdeModel("forced", x, ca.cos(t) - x, time=t, forcing_period=6.28)
 """
 
@@ -148,6 +149,22 @@ def test_the_equilibria_to_which_cycles_shrink_leave_an_orbit(tmp_path: Path) ->
     assert [float(row["p"]) for row in at_rest[:: len(at_rest) - 1]] == [0.0, -1.0]
     assert all(abs(float(row["x"]) - float(row["p"])) < 1e-12 for row in at_rest)
     assert sorted(path.name for path in out.glob("*_1*.csv")) == ["other_1.csv"]
+
+
+def test_what_is_not_resolved_is_in_every_answer_of_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two branch points at once: the table, standard error and the exit status name the stretch, again on resuming."""
+    scene = write(
+        tmp_path, "twins", "[model.parameters]\np = -1.0\n[equilibrium]\nstart = [0.0, 0.0]\n"
+        '[continuation]\nparameter = "p"\nto = 1.0\n',
+    )  # fmt: skip
+    arguments = ["run", str(scene), "--out", str(tmp_path / "out")]
+    for more in ([], ["--resume"]):
+        assert main([*arguments, *more]) == 1
+        (words,) = capsys.readouterr().err.splitlines()[-1:]
+        assert "[continuation]: not resolved: branch point at p = " in words
+        points = rows(tmp_path / "out" / "special_points.csv")
+        assert [point["kind"] for point in points] == ["branch point", "unresolved"]
+        assert abs(float(points[1]["p"])) <= 2.0 * float(points[1]["error"]) < 1e-5
 
 
 def test_a_single_equilibrium_has_one_row(tmp_path: Path) -> None:

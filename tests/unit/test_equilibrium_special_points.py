@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import warnings
 from itertools import pairwise
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 from equilibrium_models import Brusselator, ab, carbon_monoxide, hopf_pairs, lorenz, symbols
 
-from casadi_skin import OdeModel, find_equilibrium
-from casadi_skin.equilibria.detection import UnresolvedWarning
+from casadi_skin import OdeModel, find_equilibrium, read_result, save_result
 from casadi_skin.equilibria.space import EquilibriumError
 
 
@@ -126,10 +126,23 @@ def test_pairs_that_cross_together_are_told_and_counted() -> None:
     p = ca.SX.sym("p")
     points = _from_below(hopf_pairs([p, p], p, [1.0, 1.3]), np.zeros(4), "p", -1.0, 1.0)
     np.testing.assert_allclose([point.parameters["p"] for point in points], 0.0, atol=1e-14)
-    with pytest.warns(UnresolvedWarning, match="more than can be distinguished: hopf, 2 in all"):
-        points = _from_below(hopf_pairs([p, p], p, [1.0, 1.0]), np.zeros(4), "p", -1.0, 1.0)
-    assert [point.kind for point in points] == ["hopf", "hopf"]
-    assert all(abs(point.parameters["p"]) <= point.error < 1e-3 for point in points)
+    branch = find_equilibrium(hopf_pairs([p, p], p, [1.0, 1.0]), np.zeros(4), parameters={"p": -1.0}).follow("p", 1.0)
+    assert [point.kind for point in branch.special_points] == ["hopf", "hopf"]
+    assert all(abs(point.parameters["p"]) <= point.error < 1e-3 for point in branch.special_points)
+    (stretch,) = branch.unresolved
+    assert (stretch.kind, stretch.parameter) == ("hopf", "p")
+    assert stretch.start <= 0.0 <= stretch.end
+    assert stretch.reason == "more than can be distinguished: hopf, 2 in all"
+    assert "2 hopf, unresolved: 1 stretch;" in repr(branch)
+    assert str(stretch) in str(branch)
+
+
+def test_what_is_not_resolved_is_saved_with_the_branch(tmp_path: Path) -> None:
+    p = ca.SX.sym("p")
+    model = hopf_pairs([p, p], p, [1.0, 1.0])
+    branch = find_equilibrium(model, np.zeros(4), parameters={"p": -1.0}).follow("p", 1.0)
+    again = read_result(save_result(branch, tmp_path / "branch.result"))
+    assert again.unresolved == branch.unresolved != ()
 
 
 def test_a_neutral_saddle_is_no_hopf_point() -> None:
@@ -196,8 +209,8 @@ def test_two_branch_points_that_symmetry_keeps_together_are_listed_and_not_follo
     """x' = p x - x^3, y' = p y - y^3: three other branches cross at p = 0, where the determinant keeps its sign."""
     x, y, p = symbols("x y p")
     model = OdeModel("square", ca.vertcat(x, y), ca.vertcat(p * x - x**3, p * y - y**3), p)
-    with pytest.warns(UnresolvedWarning, match="branch point"):
-        branch = find_equilibrium(model, [0.0, 0.0], parameters={"p": -1.0}).follow("p", 1.0)
+    branch = find_equilibrium(model, [0.0, 0.0], parameters={"p": -1.0}).follow("p", 1.0)
+    assert [stretch.kind for stretch in branch.unresolved] == ["branch point"]
     (point,) = branch.special_points
     assert point.kind == "branch point"
     assert abs(point.parameters["p"]) <= 2.0 * point.error < 1e-5
@@ -210,8 +223,8 @@ def test_a_hopf_point_where_the_parameter_stands_still_is_listed() -> None:
     x, y, z, p = symbols("x y z p")
     rhs = ca.vertcat((p + z) * x - y - x * (x**2 + y**2), x + (p + z) * y - y * (x**2 + y**2), p - z**3)
     model = OdeModel("still", ca.vertcat(x, y, z), rhs, p)
-    with pytest.warns(UnresolvedWarning, match="hopf"):
-        branch = find_equilibrium(model, [0.0, 0.0, -0.8], parameters={"p": -0.5}).follow("p", 0.5)
+    branch = find_equilibrium(model, [0.0, 0.0, -0.8], parameters={"p": -0.5}).follow("p", 0.5)
+    assert [stretch.kind for stretch in branch.unresolved] == ["hopf"]
     (point,) = branch.special_points
     assert point.kind == "hopf"
     assert abs(point.parameters["p"]) < 1e-12
