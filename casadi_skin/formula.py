@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -32,9 +33,17 @@ class FormulaError(ValueError):
 
 @dataclass(frozen=True)
 class Number:
-    """A number."""
+    """A number as it is written, its double and the fraction that the decimal is."""
 
-    value: float
+    text: str
+
+    @property
+    def value(self) -> float:
+        return float(self.text)
+
+    @property
+    def exact(self) -> Fraction:
+        return Fraction(self.text)
 
 
 @dataclass(frozen=True)
@@ -99,6 +108,17 @@ def evaluate(tree: Tree, values: Mapping[str, Any], operations: Mapping[str, Cal
     if isinstance(tree, Name):
         return values[tree.name] if tree.name in values else operations["number"](CONSTANTS[tree.name])
     return operations[tree.kind](*(evaluate(part, values, operations) for part in tree.parts))
+
+
+def with_names_of_numbers(tree: Tree) -> Tree:
+    """The tree with every number but for exponents as a name, which is the text of the number."""
+    if isinstance(tree, Number):
+        return Name(tree.text, 0)
+    if isinstance(tree, Name):
+        return tree
+    exponent = tree.parts[1:] if tree.kind == "^" and isinstance(tree.parts[1], Number) else ()
+    named = tree.parts[:1] if exponent else tree.parts
+    return Operation(tree.kind, (*map(with_names_of_numbers, named), *exponent))
 
 
 def parse_formula(text: str) -> Formula:
@@ -175,8 +195,10 @@ class _Parser:
         if self._take("("):
             return self._closed()
         if kind == 1 and math.isfinite(float(token)):
+            if not float(token) and token.lower().partition("e")[0].strip("0."):
+                raise self._error("0, or a number that is not 0 as a double")
             self._at += 1
-            return Number(float(token))
+            return Number(token)
         if kind != 2:
             if token == "*" and self._tokens[self._at - 1][1] == "*":
                 raise self._error("^ for powers")

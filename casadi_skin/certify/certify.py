@@ -43,14 +43,16 @@ def certify(
             |gamma| < 1 or a reversible `OdeModel`.
         harmonics: harmonics of the finite part; as many as a proof needs by default.
         weight: nu > 1 of the norm; the orbit is proved to be analytic in the strip |Im theta| < log(nu).
-        decimals: whether parameters and S are the decimals that Python prints for their doubles, 0.1 a tenth, in place
-            of the doubles; by default so for families of a scene, and not otherwise.
+        decimals: whether parameters and S are the decimals that Python prints for their doubles, 0.1 a tenth, and
+            numbers in the formulas of a `Lattice` the decimals that are written, in place of the doubles; by default so
+            for families of a scene, and not otherwise.
 
     Returns:
         Enclosures of the orbit's quantities with the theorem's constants, or the reason why there is no proof.
 
     Raises:
-        ValueError: the model has no such forces or the orbit no such symmetry, in one line.
+        ValueError: the model has no such forces or the orbit no such symmetry, in one line; with `decimals` also where
+            a model of CasADi expressions holds a double that may stand for another decimal, as 0.1 may.
         ImportError: python-flint (the extra "certify") is missing.
     """
     flint = balls.flint()
@@ -69,8 +71,8 @@ def best_attempt(
     """The attempt that proves most of an orbit, in the current precision of balls; raises ValueError as `certify`."""
     if not isinstance(orbit.space, Family):
         raise ValueError(f"certify: given an orbit of {orbit.model.name}; accepted: {ACCEPTED}")
-    family = provable(orbit.space)
-    decimals = family.request.decimals if decimals is None else decimals
+    decimals = orbit.space.request.decimals if decimals is None else decimals
+    family = provable(orbit.space, decimals)
     system = _system(family, orbit.S, decimals)
     if harmonics is not None:
         return family, attempt_of(orbit, system, harmonics, weight)
@@ -88,17 +90,18 @@ def best_attempt(
     return family, best
 
 
-def provable(family: Family) -> Family:
-    """The family with every position an unknown.
+def provable(family: Family, decimals: bool | None = None) -> Family:
+    """The family with every position an unknown; `decimals` are those of its request unless given.
 
     Raises ValueError, in one line, for a family that the theorem is not about, ImportError without python-flint.
     """
     flint, coordinates = balls.flint(), family.coordinates
+    decimals = family.request.decimals if decimals is None else decimals
     if family.symmetry is SymmetryClass.FULL:
         raise ValueError(f"certify: given a family of {coordinates.model.name}; accepted: {ACCEPTED}")
     if isinstance(coordinates, CoreWithTail) and coordinates.chain.sites > MOST_SITES:
         with flint.ctx.workprec(balls.PRECISION):
-            tailed_system(coordinates, family.request.amplitude_max, family.request.decimals)
+            tailed_system(coordinates, family.request.amplitude_max, decimals)
         return family
     if not coordinates.is_whole:
         coordinates.check_whole("a certificate")
@@ -106,7 +109,7 @@ def provable(family: Family) -> Family:
     if whole.coordinates.mode.size != whole.coordinates.model.size:
         raise ValueError("certify: given |gamma| = 1, where positions at rest have no scale; accepted: |gamma| < 1")
     with flint.ctx.workprec(balls.PRECISION):
-        system_of(whole.coordinates, family.request.amplitude_max, step_of(whole))
+        system_of(whole.coordinates, family.request.amplitude_max, step_of(whole), decimals)
     return whole
 
 

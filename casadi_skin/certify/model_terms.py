@@ -1,10 +1,11 @@
-"""The exact polynomials of a model: forces, amplitude and conserved quantity, as fractions of its doubles."""
+"""The exact polynomials of a model: forces, amplitude and conserved quantity, as fractions."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -12,8 +13,10 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.certify.cosine_system import CosineSystem, Terms
+from casadi_skin.formula import Number
+from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.models.polynomial import NotPolynomialError, exact_terms
+from casadi_skin.models.polynomial import NotPolynomialError, constants, exact_terms
 from casadi_skin.orbits.amplitude import amplitude_square
 from casadi_skin.orbits.coordinates import Coordinates
 
@@ -33,25 +36,67 @@ def ball(number: Fraction) -> arb:
     return arb(fmpq(number.numerator, number.denominator))
 
 
+@dataclass(frozen=True, eq=False)
+class ExactEquations:
+    """Equations whose numbers are fractions: a model, and values of its velocities (0) and parameters.
+
+    Of a lattice every number in a formula is a parameter, with the value of the written decimal or of its double. Other
+    models hold doubles, which are the numbers; with `decimals` ValueError is raised where one is no short decimal.
+    """
+
+    model: OdeModel
+    values: list[Fraction | None]
+    decimals: bool
+
+    @classmethod
+    def of(cls, model: OdeModel, parameters: Mapping[str, float], decimals: bool) -> ExactEquations:
+        """At values of the parameters by name; 0 for the one that stands for S."""
+        numbers: Mapping[str, Number | None] = {}
+        if isinstance(model, Lattice):
+            model, numbers = model.with_numbers_apart
+
+        def value(name: str) -> Fraction | None:
+            if name not in numbers:
+                return exact(float(parameters.get(name, 0.0)), decimals)
+            number = numbers[name]
+            if number is None:
+                return None
+            return number.exact if decimals else Fraction(number.value)
+
+        values = [Fraction(0)] * model.size + [value(name) for name in model.parameter_names]
+        return cls(model, values, decimals)
+
+    def terms(self, expression: ca.SX) -> list[dict[tuple[int, ...], Fraction]]:
+        """The terms of polynomials of the positions; raises NotPolynomialError for other expressions."""
+        model = self.model
+        fixed = ca.vertcat(model.velocity, model.parameters)
+        inexact = [c for c in constants(expression, [model.state, fixed]) if exact(c, True) != Fraction(c)]
+        if self.decimals and inexact:
+            words = f"the double {inexact[0]!r} in the equations of {model.name}, which may stand for another decimal"
+            accepted = "with decimals numbers like 0.5 that doubles hold exactly, others as parameters or in a Lattice"
+            raise ValueError(f"certify: given {words}; accepted: {accepted}")
+        return exact_terms(expression, model.state, fixed, self.values)
+
+
 def system_of(coordinates: Coordinates, S: float, step: int = 2, decimals: bool = False) -> CosineSystem:
     """The equations of cosines of a family's model; raises ValueError where its forces are no polynomials for them.
 
     Positions are scaled by doubles near the factors of the coordinates and by a power of 2 near sqrt(S), all exact;
-    with `decimals` parameters and S are the decimals that their doubles are printed as.
+    with `decimals` numbers of formulas, parameters and S are the decimals that are written.
     """
     from flint import arb
 
-    model, values = coordinates.model, fixed_values(coordinates, decimals)
+    equations = ExactEquations.of(coordinates.model, coordinates.parameters, decimals)
     kind = "odd polynomials" if step == 2 else "polynomials"
-    accepted = f"certify: given {model.name}; accepted: forces that are {kind} of the positions"
+    accepted = f"certify: given {equations.model.name}; accepted: forces that are {kind} of the positions"
     try:
-        forces = exact_terms(model.rhs, model.state, _fixed(model), values)
+        forces = equations.terms(equations.model.rhs)
     except NotPolynomialError as error:
         raise ValueError(f"{accepted} ({error})") from None
     even = next((factors for terms in forces for factors in terms if len(factors) % 2 == 0), None)
     if step == 2 and even is not None:
         raise ValueError(f"{accepted} (a term of degree {len(even)} is even)")
-    form = exact_terms(amplitude_square(model).form, model.state, _fixed(model), values)
+    form = equations.terms(amplitude_square(equations.model).form)
     power = round(0.5 * float(np.log2(S)))
     scale = [_near(log) * arb(2) ** power for log in coordinates.log_scale.tolist()]
     return CosineSystem(forces, form[0], scale, ball(exact(S, decimals)), step)
@@ -70,10 +115,10 @@ def energy_terms(coordinates: Coordinates, forces: Sequence[Terms], decimals: bo
 
     The energy that the model declares, or for coordinates that declare one the potential of its forces.
     """
-    model = coordinates.model
-    if model.hamiltonian is not None:
+    equations = ExactEquations.of(coordinates.model, coordinates.parameters, decimals)
+    if equations.model.hamiltonian is not None:
         try:
-            terms = exact_terms(model.hamiltonian, model.state, _fixed(model), fixed_values(coordinates, decimals))[0]
+            terms = equations.terms(equations.model.hamiltonian)[0]
         except NotPolynomialError:
             return None
         return {factors: coefficient for factors, coefficient in terms.items() if factors}
@@ -137,14 +182,3 @@ def weights_of(forces: Sequence[Terms], first: int) -> list[Fraction] | None:
                 weights[n] = weights[m] * coefficient * factors.count(n) / back
                 queue.append(n)
     return [weights[n] for n in range(len(forces))] if len(weights) == len(forces) else None
-
-
-def _fixed(model: OdeModel) -> ca.SX:
-    return ca.vertcat(model.velocity, model.parameters)
-
-
-def fixed_values(coordinates: Coordinates, decimals: bool) -> list[Fraction]:
-    """Velocities at rest, and values of the model's parameters in its order; 0 for the one that stands for S."""
-    model = coordinates.model
-    values = [exact(float(coordinates.parameters.get(name, 0.0)), decimals) for name in model.parameter_names]
-    return [Fraction(0)] * model.size + values

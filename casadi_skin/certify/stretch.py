@@ -19,7 +19,7 @@ from casadi_skin.certify.attempt import attempt_near, cosine_coefficients, dista
 from casadi_skin.certify.bounds import FiniteInverse, holds, proved_radius
 from casadi_skin.certify.certify import WEIGHT, best_attempt, provable, reason_of, step_of
 from casadi_skin.certify.cosine_system import CosineSeries, CosineSystem
-from casadi_skin.certify.model_terms import system_of
+from casadi_skin.certify.model_terms import ball, exact, system_of
 from casadi_skin.certify.polynomial_piece import Curve, piece_constants
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.orbits.branch import Branch
@@ -37,6 +37,7 @@ SHORTEST = 1e-4  # of the end: pieces below are given up
 MOST = 2000  # unknowns: the matrices at all nodes take 350 megabytes
 FEWEST = 3  # harmonics
 GROWTH = 1.25
+WIDENING = 2.0**-50  # relative, of a stretch: it holds its ends' decimals, their doubles and the rounded square roots
 ENOUGH_Z, ENOUGH_Y = 0.15, 0.02  # Z and Y W at the far end of a piece, by which harmonics are chosen
 SLACK = 1e-9  # of the computed frequency of the linear mode
 ACCEPTED = "a family that is followed in S and passes each S once"
@@ -63,10 +64,9 @@ class _Stretch:
     end: float  # of the parameter: S for odd cosines, sqrt(S) for all
 
     def parameter(self, S: float) -> arb:
-        """The parameter of an S."""
-        from flint import arb
-
-        return arb(S) if self.system.step == 2 else arb(S).sqrt()
+        """The parameter of an S, which is the decimal that it is printed as for a family of decimals."""
+        value = ball(exact(S, self.family.request.decimals))
+        return value if self.system.step == 2 else value.sqrt()
 
     def orbit_near(self, parameter: float, harmonics: int) -> CosineSeries:
         """Coefficients of the branch's orbit at a parameter, for positions of amplitude 1."""
@@ -148,14 +148,9 @@ def certify_branch(branch: Branch, start: float, end: float) -> ProvedStretch:
         system = system_of(family.coordinates, 1.0, step_of(family), family.request.decimals)
         if any(() in terms for terms in system.forces):
             raise ValueError(f"certify: given {family.coordinates.model.name}; accepted: forces that vanish at rest")
-        low, high = (float(x) for x in (start, end)) if system.step == 2 else _roots(start, end)
+        low, high = (float(x) if system.step == 2 else float(np.sqrt(x)) for x in (start, end))
+        low, high = low * (1.0 - WIDENING), high * (1.0 + WIDENING)
         return _proved(_Stretch(branch, family, system, flint.arb(WEIGHT), high), start, end, low)
-
-
-def _roots(start: float, end: float) -> tuple[float, float]:
-    """Doubles below and above the square roots."""
-    low, high = np.nextafter(np.sqrt(start), 0.0), np.nextafter(np.sqrt(end), np.inf)
-    return float(low), float(high)
 
 
 def _proved(stretch: _Stretch, start: float, end: float, low: float) -> ProvedStretch:

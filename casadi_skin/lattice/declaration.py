@@ -13,7 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.arguments import check_name, number, short_repr, whole
-from casadi_skin.formula import CONSTANTS, FUNCTIONS, Formula, FormulaError, parse_formula
+from casadi_skin.formula import (
+    CONSTANTS,
+    FUNCTIONS,
+    Formula,
+    FormulaError,
+    Name,
+    Number,
+    parse_formula,
+    walk,
+    with_names_of_numbers,
+)
 
 Array = NDArray[np.float64]
 FIXED, FREE, PERIODIC = "fixed", "free", "periodic"
@@ -239,6 +249,40 @@ class Declaration:
             given = f"numbers of shape {list(array.shape)}" if array.ndim else short_repr(value)
             raise ValueError(f"{place}: given {given}; accepted: {shape} finite numbers, one a cell")
         return array
+
+    # Numbers of formulas --------------------------------------------------------------------------------------------
+
+    def with_numbers_apart(self) -> tuple[Declaration, dict[str, Number | None]]:
+        """The declaration with every number of the forces as a parameter, and these numbers by their names.
+
+        So no arithmetic of numbers is rounded. Exponents stay; the number pi is None, which is no fraction.
+        """
+        found = Declaration(self.cells, self.sites, self.bonds, self.boundary, self.parameters)
+        forces = {key: formula for key, formula in self.formulas.items() if key[2] not in ("damping", "drive")}
+        used = [*forces.values(), *(value for value in self.by_cell.values() if isinstance(value, Formula))]
+        nodes = [node for formula in used for node in walk(formula.tree)]
+        names = {node.name for node in nodes if isinstance(node, Name)}
+        numbers: dict[str, Number | None] = {node.text: node for node in nodes if isinstance(node, Number)}
+        numbers |= dict.fromkeys(names & set(CONSTANTS))
+
+        def apart(formula: Formula) -> Formula:
+            return Formula(formula.text, with_names_of_numbers(formula.tree))
+
+        by_cell: dict[str, Any] = {}
+        for name, value in {**dict(zip(INDICES, np.indices(self.cells) + 1.0, strict=False)), **self.by_cell}.items():
+            if isinstance(value, Formula):
+                by_cell[name] = apart(value)
+            elif name in names:
+                texts = [repr(entry) for entry in value.ravel().tolist()]
+                by_cell[name] = np.array(texts, dtype=object).reshape(self.cells)
+                numbers |= {text: Number(text) for text in texts}
+        values = {name: CONSTANTS[name] if number is None else number.value for name, number in numbers.items()}
+        found.__dict__.update(
+            formulas=self.formulas | {key: apart(formula) for key, formula in forces.items()},
+            by_cell=by_cell,
+            scalars=self.scalars | values,
+        )
+        return found, numbers
 
     # The whole lattice ----------------------------------------------------------------------------------------------
 

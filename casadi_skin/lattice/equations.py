@@ -40,8 +40,10 @@ class Equations:
         along = np.array(cells, dtype=float).reshape(len(cells), -1).T
         values = dict(self.symbols) | {name: ca.SX(ca.DM(k + 1.0)) for name, k in zip(INDICES, along, strict=False)}
         for name, value in self.declaration.by_cell.items():
-            if isinstance(value, np.ndarray):
-                values[name] = ca.SX(ca.DM([value[cell] for cell in cells]))
+            if isinstance(value, np.ndarray):  # of numbers, or of names of parameters
+                entries = [value[cell] for cell in cells]
+                named = value.dtype == object
+                values[name] = ca.vertcat(*(self.symbols[e] for e in entries)) if named else ca.SX(ca.DM(entries))
             else:
                 values[name] = expression(value, values)
         return values

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -82,10 +83,10 @@ def _is_polynomial(tree: Tree, x: ca.SX, values: Mapping[str, ca.SX]) -> bool:
 
 def _integral_of_polynomial(value: ca.SX, x: ca.SX) -> ca.SX | None:
     """From its derivatives at 0."""
-    total, factor = ca.SX(0), 1.0
+    total = ca.SX(0)
     for degree in range(HIGHEST_DEGREE + 1):
-        factor /= degree + 1
-        total += factor * ca.substitute(value, x, 0) * x ** (degree + 1)
+        # A division by a double that is exact: proofs read the energy's coefficients as fractions.
+        total += ca.substitute(value, x, 0) * x ** (degree + 1) / math.factorial(degree + 1)
         value = ca.jacobian(value, x)
         if value.is_zero():
             return total

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.theory import multiple_scales
 from casadi_skin.theory.linear import standing_wave
 
+if TYPE_CHECKING:
+    from casadi_skin.lattice.lattice import Lattice
+
 
 class ChainCoordinates(Coordinates):
     """Base of all coordinates of a chain: the gauge of a `core`, whose equations are solved, and kappa = g S.
@@ -27,7 +31,7 @@ class ChainCoordinates(Coordinates):
 
     def __init__(self, chain: Chain, core: Chain, mode: int) -> None:
         self.chain, self.core, self.mode_number = chain, core, mode
-        self.declared: tuple[OdeModel, Mapping[str, float]] | None = None
+        self.declared: tuple[Lattice, Mapping[str, float]] | None = None
 
     @cached_property
     def scaled(self) -> OdeModel:

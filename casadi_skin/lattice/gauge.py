@@ -14,6 +14,7 @@ from casadi_skin.lattice.equations import Equations
 from casadi_skin.lattice.expressions import antiderivative
 from casadi_skin.lattice.trials import SAME, Trial
 
+DEEPEST = 50  # operations on operations in gains that are compared
 LARGEST = 600.0  # logarithm of a weight of the energy that is still a double when squared displacements multiply it
 
 
@@ -31,7 +32,7 @@ def log_weights_of(equations: Equations, trials: list[Trial]) -> tuple[Array | N
             return None, []
         logs.append(found)
     firsts, expressions = np.argsort(logs[0], kind="stable"), [ca.SX(1)] * size  # of each part the first has the least
-    alike = np.all([trial.gains[:, 0] == trial.gains[:, 1] for trial in trials], axis=0)
+    alike = [ca.is_equal(*pair, DEEPEST) for pair in equations.gains]
     for k, forwards in _walk(equations, firsts.tolist()):
         i, j = _ends(equations.links[k])
         first, second = equations.gains[k]

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
+import numpy as np
 
 from casadi_skin import methods
 from casadi_skin.arguments import short_repr
 from casadi_skin.bvp.statement import named_values
+from casadi_skin.formula import Number
 from casadi_skin.lattice.declaration import FIXED, Bond, Declaration, Site, Uniform, Value, listed
 from casadi_skin.lattice.declared_chain import declared_chain
 from casadi_skin.lattice.driving import forcing_period_of
@@ -93,6 +96,28 @@ class Lattice(OdeModel):
             state, rhs = ca.vertcat(equations.y, equations.v), ca.vertcat(equations.v, equations.accelerations)
             time = None if period is None else equations.t
             super().__init__(state=state, rhs=rhs, time=time, forcing_period=period, **common)
+
+    @cached_property
+    def with_numbers_apart(self) -> tuple[OdeModel, Mapping[str, Number | None]]:
+        """The equations and the energy with every number of the formulas as a parameter, and the numbers by name.
+
+        For proofs of lattices without damping and drive: no arithmetic of numbers is rounded.
+        """
+        declaration, numbers = self.declaration.with_numbers_apart()
+        equations = Equations(declaration)
+        energy = structure_of(equations).energy
+        return OdeModel(
+            self.name, equations.y, equations.accelerations, equations.parameters, 2, equations.v, hamiltonian=energy,
+            checked=False,
+        ), numbers  # fmt: skip
+
+    def of_cells(self, cells: int) -> Lattice:
+        """The same lattice of another number of cells, which are alike."""
+        d = self.declaration
+        values = {
+            name: value for name, value in d.parameters.items() if not isinstance(d.by_cell.get(name), np.ndarray)
+        }
+        return Lattice(cells, d.sites, d.bonds, d.boundary, values, self.name)
 
     def own_coordinates(
         self, mode: int | str, amplitude_max: float, method: Method, parameters: Mapping[str, float]

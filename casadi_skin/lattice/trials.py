@@ -32,11 +32,12 @@ class Trial:
 def trials_of(equations: Equations) -> Iterator[Trial]:
     """The declared parameters, then others near them."""
     generator, nominal = np.random.default_rng(0), np.array(equations.nominal)
+    spread = np.array([SPREAD if name.isidentifier() else 0.0 for name in equations.symbols])  # numbers stay
     gains = [gain for pair in equations.gains for gain in pair]
     evaluate = ca.Function("f", [equations.parameters], [ca.vertcat(ca.SX(0, 1), *gains), equations.masses])
     accelerations = field_of(equations)
     for k in range(TRIALS):
-        parameters = nominal * (1.0 + (SPREAD * generator.uniform(-1, 1, nominal.size) if k else 0.0))
+        parameters = nominal * (1.0 + (spread * generator.uniform(-1, 1, nominal.size) if k else 0.0))
         found = [np.array(value).ravel() for value in evaluate(parameters)]
         y, v, t = (
             generator.normal(size=equations.y.numel()),

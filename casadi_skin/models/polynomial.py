@@ -12,6 +12,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.models.operations import NAMES
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 _Terms = dict[tuple[int, ...], Any]  # coefficient of each product of variables, named by ascending indices
@@ -64,7 +66,7 @@ def polynomial_terms(expression: ca.SX, state: ca.SX, parameter: ca.SX) -> tuple
 
 
 def exact_terms(
-    expression: ca.SX, variables: ca.SX, fixed: ca.SX, values: Sequence[float | Fraction]
+    expression: ca.SX, variables: ca.SX, fixed: ca.SX, values: Sequence[float | Fraction | None]
 ) -> list[dict[tuple[int, ...], Fraction]]:
     """Terms of a column of polynomials with exact coefficients: a double is a fraction, and nothing is rounded.
 
@@ -72,23 +74,36 @@ def exact_terms(
         expression: column of expressions in `variables` and `fixed`.
         variables: symbols of the polynomials.
         fixed: symbols that have `values`.
-        values: one a symbol.
+        values: one a symbol, None for one that is no fraction.
 
     Returns:
         For each component the coefficient of each product of variables, named by ascending indices.
 
     Raises:
-        NotPolynomialError: an operation is not one of a polynomial; the message names it.
+        NotPolynomialError: an operation is not one of a polynomial, or a number no fraction; the message names it.
     """
     last = variables.numel()
+
+    def variable(k: int) -> _Terms:
+        if k < last:
+            return {(k,): Fraction(1)}
+        value = values[k - last]
+        if value is None:
+            raise NotPolynomialError(f"{fixed[k - last].name()} is in the expression, which is no fraction")
+        return {(): Fraction(value)} if value else {}
+
     ring: _Ring[_Terms] = _Ring(
         _sum, _product, lambda value: {(): Fraction(value)}, lambda a: a.get((), 0) if set(a) <= {()} else None, _add
     )
-    numbers = [Fraction(value) for value in values]
-    expanded = _evaluate(
-        expression, [variables, fixed], ring, lambda k: {(k,): Fraction(1)} if k < last else {(): numbers[k - last]}
-    )
+    expanded = _evaluate(expression, [variables, fixed], ring, variable)
     return [{v: c for v, c in terms.items() if c != 0} for terms in expanded]
+
+
+def constants(expression: ca.SX, inputs: list[ca.SX]) -> set[float]:
+    """The numbers in a column of expressions."""
+    function = ca.Function("constants", inputs, [ca.densify(expression)])
+    places = [k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_CONST]
+    return {float(function.instruction_constant(k)) for k in places}
 
 
 def homogeneous_parts(expression: ca.SX, state: ca.SX) -> dict[int, ca.SX]:
@@ -240,4 +255,5 @@ def _apply(ring: _Ring[_Element], operation: int, arguments: list[_Element]) -> 
         return power
     division = dict.fromkeys((ca.OP_DIV, ca.OP_INV), "a division by a variable")
     names = {**division, **dict.fromkeys((ca.OP_POW, ca.OP_CONSTPOW), "a power")}
-    raise NotPolynomialError(f"{names.get(operation, f'operation {operation} of CasADi')} is in the expression")
+    name = names.get(operation, NAMES.get(operation, f"operation {operation} of CasADi"))
+    raise NotPolynomialError(f"{name} is in the expression")
