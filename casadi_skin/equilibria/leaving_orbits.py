@@ -11,12 +11,11 @@ from casadi_skin.bvp import mesh
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.continuation.points import ContinuationSettings, Point
-from casadi_skin.orbits.bifurcations import critical_vector
 from casadi_skin.orbits.boundary_choices import Sizes
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch_points import other_tangent
 from casadi_skin.orbits.find_orbit import closed_statement, forced_statement
-from casadi_skin.orbits.lost_symmetry import lost_operations
+from casadi_skin.orbits.lost_symmetry import critical_vector, lost_operations
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.rejoining import Left
 from casadi_skin.solvers.estimates import ErrorEstimate

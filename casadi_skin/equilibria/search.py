@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -20,8 +21,16 @@ MOST = 400  # parts that it is divided into
 PLACES = (WITHIN, 0.3, 0.7)  # of a stretch, where one point after the other is tried
 
 
-class Search(ABC):
-    """The search on one stretch of the continuation; `parts` counts the parts that it has been divided into."""
+Event = TypeVar("Event")
+
+
+class Search(ABC, Generic[Event]):
+    """The search on one stretch of the continuation; `parts` counts the parts that it has been divided into.
+
+    `deepest` is how often a part may be divided, `most_parts` how many there may be.
+    """
+
+    deepest, most_parts = DEEPEST, MOST
 
     def __init__(self, signs: Signs) -> None:
         self.signs, self.parts = signs, 0
@@ -34,22 +43,32 @@ class Search(ABC):
     def along(self, before: Point, after: Point, fraction: float) -> Point | None:
         """The point at a fraction of the way between two points; None where it is not found."""
 
+    def passes(self, ends: Stretch) -> bool:
+        """Whether a part has no special points by its ends alone."""
+        return False
+
     @abstractmethod
-    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point] | None:
+    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Event] | None:
         """Special points on a resolved part, in order; None where it has to be divided, unless it is the last."""
 
+    def is_clear(self, point: Point) -> bool:
+        """Whether every quantity has its sign at a point, where a stretch may be divided."""
+        return True
+
     @abstractmethod
-    def unresolved(self, stretch: Stretch) -> Iterator[Point | Unresolved]:
+    def unresolved(self, stretch: Stretch) -> Iterator[Event | Unresolved]:
         """What is known of a part that can be divided no further, and its record."""
 
-    def between(self, before: Point, after: Point, depth: int = 0) -> Iterator[Point | Unresolved]:
+    def between(self, before: Point, after: Point, depth: int = 0) -> Iterator[Event | Unresolved]:
         """Special points between two points in order, and the parts that are not resolved."""
         self.parts += 1
+        if self.passes(Stretch.of((self.sample(before), self.sample(after)), self.signs)):
+            return
         tried = (self.along(before, after, place) for place in PLACES)
         middle = next((point for point in tried if point is not None), None)
         points = (before, after) if middle is None else (before, middle, after)
         stretch = Stretch.of(tuple(self.sample(point) for point in points), self.signs)
-        last = depth >= DEEPEST or self.parts > MOST or stretch.length <= SHORTEST
+        last = depth >= self.deepest or self.parts > self.most_parts or stretch.length <= SHORTEST
         found = self.found(stretch, depth, last or middle is None)
         if found is not None:
             yield from found
@@ -57,12 +76,17 @@ class Search(ABC):
         if last or middle is None:
             yield from self.unresolved(stretch)
             return
-        dip = stretch.dip()
-        divided = None if dip is None else self.along(before, after, dip)
-        if divided is None or not _apart(before, divided, after):
-            divided = middle
+        divided = self._dividing(before, middle, after, stretch.dip())
         yield from self.between(before, divided, depth + 1)
         yield from self.between(divided, after, depth + 1)
+
+    def _dividing(self, before: Point, middle: Point, after: Point, dip: float | None) -> Point:
+        """The point at which a stretch is divided."""
+        for place in (dip, WITHIN, *PLACES[1:]):
+            point = None if place is None else middle if place == WITHIN else self.along(before, after, place)
+            if point is not None and _apart(before, point, after) and self.is_clear(point):
+                return point
+        return middle
 
 
 def _apart(*points: Point) -> bool:
@@ -70,7 +94,7 @@ def _apart(*points: Point) -> bool:
     return all(float(np.max(np.abs(one.z - other.z))) > SHORTEST for one, other in pairwise(points))
 
 
-class EquilibriumSearch(Search):
+class EquilibriumSearch(Search[Point]):
     """A search among equilibria, or curves of their special points."""
 
     def __init__(self, equations: EquilibriumEquations, signs: Signs) -> None:

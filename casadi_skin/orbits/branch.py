@@ -18,6 +18,7 @@ from casadi_skin.orbits.at_edges import orbit_at_edge
 from casadi_skin.orbits.certificate import ProvedStretch
 from casadi_skin.orbits.ending import Ending
 from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.ledger import StabilityChange
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.passages import passage
 from casadi_skin.orbits.passed_resonances import PassedResonance, passed_resonances
@@ -25,7 +26,6 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_of_families import edges_left_at, folds_of_family, special_point
 from casadi_skin.orbits.special_points import EDGE, FOLD, SpecialPoint
-from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.result import Result
 from casadi_skin.stability.localised_diagram import LocalisedChange, LocalisedDiagram
 from casadi_skin.stability.tongues import Place, StabilityDiagram, StabilityEdge

@@ -12,15 +12,14 @@ import numpy as np
 
 from casadi_skin.continuation.points import End, Point, Target
 from casadi_skin.interrupts import interrupts_deferred
-from casadi_skin.orbits.bifurcations import at_requested_value, bifurcations_between
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.family import Family
+from casadi_skin.orbits.events import at_requested_value
+from casadi_skin.orbits.ledger import Ledger
 from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.stability_changes import StabilityChange, locate_change
 from casadi_skin.orbits.walk import Walk
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.threads import one_thread
@@ -28,11 +27,11 @@ from casadi_skin.unresolved import Unresolved
 
 
 class Following:
-    """Iterates over the solutions of a branch and, between two of them, over the changes of stability.
+    """Iterates over the solutions of a branch.
 
     `branch()` returns the part computed so far, but for the few points whose stability is computed together;
-    `keep` is called with each point as it converges, and with the walk, which has what is missed so far. Solutions and
-    changes computed earlier may be given, points after them whose stability is `waiting`, and what was `missed` and
+    `keep` is called with each point as it converges, and with the walk, which has what is missed so far. Solutions
+    computed earlier may be given, points after them whose stability is `waiting`, and what was `missed` and
     `unresolved`: the branch goes on from the last of these as if it had not been broken off. It ends before its next
     point once `time_limit` seconds are over; the points that wait then are finished.
     """
@@ -43,7 +42,6 @@ class Following:
         stability: bool = False,
         events: bool = True,
         solutions: Sequence[Solution] = (),
-        changes: Sequence[StabilityChange] = (),
         until: Callable[[Any], bool] | None = None,
         waiting: Sequence[Point] = (),
         missed: Sequence[Target] = (),
@@ -54,14 +52,13 @@ class Following:
         stability = stability and not space.stability_included
         events = events and stability
         self.space, self.stability, self.events, self.until = space, stability, events, until
-        self.solutions, self.changes = list(solutions), list(changes)
+        self._ledger = Ledger(space) if events and type(space) is BoundarySpace else None
         self._waiting: deque[Point] = deque(waiting)  # reached, but not yet among the solutions
         self._keep = keep
         self._time_limit, self._end_time = time_limit, time.monotonic() + time_limit
-        self._walk = Walk(space, [*(s.point for s in self.solutions), *waiting], missed, unresolved)
-        self._unresolved = list[Unresolved]()  # beside those of the walk
+        self._walk = Walk(space, [*(s.point for s in solutions), *waiting], missed, unresolved)
         self._stopped = self._at_hand = False  # the second: whether the next result has been computed
-        self.solutions = list(self._with_bifurcations(self.solutions))
+        self.solutions = list(self._with_bifurcations(solutions))
 
     def _with_bifurcations(self, solutions: Sequence[Solution]) -> Iterator[Solution]:
         """Earlier solutions, with the orbits between them at which multipliers cross, sought again."""
@@ -71,7 +68,7 @@ class Following:
                 self.solutions.append(special)
                 yield special
 
-    def __iter__(self) -> Iterator[Solution | StabilityChange]:
+    def __iter__(self) -> Iterator[Solution]:
         results = self._results()
         while True:
             if self._at_hand:  # nothing is computed for it
@@ -87,7 +84,7 @@ class Following:
                 return
             yield result
 
-    def _results(self) -> Iterator[Solution | StabilityChange]:
+    def _results(self) -> Iterator[Solution]:
         together = self.space.stability_batch if self.stability else 1
         limit = self.space.point_solver.settings.max_points
         if len(self._waiting) >= together:
@@ -109,8 +106,8 @@ class Following:
                 return
         yield from self._finish_waiting()
 
-    def _finish_waiting(self) -> Iterator[Solution | StabilityChange]:
-        """The solutions of the points that wait, with their stability and its changes, in order."""
+    def _finish_waiting(self) -> Iterator[Solution]:
+        """The solutions of the points that wait, with their stability, in order."""
         try:
             solutions = self._with_stability()
             known = isinstance(solutions, list) and not self.events and self.until is None
@@ -118,10 +115,6 @@ class Following:
                 for special in self._bifurcations_before(solution):
                     self.solutions.append(special)
                     yield special
-                change = self._change_before(solution)
-                if change is not None:
-                    self.changes.append(change)
-                    yield change
                 self.solutions.append(solution)
                 self._waiting.popleft()
                 others = self._waiting or (not self.stability and self._keep is None and self._walk.at_hand)
@@ -135,33 +128,18 @@ class Following:
             self._walk.stop(End.FLOW, str(error))
             self._waiting.clear()
 
-    def _change_before(self, solution: Solution) -> StabilityChange | None:
-        """The change of stability between the last orbit and this one, where they differ."""
-        if not (self.events and self.solutions) or isinstance(self.space, Family):  # of a family see stability_diagram
-            return None
-        before = self.solutions[-1]
-        if not (_closes(before) and _closes(solution)):
-            return None
-        if before.floquet().stable == solution.floquet().stable:
-            return None
-        return locate_change(self.space, before, solution)
-
     def _critical(self, solution: Solution) -> Solution:
         """A solution, or the special one at a requested value."""
         return at_requested_value(solution) if self.events and _closes(solution) else solution
 
     def _bifurcations_before(self, solution: Solution) -> Iterator[Solution]:
         """Orbits between the last orbit and this one at which multipliers cross the unit circle."""
-        if not (self.events and self.solutions):
+        if self._ledger is None or not self.solutions:
             return
         before = self.solutions[-1]
-        leaving = isinstance(self.space, BoundarySpace) and self.space.leaves and len(self.solutions) == 1
-        if _closes(before) and _closes(solution) and not leaving:
-            for found in bifurcations_between(before, solution):
-                if isinstance(found, Unresolved):
-                    self._unresolved.append(found)
-                else:
-                    yield found
+        leaving = self._ledger.space.leaves and len(self.solutions) == 1
+        if _closes(before) and _closes(solution):
+            yield from self._ledger.between(before, solution, leaving)
 
     def _with_stability(self) -> Iterable[Solution]:
         """Solutions of the points that wait, a list where nothing is left to be computed.
@@ -187,10 +165,11 @@ class Following:
         self, end: End | None, detail: str, misses: Mapping[str, tuple[float, ...]], stopped: bool = False
     ) -> Branch:
         """The branch of the solutions computed so far, with a known end."""
+        changes, unresolved = ((), []) if self._ledger is None else (self._ledger.changes, self._ledger.unresolved)
         return Branch(
-            self.space, tuple(self.solutions), tuple(self.changes),
+            self.space, tuple(self.solutions), tuple(changes),
             self.stability or self.space.stability_included, end, detail, misses,
-            stopped or self._stopped, self.events, tuple(dict.fromkeys([*self._walk.unresolved, *self._unresolved])),
+            stopped or self._stopped, self.events, tuple(dict.fromkeys([*self._walk.unresolved, *unresolved])),
         )  # fmt: skip
 
 

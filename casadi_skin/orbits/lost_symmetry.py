@@ -15,7 +15,6 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.bifurcations import critical_vector
 from casadi_skin.orbits.orbit import Orbit
 
 MOST = 10  # states of a model all of whose changes of sign are tried
@@ -99,3 +98,17 @@ def _across(orbit: Orbit, vector: Array) -> Array:
         return vector
     along = np.array(model.vector_field(0.0, orbit.evaluate(t)[0], orbit.model_parameters)).ravel()
     return np.asarray(vector - along * (along @ vector) / (along @ along))
+
+
+def critical_vector(orbit: Orbit, multiplier: float) -> Array:
+    """The vector of norm 1 that the monodromy matrix multiplies by +1 or -1, across the motion along the orbit."""
+    monodromy = np.asarray(orbit.floquet().monodromy)
+    vectors = np.linalg.svd(monodromy - multiplier * np.eye(len(monodromy)))[2][::-1]
+    if multiplier < 0.0 or orbit.floquet().trivial == 0:
+        return np.asarray(vectors[0])
+    h = 1e-5 * orbit.period
+    ahead, behind = orbit.evaluate([h, -h])
+    along = (ahead - behind) / np.linalg.norm(ahead - behind)
+    free = [vector - along * (along @ vector) for vector in vectors[:2]]
+    longest = max(free, key=lambda vector: float(np.linalg.norm(vector)))
+    return np.asarray(longest / np.linalg.norm(longest))

@@ -14,7 +14,6 @@ from casadi_skin.continuation.points import Point, Target
 from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.results.branch_records import (
     BranchRecord,
     CutRecord,
@@ -41,7 +40,7 @@ class Known:
     """The record of a branch in a journal.
 
     Attributes:
-        solutions, changes: with their stability where that is computed.
+        solutions: with their stability where that is computed.
         waiting: points after them whose stability is to be computed.
         missed: requested values without a solution.
         unresolved: stretches on which special points may be missing.
@@ -51,7 +50,6 @@ class Known:
     """
 
     solutions: list[Solution] = field(default_factory=list)
-    changes: list[StabilityChange] = field(default_factory=list)
     waiting: list[Point] = field(default_factory=list)
     missed: tuple[Target, ...] = ()
     unresolved: tuple[Unresolved, ...] = ()
@@ -75,7 +73,6 @@ def known_of(records: Sequence[BranchRecord], branch: str, space: SolutionSpace,
             else:
                 known.solutions.append(solution_at(space, point))
         elif isinstance(record, StabilityRecord):
-            known.changes.extend(record.changes)
             known.solutions.append(solution_at(space, known.waiting.pop(0), _floquet(record.floquet)))
         else:
             known.end, known.unresolved = record, record.unresolved

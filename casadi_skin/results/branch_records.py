@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -11,7 +10,6 @@ import numpy as np
 
 from casadi_skin.continuation.points import End, Point, Target
 from casadi_skin.orbits.solution import Solution
-from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.orbits.walk import Walk
 from casadi_skin.stability.localised import LocalisedFloquet
 from casadi_skin.stability.result import FullPeriodFloquet, ReversibleFloquet
@@ -88,11 +86,10 @@ class PointRecord(msgspec.Struct, frozen=True, tag="point"):
 
 
 class StabilityRecord(msgspec.Struct, frozen=True, tag="stability"):
-    """Stability of the first point recorded whose stability was not, and the changes since the point before it."""
+    """Stability of the first point recorded whose stability was not."""
 
     branch: str
     floquet: ReversibleRecord | LocalisedRecord | FullPeriodRecord
-    changes: tuple[StabilityChange, ...]
 
 
 class EndRecord(msgspec.Struct, frozen=True, tag="end"):
@@ -181,8 +178,8 @@ def point_record(branch: str, point: Point, walk: Walk | None = None, with_bette
     )
 
 
-def stability_record(branch: str, orbit: Solution, changes: Sequence[StabilityChange] = ()) -> StabilityRecord:
-    """Record of the stability of the next orbit of a branch, with the changes since the one before."""
+def stability_record(branch: str, orbit: Solution) -> StabilityRecord:
+    """Record of the stability of the next orbit of a branch."""
     floquet = orbit.floquet()
     if isinstance(floquet, LocalisedFloquet):
         found: ReversibleRecord | LocalisedRecord | FullPeriodRecord = LocalisedRecord(
@@ -200,4 +197,4 @@ def stability_record(branch: str, orbit: Solution, changes: Sequence[StabilityCh
             multipliers, monodromy, floquet.trivial, floquet.trivial_deviation, bytes_of(floquet.other_errors),
             floquet.allowed_deviation, bytes_of(floquet.log_moduli), floquet.lost,
         )  # fmt: skip
-    return StabilityRecord(branch, found, tuple(changes))
+    return StabilityRecord(branch, found)

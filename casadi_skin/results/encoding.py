@@ -88,7 +88,7 @@ PLACES = {  # of every class that a file may name, with its own name where that 
     "SpecialPoint": "orbits.special_points",
     "Spectrum": "equilibria.statics",
     "Spreading": "lattice.spreading",
-    "StabilityChange": "orbits.stability_changes",
+    "StabilityChange": "orbits.ledger",
     "StabilityDiagram": "stability.tongues",
     "StabilityEdge": "stability.tongues",
     "StableWindow": "stability.tongues",

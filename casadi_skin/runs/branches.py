@@ -21,7 +21,6 @@ from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.stability_changes import StabilityChange
 from casadi_skin.orbits.walk import Walk
 from casadi_skin.progress import Progress
 from casadi_skin.results.branch_reading import known_of
@@ -206,28 +205,24 @@ class Branches:
             journal.append(point_record(name, point, walk, self._with_stability))
 
         following = Following(
-            space, self._with_stability, self._with_events, known.solutions, known.changes,
+            space, self._with_stability, self._with_events, known.solutions,
             waiting=known.waiting, missed=known.missed, keep=keep, unresolved=known.unresolved,
         )  # fmt: skip
         if known.end is not None:
             self.tables.add(name, following.solutions, space)
             self.branches.append(following.finished(known.end.end, known.end.detail, known.end.misses))
             return
-        before, changes = self.tables.count(name, space), list[StabilityChange]()
+        before = self.tables.count(name, space)
         self.tables.add(name, following.solutions, space)
         try:
             for result in following:
-                if isinstance(result, StabilityChange):
-                    changes.append(result)
-                    continue
                 point = result.point
                 sought_again = point.special and not (
                     point.located or point.requested
                 )  # by its neighbours' multipliers
                 periodic = isinstance(result, Orbit) or result.known_floquet is not None
                 if periodic and self._with_stability and not sought_again:
-                    journal.append(stability_record(name, result, changes))
-                    changes.clear()
+                    journal.append(stability_record(name, result))
                 self.tables.add(name, [result], space)
                 self.progress.solution(result, len(following.solutions))
         finally:

@@ -1,0 +1,373 @@
+"""Events of a branch of orbits: where multipliers cross the unit circle, with the account of their number outside.
+
+Between two orbits of a branch the multipliers are samples of `orbits.exponents`; the stretch is divided until each
+quantity has no root on it, or one simple root within the bounds of its errors (see `equilibria.stretch`). The orbit at
+a root is the solution of the extended equations of its kind, or, where there are none, the root of the quantity itself.
+The events account for the change in the number n_u of multipliers outside the circle,
+
+    n_u(after) = n_u(before) + sum of the jumps of all events between,
+
+and changes of stability are the events at which n_u becomes 0 or leaves it. A stretch on which the account does not
+balance, or that cannot be divided until it is resolved, is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from casadi_skin import methods
+from casadi_skin.bvp.problem import Array
+from casadi_skin.continuation.points import Point
+from casadi_skin.equilibria.samples import Sample
+from casadi_skin.equilibria.search import Search
+from casadi_skin.equilibria.stretch import Stretch, height
+from casadi_skin.orbits.boundary_space import BoundarySpace
+from casadi_skin.orbits.exponents import Exponents, ExponentSampler
+from casadi_skin.orbits.making import solution_at
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, TORUS
+from casadi_skin.orbits.stretch_points import snapped, target_of
+from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.result import Floquet
+from casadi_skin.unresolved import Unresolved
+
+KREIN = "krein collision"
+DEEPEST = 14  # divisions of a stretch between two orbits
+MOST_PARTS = 120  # that such a stretch is divided into
+CLEAR = 0.5  # of the changes of a quantity on a stretch: a distance from zero at both ends that needs no sample between
+ROOT_XTOL = 1e-10  # of a stretch, of roots of quantities where no extended equations are solved
+OUTSIDE_STRETCH = 1e-3  # of a stretch: a special orbit farther out is another one
+SAME_EVENT = (
+    1e-8  # of a stretch: two events of one kind that near are one, of multipliers that a symmetry keeps together
+)
+ASIDE = (0.0, 0.03, 0.2)  # of a stretch, from a root: at a branch point itself no orbit is found
+CRITICAL = 1e-4  # log |multiplier| of one that is on the unit circle at a requested value
+KREIN_DEPTH = 3  # divisions before a collision is located by its discriminant
+
+
+class Event(NamedTuple):
+    """An orbit at which multipliers cross the unit circle, its place on a stretch, and by how many n_u grows there."""
+
+    place: float
+    solution: Solution
+    kind: str
+    angle: float
+    jump: int
+
+
+class Crossing(NamedTuple):
+    """A quantity of a stretch that changes its sign: the event that it means."""
+
+    quantity: int
+    kind: str
+    angle: float
+    jump: int
+
+
+def at_requested_value(solution: Solution) -> Solution:
+    """A solution at a requested value; where one of its multipliers crosses there, the special orbit in its place."""
+    space, point = solution.space, solution.point
+    if type(space) is not BoundarySpace or point.walked or point.special or not solution.floquet().others.size:
+        return solution
+    others = solution.floquet().others
+    nearest = complex(others[np.argmin(np.abs(Exponents.from_floquet(solution.floquet()).values.real))])
+    if abs(np.log(abs(nearest))) > CRITICAL:
+        return solution
+    kind = TORUS if nearest.imag else DOUBLING if nearest.real < 0.0 else BRANCH_POINT
+    found: Point | None = methods.TASKS["special_orbit"].load()(space, kind, point, abs(float(np.angle(nearest))))
+    target = None if found is None else target_of(space, found)
+    if found is None or target is None or target.value != point.parameter:
+        return solution
+    there = replace(snapped(found, target, requested=True), along=point.along)
+    return solution_at(space, there, space.floquets([there])[0])
+
+
+def events_between(space: BoundarySpace, before: Solution, after: Solution) -> Iterator[Event | Unresolved]:
+    """Events between two orbits of a branch, neither of them special, in order, and stretches not resolved."""
+    first, last = (Exponents.from_floquet(end.floquet()) for end in (before, after))
+    if not first.values.size:
+        return
+    kind = _Free if first.pairs is None or last.pairs is None else _Paired
+    found = list(kind(space, before, after).on_stretch())
+    merged: list[Event | Unresolved] = []
+    for one in sorted(found, key=lambda item: item.place if isinstance(item, Event) else -1.0):
+        last_one = merged[-1] if merged else None
+        if isinstance(one, Event) and isinstance(last_one, Event) and _is_same(one, last_one):
+            merged[-1] = last_one._replace(jump=last_one.jump + one.jump)
+        else:
+            merged.append(one)
+    yield from merged
+
+
+def _is_same(one: Event, other: Event) -> bool:
+    return one.kind == other.kind != KREIN and abs(one.place - other.place) <= SAME_EVENT and one.angle == other.angle
+
+
+class _OrbitSearch(Search[Event | Unresolved]):
+    """The search on one stretch between two orbits, in the unknowns of the second."""
+
+    deepest, most_parts = DEEPEST, MOST_PARTS
+
+    def __init__(self, space: BoundarySpace, before: Solution, after: Solution) -> None:
+        super().__init__("real parts")
+        self.space, self.solver, self.ends = space, space.point_solver, (before, after)
+        problem = after.point.problem
+        start = before.point
+        z, tangent = (start.problem.prolong(v, problem) for v in (start.z, start.tangent))
+        self.first = replace(start, problem=problem, z=z, tangent=tangent, better=None)
+        self.last = after.point
+        self.row = self.metric(self.first) * tangent
+        self.length = float(self.row @ (self.last.z - z))
+        self.sampler = ExponentSampler(self.floquet, self.metric)
+
+    def metric(self, point: Point) -> Array:
+        return self.solver.metric(point.problem, point.z)
+
+    def floquet(self, point: Point) -> Floquet:
+        """Multipliers at a point; those of both ends are known."""
+        for end, own in zip(self.ends, (self.first, self.last), strict=True):
+            if point is own or point is end.point:
+                return end.floquet()
+        return self.space.floquets([point])[0]
+
+    def own(self, point: Point) -> Point:
+        """The point at which multipliers are computed: the first end on its own mesh."""
+        return self.ends[0].point if point is self.first else point
+
+    def along(self, before: Point, after: Point, fraction: float) -> Point | None:
+        correction, tangent = self.solver.corrected_along(before, after, fraction)
+        if correction is None or tangent is None:
+            return None
+        return replace(self.last, z=correction.z, tangent=tangent, better=None, special="", walked=False)
+
+    def on_stretch(self) -> Iterator[Event | Unresolved]:
+        """Events on the stretch, and parts that are not resolved."""
+        yield from self.between(self.first, self.last)
+
+    def passes(self, stretch: Stretch) -> bool:
+        """Whether every quantity stays far from zero, by its values and rates at both ends."""
+        if not (self.is_clear(stretch.first.point) or self.is_clear(stretch.last.point)):
+            return False
+        g, d = stretch.quantities
+        moves = np.abs(g[-1] - g[0]) + stretch.length * (np.abs(d[0]) + np.abs(d[-1]))
+        clear = (np.sign(g[0]) == np.sign(g[-1])) & (np.min(np.abs(g), axis=0) > CLEAR * moves)
+        return bool(np.all(clear | np.all(g == 0.0, axis=0))) and self.balanced(stretch)
+
+    def balanced(self, stretch: Stretch, jumps: int = 0) -> bool:
+        """Whether jumps account for the change in the number of multipliers outside the circle."""
+        (start, open_at_start), (end, open_at_end) = (self.outside(end.point) for end in (stretch.first, stretch.last))
+        return abs(end - start - jumps) <= min(open_at_start, open_at_end)
+
+    def outside(self, point: Point) -> tuple[int, int]:
+        """The number of multipliers outside the circle at a point, and how many errors leave open."""
+        return self.sampler.exponents(self.own(point))[0].outside
+
+    def is_clear(self, point: Point) -> bool:
+        return self.outside(point)[1] <= min(self.outside(end)[1] for end in (self.first, self.last))
+
+    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Event | Unresolved] | None:
+        if not any(self.is_clear(sample.point) for sample in stretch.samples):
+            return list(self.unresolved(stretch))
+        if not np.all(stretch.settled):
+            return None
+        crossings = list(self.crossings(stretch))
+        if not self.balanced(stretch, sum(crossing.jump for crossing in crossings)):
+            return self.collision(stretch, crossings) if depth >= KREIN_DEPTH else None
+        located = (self.located(stretch, crossing) for crossing in crossings)
+        known: list[Event] = sorted((event for event in located if event is not None), key=lambda event: event.place)
+        return known if len(known) == len(crossings) else None
+
+    def crossings(self, stretch: Stretch) -> Iterator[Crossing]:
+        """Quantities that change their sign on a stretch that is resolved."""
+        raise NotImplementedError
+
+    def collision(self, stretch: Stretch, crossings: Sequence[Crossing]) -> Sequence[Event] | None:
+        """The event that is none of a single quantity; None where there is none."""
+        return None
+
+    def unresolved(self, stretch: Stretch) -> Iterator[Unresolved]:
+        start, end = (self.space.value(self.space.parameter, s.point) for s in (stretch.first, stretch.last))
+        (before, _), (after, unclear) = (self.outside(end.point) for end in (stretch.first, stretch.last))
+        words = f"from {before} to {after} multipliers outside the unit circle"
+        why = f"; {unclear} on it within their errors" if unclear else ""
+        yield Unresolved(start, end, words + why, parameter=self.space.parameter)
+
+    # Locating ---------------------------------------------------------------------------------------------------------
+
+    def value(self, stretch: Stretch, crossing: Crossing, point: Point, fraction: float) -> float:
+        """The quantity of a crossing at a point on a stretch."""
+        sample, k = self.sample(point), crossing.quantity
+        first, last = stretch.first.values[k], stretch.last.values[stretch.order[k]]
+        expected = first + fraction * _way(stretch.first, first, last)
+        return float(sample.values[int(np.argmin(stretch.first.apart(np.array([expected]), sample.values)))].real)
+
+    def located(self, stretch: Stretch, crossing: Crossing) -> Event | None:
+        """The orbit at a crossing."""
+        if self.space.periodic is None or self.space.symmetry.value == 1.0:
+            root = stretch.root(stretch.leading + crossing.quantity) / stretch.length
+            for aside in ASIDE:
+                fraction = root + (aside if root < 0.5 else -aside)
+                near = self.solver.along(stretch.first.point, stretch.last.point, fraction)
+                event = None if near is None else self.solved(stretch, crossing, near)
+                if event is not None:
+                    return event
+        return self.by_root(stretch, crossing)
+
+    def solved(self, stretch: Stretch, crossing: Crossing, near: Point) -> Event | None:
+        """The orbit at a crossing as a solution of its extended equations; None where they have none there."""
+        special_orbit = methods.TASKS["special_orbit"].load()
+        point: Point | None = special_orbit(self.space, crossing.kind, near, crossing.angle)
+        place = None if point is None else self.place(stretch, point)
+        return None if point is None or place is None else self.event(place, point, crossing)
+
+    def place(self, stretch: Stretch, point: Point) -> float | None:
+        """The place of a point on the whole stretch by its length; None where it is outside the part of it."""
+        z = point.problem.prolong(point.z, self.last.problem)
+        low, high, at = (float(self.row @ (v - self.first.z)) for v in (
+            stretch.first.point.z, stretch.last.point.z, z
+        ))  # fmt: skip
+        slack = OUTSIDE_STRETCH * (high - low)
+        return at / self.length if low - slack <= at <= high + slack else None
+
+    def event(self, place: float, point: Point, crossing: Crossing) -> Event:
+        solution = solution_at(self.space, point, self.space.floquets([point])[0])
+        return Event(place, solution, crossing.kind, crossing.angle, crossing.jump)
+
+    def by_root(self, stretch: Stretch, crossing: Crossing) -> Event | None:
+        """The orbit at a root of the quantity itself, with the error of the parameter by that of the quantity."""
+
+        def value(point: Point, fraction: float) -> float:
+            return self.value(stretch, crossing, point, fraction)
+
+        noise = float(max(s.noise[k] for s, k in zip(
+            (stretch.first, stretch.last), (crossing.quantity, stretch.order[crossing.quantity]), strict=True
+        )))  # fmt: skip
+        point = self.root_of(stretch, value, noise, crossing.kind)
+        place = None if point is None else self.place(stretch, point)
+        return None if point is None or place is None else self.event(place, point, crossing)
+
+    def root_of(
+        self, stretch: Stretch, value: Callable[[Point, float], float], noise: float, kind: str
+    ) -> Point | None:
+        """The point of a stretch at which a value vanishes; at a branch point, where none is alone, the nearest one."""
+        from scipy.optimize import brentq
+
+        before, after = stretch.first.point, stretch.last.point
+        known = {0.0: (before, value(before, 0.0)), 1.0: (after, value(after, 1.0))}
+        if not known[0.0][1] * known[1.0][1] < 0.0:
+            return None
+
+        def at(fraction: float) -> float:
+            if fraction not in known:
+                point = self.solver.along(before, after, fraction) or self.solver.coarse_along(before, after, fraction)
+                if point is None:
+                    raise ArithmeticError(self.solver.failure)
+                known[fraction] = point, value(point, fraction)
+            return known[fraction][1]
+
+        with suppress(ArithmeticError):
+            brentq(at, 0.0, 1.0, xtol=ROOT_XTOL)
+        inner = sorted((f for f in known if 0.0 < f < 1.0), key=lambda f: abs(known[f][1]))
+        if not inner:
+            return None
+        root, left = known[inner[0]]
+        beside = min((f for f in known if f != inner[0]), key=lambda f: abs(f - inner[0]))
+        moved = abs(known[beside][0].parameter - root.parameter)
+        slope = abs(known[beside][1] - left)
+        size = root.problem.parameter_size(root.z)
+        error = float((abs(left) + noise) * moved / max(slope, 1e-300) / size + root.error.relative(1.0))
+        return replace(
+            root, error=replace(root.error, parameter=error), special=kind, walked=False, requested=False
+        )  # fmt: skip
+
+
+class _Free(_OrbitSearch):
+    """Multipliers that move freely: each crosses the circle by itself, or with its complex conjugate."""
+
+    def sample(self, point: Point) -> Sample:
+        return self.sampler.free(self.own(point), point)
+
+    def crossings(self, stretch: Stretch) -> Iterator[Crossing]:
+        for k in np.flatnonzero(stretch.changed):
+            first, last = stretch.first.values[k], stretch.last.values[stretch.order[k]]
+            sign = 1 if last.real > first.real else -1
+            if _is_real(first) and _is_real(last):
+                negative = abs(first.imag) > 1.0
+                yield Crossing(int(k), DOUBLING if negative else BRANCH_POINT, np.pi if negative else 0.0, sign)
+            elif (angle := height(first, last)) > 0.0:
+                yield Crossing(int(k), TORUS, float(angle), 2 * sign)
+
+
+class _Paired(_OrbitSearch):
+    """Multipliers in pairs mu, 1/mu: pairs leave the circle through 1 and -1, or two of them where they collide."""
+
+    def __init__(self, space: BoundarySpace, before: Solution, after: Solution) -> None:
+        super().__init__(space, before, after)
+        self.signs = "real"
+
+    def sample(self, point: Point) -> Sample:
+        plus, minus = (self.sampler.paired(self.own(point), point, passed) for passed in (1.0, -1.0))
+        return replace(
+            plus, values=np.concatenate([plus.values, minus.values]), rates=np.concatenate([plus.rates, minus.rates]),
+            noise=np.concatenate([plus.noise, minus.noise]),
+        )  # fmt: skip
+
+    def crossings(self, stretch: Stretch) -> Iterator[Crossing]:
+        half = stretch.first.values.size // 2
+        g = stretch.quantities[0]
+        for k in np.flatnonzero(stretch.changed):
+            leaves = (g[-1, k] > 0.0) == (k < half)
+            yield Crossing(
+                int(k), BRANCH_POINT if k < half else DOUBLING, 0.0 if k < half else np.pi, 1 if leaves else -1
+            )
+
+    def traces(self, point: Point) -> ComplexArray:
+        here = self.sampler.exponents(self.own(point))[0]
+        pairs = here.pairs
+        return np.empty(0, complex) if pairs is None else np.asarray(here.traces(pairs)[0], dtype=complex)
+
+    def collision(self, stretch: Stretch, crossings: Sequence[Crossing]) -> Sequence[Event] | None:
+        """A Krein collision: two pairs leave the circle where they meet, or come back: a root of (tau_k - tau_l)^2."""
+        before, after = (self.traces(end.point) for end in (stretch.first, stretch.last))
+        off = [np.flatnonzero(tau.imag > 0.0) for tau in (before, after)]
+        if crossings or abs(off[1].size - off[0].size) != 1:
+            return None
+        leaves = off[1].size > off[0].size
+        there, here = (after, before) if leaves else (before, after)
+        alone = off[int(leaves)]
+        if alone.size > 1:  # the one that has no partner at the other end
+            others = here[off[1 - int(leaves)]]
+            apart = np.abs(there[alone][:, None] - others)
+            alone = alone[[int(np.argmax(np.min(apart, axis=1)))]] if others.size else alone[:1]
+        centre = float(there[alone[0]].real)
+        near = np.sort(here.real[np.argsort(np.abs(here - centre))[:2]])
+        other_centre = float(np.mean(near))
+
+        def discriminant(point: Point, fraction: float) -> float:
+            share = fraction if leaves else 1.0 - fraction
+            tau = self.traces(point)
+            two = tau[np.argsort(np.abs(tau - (other_centre + share * (centre - other_centre))))[:2]]
+            return float(((two[0] - two[1]) ** 2).real)
+
+        noise = max(float(np.max(s.noise)) for s in (stretch.first, stretch.last)) ** 2
+        point = self.root_of(stretch, discriminant, noise, KREIN)
+        place = None if point is None else self.place(stretch, point)
+        if point is None or place is None:
+            return None
+        angle = float(np.arccos(np.clip(0.5 * centre, -1.0, 1.0)))
+        return [self.event(place, point, Crossing(0, KREIN, angle, 2 if leaves else -2))]
+
+
+def _is_real(logarithm: complex) -> bool:
+    return logarithm.imag == 0.0 or abs(logarithm.imag) == np.pi
+
+
+def _way(sample: Sample, first: complex, last: complex) -> complex:
+    """The way from one value to another, by the shorter way round where they turn."""
+    way = last - first
+    return way - 1j * sample.turn * np.round(way.imag / sample.turn) if np.isfinite(sample.turn) else way

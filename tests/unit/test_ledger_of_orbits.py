@@ -1,0 +1,73 @@
+"""Events of branches of cycles account for their stability: none missed, none twice, in models in closed form."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from cycles_in_closed_form import Block, Truth, random_truth
+
+from casadi_skin import Branch, OdeModel, find_orbit, simulate
+
+
+def check(truth: Truth, branch: Branch, within: float = 1e-7) -> None:
+    """Special points and changes of stability are those of the closed form, each within its error."""
+    points, events = branch.special_points, truth.events
+    assert [point.kind for point in points] == [kind for _, kind in events]
+    for point, (place, _) in zip(points, events, strict=True):
+        assert abs(point.parameters["l"] - place) <= max(point.error, 1e-13) <= within
+    assert len(branch.changes) == len(truth.changes)
+    for change, place in zip(branch.changes, truth.changes, strict=True):
+        assert abs(change.value - place) <= max(change.error, 1e-13) <= within
+        assert change.stable_after == (truth.outside(place + 1e-9) == 0)
+    assert branch.unresolved == ()
+
+
+def test_a_cycle_that_becomes_stable_at_a_torus_has_a_change_of_stability_there() -> None:
+    truth = Truth((Block((0.05, -0.1), 0.7),))
+    branch = truth.follow()
+    assert truth.changes == pytest.approx([0.5])
+    check(truth, branch)
+    (change,) = branch.changes
+    assert (change.kind, change.stable_before, change.stable_after) == ("complex", False, True)
+    assert change.angle == pytest.approx(0.6 * np.pi)  # of 0.7 turns a period
+
+
+def test_two_tori_within_one_step_are_both_seen() -> None:
+    """The pair of multipliers touches the circle within a step whose ends show nothing."""
+    truth = Truth((Block((0.25 - 1e-6, -1.0, 1.0), 0.7),))
+    branch = truth.follow()
+    steps = np.diff([orbit.parameters["l"] for orbit in branch.orbits if not orbit.point.special])
+    assert np.max(steps) > 10.0 * np.ptp(truth.changes)
+    check(truth, branch)
+
+
+def test_a_cycle_that_becomes_stable_where_its_period_doubles_has_a_change_there() -> None:
+    """Roessler's equations from c = 4, where the cycle of one turn is unstable, to 2."""
+    x, y, z, c = (ca.SX.sym(name) for name in "xyzc")
+    model = OdeModel("roessler", [x, y, z], [-y - z, x + 0.2 * y, 0.2 + z * (x - c)], c)
+    cycle = simulate(model, [1.0, 1.0, 0.0], np.linspace(0.0, 300.0, 3001), parameters={"c": 2.5}).last_cycle()
+    unstable = find_orbit(model, cycle, parameters={"c": 2.5}).follow("c", 4.0).orbits[-1]
+    branch = unstable.follow("c", 2.0, stability=True)
+    (doubling,), (change,) = branch.special_points, branch.changes
+    assert doubling.kind == "period doubling"
+    assert change.value == doubling.parameters["c"] == pytest.approx(2.832445, abs=1e-5)  # cycles of two turns begin
+    assert (change.stable_before, change.stable_after, change.angle) == (False, True, np.pi)
+    assert branch.unresolved == ()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_every_event_of_random_models_is_located(seed: int) -> None:
+    check(truth := random_truth(seed), truth.follow())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4, 40))
+def test_every_event_of_more_random_models_is_located(seed: int) -> None:
+    check(truth := random_truth(seed), truth.follow())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(100, 120))
+def test_events_do_not_depend_on_the_units_of_states(seed: int) -> None:
+    check(truth := random_truth(seed, units=3.0), truth.follow(), within=1e-6)
