@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,7 +14,7 @@ import numpy as np
 
 from casadi_skin import methods
 from casadi_skin.arguments import check_name
-from casadi_skin.bvp.problem import Array, Indices, Problem
+from casadi_skin.bvp.problem import Array, Indices, Problem, SingularError
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.bvp.symmetry import SymmetryClass, unfolded_phases
@@ -26,17 +27,19 @@ from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import Method
 from casadi_skin.solvers.arbitrated import ArbitratedCorrector
 from casadi_skin.solvers.corrector import Corrector
+from casadi_skin.solvers.estimates import Refinement
+from casadi_skin.solvers.levels import Levels
 from casadi_skin.solvers.rounding import RoundedCorrector
 from casadi_skin.stability.flow import FlowError
+from casadi_skin.stability.full_period import Closed
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
-from casadi_skin.stability.trivial import trivial_at
 
 ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
 
 
 @dataclass(frozen=True, eq=False)
-class BoundarySolutions:
+class BoundarySolutions(ABC):
     """Solutions of a statement by their unknowns.
 
     Attributes:
@@ -75,6 +78,11 @@ class BoundarySolutions:
         more: dict[str, Any] = {"always": self.statement.always_confirmed} if name == "ipopt" else {}
         make: Any = ArbitratedCorrector if name == "ipopt" else methods.CORRECTORS[name].load()
         return RoundedCorrector(make(problem, tolerance, ITERATIONS, **more))
+
+    @property
+    @abstractmethod
+    def levels(self) -> Levels:
+        """Discretisations from coarse to fine."""
 
     # Values ---------------------------------------------------------------------------------------------------------
 
@@ -180,21 +188,33 @@ class BoundarySolutions:
             return self.closure.moves_freely(point.problem, point.z)
         return PERIOD in self.statement.free
 
+    def _better(self, point: Point) -> Refinement | None:
+        """The solution of a point on a finer mesh; None where the equations are singular there, or no mesh is finer."""
+        problem, known = point.problem, point.better
+        if known is not None and known.problem.resolution > problem.resolution:
+            return known
+        moves = problem.own_tangent is None and bool(np.any(point.tangent))
+        try:
+            return self.levels.refined(problem, point.z, point.tangent if moves else None)[1]
+        except SingularError:
+            return None
+
     def _floquet(self, point: Point, by: str) -> Floquet:
+        better = self._better(point)
         if self.closure is not None:
             assert isinstance(point.problem, BoundaryProblem)
-            return self.closure.multipliers(point.problem, point.z, self.tolerance)
-        periodic, compute = self._orbit_of(), methods.FULL_PERIOD_FLOWS[by].load()
-        start, values = self.states_at(point, np.zeros(1), None)[0], self.parameters(point)
-        p = np.array([values[name] for name in periodic.model.parameter_names])
-        if by == "collocation":
-            trivial = trivial_at(periodic.model, periodic.symmetry, start, p)
-            found: Floquet = compute(point.problem, point.z, periodic.model, periodic.symmetry, trivial, self.tolerance)
-            return found
-        by_sensitivities: Floquet = compute(
-            periodic.model, start, p, self.interval(point)[1], periodic.symmetry, self.tolerance
+            return self.closure.multipliers(point.problem, point.z, better, self.tolerance)
+        periodic = self._orbit_of()
+        compute = methods.FULL_PERIOD_FLOWS[by].load()
+
+        def closed(problem: Problem, z: Array) -> Closed:
+            assert isinstance(problem, BoundaryProblem)
+            return Closed(problem, z, periodic.model, periodic.symmetry)
+
+        found: Floquet = compute(
+            closed(point.problem, point.z), None if better is None else closed(better.problem, better.z), self.tolerance
         )
-        return by_sensitivities
+        return found
 
     def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
         """Eigenvectors of the monodromy matrix in the order of the multipliers, largest entry 1."""

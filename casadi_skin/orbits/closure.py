@@ -10,12 +10,14 @@ import numpy as np
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import Statement
-from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.models.expressions import Expression
-from casadi_skin.stability.full_period import multipliers_of
-from casadi_skin.stability.interval_maps import Parts, interval_maps, stage_jacobians, velocities_at
-from casadi_skin.stability.result import FullPeriodFloquet
-from casadi_skin.stability.trivial import Trivial, trivial_at
+from casadi_skin.solvers.estimates import Refinement
+from casadi_skin.stability.closed_maps import MapsAlong, Multipliers, multipliers_along
+from casadi_skin.stability.full_period import contraction
+from casadi_skin.stability.interval_maps import Parts, interval_maps, stage_jacobians
+from casadi_skin.stability.judging import judged
+from casadi_skin.stability.result import Floquet
+from casadi_skin.stability.trivial import Trivial, no_trivial, trivial_of, units_of, vectors_along
 
 TRIALS, SAME = 3, 1e-12  # random points at which derivatives of conditions are compared, and their difference
 TURNED = 1e-9  # relative: a field that is the same after a turn
@@ -74,42 +76,57 @@ class Closure:
                 return False
         return True
 
-    def multipliers(self, problem: BoundaryProblem, z: Array, tolerance: float) -> FullPeriodFloquet:
-        """Multipliers of a solution: those of S^-1 times the flow over the interval.
+    def multipliers(self, problem: BoundaryProblem, z: Array, better: Refinement | None, tolerance: float) -> Floquet:
+        """Multipliers of a solution: those of S^-1 times the flow over the interval; `better` is on a finer mesh."""
+        found = self._multipliers(problem, z, tolerance)
+        if better is None:
+            return judged(found, None, tolerance)
+        assert isinstance(better.problem, BoundaryProblem)
+        reference = self._multipliers(better.problem, better.z, tolerance)
+        return judged(found, reference, tolerance, problem.left_by(better.problem))
 
-        The state of the problem may have others beside it: those of the statement come first, as do its parameters.
-        """
+    def _multipliers(self, problem: BoundaryProblem, z: Array, tolerance: float) -> Multipliers:
+        """The state of the problem may have others beside it: those of the statement come first, as its parameters."""
         n = self.matrix.shape[0]
-        jacobians = stage_jacobians(problem, z)[:, :n, :n]
-        back = np.asarray(np.linalg.inv(self.matrix), dtype=float)
-        maps = np.concatenate([interval_maps(problem, jacobians), back[None]])
-        quadrature = np.outer(problem.constants, problem.table.extended[-1]).ravel()
-        contraction = float(quadrature @ np.trace(jacobians, axis1=1, axis2=2))
-        contraction += float(np.linalg.slogdet(back)[1])
-        trivial = self._trivial(problem, z)
-        along = velocities_at(problem, z, n) if trivial.count == len(trivial.right) == 1 else None
-        if along is not None:
-            along = np.vstack([along, along[-1] @ back.T])
-        return multipliers_of(maps, trivial, tolerance, contraction, along, Parts(problem, z, jacobians, back))
+        jacobians, back = stage_jacobians(problem, z)[:, :n, :n], np.linalg.inv(self.matrix)
+        ends = z[: problem.states].reshape(problem.columns, -1)[:: problem.table.ends.size, :n]
+
+        def along(maps: Array, states: Array) -> MapsAlong:
+            trivial = self._trivial(problem, z, np.vstack([states, states[0]]), tolerance)
+            growth = contraction(problem, jacobians) + float(np.linalg.slogdet(back)[1])
+            return MapsAlong(np.concatenate([maps, back[None]]), trivial, units_of(states), growth)
+
+        first = along(interval_maps(jacobians, problem.constants, problem.table), ends)
+
+        def resolved() -> MapsAlong | None:
+            parts = Parts(problem, z, jacobians)
+            if not parts.needed:
+                return first
+            finer = parts.maps()
+            return None if finer is None else along(*finer)
+
+        return multipliers_along(first, resolved)
 
     def moves_freely(self, problem: BoundaryProblem, z: Array) -> bool:
         """Whether a solution may start at any of its phases: S maps its velocity as it maps the solution."""
-        return bool(len(self._trivial(problem, z).right))
+        n = self.matrix.shape[0]
+        values = z[: problem.states].reshape(problem.columns, -1)[:, :n]
+        return bool(self._trivial(problem, z, values[[0, -1, 0]], TURNED).right.shape[1])
 
-    def _trivial(self, problem: BoundaryProblem, z: Array) -> Trivial:
-        """Trivial multipliers: directions and gradients that S maps as it maps the solution."""
+    def _trivial(self, problem: BoundaryProblem, z: Array, states: Array, tolerance: float) -> Trivial:
+        """Trivial multipliers: directions and gradients that S maps as it maps the solution.
+
+        `states` at the ends of intervals, then that at the start once more, to which S^-1 takes that at the end.
+        """
         model, n = self.statement.model, self.matrix.shape[0]
         values = z[: problem.states].reshape(problem.columns, -1)[:, :n]
-        parameters = problem.parameters(z)[: model.parameters.numel()]
         size = max(float(np.max(np.abs(values))), float(np.max(problem.floors[:n])))
-        if np.max(np.ptp(values, axis=0)) <= STILL * size:  # at rest
-            return Trivial(0, np.empty((0, n)), np.empty((0, n)))
-        first, last = (trivial_at(model, SymmetryClass.FULL, x, parameters) for x in (values[0], values[-1]))
-        if first.count == 0 or len(first.right) != len(last.right) or len(first.left) != len(last.left):
-            return Trivial(0, first.right[:0], first.left[:0])
-        right = [a for a, b in zip(first.right, last.right, strict=True) if _same(self.matrix @ a, b)]
-        left = [a for a, b in zip(first.left, last.left, strict=True) if _same(self.matrix.T @ b, a)]
-        return Trivial(len(right) + len(left), np.array(right).reshape(-1, n), np.array(left).reshape(-1, n))
+        if model.forced or np.max(np.ptp(values, axis=0)) <= STILL * size:  # at rest
+            return no_trivial(n)
+        right, left = vectors_along(model, states, problem.parameters(z)[: model.parameters.numel()])
+        right = right[:, [_same(self.matrix @ v[0], v[-2]) for v in right.swapaxes(0, 1)]]
+        left = left[:, [_same(self.matrix.T @ v[-2], v[0]) for v in left.swapaxes(0, 1)]]
+        return trivial_of(right, left, units_of(states), tolerance)
 
 
 def closure_of(statement: Statement) -> Closure | None:

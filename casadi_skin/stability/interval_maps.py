@@ -7,20 +7,21 @@ by much more than a factor of e, with the states that the polynomials of the sol
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 
+from casadi_skin.bvp.butcher import CollocationTable
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 
-SLOWEST = 1e-6  # of the fastest motion along an orbit: slower, its direction is not known well
 RESOLVED = 2.0  # logarithm of the factor that a perturbation may change by in an interval
 WITHIN_PART = 1.0  # the same in a part
 MOST_PARTS = 20_000
 MOST_WORK = 1e10  # of the linear systems of all parts: their number times the third power of their size
+LARGEST_STACK = 4_000_000  # entries of the matrices that are factored in one call
 
 
 def stage_places(problem: BoundaryProblem, lengths: Array) -> Array:
@@ -38,24 +39,37 @@ def stage_jacobians(problem: BoundaryProblem, z: Array) -> Array:
 def jacobians_at(problem: BoundaryProblem, z: Array, places: Array, states: Array) -> Array:
     """The same at other places with the states there."""
     n, count = problem.formulation.states, places.size
-    field = problem.formulation.field_function
-    arguments = field.sx_in() if field.is_a("SXFunction") else field.mx_in()
-    by_states = ca.Function("J", arguments, [ca.densify(field.call(arguments, True, False)[1])])
-    blocks = np.array(by_states.map(count)(places[None], states.T, *problem.repeated(z, count)))
+    mapped = problem.formulation.jacobian_function.map(count)
+    blocks = np.array(mapped(places[None], states.T, *problem.repeated(z, count)))
     return np.asarray(blocks.reshape(n, count, n).transpose(1, 0, 2))
 
 
-def interval_maps(problem: BoundaryProblem, jacobians: Array, lengths: Array | None = None) -> Array:
-    """Transition matrices over the intervals, or over parts of other lengths, in order of time, shape (any, n, n)."""
-    n, d, extended = jacobians.shape[1], problem.degree, problem.table.extended
-    h = problem.constants if lengths is None else lengths
-    maps = np.empty((h.size, n, n))
-    for k in range(h.size):
-        blocks = jacobians[k * d : (k + 1) * d]
-        system = np.eye(n * d) - h[k] * np.einsum("ij,jab->iajb", extended[:d], blocks).reshape(n * d, n * d)
-        stages = np.linalg.solve(system, np.tile(np.eye(n), (d, 1))).reshape(d, n, n)
-        maps[k] = np.eye(n) + h[k] * np.einsum("j,jab,jbc->ac", extended[-1], blocks, stages)
+def interval_maps(jacobians: Array, lengths: Array, table: CollocationTable) -> Array:
+    """Transition matrices over intervals from derivatives at their stages, in order of time, shape (any, n, n)."""
+    n, d = jacobians.shape[1], table.degree
+    by_interval, maps = jacobians.reshape(-1, d, n, n), np.empty((lengths.size, n, n))
+    for these in _batches(lengths.size, n * d):
+        A, h = by_interval[these], lengths[these, None, None]
+        stages = np.linalg.solve(_stage_systems(A, h, table), np.tile(np.eye(n), (d, 1)))
+        weighted = h * (table.extended[-1][:, None, None] * A).swapaxes(1, 2).reshape(len(A), n, d * n)
+        maps[these] = np.eye(n) + weighted @ stages
     return maps
+
+
+def _stage_systems(A: Array, h: Array, table: CollocationTable) -> Array:
+    """The matrices 1 - h a_ij A_j of the stages of several intervals, shape (intervals, d n, d n)."""
+    K, d, n = A.shape[:3]
+    weights = -h * table.extended[:d]
+    systems = weights[:, :, None, :, None] * A.transpose(0, 2, 1, 3)[:, None]
+    systems = systems.reshape(K, d * n, d * n)
+    systems[:, np.arange(d * n), np.arange(d * n)] += 1.0
+    return np.asarray(systems)
+
+
+def _batches(intervals: int, size: int) -> Iterator[slice]:
+    """Intervals of whose matrices of a size as many are made at once as memory should hold."""
+    some = max(1, LARGEST_STACK // size**2)
+    return (slice(k, k + some) for k in range(0, intervals, some))
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,13 +79,11 @@ class Parts:
     Attributes:
         problem, z: the solution.
         jacobians: of these states at the stages, as `stage_jacobians` gives them.
-        back: a map that follows those over the intervals; None where there is none.
     """
 
     problem: BoundaryProblem
     z: Array
     jacobians: Array
-    back: Array | None = None
 
     @cached_property
     def _counts(self) -> Array:
@@ -85,8 +97,8 @@ class Parts:
         """Whether an interval is too long for the changes in it."""
         return bool(np.max(self._counts) * WITHIN_PART > RESOLVED)
 
-    def maps(self) -> tuple[Array, Array | None] | None:
-        """Maps over the parts, and velocities at their ends where it moves; None where there are too many parts."""
+    def maps(self) -> tuple[Array, Array] | None:
+        """Maps over the parts, and states at their ends; None where there are too many parts."""
         problem, n = self.problem, self.jacobians.shape[1]
         if not np.sum(self._counts) <= min(MOST_PARTS, MOST_WORK / (problem.degree * n) ** 3):
             return None
@@ -95,26 +107,4 @@ class Parts:
         places, ends = stage_places(problem, lengths), np.append(0.0, np.cumsum(lengths))
         ends[-1] = 1.0
         finer = jacobians_at(problem, self.z, places, problem.sample(self.z, places))[:, :n, :n]
-        found = interval_maps(problem, finer, lengths)
-        if self.back is not None:
-            return np.concatenate([found, self.back[None]]), None
-        return found, velocities_at(problem, self.z, n, ends)
-
-
-def velocities_at(problem: BoundaryProblem, z: Array, n: int, places: Array | None = None) -> Array | None:
-    """Derivatives of the first n states at places, or at the ends of the intervals, one a row; None where one rests."""
-    if places is None:
-        columns = np.arange(problem.resolution + 1) * problem.table.ends.size
-        places, x = problem._fractions()[columns], z[: problem.states].reshape(problem.columns, -1)[columns]
-    else:
-        x = problem.sample(z, places)
-    mapped = problem.formulation.field_function.map(places.size)
-    field = mapped(places[None], x.T, *problem.repeated(z, places.size))
-    return moving(np.array(field[0]).T[:, :n], x[:, :n])
-
-
-def moving(along: Array, x: Array) -> Array | None:
-    """Derivatives along an orbit over its states, where it moves at all of them."""
-    speeds = np.linalg.norm(along, axis=1)
-    moves = np.min(speeds) > SLOWEST * np.max(speeds) and np.max(speeds) > SLOWEST * np.max(np.abs(x))
-    return along if moves else None
+        return interval_maps(finer, lengths, problem.table), problem.sample(self.z, ends)[:, :n]

@@ -55,6 +55,11 @@ class Spectrum:
         """How many are so far from 1 that a step may have lost their digits, 0 where all but one are near."""
         return int(np.count_nonzero(np.abs(self.logs) > -np.log(SMALL))) if np.any(np.abs(self.logs) > FAR) else 0
 
+    def joined(self, other: Spectrum) -> Spectrum:
+        """These, then those of another one."""
+        logs, phases = np.concatenate([self.logs, other.logs]), np.concatenate([self.phases, other.phases])
+        return Spectrum(logs, phases, self.extreme or other.extreme)
+
     def taken(self, chosen: NDArray[np.bool_]) -> Spectrum:
         """Some of them."""
         return Spectrum(self.logs[chosen], self.phases[chosen], self.extreme)
@@ -76,22 +81,17 @@ def scaled_product(maps: Sequence[Array] | Array) -> tuple[Array, float]:
     return total, logarithm
 
 
-def spectrum_of(maps: Array, across: Array | None = None) -> Spectrum:
-    """Eigenvalues of the product of maps, shape (factors, n, n); with a basis `across` of that between its columns.
-
-    Where the product is extreme those of the whole, whatever the basis.
-    """
+def spectrum_of(maps: Array) -> Spectrum:
+    """Eigenvalues of the product of maps, shape (factors, n, n)."""
     if maps.shape[1] == 0:
         return Spectrum(np.empty(0), np.empty(0, dtype=complex))
-    basis = np.eye(maps.shape[1]) if across is None else across
     forward, size = scaled_product(maps)
-    values = np.linalg.eigvals(basis.T @ forward @ basis).astype(complex)
-    found = _shifted(values, size)
+    found = _shifted(np.linalg.eigvals(forward).astype(complex), size)
     if len(maps) == 1:
         return found
     inverse = _inverse_product(maps)
     if inverse is not None and size + inverse[1] <= EXTREME:
-        return _of_both(found, size, inverse, basis)
+        return _of_both(found, size, inverse)
     triangular = _schur(maps)
     return triangular or Spectrum(found.logs, found.phases, True)
 
@@ -101,13 +101,13 @@ def _shifted(values: ComplexArray, logarithm: float) -> Spectrum:
     return Spectrum(found.logs + logarithm, found.phases)
 
 
-def _of_both(forward: Spectrum, size: float, inverse: tuple[Array, float], basis: Array) -> Spectrum:
+def _of_both(forward: Spectrum, size: float, inverse: tuple[Array, float]) -> Spectrum:
     """Each eigenvalue from the product or from that of the inverses, whichever has more of its digits.
 
     Rounding is relative to the norm of either, so that each serves the eigenvalues on its own side of the modulus at
     which both are equally good.
     """
-    reciprocal = _shifted(np.linalg.eigvals(basis.T @ inverse[0] @ basis).astype(complex), inverse[1])
+    reciprocal = _shifted(np.linalg.eigvals(inverse[0]).astype(complex), inverse[1])
     backward = Spectrum(-reciprocal.logs[::-1], reciprocal.phases[::-1].conj())
     small = (forward.logs < np.log(SMALL)) & (0.5 * (forward.logs + backward.logs) < 0.5 * (size - inverse[1]))
     if forward.logs.size == 1:
@@ -120,7 +120,7 @@ def _inverse_product(maps: Array) -> tuple[Array, float] | None:
     """The inverse of the product, from those of the maps, scaled; None where it has no finite entries."""
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            inverse, size = scaled_product([np.linalg.inv(m) for m in maps[::-1]])
+            inverse, size = scaled_product(np.asarray(np.linalg.inv(maps[::-1]), dtype=float))
     except np.linalg.LinAlgError:
         return None
     return (inverse, size) if np.all(np.isfinite(inverse)) and np.isfinite(size) else None
@@ -167,7 +167,7 @@ def by_liouville(spectrum: Spectrum, maps: Array, contraction: float) -> Spectru
     others = np.delete(spectrum.logs, index)
     logs, phases = spectrum.logs.copy(), spectrum.phases.copy()
     logs[index] = contraction - float(np.sum(others))
-    sign = np.prod([np.linalg.slogdet(m)[0] for m in maps]) * np.prod(np.delete(phases, index)).real
+    sign = np.prod(np.linalg.slogdet(maps)[0]) * np.prod(np.delete(phases, index)).real
     phases[index] = np.sign(sign) or 1.0
     return Spectrum(logs, phases, spectrum.extreme)
 

@@ -98,7 +98,7 @@ class Floquet(Result, ABC):
     @property
     @abstractmethod
     def error(self) -> float:
-        """Estimated absolute error of the multipliers."""
+        """Estimated absolute error of the multipliers; relative of those that are larger than 1."""
 
     @property
     def log10_abs_multipliers(self) -> Array:
@@ -289,7 +289,8 @@ class FullPeriodFloquet(Floquet):
     def error(self) -> float:
         """The largest of those that are not inside the circle by more than their error; of all where all are."""
         decisive = np.abs(self.others) >= 1.0 - self.other_errors
-        return float(np.max(self.other_errors[decisive] if decisive.any() else self.other_errors, initial=0.0))
+        errors = self.other_errors / np.maximum(1.0, np.abs(self.others))
+        return float(np.max(errors[decisive] if decisive.any() else errors, initial=0.0))
 
 
 def _modulus(mu: ComplexArray) -> Array:
