@@ -153,7 +153,7 @@ def multipliers_of(family: Family, point: Point, moved: bool = False) -> Complex
         problem, k = everywhere.problem, everywhere.problem.parameter_index
         q, change = (problem.sample(v, np.zeros(1))[0] for v in (everywhere.z, everywhere.tangent))
         S_rate = whole.coordinates.S_rate
-        directions = (2.0 / S_rate * everywhere.z[k] * change + everywhere.tangent[k] * q)[None]
+        directions = whole.across((2.0 / S_rate * everywhere.z[k] * change + everywhere.tangent[k] * q)[None])
     matrix, error = transition.matrix[None], flow_error(transition)[None]
     reduced, errors = reduced_matrices(matrix, error, directions, symplectic)
     return np.asarray(np.linalg.eigvals(reduced[0, 0] + moved * errors[0, 0]).astype(complex))

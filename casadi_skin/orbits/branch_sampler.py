@@ -96,6 +96,7 @@ class OrbitSampler:
         symplectic: whether transition matrices are.
         S_rate: the relative change of S per that of the free parameter.
         converged: whether the points and their tangents are accurate enough to predict orbits from.
+        across: takes directions (any, positions) to those of the positions that `flow` has.
 
     `coordinates` are those of the points; `unknown` are the stretches between two of which one is not solved again.
     """
@@ -112,8 +113,9 @@ class OrbitSampler:
         symplectic: bool = True,
         S_rate: float = 1.0,
         converged: bool = False,
+        across: Callable[[Array], Array] = np.asarray,
     ) -> None:
-        self.point_solver, self.flow = point_solver, flow
+        self.point_solver, self.flow, self._across = point_solver, flow, across
         self.fraction, self.symplectic = fraction, symplectic
         self._accelerations, self._amplitude, self._tolerance = accelerations, amplitude, tolerance
         self._S_rate, self._converged = S_rate, converged
@@ -307,7 +309,7 @@ class OrbitSampler:
             q, change = problem.sample(state.z, at_rest)[0], problem.sample(slope, at_rest)[0]
             k = problem.parameter_index
             found.append(2.0 / self._S_rate * state.z[k] * change + slope[k] * q)
-        return np.array(found)
+        return self._across(np.array(found))
 
     def amplitude(self, coordinate: float) -> float:
         """S near a coordinate, between the points of the branch."""

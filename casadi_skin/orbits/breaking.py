@@ -95,11 +95,12 @@ def breaking_of(orbit: Orbit, mu: float) -> Breaking | None:
             if name == trivial:
                 along = acceleration / np.linalg.norm(acceleration)
                 vector = np.linalg.svd(rows[-2:] - np.outer(rows[-2:] @ along, along))[2][0]
-            best = (float(values[place] / values[0]), name, np.asarray(vector * scale))
+            best = (float(values[place] / values[0]), name, np.asarray(vector))
     _, name, vector = best
     if not name:
         return None
     symmetry, turns, lost = KINDS[family.symmetry, name]
+    vector = scale * (vector if family.whole.frame is None else family.whole.frame @ vector)
     zero = np.zeros(vector.size)
     full = np.concatenate([vector, zero] if name in "AC" else [zero, vector])
     return Breaking(name, full / np.linalg.norm(full), symmetry, turns, lost)

@@ -233,6 +233,11 @@ class Coordinates(ABC):
     def Omega_shift(self, problem: Problem, z: Array) -> float:
         """Omega minus the linear frequency, formed without subtraction where the shift is small."""
 
+    @property
+    def free_motions(self) -> Array:
+        """Directions along which forces neither act nor change, as orthonormal columns in scaled positions: momenta."""
+        return np.empty((self.mode.size, 0))
+
     def with_resting(self, point: Point, floquet: ReversibleFloquet) -> ReversibleFloquet:
         """The stability of all positions, from that of those which are solved for."""
         return floquet

@@ -23,6 +23,7 @@ from casadi_skin.solvers.levels import Levels
 from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
 from casadi_skin.stability.multipliers import floquet_vectors, floquets, vectors_of_map
 from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.relative import RelativeFlow, complement
 from casadi_skin.stability.result import Floquet
 from casadi_skin.threads import one_thread
 
@@ -77,12 +78,25 @@ class FamilyStability(ABC):
 
     @cached_property
     def flow(self) -> FlowMap:
-        """Flow map of the variational system."""
+        """Flow map of the variational system, of relative positions: see `frame`."""
         return self._flow(str(self.request.method.flow))
 
     def _flow(self, name: str) -> FlowMap:
+        return self._flow_of_all(name) if self.frame is None else RelativeFlow(self._flow_of_all(name), self.frame)
+
+    def _flow_of_all(self, name: str) -> FlowMap:
         flow: FlowMap = methods.FLOWS[name].load()(self.coordinates.scaled, self.tolerance)
         return flow
+
+    @cached_property
+    def frame(self) -> Array | None:
+        """Relative positions, as orthonormal columns: across free motions; None where there are none."""
+        free = self.coordinates.free_motions
+        return complement(free) if free.size else None
+
+    def across(self, directions: Array) -> Array:
+        """Directions (any, scaled positions) as those of relative positions."""
+        return directions if self.frame is None else np.asarray(directions @ self.frame)
 
     @property
     def stability_batch(self) -> int:
@@ -117,6 +131,8 @@ class FamilyStability(ABC):
         flow = self.flow if by in (None, self.request.method.flow) else self._flow(str(by))
         with one_thread():
             results = floquets(flow, states, self.accelerations, self.tolerance, self.coordinates.symplectic)
+        pairs = 1 + self.coordinates.free_motions.shape[1]
+        results = results if pairs == 1 else [replace(found, pairs=pairs) for found in results]
         return [self.coordinates.with_resting(point, found) for point, found in zip(points, results, strict=True)]
 
     def _localised(self, localised: Localised, point: Point, by: str | None) -> LocalisedFloquet:
@@ -161,11 +177,11 @@ class FamilyStability(ABC):
         return OrbitState(problem, self.coordinates.on_cut_sites(state.problem, state.z, sites), better)
 
     def accelerations(self, orbits: Sequence[OrbitState]) -> Array:
-        """q'' at phase zero, shape (orbits, scaled positions)."""
+        """q'' at phase zero, shape (orbits, relative positions)."""
         groups = groupby(orbits, key=lambda orbit: orbit.problem)
         states = [problem.samples(np.stack([one.z for one in those]), np.zeros(1)) for problem, those in groups]
         starts = zip(np.concatenate(states)[:, 0], orbits, strict=True)
-        return np.stack([self._rhs(start, np.array(orbit.parameter))[0].copy() for start, orbit in starts])
+        return self.across(np.stack([self._rhs(start, np.array(orbit.parameter))[0].copy() for start, orbit in starts]))
 
     def on_all_positions(self, point: Point) -> Point:
         """A point of a family whose tail is eliminated, as a point of `whole`."""
@@ -181,10 +197,18 @@ class FamilyStability(ABC):
         return replace(point, problem=here.problem, z=here.z, tangent=np.zeros(here.z.size), better=better)
 
     def transition(self, point: Point) -> tuple[Transition, Array]:
-        """Transition matrix of all scaled positions, and q'' at phase zero."""
+        """Transition matrix of relative positions, and q'' at phase zero."""
         whole, all_positions = self.whole, self.on_all_positions(point)
         acceleration = whole.accelerations([orbit_state(all_positions)])[0]
         return whole.flow.transition(all_positions.problem, all_positions.z), np.asarray(acceleration)
+
+    def transition_of_all(self, point: Point) -> tuple[Transition, Array]:
+        """Transition matrix of all scaled positions, and q'' at phase zero."""
+        whole, all_positions = self.whole, self.on_all_positions(point)
+        acceleration = whole.accelerations([orbit_state(all_positions)])[0]
+        flow = whole._flow_of_all(str(self.request.method.flow))
+        lifted = acceleration if whole.frame is None else whole.frame @ acceleration
+        return flow.transition(all_positions.problem, all_positions.z), np.asarray(lifted)
 
     def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
         """Floquet vectors (positions, velocities) at phase zero, shape (2n, 2n), in the order of the multipliers."""
@@ -193,9 +217,10 @@ class FamilyStability(ABC):
         coordinates = self.whole.coordinates
         if coordinates.without_vectors:
             raise ValueError(f"floquet_vectors: {coordinates.without_vectors}")
-        transition, acceleration = self.transition(point)
         if coordinates.symplectic:
-            return floquet_vectors(transition, acceleration, coordinates.scale)
+            transition, acceleration = self.transition(point)
+            return floquet_vectors(transition, acceleration, coordinates.scale, self.whole.frame)
+        transition, _ = self.transition_of_all(point)
         return vectors_of_map(transition, floquet.multipliers, coordinates.scale)
 
 

@@ -87,4 +87,5 @@ def _sampler(family: Family, points: Sequence[Point], flow_tolerance: float, con
         whole.coordinates.symplectic,
         whole.coordinates.S_rate,
         converged,
+        whole.across,
     )

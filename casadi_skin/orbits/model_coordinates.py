@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array, Problem
+from casadi_skin.bvp.problem import EPSILON, Array, Problem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.polynomial import NotPolynomialError, homogeneous_parts
 from casadi_skin.orbits.amplitude import amplitude_square
@@ -147,22 +147,37 @@ class ModelCoordinates(Coordinates):
 
     def _check_drift(self) -> None:
         """Raises ValueError for a mode of frequency 0 that is no free motion of a part, where the mean is unknown."""
-        free = np.flatnonzero(self._at_rest())
-        if self._model.half_period is not None or not free.size:
+        resting = np.flatnonzero(self._at_rest())
+        if self._model.half_period is not None or not resting.size:
             return
-        force = ca.Function("f", [self._model.state], [ca.densify(self._force)])
-        generator, scale = np.random.default_rng(0), self.scale
+        kept = self._unchanging(self.modes.left[resting].T, transposed=True)
+        if min(self.free_motions.shape[1], kept.shape[1]) < resting.size:
+            words = f"omega^2 = 0 of {self._model.name}, whose mode is no free motion at all amplitudes"
+            raise ValueError(f"model: given {words}; accepted: forces that are odd, or omega^2 > 0")
+
+    @cached_property
+    def free_motions(self) -> Array:
+        return self._unchanging(self.modes.modes[:, self._at_rest()], transposed=False)
+
+    def _unchanging(self, modes: Array, transposed: bool) -> Array:
+        """Those combinations of columns, orthonormal, that the derivative of the forces, or its transpose, takes to 0.
+
+        At random states, as well as at rest: along them forces never change, or do not act.
+        """
+        if not modes.size:
+            return modes
+        state, scale, generator = self._model.state, self.scale, np.random.default_rng(0)
+        derivative = ca.Function("J", [state], [ca.densify(ca.jacobian(self._force, state))])
+        images = []
         for _ in range(TRIALS):
             y = self._unit * scale * generator.uniform(-RANDOM, RANDOM, scale.size)
-            there = np.array(force(y)).ravel() / scale
-            for k in free:
-                moved = np.array(force(y + self._unit * scale * self.modes.modes[:, k])).ravel() / scale
-                allowed = SYMMETRIC * scale.size * (np.linalg.norm(there) + self._unit * np.max(self.modes.squares))
-                if not max(abs(self.modes.left[k] @ there), np.max(np.abs(moved - there))) <= allowed:
-                    words = (
-                        f"omega^2 = 0 of mode {k + 1} of {self._model.name}, which is no free motion at all amplitudes"
-                    )
-                    raise ValueError(f"model: given {words}; accepted: forces that are odd, or omega^2 > 0")
+            J = np.array(derivative(y)) / scale[:, None] * scale
+            if not np.all(np.isfinite(J)):
+                return modes[:, :0]
+            images.append((J.T if transposed else J) @ modes / np.max(np.abs(J)))
+        _, sizes, rows = np.linalg.svd(np.concatenate(images))
+        unchanging = modes @ rows[sizes <= SYMMETRIC * scale.size].T
+        return np.asarray(np.linalg.qr(unchanging)[0])
 
     def _scaled_force(self, q: ca.SX, p: ca.SX) -> ca.SX:
         """D^-1 f(a D q) / a, with a^2 or a = p in its unit: for polynomials by homogeneous parts, regular at a = 0."""
@@ -171,10 +186,13 @@ class ModelCoordinates(Coordinates):
             return linear + self._nonlinear_parts(q, p)
         D, state, t = ca.SX(ca.DM(self._unit * self.scale)), self._model.state, ca.SX.sym("t")
         along = ca.substitute(self._force, state, t * D * q)
-        curvature = ca.substitute(ca.jacobian(ca.jacobian(along, t), t), t, 0)  # d/da at a = 0 is half of it
-        safe = ca.if_else(p == 0, 1, p)
-        beside = ca.substitute(along, t, safe) / (safe * D)
-        return ca.if_else(p == 0, linear + 0.5 * p * curvature / D, beside)
+        second = 0.5 * ca.substitute(ca.jacobian(ca.jacobian(along, t), t), t, 0) / D
+        bend = float(np.linalg.norm(np.array(ca.Function("bend", [q], [ca.densify(second)])(self.mode))))
+        # Below `small` two terms are right to rounding, where f(a q) / a loses all digits.
+        small = float(np.sqrt(EPSILON) / max(1.0, bend / np.linalg.norm(self.modes.stiffness @ self.mode)))
+        is_small = ca.fabs(p) <= small
+        safe = ca.if_else(is_small, small, p)
+        return ca.if_else(is_small, linear + p * second, ca.substitute(along, t, safe) / (safe * D))
 
     def _nonlinear_parts(self, q: ca.SX, p: ca.SX) -> ca.SX:
         """The scaled forces without their linear part, of polynomials."""

@@ -268,7 +268,9 @@ class Orbit(Solution):
         if coordinates.without_vectors or not (splitting and coordinates.symplectic):
             raise ValueError("transient_growth: needs |gamma| < 1 and the splitting flow")
         whole("quarters", quarters, 1, MOST_QUARTERS)
-        return transient_growth(*family.transition(self.point), coordinates.log_scale, self.period, quarters)
+        transition, acceleration = family.transition_of_all(self.point)
+        free = coordinates.free_motions
+        return transient_growth(transition, acceleration, coordinates.log_scale, self.period, quarters, free)
 
     def _family(self) -> Family:
         if not isinstance(self.space, Family):

@@ -146,7 +146,7 @@ def _floquet(record: ReversibleRecord | LocalisedRecord | FullPeriodRecord) -> F
         )
     if isinstance(record, ReversibleRecord):
         mu, errors = doubles_of(record.mu, "<c16"), doubles_of(record.mu_error)
-        return ReversibleFloquet(mu, errors, record.trivial_deviation, record.power)
+        return ReversibleFloquet(mu, errors, record.trivial_deviation, record.power, pairs=record.pairs)
     multipliers = doubles_of(record.multipliers, "<c16")
     monodromy = doubles_of(record.monodromy).reshape(multipliers.size, multipliers.size)
     errors, logs = doubles_of(record.other_errors), doubles_of(record.log_moduli)

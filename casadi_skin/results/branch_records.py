@@ -23,6 +23,7 @@ class ReversibleRecord(msgspec.Struct, frozen=True, tag="reversible"):
     mu_error: bytes
     trivial_deviation: float
     power: int
+    pairs: int = 1
 
 
 class LocalisedRecord(msgspec.Struct, frozen=True, tag="localised"):
@@ -189,7 +190,7 @@ def stability_record(branch: str, orbit: Solution) -> StabilityRecord:
         )  # fmt: skip
     elif isinstance(floquet, ReversibleFloquet):
         mu, errors = bytes_of(floquet.mu, "<c16"), bytes_of(floquet.mu_error)
-        found = ReversibleRecord(mu, errors, floquet.trivial_deviation, floquet.power)
+        found = ReversibleRecord(mu, errors, floquet.trivial_deviation, floquet.power, floquet.pairs)
     else:
         assert isinstance(floquet, FullPeriodFloquet)
         multipliers, monodromy = bytes_of(floquet.multipliers, "<c16"), bytes_of(floquet.monodromy)

@@ -98,15 +98,18 @@ def find_crossings(
     found: Crossings,
     work: float = np.inf,
     progress: Callable[[float], None] | None = None,
+    whole: int | None = None,
 ) -> None:
-    """Every instability along series of matrices of one size.
+    """Every instability along series of matrices.
 
     Arguments:
         series: matrices on intervals, from small coordinates on.
         found: gets unstable segments with their edges; gaps where they are not found.
         work: `found.work` from which on nothing more is looked at; what remains are gaps.
         progress: called with the coordinate up to which everything is looked at.
+        whole: number of rows of series that have every mu, whose spectra are kept; that of the first by default.
     """
+    whole = series[0].size if whole is None else whole
     waiting = [interval for each in series if each.size for interval in _first(each, found)]
     known: list[Block] = []
     while waiting:
@@ -115,7 +118,7 @@ def find_crossings(
             break
         sums = np.cumsum([float(interval.series.size) ** 3 for interval in waiting])
         count = int(np.searchsorted(sums, BATCH_WORK)) + 1
-        halves = _generation(waiting[:count], found, series[0].size, known)
+        halves = _generation(waiting[:count], found, whole, known)
         waiting = sorted([*halves, *waiting[count:]], key=lambda interval: interval.start)
         if progress is not None:
             progress(waiting[0].start if waiting else series[-1].end)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from casadi_skin.stability.assembly import edges_of, place_at, tongues_of
+from casadi_skin.stability.copies import without_copies
 from casadi_skin.stability.crossings import NOT_LOOKED_AT, Crossings, find_crossings
 from casadi_skin.stability.groups import SAME_MU, groups_of
 from casadi_skin.stability.interpolation import (
@@ -86,18 +87,19 @@ def _looked_at(
     known, found = Interpolated(), Crossings()
     waiting: list[MatrixSeries] = []
     for piece in interpolate(branch, tolerance, known, 1.0 if short else FIRST_LENGTH):
-        waiting.append(piece.matrices)
+        waiting += without_copies(piece.matrices)
         for_orbits = SAMPLE_WORK * known.samples * float(piece.matrices.size) ** 3
         expected = INTERVALS * len(waiting) * float(piece.matrices.size) ** 3
         if expected >= min(PIECES_WORK, SHARE * (work - found.work - for_orbits)):
-            find_crossings(waiting, found, work - for_orbits, progress)
+            find_crossings(waiting, found, work - for_orbits, progress, piece.matrices.size)
             waiting = []
             end = branch.sections[-1][1]
             if found.work + for_orbits >= work and piece.matrices.end < end:
                 found.gaps.append(Gap(piece.matrices.end, end, NOT_LOOKED_AT))
                 break
     if waiting:
-        find_crossings(waiting, found, work - SAMPLE_WORK * known.samples * float(waiting[0].size) ** 3, progress)
+        for_orbits = SAMPLE_WORK * known.samples * float(piece.matrices.size) ** 3
+        find_crossings(waiting, found, work - for_orbits, progress, piece.matrices.size)
     found.spectra.sort(key=lambda spectrum: spectrum.coordinate)
     return known, found
 

@@ -9,6 +9,7 @@ nothing overflows.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,11 +54,17 @@ class TransientGrowth(Result):
 
 
 def transient_growth(
-    transition: Transition, acceleration: Array, log_rho: Array, period: float, quarters: int = 40
+    transition: Transition,
+    acceleration: Array,
+    log_rho: Array,
+    period: float,
+    quarters: int = 40,
+    free_motions: Array | None = None,
 ) -> TransientGrowth:
     """Growth at 0, 1, ..., `quarters` quarter periods of a reversible odd orbit, from its quarter-period transition.
 
-    `acceleration` is q'' at phase zero in the gauge, `log_rho` the logarithm of the gauge factor, each (N,). Use a
+    `acceleration` is q'' at phase zero in the gauge, `log_rho` the logarithm of the gauge factor, each (N,);
+    `free_motions`, (N, any), are columns along which no force changes, whose pairs are trivial as well. Use a
     transition of the splitting flow: others fill far entries with round-off. Raises ValueError for another fraction.
     """
     if transition.fraction != 0.25:
@@ -70,7 +77,8 @@ def transient_growth(
     flows: list[Array] = [np.eye(2 * acceleration.size)]
     for k in range(1, quarters + 1):
         flows.append(transition.matrix @ flows[k - 1] if k % 2 else half @ flows[k - 2])
-    bounded, trivial = _subspaces(transition, acceleration, log_rho)
+    free = np.empty((acceleration.size, 0)) if free_motions is None else free_motions
+    bounded, trivial = _subspaces([*trivial_pair(transition, acceleration), *np.kron(np.eye(2), free).T], log_rho)
 
     gains, vectors = [], []
     for flow in flows:
@@ -85,18 +93,17 @@ def transient_growth(
     return TransientGrowth(t, *columns, bounded @ optimal, response, tuple(flows), log_rho)
 
 
-def _subspaces(transition: Transition, acceleration: Array, log_rho: Array) -> tuple[Array, Array]:
-    """Orthonormal physical bases of the perturbations without the trivial pair, (2N, 2N - 2), and of the pair, (2N, 2).
+def _subspaces(trivial: Sequence[Array], log_rho: Array) -> tuple[Array, Array]:
+    """Orthonormal physical bases of the perturbations without the trivial ones, (2N, 2N - k), and of these, (2N, k).
 
-    The former are symplectically orthogonal to the flow's velocity and to the family direction: orthogonal, in physical
-    coordinates, to D^-1 J of these two.
+    The former are symplectically orthogonal to the latter, as the flow's velocity and the family direction: orthogonal,
+    in physical coordinates, to D^-1 J of these.
     """
-    pair = trivial_pair(transition, acceleration)
-    n = acceleration.size
-    normals = np.stack([_rescaled(np.concatenate([v[n:], -v[:n]]), -log_rho) for v in pair], axis=1)
-    directions = np.stack([_rescaled(v, log_rho) for v in pair], axis=1)
+    n = log_rho.size
+    normals = np.stack([_rescaled(np.concatenate([v[n:], -v[:n]]), -log_rho) for v in trivial], axis=1)
+    directions = np.stack([_rescaled(v, log_rho) for v in trivial], axis=1)
     complete = np.linalg.qr(normals, mode="complete")[0]
-    return complete[:, 2:], np.linalg.qr(directions)[0]
+    return complete[:, len(trivial) :], np.linalg.qr(directions)[0]
 
 
 def _rescaled(vector: Array, log_factor: Array) -> Array:

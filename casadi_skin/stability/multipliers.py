@@ -33,6 +33,7 @@ from casadi_skin.stability.reduction import (
     half_cosines,
     stacked,
 )
+from casadi_skin.stability.relative import complement
 from casadi_skin.stability.result import ReversibleFloquet
 
 ORBIT_SAFETY = 2.0
@@ -194,12 +195,16 @@ def trivial_pair(transition: Transition, acceleration: Array) -> tuple[Array, Ar
     return np.concatenate([zero, acceleration]), np.concatenate([family, zero])
 
 
-def floquet_vectors(transition: Transition, acceleration: Array, rho: Array) -> ComplexArray:
+def floquet_vectors(
+    transition: Transition, acceleration: Array, rho: Array, frame: Array | None = None
+) -> ComplexArray:
     """Floquet vectors (positions, velocities) at phase zero, physical coordinates, shape (2n, 2n).
 
     Columns go with `Floquet.multipliers` and are scaled to largest entry 1; of the trivial pair the first is the
     velocity of the flow, the second the direction along the family. For an eigenvector x of B^T C the velocities
-    follow from the second row of M: (lambda - 1 - 2 mu) v = 2 A^T C x.
+    follow from the second row of M: (lambda - 1 - 2 mu) v = 2 A^T C x. Where transition and acceleration are those of
+    relative positions, with the columns of a `frame`, pairs of a displacement and a velocity of what the frame leaves
+    out come next.
     """
     solved = _solve([transition], acceleration[None, :], acceleration[None, :])
     (result,), reflections, systems = solved.results, solved.reflections, solved.systems
@@ -210,7 +215,12 @@ def floquet_vectors(transition: Transition, acceleration: Array, rho: Array) -> 
         velocity = 2.0 * A.T @ (C @ x)
         for value in (root**2, root**-2):
             columns.append(np.concatenate([x * (value - 1.0 - 2.0 * mu), velocity]))
-    vectors = np.concatenate([rho, rho])[:, None] * np.stack(columns, axis=1)
+    vectors = np.stack(columns, axis=1)
+    if frame is not None:
+        lifted = np.concatenate([frame @ half for half in np.split(vectors, 2)])
+        free = np.kron(np.eye(2), complement(frame))
+        vectors = np.concatenate([lifted[:, :2], free, lifted[:, 2:]], axis=1)
+    vectors = np.concatenate([rho, rho])[:, None] * vectors
     return np.asarray(vectors / np.max(np.abs(vectors), axis=0))
 
 

@@ -121,19 +121,24 @@ class Floquet(Result, ABC):
 
 @dataclass(frozen=True, repr=False)
 class ReversibleFloquet(Floquet):
-    """Stability of a reversible orbit with n positions, from n - 1 values of mu beside the trivial one.
+    """Stability of a reversible orbit with n positions, from n - k values of mu beside the k trivial ones.
 
-    `mu` and `mu_error`, its estimated errors, have shape (n - 1,); `trivial_deviation` is how far the trivial
-    eigenvalue is from its exact value. `power` of lambda(M) gives the multipliers over the period.
+    `mu` and `mu_error`, its estimated errors, have shape (n - k,); `trivial_deviation` is how far the trivial
+    eigenvalue is from its exact value. `power` of lambda(M) gives the multipliers over the period. Of the k `pairs` of
+    trivial multipliers one is of time and of the family, one of each momentum that is conserved.
     """
 
     mu: ComplexArray
     mu_error: Array
     trivial_deviation: float
     power: int
-    trivial: int = field(default=2, init=False)
+    pairs: int = field(default=1, kw_only=True)
     monodromy: None = field(default=None, init=False)
     allowed_deviation: float = field(default=np.inf, init=False)
+
+    @property
+    def trivial(self) -> int:  # type: ignore[override]
+        return 2 * self.pairs
 
     @property
     def outside(self) -> NDArray[np.bool_]:
@@ -184,9 +189,9 @@ class ReversibleFloquet(Floquet):
 
     @cached_property
     def multipliers(self) -> ComplexArray:  # type: ignore[override]
-        """All 2n multipliers over the period, shape (2n,): the trivial pair, exactly 1, then each lambda, 1/lambda."""
+        """All 2n multipliers over the period, shape (2n,): the trivial pairs, exactly 1, then each lambda, 1/lambda."""
         outer = self.root ** (2 * self.power)
-        return np.concatenate([np.ones(2, complex), np.stack([outer, 1.0 / outer], axis=1).ravel()])
+        return np.concatenate([np.ones(self.trivial, complex), np.stack([outer, 1.0 / outer], axis=1).ravel()])
 
     @cached_property
     def other_errors(self) -> Array:  # type: ignore[override]
