@@ -16,7 +16,6 @@ from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
 
 
-
 def complement(directions: Array) -> Array:
     """Orthonormal columns that span what is orthogonal to the columns of (n, m), m < n."""
     return np.asarray(np.linalg.qr(directions, mode="complete")[0][:, directions.shape[1] :])
