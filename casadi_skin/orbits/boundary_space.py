@@ -21,7 +21,7 @@ from casadi_skin.orbits.boundary_solutions import BoundarySolutions
 from casadi_skin.orbits.branch_points import branch_points_between
 from casadi_skin.orbits.crossing_place import ONE_PLACE
 from casadi_skin.orbits.method import TWO_PI
-from casadi_skin.orbits.period_limit import joined_words, limit_between, resting_phases, resting_places, unbounded
+from casadi_skin.orbits.period_limit import joined_words, unbounded
 from casadi_skin.orbits.refined import BoundaryError, refined
 from casadi_skin.orbits.special_points import BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, fold_between
 from casadi_skin.orbits.turns import turning
@@ -175,16 +175,7 @@ class BoundarySpace(BoundarySolutions):
         """The later of two orbits where the period grows without bound there."""
         if self.periodic is None or PERIOD not in self.statement.free:
             return None
-        left = limit_between(self.start, before, after, self.tolerance)
-        return None if left is None else unbounded(after, left, self._resting_places(after))
-
-    def _resting_places(self, point: Point) -> list[Array]:
-        """Equilibria that an orbit passes slowly."""
-        periodic, problem = self._orbit_of(), point.problem
-        assert isinstance(problem, BoundaryProblem)
-        states = self.states_at(point, resting_phases(problem, periodic.symmetry), None)
-        p = problem.parameters(point.z)[: periodic.model.parameters.numel()]
-        return resting_places(periodic.model, states, p, periodic.turns)
+        return unbounded(self, before, after)
 
     def shrinks(self, before: Point, after: Point) -> bool:
         """Whether an orbit with a free period passes through amplitude zero: its variation changes sign."""
@@ -241,7 +232,7 @@ class BoundarySpace(BoundarySolutions):
         if point.special in (HOMOCLINIC, HETEROCLINIC):
             value, error = self.parameters(point)[self.parameter], self.parameter_error(point)
             where = f"{self.parameter} = {value:.10g} +- {error:.0e}"
-            return End.UNBOUNDED, f"{joined_words(point, self._resting_places(point), self.model)}, at {where}"
+            return End.UNBOUNDED, f"{joined_words(self, point, self.model)}, at {where}"
         problem = point.problem
         assert isinstance(problem, BoundaryProblem)
         words = problem.backwards(point.z)

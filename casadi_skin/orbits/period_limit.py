@@ -1,143 +1,187 @@
 """The limit of a branch of orbits whose period grows without bound: an orbit that joins equilibria.
 
-Near a homoclinic orbit to a saddle the parameter comes to its limit as exp(-lambda T), near one to a saddle-node as a
-power of T (Kuznetsov 2004, sections 6.2 and 7.1). Both are a power law of T locally: from the rates dp/dT at two orbits
-follows how far the limit is. The branch ends where that is nearer than the tolerance.
+The limit is named where the orbits stay beside saddles as long as the linearised flow there says (Kuznetsov 2004,
+sections 6.2 and 7.1), and a truncated boundary-value problem has a connecting orbit beside them at a parameter that the
+orbits have reached within the tolerance. An explosion of cycles (canards) passes no saddle and goes on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Scalar
-from casadi_skin.bvp.stated_problem import BoundaryProblem
-from casadi_skin.bvp.symmetry import SymmetryClass
+from casadi_skin.bvp.problem import EPSILON, Array, Scalar
+from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components
 from casadi_skin.continuation.points import Point
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.method import TWO_PI
+from casadi_skin.orbits.connecting import Connection, Pins, Side
+from casadi_skin.orbits.orbit_statement import UNFOLDING
+from casadi_skin.orbits.rests import BESIDE, CONVERGED, Course, Stay, in_a_period, in_the_part, stays
 from casadi_skin.orbits.special_points import HETEROCLINIC, HOMOCLINIC
 
-PLACES = 2001  # along an orbit at which its speed is looked at
+if TYPE_CHECKING:
+    from casadi_skin.orbits.boundary_space import BoundarySpace
+
 SMALLEST = 1e-9  # of the largest component: smaller ones are reported as 0
-GROWN = 3.0  # times the period at the start of the branch
-SLOW = 1e-2  # of the largest speed along the orbit: it passes an equilibrium there
-STILL = 1e-15  # of it: a parameter that does not change
 NEAREST = 1e-9  # of the way that is followed: nearer to its limit the parameter does not separate orbits
 SAFETY = 3.0  # between an estimated distance and the reported error
-STEPS, CONVERGED = 30, 1e-10  # of Newton's method for the equilibrium
-NEAR = 0.2  # of the orbit's extent: how far from its slowest place an equilibrium may be
+AGREES = 0.25  # of a stay: what it may differ from that of the linearised flow
+ROUNDED = 100.0 * EPSILON  # of a parameter: its rounding at a saddle-node
+COMES = 0.1  # of the place where an orbit is beside an equilibrium: how near it has to come
+SHORTER = 0.3  # of a truncation: the next one
+OUTSIDE = 3.0  # of the distance at which an orbit passes an equilibrium: the nearest truncation
 
 
-def limit_between(start: Point, before: Point, after: Point, tolerance: float) -> float | None:
-    """Distance of the parameter from its limit at the later of two orbits, where the period grows without bound.
+@dataclass(frozen=True)
+class Limit:
+    """Where the period grows without bound: the parameter, its error, and whether it is the connecting orbit's own."""
 
-    Arguments:
-        start: of the branch.
-        before, after: neighbours on the branch.
-        tolerance: how near to its limit the parameter has to be, relative to the way that is followed.
+    parameter: float
+    error: float
+    solved: bool
 
-    Returns:
-        A bound of the distance; None where the branch goes on.
-    """
-    first, one, other = (_period(point) for point in (start, before, after))
-    if not (other[0] > one[0] and other[0] > GROWN * first[0]):
+
+def unbounded(space: BoundarySpace, before: Point, after: Point) -> Point | None:
+    """The later of two orbits as the end of its branch, where the period grows without bound; None where it goes on."""
+    index, place = after.problem.parameter_index, after.problem.index_of(Scalar.OMEGA)
+    if not space.interval(after)[1] > space.interval(before)[1]:
         return None
-    left = _distance(before, after)
-    return SAFETY * left if left <= max(tolerance, NEAREST) * after.problem.parameter_size(after.z) else None
+    model, name = space.statement.model, space.parameter
+    walking = model.parameter_names.index(name)
+    course, found = stays(space, model, after, walking)
+    period = in_a_period(course, found)
+    if len(period) < 2 or not _grows(period, in_a_period(*stays(space, model, before, walking))):
+        return None
+    way = abs(space.to - space.statement.values[name])
+    allowed = max(space.tolerance, NEAREST) * after.problem.parameter_size(after.z)
+    rate = abs(float(after.tangent[index] / after.tangent[place]))
+    slow = [min(stay.rest.growth, stay.rest.decay) for stay in period[:-1] if not len(stay.rest.centre)]
+    left = rate * sum(1.0 / slowest for slowest in slow)
+    value = float(course.p[walking])
+    doubles = [float(stay.rest.p[walking]) for stay in period if len(stay.rest.centre)]
+    if SAFETY * left > SAFETY**2 * allowed or any(abs(double - value) > allowed * way for double in doubles):
+        return None
+    limit = _limit(space, after, course, (period, found), doubles, SAFETY * allowed * way)
+    if limit is None:
+        return None
+    if np.isnan(limit.parameter):
+        limit = Limit(value, SAFETY * left * way, solved=False)
+    if abs(limit.parameter - value) > allowed * way or limit.error > SAFETY * allowed * way:
+        return None
+    return _marked(space, after, limit, period)
 
 
-def _period(point: Point) -> tuple[float, float]:
-    """The unknown period and its rate along the branch."""
-    place = point.problem.index_of(Scalar.OMEGA)
-    return float(point.z[place]), float(point.tangent[place])
+def _marked(space: BoundarySpace, orbit: Point, limit: Limit, period: Sequence[Stay]) -> Point:
+    """The orbit as the end of its branch."""
+    size = abs(space.to - space.statement.values[space.parameter]) * orbit.problem.parameter_size(orbit.z)
+    own = 0.0 if limit.solved else orbit.error.relative(1.0)
+    z = orbit.z.copy()
+    if limit.solved:
+        z[orbit.problem.parameter_index] = space._fraction(limit.parameter)
+    kind = HOMOCLINIC if len(places_of(space, period)) == 1 else HETEROCLINIC
+    error = replace(orbit.error, parameter=limit.error / size + own)
+    return replace(orbit, z=z, error=error, special=kind, walked=False, requested=False)
 
 
-def _distance(before: Point, after: Point) -> float:
-    """Distance of the parameter from its limit by a power law; infinite where there is none at a finite distance."""
-    (one, first), (other, last) = _period(before), _period(after)
-    moved = abs(after.parameter - before.parameter)
-    moves = [float(point.tangent[point.problem.parameter_index]) for point in (before, after)]
-    rates = [abs(moves[0] / first), abs(moves[1] / last)]
-    if moved <= STILL * after.problem.parameter_size(after.z) or 0.0 in rates:
-        return moved
-    power = np.log(rates[0] / rates[1]) / np.log(other / one)
-    return float(rates[1] * other / (power - 1.0)) if power > 1.0 else np.inf
+def _grows(after: Sequence[Stay], before: Sequence[Stay]) -> bool:
+    """Whether stays grow from one orbit to the next as the linearised flow has it.
 
-
-def resting_places(model: OdeModel, states: Array, p: Array, turns: Sequence[int]) -> list[Array]:
-    """Different equilibria that an orbit passes slowly, in the order of time.
-
-    Arguments:
-        model: of first order, autonomous.
-        states: along the orbit, shape (places, components).
-        p: parameters of the model.
-        turns: of the states in a period; those that turn are reported modulo 2 pi.
+    Beside a saddle the least distance falls exponentially, at a rate whose inverse is the sum of those of decay and
+    growth; beside a saddle-node the least speed falls as the square of the time.
     """
-    field = model.vector_field.map(len(states))
-    speeds = np.linalg.norm(np.array(field(0.0, states.T, np.tile(p[:, None], len(states)))), axis=0)
-    slow = speeds < SLOW * np.max(speeds)
-    reach = NEAR * np.ptp(states, axis=0)
+    if len(after) != len(before):
+        return False
+    for stay, one in zip(after[:-1], before[:-1], strict=True):
+        rest, length, other = stay.rest, stay.end - stay.start, one.end - one.start
+        if not (length > other and stay.nearest < COMES * BESIDE):
+            return False
+        if len(rest.centre):
+            expected, own, slack = 0.5 * np.log(one.speed / stay.speed), np.log(length / other), 0.0
+        else:
+            expected, slack = np.log(one.nearest / stay.nearest), np.log(rest.skew)
+            own = (length - other) / (1.0 / rest.growth + 1.0 / rest.decay)
+        if not abs(expected - own) <= AGREES * own + slack:
+            return False
+    return True
+
+
+def _limit(
+    space: BoundarySpace,
+    orbit: Point,
+    course: Course,
+    rests: tuple[Sequence[Stay], Sequence[Stay]],
+    doubles: Sequence[float],
+    allowed: float,
+) -> Limit | None:
+    """The limit by connecting orbits at two truncations; None where they have none in one place.
+
+    NaN where they exist and leave the parameter to the conditions that pick an orbit.
+    """
+    period, connections = rests[0], _connections(space, orbit, course, *rests)
+    radius, nearest = COMES * BESIDE * SAFETY, OUTSIDE * max(stay.nearest for stay in period)
+    before: Array | None = None
+    while connections and radius > nearest:
+        solved = [connection.solved(radius) for connection in connections]
+        if any(one is None for one in solved):
+            return None
+        values = np.array([one for one in solved if one is not None])
+        determined = values[~np.isnan(values[:, 0])]
+        if doubles:
+            own = CONVERGED * abs(space.to - space.statement.values[space.parameter]) + ROUNDED * abs(doubles[0])
+            return Limit(doubles[0], own + float(np.ptp(doubles)), solved=True)
+        if not len(determined):
+            return Limit(np.nan, np.nan, solved=False)
+        if before is not None:
+            error = float(np.max(np.abs(determined[:, 0] - before)) + np.max(determined[:, 1]) + np.ptp(determined[:, 0]))
+            if error <= allowed:
+                return Limit(float(np.mean(determined[:, 0])), error, solved=True)
+        before, radius = determined[:, 0], SHORTER * radius
+    return None
+
+
+def _connections(
+    space: BoundarySpace, orbit: Point, course: Course, period: Sequence[Stay], found: Sequence[Stay]
+) -> list[Connection]:
+    """The parts of a period from one stay to the next; of a symmetric orbit from and to where its reversal leaves it."""
+    periodic = space._orbit_of()
+    unfolded = [name for name in space.statement.free if name.startswith(UNFOLDING)]
+    free = unfolded[0] if unfolded else space.parameter
+    if periodic.symmetry is SymmetryClass.FULL:
+        pairs = [(one, other) for one, other in zip(period[:-1], period[1:], strict=True)]
+        return [Connection(space, orbit, course, pair, free) for pair in pairs]
+    inside = in_the_part(course, found, periodic.symmetry)
+    end = periodic.symmetry.value * course.period
+    first, last = pinned_components(periodic.model, periodic.symmetry)
+    turned = np.pi * np.array(periodic.turns or np.zeros(periodic.model.full_size))
+    pieces: list[tuple[Side, Side]] = []
+    if inside[0].start > 0.0:
+        pieces.append((Pins(0.0, first, np.zeros(len(first))), inside[0]))
+    pieces += zip(inside[:-1], inside[1:], strict=True)
+    if inside[-1].end < end:
+        pieces.append((inside[-1], Pins(end, last, turned[last])))
+    return [Connection(space, orbit, course, piece, "") for piece in pieces]
+
+
+def places_of(space: BoundarySpace, period: Sequence[Stay]) -> list[Array]:
+    """Different equilibria of stays; those of states that turn are the same a turn apart."""
+    turns = np.array(space._orbit_of().turns or np.zeros(len(period[0].rest.x)))
     found: list[Array] = []
-    for stretch in np.split(np.arange(len(states)), np.flatnonzero(np.diff(slow.astype(int))) + 1):
-        if not slow[stretch[0]]:
-            continue
-        x = _equilibrium(model, states[stretch[np.argmin(speeds[stretch])]], p)
-        if x is None or np.any(np.abs(x - states[stretch[np.argmin(speeds[stretch])]]) > reach):
-            continue
-        if not any(_same(x, other, reach, turns) for other in found):
+    for stay in period:
+        x = stay.rest.x
+        x = np.where(turns != 0, np.pi - np.mod(np.pi - x, 2.0 * np.pi), x)
+        if not any(np.allclose(x, other, rtol=1e-6, atol=1e-6 * np.max(np.abs(x))) for other in found):
             found.append(x)
     return found
 
 
-def _same(x: Array, other: Array, reach: Array, turns: Sequence[int]) -> bool:
-    away = x - other
-    if any(turns):
-        away = np.where(np.array(turns) != 0, away - 2.0 * np.pi * np.round(away / (2.0 * np.pi)), away)
-    return bool(np.all(np.abs(away) <= 0.1 * reach))
-
-
-def _equilibrium(model: OdeModel, x: Array, p: Array) -> Array | None:
-    """The equilibrium near a state by Newton's method, where the Jacobian is singular too; None where none is."""
-    slope = model.function(
-        "slope",
-        model.vector_field(0.0, model.full_state, model.parameters),
-        ca.densify(ca.jacobian(model.full_rhs, model.full_state)),
-    )
-    size = np.max(np.abs(x)) + 1.0
-    for _ in range(STEPS):
-        rate, jacobian = (np.array(value) for value in slope(0.0, x, p))
-        step = np.linalg.lstsq(jacobian, rate.ravel(), rcond=1e-10)[0]
-        x = x - step
-        if not np.all(np.isfinite(x)):
-            return None
-        if np.max(np.abs(step)) < CONVERGED * size:
-            return np.asarray(x)
-    return np.asarray(x) if np.max(np.abs(step)) < 1e-4 * size else None  # a double one is come to slowly
-
-
-def unbounded(orbit: Point, left: float, places: Sequence[Array]) -> Point | None:
-    """An orbit marked as the end of its branch, a distance from the limit; None where it rests nowhere nearly."""
-    if not places:
-        return None
-    error = replace(orbit.error, parameter=left / orbit.problem.parameter_size(orbit.z) + orbit.error.relative(1.0))
-    kind = HOMOCLINIC if len(places) == 1 else HETEROCLINIC
-    return replace(orbit, error=error, special=kind, walked=False, requested=False)
-
-
-def resting_phases(problem: BoundaryProblem, symmetry: SymmetryClass) -> Array:
-    """Phases at which it is looked at how fast an orbit moves: even ones, and those of the mesh."""
-    parts = np.concatenate([np.linspace(0.0, 1.0, PLACES), symmetry.value * problem._fractions()])
-    return np.asarray(TWO_PI * np.unique(parts))
-
-
-def joined_words(orbit: Point, places: Sequence[Array], model: OdeModel) -> str:
+def joined_words(space: BoundarySpace, orbit: Point, model: OdeModel) -> str:
     """Which equilibria an orbit with a period without bound joins."""
+    walking = space.statement.model.parameter_names.index(space.parameter)
     found = []
-    for x in places:
+    for x in places_of(space, in_a_period(*stays(space, space.statement.model, orbit, walking))):
         x = np.where(np.abs(x) < SMALLEST * np.max(np.abs(x)), 0.0, x)
         state = ", ".join(f"{name} = {value:.6g}" for name, value in zip(model.state_names, x, strict=True))
         found.append(f"({state})")
