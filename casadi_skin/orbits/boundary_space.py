@@ -232,7 +232,7 @@ class BoundarySpace(BoundarySolutions):
         if point.special in (HOMOCLINIC, HETEROCLINIC):
             value, error = self.parameters(point)[self.parameter], self.parameter_error(point)
             where = f"{self.parameter} = {value:.10g} +- {error:.0e}"
-            return End.UNBOUNDED, f"{joined_words(self, point, self.model)}, at {where}"
+            return End.UNBOUNDED, f"{joined_words(self, point)}, at {where}"
         problem = point.problem
         assert isinstance(problem, BoundaryProblem)
         words = problem.backwards(point.z)

@@ -16,7 +16,6 @@ import numpy as np
 from casadi_skin.bvp.problem import EPSILON, Array, Scalar
 from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components
 from casadi_skin.continuation.points import Point
-from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.connecting import Connection, Pins, Side
 from casadi_skin.orbits.orbit_statement import UNFOLDING
 from casadi_skin.orbits.rests import BESIDE, CONVERGED, Course, Stay, in_a_period, in_the_part, stays
@@ -25,9 +24,10 @@ from casadi_skin.orbits.special_points import HETEROCLINIC, HOMOCLINIC
 if TYPE_CHECKING:
     from casadi_skin.orbits.boundary_space import BoundarySpace
 
-SMALLEST = 1e-9  # of the largest component: smaller ones are reported as 0
+SMALLEST = 1e-9  # of the orbit's extent: smaller components are reported as 0
 NEAREST = 1e-9  # of the way that is followed: nearer to its limit the parameter does not separate orbits
 SAFETY = 3.0  # between an estimated distance and the reported error
+LONGEST = 36.0  # times the time of growth by e: a longer stay is beyond doubles
 AGREES = 0.25  # of a stay: what it may differ from that of the linearised flow
 ROUNDED = 100.0 * EPSILON  # of a parameter: its rounding at a saddle-node
 COMES = 0.1  # of the place where an orbit is beside an equilibrium: how near it has to come
@@ -46,32 +46,32 @@ class Limit:
 
 def unbounded(space: BoundarySpace, before: Point, after: Point) -> Point | None:
     """The later of two orbits as the end of its branch, where the period grows without bound; None where it goes on."""
-    index, place = after.problem.parameter_index, after.problem.index_of(Scalar.OMEGA)
-    if not space.interval(after)[1] > space.interval(before)[1]:
-        return None
-    model, name = space.statement.model, space.parameter
-    walking = model.parameter_names.index(name)
-    course, found = stays(space, model, after, walking)
-    period = in_a_period(course, found)
-    if len(period) < 2 or not _grows(period, in_a_period(*stays(space, model, before, walking))):
-        return None
-    way = abs(space.to - space.statement.values[name])
-    allowed = max(space.tolerance, NEAREST) * after.problem.parameter_size(after.z)
+    index, place, period = after.problem.parameter_index, after.problem.index_of(Scalar.OMEGA), space.interval(after)[1]
     rate = abs(float(after.tangent[index] / after.tangent[place]))
-    slow = [min(stay.rest.growth, stay.rest.decay) for stay in period[:-1] if not len(stay.rest.centre)]
-    left = rate * sum(1.0 / slowest for slowest in slow)
-    value = float(course.p[walking])
-    doubles = [float(stay.rest.p[walking]) for stay in period if len(stay.rest.centre)]
-    if SAFETY * left > SAFETY**2 * allowed or any(abs(double - value) > allowed * way for double in doubles):
+    allowed = max(space.tolerance, NEAREST) * after.problem.parameter_size(after.z)
+    if period <= space.interval(before)[1] or rate * period > LONGEST * SAFETY * allowed:
         return None
-    limit = _limit(space, after, course, (period, found), doubles, SAFETY * allowed * way)
+    walking = space.statement.model.parameter_names.index(space.parameter)
+    way = abs(space.to - space.statement.values[space.parameter])
+    course, found = stays(space, after, walking)
+    beside = in_a_period(course, found)
+    if len(beside) < 2:
+        return None
+    value, rests = float(course.p[walking]), [stay.rest for stay in beside[:-1]]
+    doubles = [float(rest.p[walking]) for rest in rests if len(rest.centre)]
+    left = rate * sum(1.0 / min(rest.growth, rest.decay) for rest in rests if not len(rest.centre))
+    if left > SAFETY * allowed or any(abs(double - value) > allowed * way for double in doubles):
+        return None
+    if not _grows(beside, in_a_period(*stays(space, before, walking))):
+        return None
+    limit = _limit(space, after, course, (beside, found), doubles, SAFETY * allowed * way)
     if limit is None:
         return None
     if np.isnan(limit.parameter):
         limit = Limit(value, SAFETY * left * way, solved=False)
     if abs(limit.parameter - value) > allowed * way or limit.error > SAFETY * allowed * way:
         return None
-    return _marked(space, after, limit, period)
+    return _marked(space, after, limit, beside)
 
 
 def _marked(space: BoundarySpace, orbit: Point, limit: Limit, period: Sequence[Stay]) -> Point:
@@ -177,12 +177,13 @@ def places_of(space: BoundarySpace, period: Sequence[Stay]) -> list[Array]:
     return found
 
 
-def joined_words(space: BoundarySpace, orbit: Point, model: OdeModel) -> str:
+def joined_words(space: BoundarySpace, orbit: Point) -> str:
     """Which equilibria an orbit with a period without bound joins."""
     walking = space.statement.model.parameter_names.index(space.parameter)
+    course, stayed = stays(space, orbit, walking)
     found = []
-    for x in places_of(space, in_a_period(*stays(space, space.statement.model, orbit, walking))):
-        x = np.where(np.abs(x) < SMALLEST * np.max(np.abs(x)), 0.0, x)
-        state = ", ".join(f"{name} = {value:.6g}" for name, value in zip(model.state_names, x, strict=True))
+    for x in places_of(space, in_a_period(course, stayed)):
+        x = np.where(np.abs(x) < SMALLEST * course.extent, 0.0, x)
+        state = ", ".join(f"{name} = {value:.6g}" for name, value in zip(space.state_names, x, strict=True))
         found.append(f"({state})")
     return f"orbits come to one that is {orbit.special} to {' and '.join(found)}"

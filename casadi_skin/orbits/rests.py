@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.method import TWO_PI
@@ -76,11 +77,15 @@ class Stay:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """States of an orbit from a period before phase zero to two periods after it, and their extent."""
+    """States of an orbit along one period, their extent, and the parameters of the statement's model.
+
+    `turned` is what a period adds to the states.
+    """
 
     times: Array
     states: Array
     extent: Array
+    turned: Array
     period: float
     p: Array
 
@@ -88,38 +93,43 @@ class Course:
     def of(cls, space: BoundarySolutions, orbit: Point) -> Course:
         """Of an orbit of a space, at even times and on the mesh."""
         problem, periodic = orbit.problem, space._orbit_of()
-        fractions = periodic.symmetry.value * problem._fractions()  # type: ignore[attr-defined]
+        assert isinstance(problem, BoundaryProblem)
+        fractions = periodic.symmetry.value * problem._fractions()
         turn = np.unique(np.concatenate([np.linspace(0.0, 1.0, PLACES)[:-1], fractions[fractions < 1.0]]))
-        turns = np.concatenate([turn - 1.0, turn, turn + 1.0])
-        states = space.states_at(orbit, TWO_PI * turns, None)
-        extent = np.ptp(states[turn.size : 2 * turn.size], axis=0)
+        states = space.states_at(orbit, TWO_PI * turn, None)
+        extent = np.ptp(states, axis=0)
+        turned = TWO_PI * np.array(periodic.turns or np.zeros(extent.size))
         period = space.interval(orbit)[1]
-        values = problem.parameters(orbit.z)  # type: ignore[attr-defined]
-        return cls(period * turns, states, np.maximum(extent, SAME * np.max(extent)), period, values)
+        extent = np.maximum(extent, SAME * np.max(extent))
+        return cls(period * turn, states, extent, turned, period, problem.parameters(orbit.z))
+
+    def longer(self) -> Course:
+        """From a period before phase zero to two periods after it."""
+        shifts = range(-1, 2)
+        times = np.concatenate([self.times + k * self.period for k in shifts])
+        return replace(self, times=times, states=np.concatenate([self.states + k * self.turned for k in shifts]))
 
 
-def stays(space: BoundarySolutions, model: OdeModel, orbit: Point, walking: int) -> tuple[Course, list[Stay]]:
-    """The course of an orbit and its complete stays beside saddles and saddle-nodes, in the order of time.
+def stays(space: BoundarySolutions, orbit: Point, walking: int) -> tuple[Course, list[Stay]]:
+    """The course of an orbit over three periods and its complete stays beside saddles and saddle-nodes, in order.
 
-    None where it is slow beside an equilibrium of another kind, or nowhere. `walking` is the place of the parameter
-    that is followed among those of the `model`, by which a saddle-node is found.
+    None where it is slow beside equilibria of other kinds alone. `walking` is the place of the parameter that is
+    followed among those of the statement's model, by which a saddle-node is found.
     """
-    course = Course.of(space, orbit)
-    count = len(course.times) // 3
-    one = course.states[count : 2 * count]
-    field = model.vector_field.map(count)
-    rates = np.array(field(0.0, one.T, np.tile(course.p[:, None], count))).T
+    course, model = Course.of(space, orbit), space.statement.model
+    one, count = course.states, len(course.times)
+    rates = np.array(model.vector_field.map(count)(0.0, one.T, np.tile(course.p[:, None], count))).T
     speed = np.linalg.norm(rates / course.extent, axis=1)
     least = (speed <= np.roll(speed, 1)) & (speed <= np.roll(speed, -1)) & (speed < SLOW * np.max(speed))
     rests: list[Rest] = []
     for place in np.flatnonzero(least):
-        if any(np.all(np.abs(one[place] - rest.x) <= BESIDE * course.extent) for rest in rests):
-            continue
-        rest = _rest_near(model, one[place], course, walking, float(np.max(speed)))
-        if rest is not None and not any(np.all(np.abs(rest.x - r.x) <= SAME * course.extent) for r in rests):
-            rests.append(rest)
-    turns = np.array(space._orbit_of().turns or np.zeros(one.shape[1]))
-    images = [replace(rest, x=rest.x + TWO_PI * k * turns) for rest in rests for k in ((-1, 0, 1) if any(turns) else (0,))]
+        if not any(np.all(np.abs(one[place] - rest.x) <= BESIDE * course.extent) for rest in rests):
+            rest = _rest_near(model, one[place], course, walking, float(np.max(speed)))
+            if rest is not None:
+                rests.append(rest)
+    course = course.longer()
+    shifts = (-1, 0, 1) if np.any(course.turned) else (0,)
+    images = [replace(rest, x=rest.x + k * course.turned) for rest in rests for k in shifts]
     found = [stay for rest in images for stay in _stays_at(rest, course, np.tile(speed, 3))]
     return course, sorted(found, key=lambda stay: stay.start)
 
@@ -148,15 +158,11 @@ def _rest_near(model: OdeModel, x: Array, course: Course, walking: int, fastest:
     )
     start, p = x, course.p
     x, converged = _equilibrium(slope, x, p)
-    if not converged or np.any(np.abs(x - start) > NEAR * course.extent):
-        converged, solved = False, _saddle_node(slope, start, p, walking)
-        if solved is None:
-            return None
-        x, p = solved
-    if np.any(np.abs(x - start) > NEAR * course.extent):
-        return None
-    jacobian = np.array(slope(0.0, x, p)[1])
-    return _classified(jacobian, x, p, course.extent, fastest, saddle=converged)
+    rest = _classified(slope, x, p, course.extent, fastest, saddle=True) if converged else None
+    if rest is None:
+        solved = _saddle_node(slope, start, p, walking)
+        rest = None if solved is None else _classified(slope, *solved, course.extent, fastest, saddle=False)
+    return None if rest is None or np.any(np.abs(rest.x - start) > NEAR * course.extent) else rest
 
 
 def _equilibrium(slope: ca.Function, x: Array, p: Array) -> tuple[Array, bool]:
@@ -190,10 +196,10 @@ def _saddle_node(slope: ca.Function, x: Array, p: Array, walking: int) -> tuple[
 
 
 def _classified(
-    jacobian: Array, x: Array, p: Array, extent: Array, fastest: float, saddle: bool
+    slope: ca.Function, x: Array, p: Array, extent: Array, fastest: float, saddle: bool
 ) -> Rest | None:
     """The equilibrium with its coordinates; None where it is neither a saddle nor a saddle-node of two eigenvalues."""
-    scaled = jacobian * extent / extent[:, None]
+    scaled = np.array(slope(0.0, x, p)[1]) * extent / extent[:, None]
     values = np.linalg.eigvals(scaled)
     size = max(float(np.max(np.abs(values))), fastest)
     limit = (ZERO if saddle else np.sqrt(ZERO)) * size
