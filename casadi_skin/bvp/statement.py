@@ -30,7 +30,8 @@ class Statement:
     `interval` vanish; its ends are numbers or expressions in the parameters. `parameters` are values by name, those of
     the free ones guesses; where one is left out it is the model's nominal value. Without an objective there are as many
     conditions and integrals as states and free parameters. `objective`, in ends and parameters, plus the integral of
-    `running` is minimised subject to all these; `bounds` hold states (everywhere) and free parameters by name.
+    `running` is minimised subject to all these; `bounds` hold states (everywhere) and free parameters by name; a
+    branch ends where one is met.
 
     Raises ValueError and TypeError, naming the argument and the accepted values, where these do not fit.
     """

@@ -90,6 +90,7 @@ class End(Enum):
     HOPF = "the cycle shrinks to an equilibrium at a Hopf point"
     REJOINED = "the orbits come back to those that they left"
     UNBOUNDED = "the period grows without bound"
+    BOUND = "a bound of the problem is met"
     TAKENS = "the Hopf points end at a Bogdanov-Takens point, with frequency zero"
     BAUTIN = "the cycles shrink to an equilibrium at a generalized Hopf point"
     HOPF_HOPF = "the cycles shrink to an equilibrium at a Hopf-Hopf point"

@@ -35,6 +35,7 @@ MARKS = {  # the symbols of the field, as far as there are any
     "torus": ("h", "0.6"),
     "homoclinic": ("X", "white"),
     "heteroclinic": ("P", "white"),
+    "bound": ("|", "black"),
     "cusp": ("v", "black"),
     "bogdanov-takens": ("o", "black"),
     "zero-hopf": ("P", "black"),

@@ -11,19 +11,20 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 import numpy as np
 
 from casadi_skin import methods
-from casadi_skin.bvp.problem import Array, Problem, Scalar
+from casadi_skin.bvp.problem import Problem, Scalar
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Continuation, ContinuationSettings, End, Point, Target
 from casadi_skin.orbits.boundary_choices import FIRST, Sizes
 from casadi_skin.orbits.boundary_solutions import BoundarySolutions
+from casadi_skin.orbits.bounds import margin, met_between
 from casadi_skin.orbits.branch_points import branch_points_between
 from casadi_skin.orbits.crossing_place import ONE_PLACE
 from casadi_skin.orbits.method import TWO_PI
 from casadi_skin.orbits.period_limit import joined_words, unbounded
 from casadi_skin.orbits.refined import BoundaryError, refined
-from casadi_skin.orbits.special_points import BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, fold_between
+from casadi_skin.orbits.special_points import BOUND, BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, fold_between
 from casadi_skin.orbits.turns import turning
 from casadi_skin.solvers.levels import Levels
 
@@ -114,10 +115,12 @@ class BoundarySpace(BoundarySolutions):
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
         """Folds on the stretch between two points, and the Hopf point where an orbit shrinks to an equilibrium.
 
-        The later point itself where the period grows without bound there. Of a boundary-value problem that is no orbit
+        The later point itself where the period grows without bound there; where a bound is met, that point comes last.
+        Of a boundary-value problem that is no orbit
         the branch points too, which are folds as well where both are one.
         """
-        crossed = []
+        met = met_between(self, before, after)
+        after, crossed = met or after, []
         if self.periodic is None and not (self.leaves and not np.any(before.z[-1:] != self.start.z[-1:])):
             found = branch_points_between(self.point_solver, before, after)
             crossed = [point if several else self._solved(point, before) for point, several in found]
@@ -130,6 +133,8 @@ class BoundarySpace(BoundarySolutions):
             first = self.point_solver.along(point, after, BESIDE)
         if first is not None:
             yield from self._turns_between(first, after)
+        if met is not None:
+            yield met
 
     def singular_near(self, guess: Point) -> Point | None:
         """The solution near a guess at which branches cross: orbits there are sought by multipliers alone."""
@@ -229,6 +234,8 @@ class BoundarySpace(BoundarySolutions):
             return End.HOPF, ""
         if point.special == BRANCH_POINT and self.left is not None:
             return End.REJOINED, ""
+        if point.special == BOUND:
+            return End.BOUND, f"{margin(self, point)}, {point.problem.whereabouts(point.z)}"
         if point.special in (HOMOCLINIC, HETEROCLINIC):
             value, error = self.parameters(point)[self.parameter], self.parameter_error(point)
             where = f"{self.parameter} = {value:.10g} +- {error:.0e}"

@@ -20,7 +20,6 @@ from casadi_skin.bvp.problem import Array, SingularError
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.models.expressions import Expression
-from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_choices import Sizes
 from casadi_skin.orbits.method import TWO_PI
 from casadi_skin.orbits.orbit_statement import Extended
@@ -101,9 +100,8 @@ class Connection:
     @property
     def _undetermined(self) -> int:
         """The number of parameters that the conditions determine beside the states and the duration."""
-        return sum(_conditions(side, first) for side, first in zip(self.sides, (True, False), strict=True)) - (
-            self.course.states.shape[1] + 1
-        )
+        given = sum(_conditions(side, first) for side, first in zip(self.sides, (True, False), strict=True))
+        return given - (int(self.course.states.shape[1]) + 1)
 
     def _times(self, radius: float) -> tuple[float, float]:
         """When the orbit leaves the start, and comes to the end, at a distance."""
@@ -124,7 +122,9 @@ class Connection:
     def _statement(self, radius: float, start: float, end: float, determined: bool) -> Statement:
         model = self.space.statement.model
         kind, count, n = type(model.state), int(model.parameters.numel()), model.full_size
-        saddles = {k: side.rest for k, side in enumerate(self.sides) if isinstance(side, Stay) and not len(side.rest.centre)}
+        saddles = {
+            k: side.rest for k, side in enumerate(self.sides) if isinstance(side, Stay) and not len(side.rest.centre)
+        }
         names = [DURATION, *(f"equilibrium_{k}_{name}" for k in saddles for name in model.state_names)]
         p = kind.sym("p", count + len(names))
         given, own = p[:count], p[count + 1 :]
@@ -191,5 +191,3 @@ def _at_rest(rest: Rest, away: Expression, first: bool, radius: float, guess: Ar
         side = float(np.sign((rest.centre @ (guess - rest.x))[0]))
         return [*found, ca.DM(rest.centre) @ away - side * radius]
     return [*found, ca.sumsqr(ca.DM(inside) @ away) / radius**2 - 1.0]
-
-

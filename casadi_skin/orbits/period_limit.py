@@ -7,6 +7,7 @@ orbits have reached within the tolerance. An explosion of cycles (canards) passe
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -135,7 +136,9 @@ def _limit(
         if not len(determined):
             return Limit(np.nan, np.nan, solved=False)
         if before is not None:
-            error = float(np.max(np.abs(determined[:, 0] - before)) + np.max(determined[:, 1]) + np.ptp(determined[:, 0]))
+            error = float(
+                np.max(np.abs(determined[:, 0] - before)) + np.max(determined[:, 1]) + np.ptp(determined[:, 0])
+            )
             if error <= allowed:
                 return Limit(float(np.mean(determined[:, 0])), error, solved=True)
         before, radius = determined[:, 0], SHORTER * radius
@@ -145,12 +148,12 @@ def _limit(
 def _connections(
     space: BoundarySpace, orbit: Point, course: Course, period: Sequence[Stay], found: Sequence[Stay]
 ) -> list[Connection]:
-    """The parts of a period from one stay to the next; of a symmetric orbit from and to where its reversal leaves it."""
+    """Parts of a period from one stay to the next; of a symmetric orbit from and to where its reversal leaves it."""
     periodic = space._orbit_of()
     unfolded = [name for name in space.statement.free if name.startswith(UNFOLDING)]
     free = unfolded[0] if unfolded else space.parameter
     if periodic.symmetry is SymmetryClass.FULL:
-        pairs = [(one, other) for one, other in zip(period[:-1], period[1:], strict=True)]
+        pairs = [(one, other) for one, other in itertools.pairwise(period)]
         return [Connection(space, orbit, course, pair, free) for pair in pairs]
     inside = in_the_part(course, found, periodic.symmetry)
     end = periodic.symmetry.value * course.period
@@ -159,7 +162,7 @@ def _connections(
     pieces: list[tuple[Side, Side]] = []
     if inside[0].start > 0.0:
         pieces.append((Pins(0.0, first, np.zeros(len(first))), inside[0]))
-    pieces += zip(inside[:-1], inside[1:], strict=True)
+    pieces += itertools.pairwise(inside)
     if inside[-1].end < end:
         pieces.append((inside[-1], Pins(end, last, turned[last])))
     return [Connection(space, orbit, course, piece, "") for piece in pieces]

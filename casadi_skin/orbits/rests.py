@@ -166,7 +166,7 @@ def _rest_near(model: OdeModel, x: Array, course: Course, walking: int, fastest:
 
 
 def _equilibrium(slope: ca.Function, x: Array, p: Array) -> tuple[Array, bool]:
-    """The equilibrium near a state by Newton's method, and whether that converges, as beside a double one it does not."""
+    """The equilibrium near a state by Newton's method, and whether that converges: beside a double one it does not."""
     for _ in range(STEPS):
         rate, jacobian = (np.array(value) for value in slope(0.0, x, p))
         if not (np.all(np.isfinite(rate)) and np.all(np.isfinite(jacobian))):
@@ -188,16 +188,16 @@ def _saddle_node(slope: ca.Function, x: Array, p: Array, walking: int) -> tuple[
     rate, jacobian = slope(0.0, y[:n], values)
     equations = ca.vertcat(rate, jacobian @ y[n : 2 * n], ca.dot(ca.DM(near), y[n : 2 * n]) - 1.0)
     try:
-        solver = ca.rootfinder("saddle_node", "newton", {"x": y, "g": equations}, {"max_iter": STEPS, "print_time": False})
+        solver = ca.rootfinder(
+            "saddle_node", "newton", {"x": y, "g": equations}, {"max_iter": STEPS, "print_time": False}
+        )
         found = np.array(solver(x0=np.concatenate([x, near, p[walking : walking + 1]]))["x"]).ravel()
     except RuntimeError:  # as CasADi says that Newton's method failed
         return None
     return found[:n], np.where(np.arange(p.size) == walking, found[-1], p)
 
 
-def _classified(
-    slope: ca.Function, x: Array, p: Array, extent: Array, fastest: float, saddle: bool
-) -> Rest | None:
+def _classified(slope: ca.Function, x: Array, p: Array, extent: Array, fastest: float, saddle: bool) -> Rest | None:
     """The equilibrium with its coordinates; None where it is neither a saddle nor a saddle-node of two eigenvalues."""
     scaled = np.array(slope(0.0, x, p)[1]) * extent / extent[:, None]
     values = np.linalg.eigvals(scaled)
@@ -211,7 +211,7 @@ def _classified(
     centre = np.linalg.svd(scaled.T)[2][-1:] if central else np.zeros((0, x.size))
     rates = [float(np.min(np.abs(values.real[which]), initial=np.inf)) for which in (down, up)]
     (stable, one), (unstable, other) = parts
-    return Rest(x, p, stable / extent, unstable / extent, centre / extent, *rates, max(one, other))
+    return Rest(x, p, stable / extent, unstable / extent, centre / extent, rates[0], rates[1], max(one, other))
 
 
 def _coordinates(jacobian: Array, limit: float, sign: float) -> tuple[Array, float]:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 FOLD, HOPF, BRANCH_POINT, DOUBLING, TORUS = "fold", "hopf", "branch point", "period doubling", "torus"
 HOMOCLINIC, HETEROCLINIC = "homoclinic", "heteroclinic"
+BOUND = "bound"  # on a state or a free parameter, which a branch comes to
 EDGE = "edge of a tongue"  # of instability of a family
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
 FINE = 1e-11  # of a step, to which a zero of a test is found
@@ -36,7 +37,7 @@ class SpecialPoint(Result):
         kind: "fold"; of equilibria also "branch point" and "hopf"; of boundary-value problems "branch point"; of orbits
             whose stability was computed "period doubling", "torus" and "branch point", the first two also of problems
             whose conditions close their solutions; where they end "hopf", or "homoclinic" or "heteroclinic" where their
-            period grows without bound.
+            period grows without bound, or "bound" where a bound of the problem is met.
         parameter: name of the continuation parameter.
         parameters: values of all parameters by name, and of the continuation parameter.
         error: estimated error of the continuation parameter.

@@ -32,6 +32,7 @@ NATURAL = (
     End.HOPF,
     End.REJOINED,
     End.UNBOUNDED,
+    End.BOUND,
     End.TAKENS,
     End.CLOSED,
     End.RETURNED,

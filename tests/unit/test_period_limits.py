@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from equilibrium_models import lorenz, symbols
+from scipy.integrate import solve_ivp
 from test_rotating_orbits import ENERGY, E, current, pendulum, q, turn_time
 
 from casadi_skin import Branch, OdeModel, find_equilibrium, find_orbit
@@ -87,3 +88,83 @@ def test_mirror_images_of_lorenz_cycles_end_at_one_homoclinic_orbit() -> None:
         assert end.kind == "homoclinic"
         assert abs(end.parameters["r"] - 13.926557) <= end.error + 1e-6
     assert abs(len(branches[0]) - len(branches[1])) <= 2  # the ends are where rounding is
+
+
+def small_cycles(model: OdeModel, state: list[float], parameter: str, start: float, to: float) -> Branch:
+    """The cycles of the only Hopf point between two values, followed to the second."""
+    equilibria = find_equilibrium(model, state, parameters={parameter: start}).follow(parameter, to)
+    (hopf,) = (point for point in equilibria.special_points if point.kind == "hopf")
+    branch: Branch = hopf.follow(parameter, to)
+    return branch
+
+
+@pytest.mark.slow
+def test_a_canard_explosion_is_followed_to_the_end_that_was_asked_for() -> None:
+    """Van der Pol's cycles grow at one value of a but for 1e-12; there is no saddle, so no homoclinic orbit."""
+    x, y, a = symbols("x y a")
+    model = OdeModel("canards", ca.vertcat(x, y), ca.vertcat((y - x**3 / 3 + x) / 0.02, a - x), a)
+    branch = small_cycles(model, [1.2, -0.6], "a", 1.2, 0.5)
+    assert branch.complete
+    assert branch.special_points == ()
+    assert np.max(branch.period) > 4.5
+    last = branch.solutions[-1]
+    run = solve_ivp(
+        lambda t, s: [(s[1] - s[0] ** 3 / 3 + s[0]) / 0.02, 0.5 - s[0]], (0.0, last.period), last.evaluate(0.0)[0],
+        "Radau", rtol=1e-9, atol=1e-10,
+    )  # fmt: skip
+    assert np.max(np.abs(run.y[:, -1] - last.evaluate(0.0)[0])) < 1e-6
+
+
+@pytest.mark.slow
+def test_the_error_of_a_homoclinic_end_is_that_of_a_truncated_problem() -> None:
+    """Lorenz: r = 13.92655741."""
+    (pitchfork,) = find_equilibrium(lorenz(), [0, 0, 0], parameters={"r": 0.5}).follow("r", 2.0).special_points
+    (hopf,) = (p for p in pitchfork.follow("r", 30.0).special_points if p.kind == "hopf")
+    end = hopf.follow("r", 13.0).special_points[-1]
+    assert end.kind == "homoclinic"
+    assert abs(end.parameters["r"] - 13.92655741) <= end.error + 5e-9
+    assert end.error < 2e-7
+
+
+@pytest.mark.slow
+def test_cycles_between_two_saddles_end_where_melnikov_has_it() -> None:
+    """x'' = -x + x^3 + eps (mu - x^2) x': tanh(t/sqrt 2) at mu = 1/5 + O(eps^2), a heteroclinic cycle by symmetry."""
+    x, y, mu, eps = symbols("x y mu eps")
+    rhs = ca.vertcat(y, -x + x**3 + eps * (mu - x**2) * y)
+    ends = []
+    for size in (0.05, 0.1):
+        model = OdeModel("between", ca.vertcat(x, y), rhs, ca.vertcat(mu, eps), nominal=(0.0, size))
+        branch = small_cycles(model, [0.0, 0.0], "mu", -0.1, 0.4)
+        end = branch.special_points[-1]
+        assert (end.kind, branch.end) == ("heteroclinic", End.UNBOUNDED)
+        assert end.error < 1e-8
+        ends.append(end.parameters["mu"])
+    assert (4.0 * ends[0] - ends[1]) / 3.0 == pytest.approx(0.2, abs=1e-6)  # beyond terms in eps^2
+
+
+@pytest.mark.slow
+def test_cycles_that_spiral_out_of_a_saddle_end_at_its_homoclinic_orbit() -> None:
+    """x''' = c x - x^2 - x' - 0.4 x'', a saddle with complex eigenvalues: c turns back and forth around its limit."""
+    x, y, z, c = symbols("x y z c")
+    model = OdeModel("spiral", ca.vertcat(x, y, z), ca.vertcat(y, z, c * x - x**2 - y - 0.4 * z), c)
+    branch = small_cycles(model, [0.1, 0.0, 0.0], "c", 0.1, 2.5)
+    *folds, end = branch.special_points
+    assert end.kind == "homoclinic"
+    turns = np.array([fold.parameters["c"] for fold in folds])
+    assert {fold.kind for fold in folds} == {"fold"}
+    sides = np.sign(turns - end.parameters["c"])
+    assert np.all(sides[1:-1] != sides[2:])  # around the limit, nearer and nearer
+    assert np.all(np.diff(np.abs(turns - end.parameters["c"])) < 0.0)
+
+
+@pytest.mark.slow
+def test_cycles_in_the_plane_end_at_a_saddle_node() -> None:
+    """r' = r (1 - r^2), theta' = a - cos(theta): the period is 2 pi/sqrt(a^2 - 1), up to a = 1."""
+    x, y, a = symbols("x y a")
+    r2 = x**2 + y**2
+    turn = a - x / ca.sqrt(r2)
+    model = OdeModel("ring", ca.vertcat(x, y), ca.vertcat(x * (1 - r2) - y * turn, y * (1 - r2) + x * turn), a)
+    start = find_orbit(model, lambda t: [np.cos(t), np.sin(t)], 2.0 * np.pi / np.sqrt(3.0), parameters={"a": 2.0})
+    branch = start.follow("a", 0.5)
+    ends_at(branch, "homoclinic", 1.0)
+    assert "homoclinic to (x = 1, y = 0)" in branch.reason

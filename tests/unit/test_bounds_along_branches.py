@@ -1,0 +1,103 @@
+"""Bounds of a boundary-value problem hold along its branches: where they are met, by closed forms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from casadi_skin import BoundaryValueProblem, Branch, OdeModel, find_orbit, read_result, save_result
+from casadi_skin.continuation.points import End
+
+X, Y, P, Q, T = (ca.SX.sym(name) for name in ("x", "y", "p", "q", "t"))
+
+
+def ends_at_bound(branch: Branch, value: float, words: str, within: float = 1e-10) -> None:
+    """The branch ends at a value of its parameter, with these words."""
+    assert branch.end is End.BOUND
+    assert branch.special_points[-1].kind == "bound"
+    assert branch.values[-1] == pytest.approx(value, abs=within)
+    assert words in branch.reason
+    assert not branch.complete
+
+
+@pytest.mark.parametrize(("to", "bounds", "value", "words"), [
+    (3.0, (-10.0, 1.0), 1.0, "x comes to its upper bound 1 at t = 1, with p = 1"),
+    (-3.0, (-2.0, 10.0), -2.0, "x comes to its lower bound -2 at t = 1, with p = -2"),
+])  # fmt: skip
+def test_a_line_ends_where_its_end_meets_a_bound(
+    to: float, bounds: tuple[float, float], value: float, words: str
+) -> None:
+    """x' = p from 0: x(1) = p."""
+    model = OdeModel("line", X, P + 0 * X, P)
+    problem = BoundaryValueProblem(model, [model.start(X)], parameters={"p": 0.5}, bounds={"x": bounds})
+    ends_at_bound(problem.solve([0.0]).follow("p", to), value, words)
+
+
+def test_a_bound_holds_between_points_of_the_mesh() -> None:
+    """x = p sin(3 t) on [0, 1]: the largest value is p, at pi/6."""
+    model = OdeModel("arch", ca.vertcat(X, Y), ca.vertcat(Y, -9.0 * X), P)
+    conditions = [model.start(X), model.start(Y) - 3.0 * P]
+    problem = BoundaryValueProblem(model, conditions, parameters={"p": 0.2}, bounds={"x": (-5.0, 0.7)})
+    branch = problem.solve([0.0, 0.0]).follow("p", 2.0, at=[0.5, 1.5])
+    ends_at_bound(branch, 0.7, f"x comes to its upper bound 0.7 at t = {np.pi / 6.0:.6g}", 1e-8)
+    assert list(branch.values).count(0.5) == 1
+    assert branch.values.max() < 1.5
+    assert np.max(branch.solutions[-1].evaluate(np.linspace(0.0, 1.0, 5001))[:, 0]) == pytest.approx(0.7, abs=1e-7)
+
+
+def test_a_bound_on_a_free_parameter_holds() -> None:
+    """x' = q, x(0) = 0, x(1) = p^2: q = p^2."""
+    model = OdeModel("free", X, Q + 0 * X, ca.vertcat(P, Q))
+    conditions = [model.start(X), model.end(X) - P**2]
+    problem = BoundaryValueProblem(
+        model, conditions, parameters={"p": 0.5, "q": 0.25}, free=["q"], bounds={"q": (0.0, 4.0)}
+    )
+    ends_at_bound(problem.solve([0.0]).follow("p", 5.0), 2.0, "q comes to its upper bound 4, with p = 2")
+
+
+def test_a_bound_that_is_passed_and_left_within_a_step_ends_the_branch() -> None:
+    """x(1) = 1 - 40 (p - 1/2)^2 + 1e-4 goes beyond 1 for |p - 1/2| < sqrt(1e-4/40)."""
+    model = OdeModel("bump", X, 1.0001 - 40.0 * (P - 0.5) ** 2 + 0 * X, P)
+    problem = BoundaryValueProblem(model, [model.start(X)], parameters={"p": 0.2}, bounds={"x": (-30.0, 1.0)})
+    branch = problem.solve([0.0]).follow("p", 1.0)
+    ends_at_bound(branch, 0.5 - np.sqrt(1e-4 / 40.0), "x comes to its upper bound 1")
+
+
+def test_a_state_that_a_condition_holds_at_its_bound_does_not_end_a_branch() -> None:
+    """x' = p from 0 within x >= 0: at p = 0 it leaves the bound that its start is on."""
+    model = OdeModel("line", X, P + 0 * X, P)
+    problem = BoundaryValueProblem(model, [model.start(X)], parameters={"p": 0.5}, bounds={"x": (0.0, 2.0)})
+    solution = problem.solve([0.0])
+    ends_at_bound(solution.follow("p", 5.0), 2.0, "x comes to its upper bound 2 at t = 1")
+    ends_at_bound(solution.follow("p", -1.0), 0.0, "x comes to its lower bound 0", 1e-7)
+
+
+def test_without_a_bound_in_its_way_a_branch_reaches_its_end() -> None:
+    model = OdeModel("line", X, P + 0 * X, P)
+    problem = BoundaryValueProblem(model, [model.start(X)], parameters={"p": 0.5}, bounds={"x": (-1.0, np.inf)})
+    branch = problem.solve([0.0]).follow("p", 3.0)
+    assert branch.complete
+    assert branch.special_points == ()
+
+
+def test_a_bound_holds_along_orbits() -> None:
+    """The circle of radius sqrt(mu): x comes to 1.2 at mu = 1.44."""
+    mu, r2 = ca.SX.sym("mu"), X**2 + Y**2
+    model = OdeModel("circle", ca.vertcat(X, Y), ca.vertcat(mu * X - Y - X * r2, X + mu * Y - Y * r2), mu)
+    guess = lambda t: [np.cos(t), np.sin(t)]  # noqa: E731
+    orbit = find_orbit(model, guess, 2.0 * np.pi, parameters={"mu": 1.0}, bounds={"x": (-9.0, 1.2)})
+    ends_at_bound(orbit.follow("mu", 3.0), 1.44, "x comes to its upper bound 1.2", 1e-7)
+
+
+def test_a_branch_that_ended_at_a_bound_is_read_back(tmp_path: Path) -> None:
+    model = OdeModel("line", X, P + 0 * X, P)
+    problem = BoundaryValueProblem(model, [model.start(X)], parameters={"p": 0.5}, bounds={"x": (-10.0, 1.0)})
+    branch = problem.solve([0.0]).follow("p", 3.0)
+    save_result(branch, tmp_path / "branch.json")
+    back = read_result(tmp_path / "branch.json")
+    assert back.end is End.BOUND
+    assert back.reason == branch.reason
+    assert [point.kind for point in back.special_points] == ["bound"]
