@@ -22,11 +22,12 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
 from casadi_skin.equilibria.double_points import double_between
 from casadi_skin.equilibria.equations import EquilibriumEquations
+from casadi_skin.equilibria.linearised import ComplexArray, NullSpace
 from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF, jacobian_of
 from casadi_skin.equilibria.normal_forms import critical_pair, lyapunov_terms
 from casadi_skin.equilibria.samples import Sample
 from casadi_skin.equilibria.search import EquilibriumSearch
-from casadi_skin.equilibria.statics import ComplexArray, Statics
+from casadi_skin.equilibria.statics import Statics
 from casadi_skin.equilibria.stretch import Stretch, crossings, height, less
 from casadi_skin.equilibria.systems import ExtendedSystem, HopfSystem
 from casadi_skin.orbits.special_points import FINE, zero_between
@@ -125,8 +126,7 @@ class _Search(EquilibriumSearch):
             return None
 
         def second(point: Point) -> float:
-            matrix = jacobian_of(cast(ExtendedSystem, point.problem), point.z)
-            return float(np.linalg.svd(matrix, compute_uv=False)[-2])
+            return float(_null_space(point).values[-2])
 
         return double_between(self.equations.point_solver, before, after, test, second)
 
@@ -181,14 +181,16 @@ def _quadratic(space: Followed, reference: Point) -> Test:
     statics, sizes, n = space.equations.statics, space.equations.sizes, space.equations.statics.size
 
     def left(point: Point) -> Array:
-        return np.asarray(np.linalg.svd(jacobian_of(cast(ExtendedSystem, point.problem), point.z))[0][:, -1])
+        return _null_space(point).left[:, -1]
 
     first = left(reference)
 
     def test(point: Point) -> float:
         problem, psi, v = cast(ExtendedSystem, point.problem), left(point), sizes * point.z[n : 2 * n]
         curved = statics.second(problem.state(point.z), problem.parameters(point.z), v, v).real / sizes
-        return float(psi @ curved) * float(np.sign(psi @ first))
+        units = problem.units(point.z)
+        psi = psi / np.linalg.norm(psi * units)
+        return float(psi @ curved) * float(np.sign((psi * units) @ (first * units)))
 
     return test
 
@@ -198,16 +200,17 @@ def _branching(space: Followed, reference: Point) -> tuple[str, Test]:
     statics, sizes, n = space.equations.statics, space.equations.sizes, space.equations.statics.size
 
     def null_vector(point: Point) -> Array:
-        return np.asarray(np.linalg.svd(jacobian_of(cast(ExtendedSystem, point.problem), point.z))[2][-1])
+        return _null_space(point).right[:, -1]
 
     first = null_vector(reference)
 
     def terms(point: Point) -> tuple[Array, Array]:
         problem, psi, v = cast(ExtendedSystem, point.problem), point.z[n : 2 * n], null_vector(point)
-        v = v * np.sign(v @ first)
+        units = problem.units(point.z)
+        v = v * np.sign((v / units) @ (first / units)) / np.linalg.norm(v / units)
         A, (x, p) = jacobian_of(problem, point.z), (problem.state(point.z), problem.parameters(point.z))
         twice = statics.second(x, p, sizes * v, sizes * v).real / sizes
-        closed = np.block([[A, psi[:, None]], [v[None, :], np.zeros((1, 1))]])
+        closed = np.block([[A, (psi * units**2)[:, None]], [(v / units**2)[None, :], np.zeros((1, 1))]])
         bent = sizes * np.linalg.solve(closed, np.append(-twice, 0.0))[:-1]
         thrice = statics.third(x, p, sizes * v, sizes * v, sizes * v).real / sizes
         curved = statics.second(x, p, sizes * v, bent).real / sizes
@@ -218,6 +221,12 @@ def _branching(space: Followed, reference: Point) -> tuple[str, Test]:
     symmetric = bool(abs(np.sum(quadratic)) <= SYMMETRIC * scale)
     kind = DEGENERATE_PITCHFORK if symmetric else DEGENERATE_TRANSCRITICAL
     return kind, lambda point: float(np.sum(terms(point)[int(symmetric)]))
+
+
+def _null_space(point: Point) -> NullSpace:
+    """Null vectors of dF/dy."""
+    problem = cast(ExtendedSystem, point.problem)
+    return NullSpace.of(jacobian_of(problem, point.z), problem.units(point.z), problem.statics.model.rounding)
 
 
 def _kappa(point: Point) -> float:

@@ -14,8 +14,9 @@ from casadi_skin.continuation.points import End, Point
 from casadi_skin.equilibria.codimension_two import TAKENS, Followed, special_on_curve
 from casadi_skin.equilibria.equations import corrector_of
 from casadi_skin.equilibria.equilibrium import Equilibrium
+from casadi_skin.equilibria.linearised import balanced
 from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF, SYSTEMS, jacobian_of
-from casadi_skin.equilibria.problem import AlgebraicProblem, Course, ExactLevels, sizes_of
+from casadi_skin.equilibria.problem import AlgebraicProblem, Course, ExactLevels, sizes_at
 from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
 from casadi_skin.orbits.follow import following_settings
@@ -23,7 +24,7 @@ from casadi_skin.orbits.special_points import SpecialPoint, check_second
 from casadi_skin.solvers.levels import Levels
 from casadi_skin.unresolved import Unresolved
 
-UNFOLDS = 1e-7  # of a step: an imperfection that grows along a curve of branch points
+UNFOLDS = 1e-7  # of the norm of the balanced Jacobian, in a step: an imperfection that grows along a curve
 
 
 class UnfoldingError(EquilibriumError):
@@ -102,10 +103,9 @@ def _started(point: SpecialPoint, parameter: str, to: float, at: tuple[float, ..
     solution = cast(Equilibrium, point.solution)
     old = cast(EquilibriumSpace, solution.space)
     statics = Statics(old.model, solution.parameters)
-    sizes, x = sizes_of([solution.positions]), solution.positions
-    p0 = solution.parameters[point.parameter]
-    course = old.course
+    x, p0, course = solution.positions, solution.parameters[point.parameter], old.course
     assert course is not None
+    sizes = sizes_at(statics, x, (course, Course(parameter, solution.parameters[parameter], to)), old.sizes)
     second = Course(point.parameter, p0, p0 + (course.to - course.start))
     rate = point.frequency if point.kind == HOPF else 1.0
     space = CurveSpace(
@@ -121,7 +121,8 @@ def _started(point: SpecialPoint, parameter: str, to: float, at: tuple[float, ..
     near = 1j * rate if point.kind == HOPF else None
     problem, z = _extended(space, matrix, x / sizes, near)
     space = replace(space, first=replace(solution.point, problem=problem, z=z, special="", walked=True))
-    if point.kind == BRANCH_POINT and abs(space.start.tangent[problem.states + 1]) > UNFOLDS:  # of beta
+    size = float(np.linalg.norm(balanced(matrix)[0]))
+    if point.kind == BRANCH_POINT and abs(space.start.tangent[problem.states + 1]) > UNFOLDS * size:  # of beta
         why = "no symmetry, and no state that stays zero, keeps both branches together"
         raise UnfoldingError(f"{old.model.name}: the branch point is none at other values of {parameter}: {why}")
     return space

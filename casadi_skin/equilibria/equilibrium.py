@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
+from casadi_skin.equilibria.linearised import ComplexArray
 from casadi_skin.equilibria.problem import AlgebraicProblem
-from casadi_skin.equilibria.statics import ComplexArray, Spectrum
+from casadi_skin.equilibria.statics import Spectrum
 from casadi_skin.models.centred import centred_model
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.solution import Solution, as_times

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol, runtime_checkable
+from dataclasses import replace
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +14,7 @@ from casadi_skin.arguments import by_name, check_name, number, short_repr, state
 from casadi_skin.bvp.problem import Array
 from casadi_skin.equilibria.equations import corrector_of
 from casadi_skin.equilibria.equilibrium import Equilibrium
-from casadi_skin.equilibria.problem import sizes_of
+from casadi_skin.equilibria.problem import sizes_at, sizes_of
 from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
 from casadi_skin.models.ode import OdeModel
@@ -23,6 +24,7 @@ from casadi_skin.threads import one_thread
 TOLERANCES = (1e-13, 1e-2)
 MOST_STARTS = 1_000_000
 SETTLED = 0.05  # of the sizes of the state: where a simulation ends, from the equilibrium that it is said to settle at
+FAR = 4.0  # powers of two between the sizes of a guess and those of the equilibrium found
 SAME = 1e-6  # of the sizes: distance of two equilibria that are the same
 ACCEPTED = "numbers, one a state, numbers by state name, a simulation or another equilibrium"
 
@@ -170,10 +172,23 @@ def _near(space: EquilibriumSpace, start: Array, second: bool = True) -> Equilib
         correct = space.levels.corrector(problem) if name == space.corrector else None
         correction: Correction = (correct or corrector_of(name, space.tolerance, problem)).correct(z, row, 0.0)
         if correction.converged and np.all(np.isfinite(correction.z)):
-            return Equilibrium(space, space.refined(correction))
+            found = Equilibrium(space, space.refined(correction))
+            return found if not second else _in_own_units(found)
         worst = problem.worst(correction.z if np.all(np.isfinite(correction.z)) else z)
         failures.append(f"{name}: {correction.status.value}; {worst}")
     raise EquilibriumError(f"{space.model.name}: no equilibrium near the guess: {failures[0]}")
+
+
+def _in_own_units(found: Equilibrium) -> Equilibrium:
+    """An equilibrium solved for again where the sizes of its guess are far from its own."""
+    space = cast(EquilibriumSpace, found.space)
+    sizes = sizes_at(space.statics, found.positions, (), space.sizes)
+    if np.max(np.abs(np.log2(sizes / space.sizes))) < FAR:
+        return found
+    again = replace(space, sizes=sizes)
+    z, row = np.append(found.positions / sizes, 0.0), again.problem.parameter_row()
+    correction = again.levels.corrector(again.problem).correct(z, row, 0.0)
+    return Equilibrium(again, again.refined(correction)) if correction.converged else found
 
 
 def _settled(statics: Statics, start: Array, transient: float, tolerance: float, corrector: str) -> Equilibrium:

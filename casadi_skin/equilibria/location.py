@@ -8,12 +8,13 @@ import numpy as np
 
 from casadi_skin.bvp.problem import EPSILON, Array, SingularError
 from casadi_skin.equilibria.equations import EquilibriumEquations, corrector_of
+from casadi_skin.equilibria.linearised import balanced
 from casadi_skin.equilibria.problem import AlgebraicProblem, ExactLevels
 from casadi_skin.equilibria.systems import BranchSystem, ExtendedSystem, FoldSystem, HopfSystem
 
 FOLD, BRANCH_POINT, HOPF = "fold", "branch point", "hopf"
 SYSTEMS: dict[str, type[ExtendedSystem]] = {FOLD: FoldSystem, BRANCH_POINT: BranchSystem, HOPF: HopfSystem}
-IMPERFECT = 1e-7  # of the largest derivative: an imperfection by which no two branches meet
+IMPERFECT = 1e-7  # of the norm of the balanced Jacobian: an imperfection by which no two branches meet
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +85,8 @@ def measured(problem: AlgebraicProblem, z: Array, kind: str) -> Located | None:
         step = solve(np.append(residual, 0.0))
         z = z - step
     noise = solve(problem.rounding(z) * np.append(problem.probe, 0.0))
-    place, scale = problem.states, np.max(np.abs(nonzeros))
-    n = problem.statics.size
+    place, n = problem.states, problem.statics.size
+    scale = float(np.linalg.norm(balanced(jacobian_of(problem, z))[0]))  # a rate, as the imperfection is
     if kind == BRANCH_POINT and abs(z[place + len(problem.free)]) > IMPERFECT * scale:
         return None
     if isinstance(problem, HopfSystem) and not problem.kappa(z) > 0.0:

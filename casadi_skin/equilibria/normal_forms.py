@@ -14,9 +14,10 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.equilibria.equilibrium import Equilibrium
+from casadi_skin.equilibria.linearised import ComplexArray, Linearised, NullSpace, balanced, upper_pair
 from casadi_skin.equilibria.location import FOLD, HOPF
 from casadi_skin.equilibria.space import EquilibriumSpace
-from casadi_skin.equilibria.statics import ComplexArray, Statics, eigensystem
+from casadi_skin.equilibria.statics import Statics
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.special_points import SpecialPoint
 
@@ -64,6 +65,8 @@ def hopf_form(statics: Statics, x: Array, p: Array) -> Critical:
         terms = lyapunov_terms(statics, x, p, A, omega, q, adjoint)
     except RuntimeError:  # the model is a black box with first derivatives alone
         return Critical(q, adjoint, omega, float("nan"), "unknown: the model has no higher derivatives")
+    except np.linalg.LinAlgError:
+        return Critical(q, adjoint, omega, float("nan"), "unknown: another eigenvalue vanishes there")
     l1 = float(np.sum(terms)) / (2.0 * omega)
     sure = abs(np.sum(terms)) > DECIDED * np.sum(np.abs(terms))
     words = "degenerate" if not sure else "supercritical" if l1 < 0.0 else "subcritical"
@@ -88,14 +91,12 @@ def critical_pair(A: Array, near: float | None = None) -> tuple[float, ComplexAr
 
     The pair is that nearest to i `near`, by default that nearest to the imaginary axis.
     """
-    values, left, right = eigensystem(A)
-    upper = np.flatnonzero(values.imag > 0.0)
-    if not upper.size:
-        raise ArithmeticError("no pair of complex eigenvalues is near the imaginary axis")
-    k = upper[np.argmin(np.abs(values[upper].real) if near is None else np.abs(values[upper] - 1j * near))]
-    q = right[:, k] / np.linalg.norm(right[:, k])
-    adjoint = left[:, k] / np.vdot(left[:, k], q).conj()
-    return float(values[k].imag), np.asarray(q), np.asarray(adjoint)
+    linear = Linearised(A)
+    values = linear.eigensystem[0]
+    k = upper_pair(values, None if near is None else 1j * near)
+    right, left = linear.vectors(k)
+    q = right / np.linalg.norm(right)
+    return float(values[k].imag), q, np.asarray(left / np.vdot(left, q).conj())
 
 
 def null_vectors(A: Array) -> tuple[Array, Array]:
@@ -103,11 +104,13 @@ def null_vectors(A: Array) -> tuple[Array, Array]:
 
     The largest entry of v is positive.
     """
-    left, _, right = np.linalg.svd(A)
-    v, psi = right[-1], left[:, -1]
-    v = v * np.sign(v[np.argmax(np.abs(v))])
+    units = balanced(A)[1]
+    found = NullSpace.of(A, units)
+    v, psi = found.right[:, -1], found.left[:, -1]
+    v = v * np.sign(v[np.argmax(np.abs(v))]) / np.linalg.norm(v)
     product = float(psi @ v)
-    return v, psi / product if abs(product) > 1e-10 else psi
+    crossed = float(np.linalg.norm(psi * units) * np.linalg.norm(v / units))
+    return v, psi / (product if abs(product) > 1e-10 * crossed else np.linalg.norm(psi))
 
 
 def fold_form(statics: Statics, x: Array, p: Array) -> Critical:

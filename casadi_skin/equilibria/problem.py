@@ -14,12 +14,14 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.problem import EPSILON, Array, Problem, Scalar
+from casadi_skin.equilibria.linearised import NullSpace, units_of
 from casadi_skin.equilibria.statics import Statics
 from casadi_skin.models.expressions import Expression
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.levels import Levels
 
 SMALLEST = 1e-3  # of a component's size: changes of smaller components are measured by that
+KEPT = 16  # places whose units are kept
 BESIDE = 0.1  # weight of unknowns beside state and parameters in the length of a step
 
 
@@ -43,13 +45,33 @@ class Course:
 def sizes_of(states: Sequence[Array]) -> Array:
     """Scale of each component: its largest value in these states as a power of two, shape (n,).
 
-    One that is zero there has the median of the others as its scale, and no more than 1.
+    One that is zero there has the median of the others as its scale, or 1.
     """
     largest = np.max(np.abs(np.stack(list(states))), axis=0)
-    some = largest[largest > 1e-12 * max(1.0, float(np.max(largest, initial=0.0)))]
-    usual = min(1.0, float(np.median(some))) if some.size else 1.0
-    held = np.where(largest > 1e-12 * max(1.0, float(np.max(largest, initial=0.0))), largest, usual)
-    return np.asarray(2.0 ** np.round(np.log2(held)))
+    some = largest[largest > 1e-12 * float(np.max(largest, initial=0.0))]
+    usual = float(np.median(some)) if some.size else 1.0
+    return power_of_two(np.where(largest > 1e-12 * float(np.max(largest, initial=0.0)), largest, usual))
+
+
+def power_of_two(sizes: Array) -> Array:
+    """The nearest powers of two."""
+    return np.asarray(2.0 ** np.round(np.log2(sizes)))
+
+
+def sizes_at(statics: Statics, x: Array, courses: Sequence[Course], usual: Array) -> Array:
+    """Scales of the components at an equilibrium by their units there (see `units_of`), as powers of two, shape (n,).
+
+    `usual` are scales known from elsewhere: what is smaller by far is rounding.
+    """
+    p = np.array(list(statics.values.values()))
+    return power_of_two(units_of(statics.jacobian(x, p), x, moving(statics, x, p, courses), np.zeros_like(x), usual))
+
+
+def moving(statics: Statics, x: Array, p: Array, courses: Sequence[Course]) -> Array:
+    """Changes of f over the ranges of parameters, shape (n, courses)."""
+    names, by_p = list(statics.values), statics.by_parameters(x, p)
+    changes = [by_p[:, names.index(course.name)] * (course.to - course.start) for course in courses]
+    return np.reshape(np.array(changes), (len(courses), statics.size)).T
 
 
 class AlgebraicProblem(Problem):
@@ -162,12 +184,41 @@ class AlgebraicProblem(Problem):
         return float(np.max(np.abs(step[:n]) / np.maximum(np.abs(z[:n]), SMALLEST)))
 
     def metric(self, z: Array, parameter_scale: float) -> Array:
-        """Diagonal of the mean of |dy|^2 relative to the sizes, and of the scalars; little of what is beside these."""
-        weights, n = np.maximum(np.abs(z), 1.0) ** -2.0, self.statics.size
+        """Diagonal of the mean of |dy|^2 by the units at z, and of the scalars; little of what is beside these."""
+        weights, n = self.units_of_all(z) ** -2.0, self.statics.size
         weights[:n] /= n
         weights[n : self.states] *= BESIDE**2 / max(self.others, 1)
         weights[-1] = parameter_scale**-2.0
         return np.asarray(weights)
+
+    def units_of_all(self, z: Array) -> Array:
+        """Units of all unknowns at z, shape (size,)."""
+        n, units = self.statics.size, self.units(z)
+        usual = np.concatenate([self.units_beside(units), np.ones(self.size - self.states)])
+        return np.concatenate([units, np.maximum(np.abs(z[n:]), usual)])
+
+    def units(self, z: Array) -> Array:
+        """Units of the components of y at z, shape (n,): the same whatever the units of the model's states are."""
+        key = z.tobytes()
+        known: dict[bytes, Array] = self.shared.setdefault("units", {})
+        if key not in known:
+            if len(known) >= KEPT:
+                del known[next(iter(known))]
+            known[key] = self._units_at(z)
+        return known[key]
+
+    def _units_at(self, z: Array) -> Array:
+        x, p, statics = self.state(z), self.parameters(z), self.statics
+        courses = [*self.free, *([] if self.walking is None else [self.walking])]
+        try:
+            found = units_of(statics.jacobian(x, p), x, moving(statics, x, p, courses), self.scale, self.scale)
+            return found / self.scale
+        except ArithmeticError:  # where the equations are not defined
+            return np.maximum(np.abs(z[: statics.size]), 1.0)
+
+    def units_beside(self, units: Array) -> Array:
+        """Units of the unknowns between the state and the scalars, shape (others,), by those of the state."""
+        return np.ones(self.others)
 
     def rounding(self, z: Array) -> float:
         return super().rounding(z) * (self.statics.model.rounding / EPSILON)
@@ -185,16 +236,28 @@ class AlgebraicProblem(Problem):
 
     def deficiency(self, z: Array) -> str:
         """Unknowns that the equations leave undetermined at z while u is held, in words; empty where regular."""
-        matrix = self.dense(z)[:, :-1]
-        left, values, right = np.linalg.svd(matrix)
-        if values[-1] > 1e-9 * values[0]:
+        n, units, matrix = self.statics.size, self.units_of_all(z)[:-1], self.dense(z)[:, :-1]
+        found = NullSpace.of(matrix, units, self.statics.model.rounding)
+        if not found.vanishing:  # as far as the state is known
+            moved = z - np.append(found.solution(self.evaluate(z)[0]), 0.0)
+            found = NullSpace.of(matrix, units, self.statics.model.rounding, self.dense(moved)[:, :-1] - matrix)
+        if not found.vanishing:
             return ""
-        n = self.statics.size
-        name = self.statics.names[int(np.argmax(np.abs(right[-1][:n])))]
-        rows = np.flatnonzero(np.abs(left[:, -1]) > 0.05 * np.max(np.abs(left[:, -1])))
+        name = self.statics.names[int(np.argmax(np.abs(found.right[:n, -1] / units[:n])))]
+        weights = np.abs(found.left[:, -1])
+        rows = np.flatnonzero(weights > 0.05 * np.max(weights))
         dependent = " and ".join(self.place(int(row)) for row in rows[:6])
         verb = "vanishes" if rows.size == 1 else "depend on each other"
         return f"{dependent} {verb} to first order and leave {name} undetermined"
+
+    def null_space(self, z: Array, moved: Array | None = None) -> NullSpace:
+        """Null vectors of the Jacobian by all unknowns, where z is off by `moved`; one of them is the tangent.
+
+        Vectors are in units of the unknowns.
+        """
+        matrix = self.jacobian(z)
+        change = None if moved is None else self.jacobian(z + moved) - matrix
+        return NullSpace.of(matrix, self.units_of_all(z), self.statics.model.rounding, change)
 
     def dense(self, z: Array) -> Array:
         """The Jacobian, each equation relative to its largest derivative, shape (size - 1, size)."""

@@ -10,10 +10,8 @@ import numpy as np
 
 from casadi_skin.bvp.problem import EPSILON, Array
 from casadi_skin.continuation.points import Point
+from casadi_skin.equilibria.linearised import ROUNDING, ComplexArray, Linearised
 from casadi_skin.equilibria.problem import AlgebraicProblem
-from casadi_skin.equilibria.statics import ComplexArray, eigensystem
-
-ROUNDING = 16.0  # of the machine's, in the derivatives: what is left of an eigenvalue that is zero, over its condition
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +28,7 @@ class Sample:
         orientation: the sign of the determinant of the Jacobian closed by `row`.
         leading: values and rates of other quantities that matter, in place of the rate of the parameter.
         turn: period of the imaginary parts: 2 pi of logarithms of multipliers, infinite of eigenvalues.
+        blurred: whether rounding decides the sign of the rate of the parameter, as at a branch point itself.
     """
 
     point: Point
@@ -41,6 +40,7 @@ class Sample:
     orientation: float
     leading: tuple[tuple[float, float], ...] | None = None
     turn: float = np.inf
+    blurred: bool = False
 
     @property
     def symmetric(self) -> bool:
@@ -71,12 +71,7 @@ def sample_of(point: Point, weights: Array) -> Sample:
     h = rounding ** (1.0 / 3.0) / max(1e-300, float(np.max(np.abs(t))))
     change = (problem.jacobian(z + h * t) - problem.jacobian(z - h * t)) / (2.0 * h)
     A, row = problem.jacobian(z)[:n, :n], weights * t
-    values, left, right = eigensystem(A)
-    products = np.sum(left.conj() * right, axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rates = np.sum(left.conj() * (change[:n, :n] @ right), axis=0) / products
-        noise = ROUNDING * rounding * np.linalg.norm(A) / np.abs(products)
-    size = np.linalg.norm(A) + 1e-300
+    linear = Linearised(A, rounding)
     bent = np.append(-change @ t, 0.0)
     full = np.vstack([problem.jacobian(z), row])
     scale = np.maximum(np.max(np.abs(full), axis=1), 1e-300)
@@ -87,8 +82,10 @@ def sample_of(point: Point, weights: Array) -> Sample:
     orientation = np.prod(np.sign(np.diag(factors))) * (-1.0) ** swaps
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         bend = lu_solve((factors, pivots), bent / scale, check_finite=False)
-    finite = np.isfinite(rates)
+        terms = np.abs(full) @ np.abs(t) + np.append(np.abs(change) @ problem.units_of_all(z), 0.0)
+        shaken = ROUNDING * rounding * terms / scale * np.append(problem.probe, 1.0)
+        unsure = abs(float(lu_solve((factors, pivots), shaken, check_finite=False)[-1]))
     return Sample(
-        point, row, values, np.where(finite, rates, 0.0), np.minimum(noise, np.sqrt(ROUNDING * rounding) * size),
-        np.where(np.isfinite(bend), bend, 0.0), float(orientation),
+        point, row, linear.eigensystem[0], linear.rates(change[:n, :n]), linear.errors(),
+        np.where(np.isfinite(bend), bend, 0.0), float(orientation), blurred=not unsure < abs(float(t[-1])),
     )  # fmt: skip

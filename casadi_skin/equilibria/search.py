@@ -106,3 +106,6 @@ class EquilibriumSearch(Search[Point]):
 
     def along(self, before: Point, after: Point, fraction: float) -> Point | None:
         return self.equations.point_solver.along(before, after, fraction)
+
+    def is_clear(self, point: Point) -> bool:
+        return not self.sample(point).blurred

@@ -15,7 +15,7 @@ from casadi_skin.continuation.points import Continuation, ContinuationSettings, 
 from casadi_skin.equilibria.detection import special_between
 from casadi_skin.equilibria.equations import EquilibriumEquations
 from casadi_skin.equilibria.equilibrium import Equilibrium
-from casadi_skin.equilibria.problem import AlgebraicProblem, sizes_of
+from casadi_skin.equilibria.problem import AlgebraicProblem, Course, sizes_at
 from casadi_skin.equilibria.statics import Spectrum, Statics
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.solvers.corrector import Correction
@@ -90,9 +90,10 @@ class EquilibriumSpace(EquilibriumEquations):
     ) -> EquilibriumSpace:
         """The space of the branch through one of these equilibria in a parameter."""
         assert isinstance(solution.point.problem, AlgebraicProblem)
-        sizes = sizes_of([solution.point.problem.state(solution.point.z)])
-        z = np.append(solution.point.problem.state(solution.point.z) / sizes, 0.0)
+        x = solution.point.problem.state(solution.point.z)
         statics = Statics(self.model, solution.parameters)
+        sizes = sizes_at(statics, x, (Course(parameter, solution.parameters[parameter], to),), self.sizes)
+        z = np.append(x / sizes, 0.0)
         first = replace(solution.point, z=z)
         return EquilibriumSpace(statics, self.tolerance, self.corrector, sizes, parameter, to, settings, at, first)
 

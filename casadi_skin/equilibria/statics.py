@@ -8,16 +8,15 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array
+from casadi_skin.bvp.problem import EPSILON, Array
 from casadi_skin.bvp.statement import named_values
+from casadi_skin.equilibria.linearised import ComplexArray, Linearised
 from casadi_skin.models.expressions import Expression
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.saved import programs_in
 from casadi_skin.result import Result
 
-ComplexArray = NDArray[np.complex128]
 SECOND, THIRD = 3e-4, 1e-3  # of the size of x: steps of second and third derivatives of a program
 SAFETY = 4.0  # of the estimated errors of eigenvalues
 
@@ -166,39 +165,26 @@ class Statics:
 
     # Eigenvalues ----------------------------------------------------------------------------------------------------
 
+    def linearised(self, x: Array, p: Array, moved: Array | None = None) -> Linearised:
+        """df/dx, and its change where the state is off by `moved`; raises ArithmeticError where it is not finite."""
+        A = self.jacobian(x, p)
+        if not np.all(np.isfinite(A)):
+            raise ArithmeticError(f"{self.model.name}: the derivatives are not finite at the equilibrium")
+        change = None if moved is None or not np.any(moved) else self.jacobian(x + moved, p) - A
+        return Linearised(A, max(EPSILON, self.model.rounding), change)
+
     def spectrum(self, x: Array, p: Array, moved: Array | None = None) -> Spectrum:
         """Eigenvalues of the linearisation, of a model of second order +-sqrt(mu) of those of df/dx.
 
         `moved` is the estimated error of x, shape (n,), which the errors of eigenvalues include to first order, beside
         rounding by the condition of each (Wilkinson 1965).
         """
-        from scipy.linalg import matrix_balance
-
-        A = self.jacobian(x, p)
-        if not np.all(np.isfinite(A)):
-            raise ArithmeticError(f"{self.model.name}: the derivatives are not finite at the equilibrium")
-        balanced, scales = matrix_balance(A, permute=False, separate=True)
-        scale = np.asarray(scales)[0]
-        values, left, right = eigensystem(np.asarray(balanced))
-        size = np.finfo(float).eps * np.linalg.norm(balanced)
-        if moved is not None and np.any(moved):
-            change = np.array(self.jacobian(x + moved, p)) - A
-            size = size + float(np.linalg.norm(change / scale[:, None] * scale))
-        with np.errstate(divide="ignore"):
-            condition = 1.0 / np.abs(np.sum(left.conj() * right, axis=0))
-        errors = np.minimum(SAFETY * size * condition, np.sqrt(SAFETY * size * (np.linalg.norm(balanced) + 1e-300)))
+        linear = self.linearised(x, p, moved)
+        values, errors = linear.eigensystem[0], linear.errors(SAFETY)
         if self.model.order == 2:
             values, errors = _roots(values, errors)
         places = np.lexsort((-values.imag, -values.real))
         return Spectrum(values[places], errors[places])
-
-
-def eigensystem(A: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Eigenvalues, and left and right eigenvectors as columns."""
-    from scipy.linalg import eig
-
-    values, left, right = (np.asarray(part, dtype=np.complex128) for part in eig(A, left=True))
-    return values, left, right
 
 
 def _roots(squares: ComplexArray, errors: Array) -> tuple[ComplexArray, Array]:

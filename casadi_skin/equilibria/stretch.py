@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.continuation.hermite import LocalCurve
+from casadi_skin.equilibria.linearised import ComplexArray
 from casadi_skin.equilibria.samples import Sample
-from casadi_skin.equilibria.statics import ComplexArray
 
 WITHIN = 0.47  # of a stretch: the place of its sample; not the middle, where symmetric functions agree by accident
 BOUND = 0.25  # of the error of a cubic between two ends: four times that of cubics of half the length

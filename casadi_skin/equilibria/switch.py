@@ -17,8 +17,9 @@ from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.find import find_equilibrium
 from casadi_skin.equilibria.leaving_orbits import leaving_orbits
 from casadi_skin.equilibria.leaving_solutions import doubled_solutions, other_solutions
+from casadi_skin.equilibria.linearised import ROUNDED
 from casadi_skin.equilibria.location import BRANCH_POINT, HOPF
-from casadi_skin.equilibria.problem import AlgebraicProblem, sizes_of
+from casadi_skin.equilibria.problem import AlgebraicProblem, Course, power_of_two, sizes_at
 from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
 from casadi_skin.orbits.boundary_space import BoundarySpace
@@ -32,8 +33,10 @@ from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_points import DOUBLING, SpecialPoint
 
 PROBE = 1e-2  # of the unit of length: a step along the branch that leaves, for the direction of its parameter
+SHORT = 1e-4  # of the range of the parameter: a step along the branch that leaves, for its units
+TRIES = 20  # of such steps
+FEW = 1e-6  # of the largest: components of a tangent that are rounding
 SAME = 1e-4  # of a direction: the difference that distinguishes two branches
-SINGULAR = 1e-5  # singular values of the Jacobian that vanish at a branch point
 
 
 def switch(
@@ -156,17 +159,16 @@ def other_branch(
         raise ValueError(f"parameter: given {parameter!r}; accepted: {point.parameter}, in which the point was found")
     direction = _other_direction(space, solution.point)
     statics = Statics(space.model, solution.parameters)
-    sizes = sizes_of([solution.positions])
-    old = space.course
+    old, value = space.course, solution.parameters[parameter]
     assert old is not None
-    n, span = statics.size, to - solution.parameters[parameter]
-    tangent = np.append(direction[:n] * space.sizes / sizes, direction[-1] * (old.to - old.start) / span)
-    z = np.append(solution.positions / sizes, 0.0)
-    leaving = EquilibriumSpace(
-        statics, space.tolerance, space.corrector, sizes, parameter, to, settings, at, leaves=True
-    )
-    weights = leaving.point_solver.metric(leaving.problem, z)
-    tangent = tangent / np.sqrt(np.sum(weights * tangent**2)) * np.sign(tangent[np.argmax(np.abs(tangent[:n]))])
+    n, span, x = statics.size, to - value, solution.positions
+    sizes = sizes_at(statics, x, (Course(parameter, value, to),), space.sizes)
+    leaving, z, tangent = _towards(space, solution, direction, sizes, to, settings, at)
+    reach = _reach(leaving, z, tangent)
+    if reach is not None:  # in units of the branch that leaves, where those of the point say nothing
+        grown, silent = np.abs(tangent[:n]), np.abs(x) <= ROUNDED * sizes
+        sizes = power_of_two(np.where(silent & (grown > FEW * np.max(grown)), reach * grown * sizes, sizes))
+        leaving, z, tangent = _towards(space, solution, direction, sizes, to, settings, at)
     for sign in (float(side), -float(side)) if abs(tangent[-1]) > SAME else (float(side),):
         if _goes_on(leaving, z, sign * tangent):
             first = replace(solution.point, problem=leaving.problem, z=z, tangent=sign * tangent, special="")
@@ -176,6 +178,41 @@ def other_branch(
         f"to: given {to!r}; accepted: a value {elsewhere} {solution.parameters[parameter]:.10g}, to which the other "
         "branch goes"
     )
+
+
+def _towards(
+    space: EquilibriumSpace, solution: Equilibrium, direction: Array, sizes: Array, to: float,
+    settings: ContinuationSettings, at: tuple[float, ...],
+) -> tuple[EquilibriumSpace, Array, Array]:  # fmt: skip
+    """The space of a branch that leaves, with its start and its unit tangent there; the largest component grows."""
+    statics, old = Statics(space.model, solution.parameters), space.course
+    assert old is not None
+    n, span = statics.size, to - solution.parameters[space.parameter]
+    leaving = EquilibriumSpace(
+        statics, space.tolerance, space.corrector, sizes, space.parameter, to, settings, at, leaves=True
+    )
+    tangent = np.append(direction[:n] * space.sizes / sizes, direction[-1] * (old.to - old.start) / span)
+    z = np.append(solution.positions / sizes, 0.0)
+    weights = leaving.point_solver.metric(leaving.problem, z)
+    tangent = tangent / np.sqrt(np.sum(weights * tangent**2)) * np.sign(tangent[np.argmax(np.abs(tangent[:n]))])
+    return leaving, z, np.asarray(tangent)
+
+
+def _reach(space: EquilibriumSpace, z: Array, tangent: Array) -> float | None:
+    """How far along its tangent a branch has gone where the parameter has gone its range, to leading order.
+
+    None where no step shows it.
+    """
+    weights, step = space.point_solver.metric(space.problem, z), PROBE
+    row = weights * tangent
+    for _ in range(TRIES):
+        correction = space.levels.corrector(space.problem).correct(z + step * tangent, row, float(row @ z) + step)
+        gone = abs(float(correction.z[-1])) if correction.converged else np.inf
+        if SHORT / 30.0 <= gone <= SHORT * 30.0:
+            evenly = abs(float(tangent[-1])) * step > 0.5 * gone
+            return step / (gone if evenly else float(np.sqrt(gone)))
+        step *= float(np.clip(np.sqrt(SHORT / max(gone, 1e-300)), 1e-2, 1e2))
+    return None
 
 
 def _goes_on(space: EquilibriumSpace, z: Array, tangent: Array) -> bool:
@@ -191,12 +228,13 @@ def _goes_on(space: EquilibriumSpace, z: Array, tangent: Array) -> bool:
 def _other_direction(space: EquilibriumSpace, point: Point) -> Array:
     """The tangent of the other branch, from the quadratic terms of the equations on their null space (Keller 1977)."""
     problem, z = space.problem, point.z
-    left, values, right = np.linalg.svd(problem.jacobian(z))
-    several = int(np.count_nonzero(values <= SINGULAR * max(1.0, float(values[0]))))
+    units = problem.units_of_all(z)
+    found = problem.null_space(z, _off(point, units))
+    several = found.vanishing
     if several > 1:
         why = f"{several} eigenvalues vanish at once; accepted: a branch point of one, as where less symmetry is left"
         raise EquilibriumError(f"{space.model.name}: more than two branches cross at the branch point: {why}")
-    first, second, psi = right[-1], right[-2], left[:, -1]
+    first, second, psi = found.right[:, -1], found.right[:, -2], found.left[:, -1]
     quadratic = _second_derivatives(problem)
 
     def form(a: Array, b: Array) -> float:
@@ -210,9 +248,17 @@ def _other_direction(space: EquilibriumSpace, point: Point) -> Array:
     # (alpha, beta) with a alpha^2 + b alpha beta + c beta^2 = 0, without cancellation
     q = -0.5 * (b + np.copysign(root, b))
     directions = [alpha * first + beta * second for alpha, beta in ((q, a), (c, q)) if alpha or beta]
-    along = point.tangent / np.linalg.norm(point.tangent)
-    unit = [direction / np.linalg.norm(direction) for direction in directions]
-    return min(unit, key=lambda direction: abs(float(direction @ along)))
+    along = point.tangent / units / np.linalg.norm(point.tangent / units)
+    unit = [direction / np.linalg.norm(direction / units) for direction in directions]
+    return min(unit, key=lambda direction: abs(float((direction / units) @ along)))
+
+
+def _off(point: Point, units: Array) -> Array:
+    """What the unknowns of a special point may be off by: along the branch, and each by its error."""
+    profile = point.error.profile if np.isfinite(point.error.profile) else 0.0
+    rate = abs(float(point.tangent[-1]))
+    along = point.tangent * (point.error.parameter / rate) if rate > SAME else np.zeros_like(point.tangent)
+    return np.asarray(along + profile * units)
 
 
 def _second_derivatives(problem: AlgebraicProblem) -> ca.Function:

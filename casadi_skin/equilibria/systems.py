@@ -1,8 +1,9 @@
 """Extended systems whose regular solutions are folds, Hopf points and branch points of equilibria.
 
-Fold: F = 0, F_y v = 0, v v = 1 (Moore and Spence 1980). Hopf point: F = 0, F_y v = w, F_y w + kappa v = 0, v v = 1,
+Fold: F = 0, F_y v = 0, v W v = 1 (Moore and Spence 1980). Hopf point: F = 0, F_y v = w, F_y w + kappa v = 0, v W v = 1,
 d v = 0, with kappa = omega^2 (Roose and Hlavacek 1985), which stays regular where kappa goes through zero. Branch
-point: F + beta c = 0, psi F_y = 0, psi F_p = 0, c psi = 1 with beta = 0 (Griewank and Reddien 1984).
+point: F + beta c = 0, psi F_y = 0, psi F_p = 0, c psi = 1 with beta = 0 (Griewank and Reddien 1984). W, c and d are
+constants that measure null vectors by the units of the state where the system is started.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.problem import Array
+from casadi_skin.equilibria.linearised import ComplexArray, Linearised, NullSpace, upper_pair
 from casadi_skin.equilibria.problem import AlgebraicProblem, Course
 from casadi_skin.equilibria.statics import Statics
 from casadi_skin.models.expressions import Expression
@@ -50,6 +52,15 @@ class ExtendedSystem(AlgebraicProblem):
         """
         raise NotImplementedError
 
+    def _units_near(self, y: Array, scalars: Array) -> Array:
+        """Units of the state at an approximate point."""
+        return self.units(
+            np.concatenate([y, np.zeros(self.others), scalars, np.zeros(self.size - self.states - scalars.size)])
+        )
+
+    def units_beside(self, units: Array) -> Array:
+        return np.tile(units, self.others // units.size)
+
 
 class FoldSystem(ExtendedSystem):
     """Folds, with the null vector v of F_y."""
@@ -60,17 +71,14 @@ class FoldSystem(ExtendedSystem):
 
     def _residual(self, y: Expression, others: Expression, scalars: Expression, c: Expression) -> Expression:
         F = self.force(y, self.parameters_at(scalars))
-        return ca.vertcat(F, ca.jtimes(F, y, others), ca.dot(others, others) - 1)
-
-    @staticmethod
-    def constant_count(n: int) -> int:
-        return 0
+        return ca.vertcat(F, ca.jtimes(F, y, others), ca.dot(others, c * others) - 1)
 
     def started(
         self, matrix: Array, y: Array, scalars: Array, near: complex | None = None
     ) -> tuple[AlgebraicProblem, Array]:
-        v = np.linalg.svd(matrix)[2][-1]
-        return self, np.concatenate([y, v, scalars, [0.0]])
+        units = self._units_near(y, scalars)
+        v = NullSpace.of(matrix, units).right[:, -1]
+        return self.with_constants(units**-2.0), np.concatenate([y, v, scalars, [0.0]])
 
 
 class BranchSystem(ExtendedSystem):
@@ -88,8 +96,13 @@ class BranchSystem(ExtendedSystem):
     def started(
         self, matrix: Array, y: Array, scalars: Array, near: complex | None = None
     ) -> tuple[AlgebraicProblem, Array]:
-        psi = np.linalg.svd(matrix)[0][:, -1]
-        return self.with_constants(psi), np.concatenate([y, psi, scalars, [0.0, 0.0]])
+        units = self._units_near(y, scalars)
+        psi = NullSpace.of(matrix, units).left[:, -1]
+        c = psi * units**2 / np.linalg.norm(psi * units)
+        return self.with_constants(c), np.concatenate([y, psi / (c @ psi), scalars, [0.0, 0.0]])
+
+    def units_beside(self, units: Array) -> Array:
+        return np.asarray(1.0 / units)
 
 
 class HopfSystem(ExtendedSystem):
@@ -104,27 +117,30 @@ class HopfSystem(ExtendedSystem):
         F = self.force(y, self.parameters_at(scalars))
         v, w = others[:n], others[n:]
         turned, back = ca.jtimes(F, y, v) / rate - w, ca.jtimes(F, y, w) / rate + kappa * v
-        return ca.vertcat(F, turned, back, ca.dot(v, v) - 1, ca.dot(c, v))
+        return ca.vertcat(F, turned, back, ca.dot(v, c[n:] * v) - 1, ca.dot(c[:n], v))
+
+    @staticmethod
+    def constant_count(n: int) -> int:
+        return 2 * n
 
     def started(
         self, matrix: Array, y: Array, scalars: Array, near: complex | None = None
     ) -> tuple[AlgebraicProblem, Array]:
-        values, vectors = np.linalg.eig(matrix)
-        upper = np.flatnonzero(values.imag > 0.0)
-        if not upper.size:
-            raise ArithmeticError("no pair of complex eigenvalues is near the imaginary axis")
-        k = upper[np.argmin(np.abs(values[upper].real) if near is None else np.abs(values[upper] - near))]
-        v, d = plane(vectors[:, k])
+        linear, units = Linearised(matrix), self._units_near(y, scalars)
+        values = linear.eigensystem[0]
+        k = upper_pair(values, near)
+        v, d = plane(linear.vectors(k)[0] / units)
+        v, constants = v * units, np.concatenate([d / units, units**-2.0])
         w = matrix @ v / self.rate
         kappa = (values[k].imag / self.rate) ** 2
-        return self.with_constants(d), np.concatenate([y, v, w, scalars, [kappa, 0.0]])
+        return self.with_constants(constants), np.concatenate([y, v, w, scalars, [kappa, 0.0]])
 
     def kappa(self, z: Array) -> float:
         """(omega/rate)^2 of a solution; negative where the eigenvalues are real with sum zero."""
         return float(z[self.states + len(self.free)])
 
 
-def plane(q: Array) -> tuple[Array, Array]:
+def plane(q: ComplexArray) -> tuple[Array, Array]:
     """An orthonormal basis of the plane of the real and imaginary parts of a vector, which may be turned freely."""
     turned = q * np.exp(-0.5j * np.angle(np.sum(q * q)))  # real and imaginary parts are orthogonal now
     v = turned.real / np.linalg.norm(turned.real)

@@ -1,0 +1,112 @@
+"""Special points of equilibria do not depend on the units of states, of time and of the parameter."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from equilibrium_models import symbols
+
+from casadi_skin import OdeModel, find_equilibrium
+from casadi_skin.orbits.branch import Branch
+
+
+def hodgkin_huxley(unit: float, shift: float) -> OdeModel:
+    """With the voltage v + shift in units of 1/unit mV, rest at v = 2e-5 for I = 0."""
+    w, m, h, n, current = symbols("w m h n I")
+    v = w / unit - shift
+    am, bm = 0.1 * (25 - v) / (ca.exp((25 - v) / 10) - 1), 4 * ca.exp(-v / 18)
+    ah, bh = 0.07 * ca.exp(-v / 20), 1 / (ca.exp((30 - v) / 10) + 1)
+    an, bn = 0.01 * (10 - v) / (ca.exp((10 - v) / 10) - 1), 0.125 * ca.exp(-v / 80)
+    membrane = current - 120 * m**3 * h * (v - 115) - 36 * n**4 * (v + 12) - 0.3 * (v - 10.599)
+    gates = [a * (1 - gate) - b * gate for gate, a, b in ((m, am, bm), (h, ah, bh), (n, an, bn))]
+    return OdeModel("hodgkin-huxley", ca.vertcat(w, m, h, n), ca.vertcat(unit * membrane, *gates), current)
+
+
+@pytest.mark.parametrize(("unit", "shift"), [(1.0, 0.0), (1.0, 65.0), (1e-3, 0.0), (1e3, 0.0), (1e3, -65.0)])
+def test_hodgkin_huxley_has_both_hopf_points_from_rest_in_any_units(unit: float, shift: float) -> None:
+    """Published values; the state of the voltage at rest is accidentally near zero, or not."""
+    rest = [unit * shift, 0.05, 0.6, 0.3]
+    branch = find_equilibrium(hodgkin_huxley(unit, shift), rest, parameters={"I": 0.0}).follow("I", 200.0)
+    points = branch.special_points
+    assert [point.kind for point in points] == ["hopf", "hopf"]
+    np.testing.assert_allclose([point.parameters["I"] for point in points], [9.779638, 154.526634], atol=5e-7)
+    assert branch.unresolved == ()
+    current = branch["I"]
+    assert np.array_equal(branch.stable, (current <= 9.779638 + 1e-6) | (current >= 154.526634 - 1e-6))
+
+
+def cubic(seed: int, size: int, *, D: np.ndarray, time: float = 1.0, range_: float = 1.0) -> OdeModel:
+    """x' = time D f(x/D, p/range) with random linear, quadratic and cubic terms."""
+    random = np.random.default_rng(seed)
+    A, B = random.normal(size=(size, size)) - 0.5 * np.eye(size), random.normal(size=(size, size))
+    quadratic, cubic_ = 0.4 * random.normal(size=(size, size, size)), 0.06 * random.normal(size=(size, size))
+    x, p = ca.SX.sym("x", size), ca.SX.sym("p")
+    y, q = x / D, p / range_
+    f = ca.mtimes(ca.DM(A) + q * ca.DM(B), y) - y**3 + ca.mtimes(ca.DM(cubic_), y**3)
+    f += ca.vertcat(*(ca.mtimes([y.T, ca.DM(form), y]) for form in quadratic))
+    return OdeModel("cubic", x, time * D * f, p)
+
+
+def followed(seed: int, size: int, start: np.ndarray, D: np.ndarray, **units: float) -> Branch:
+    """The branch of such a model from p = -1.5 to 1.5 ranges, at most 150 points of it."""
+    model, range_ = cubic(seed, size, D=D, **units), units.get("range_", 1.0)
+    rest = find_equilibrium(model, D * start, parameters={"p": -1.5 * range_})
+    return rest.follow("p", 1.5 * range_, max_points=150)
+
+
+def assert_same(one: Branch, other: Branch, D: np.ndarray, range_: float = 1.0) -> None:
+    """The same special points, places within the errors of both, states to 1e-8; nothing unresolved."""
+    assert one.unresolved == other.unresolved == ()
+    last = min(abs(branch.solutions[-1].point.parameter) for branch in (one, other))
+    if one.end != other.end:
+        assert last < 1.0  # a limit on points
+    pairs = list(zip(one.special_points, other.special_points, strict=one.end is other.end and len(one) < 150))
+    assert [a.kind for a, _ in pairs] == [b.kind for _, b in pairs]
+    for a, b in pairs:
+        apart = abs(a.parameters["p"] - b.parameters["p"] / range_)
+        assert apart <= 2.0 * (a.error + b.error / range_) + 1e-14
+        np.testing.assert_allclose(b.solution.state / D, a.solution.state, atol=1e-8)
+
+
+SEEDS = [*range(4), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 44))]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_random_models_have_the_same_special_points_in_any_units(seed: int) -> None:
+    """States in units of 1e-5 to 1e5, time and parameter in other ones; on the zero state too, which has no size."""
+    size, random = 2 + seed % 4, np.random.default_rng(seed + 1000)
+    D, one = 10.0 ** random.uniform(-5.0, 5.0, size), np.ones(size)
+    zero = followed(seed, size, np.zeros(size), one)
+    assert_same(zero, followed(seed, size, np.zeros(size), D), D)
+    assert_same(zero, followed(seed, size, np.zeros(size), one, time=1e6), one)
+    assert_same(zero, followed(seed, size, np.zeros(size), one, range_=1e-5), one, 1e-5)
+    values = np.linspace(-1.5, 1.5, 20_001)
+    random = np.random.default_rng(seed)
+    A, B = random.normal(size=(size, size)) - 0.5 * np.eye(size), random.normal(size=(size, size))
+    unstable = np.sum(np.linalg.eigvals(A + values[:, None, None] * B).real > 0.0, axis=1)
+    changes = {"hopf": 2, "branch point": 1}
+    for where, before, after in zip(values[1:], unstable, unstable[1:], strict=False):
+        near = [p for p in zero.special_points if -1.6e-4 < p.parameters["p"] - where <= 1e-14]
+        assert abs(int(after) - int(before)) <= sum(changes[point.kind] for point in near)
+    assert len(zero.special_points) <= np.count_nonzero(np.diff(unstable))
+
+
+def test_neighbouring_eigenvalues_of_a_fine_grid_are_two() -> None:
+    """Swift-Hohenberg by finite differences, entries like h^-4: eigenvalues of -(1 + D2)^2 next to each other."""
+    n, length = 60, 14.2
+    h = length / (n + 1)
+    second = (np.diag(np.full(n, -2.0)) + np.eye(n, k=1) + np.eye(n, k=-1)) / h**2
+    operator = -((np.eye(n) + second) @ (np.eye(n) + second))
+    u, r = ca.SX.sym("u", n), ca.SX.sym("r")
+    model = OdeModel("swift-hohenberg", u, ca.mtimes(ca.sparsify(ca.DM(operator)), u) + r * u - u**3, r)
+    exact = np.sort(-np.linalg.eigvalsh(operator))[:3]
+    assert exact[1] - exact[0] < 1e-6 * np.max(np.abs(operator))
+    branch = find_equilibrium(model, np.zeros(n), parameters={"r": 0.5 * exact[0]}).follow("r", 1.2 * exact[1])
+    points = branch.special_points
+    assert [point.kind for point in points] == ["branch point", "branch point"]
+    np.testing.assert_allclose([point.parameters["r"] for point in points], exact[:2], rtol=1e-8)
+    assert branch.unresolved == ()
+    for point in points:
+        other = point.follow("r", 1.1 * point.parameters["r"], max_points=5)
+        assert np.max(np.abs(other.solutions[-1].state)) > 1e-3
