@@ -13,7 +13,7 @@ from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.continuation.points import ContinuationSettings, Point
 from casadi_skin.orbits.boundary_choices import Sizes
 from casadi_skin.orbits.boundary_space import BoundarySpace
-from casadi_skin.orbits.branch_points import other_tangent
+from casadi_skin.orbits.branch_points import leaving_tangent
 from casadi_skin.orbits.find_orbit import closed_statement, forced_statement
 from casadi_skin.orbits.lost_symmetry import critical_vector, lost_operations
 from casadi_skin.orbits.orbit import Orbit
@@ -21,7 +21,6 @@ from casadi_skin.orbits.rejoining import Left
 from casadi_skin.solvers.estimates import ErrorEstimate
 
 RESTS, SHARE = 1e-5, 1e-2  # of the largest component: a component below it rests; of a usual one: its scale
-STILL = 1e-6  # rate of a parameter that does not change along a tangent
 
 
 def leaving_orbits(
@@ -67,7 +66,7 @@ def leaving_orbits(
     error = ErrorEstimate(orbit.point.error.Omega, orbit.point.error.profile)
     first = Point(problem, z, np.zeros(problem.size), error, settings.first_step, 0)
     if turns == 1:
-        return replace(space, first=replace(first, tangent=side * _other(space, first, orbit)))
+        return replace(space, first=replace(first, tangent=_other(space, first, orbit, side)))
     tangent = np.zeros(problem.size)
     tangent[: problem.states] = side * _perturbation(orbit, values, t).ravel()
     tangent /= np.sqrt(np.sum(space.point_solver.metric(problem, z) * tangent**2))
@@ -90,19 +89,12 @@ def _left(orbit: Orbit, turns: int) -> Left | None:
     return None if lost is None else Left(space, 1, *lost)
 
 
-def _other(space: BoundarySpace, first: Point, orbit: Orbit) -> Array:
-    """The tangent of the other branch at a branch point: towards the requested end where the parameter changes.
-
-    Where it does not, that along which the component that changes most grows.
-    """
+def _other(space: BoundarySpace, first: Point, orbit: Orbit, side: int) -> Array:
+    """The tangent of the other branch at a branch point."""
     old, problem = orbit._boundary_space(), first.problem
     along = orbit.problem.prolong(orbit.point.tangent, problem).copy()
     along[-1] *= (old.to - old.statement.values[old.parameter]) / (space.to - space.statement.values[space.parameter])
-    tangent = other_tangent(space.point_solver, replace(first, tangent=along))
-    if abs(tangent[-1]) > STILL:
-        return np.asarray(tangent * np.sign(tangent[-1]))
-    tangent[-1] = 0.0
-    return np.asarray(tangent * np.sign(tangent[np.argmax(np.abs(tangent[: problem.states]))]))
+    return leaving_tangent(space.point_solver, replace(first, tangent=along), side)
 
 
 def _problem(space: BoundarySpace, orbit: Orbit, turns: int) -> BoundaryProblem:

@@ -13,11 +13,9 @@ from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.continuation.points import ContinuationSettings, Point
 from casadi_skin.orbits.boundary_choices import Sizes
 from casadi_skin.orbits.boundary_space import BoundarySpace
-from casadi_skin.orbits.branch_points import other_tangent
+from casadi_skin.orbits.branch_points import leaving_tangent
 from casadi_skin.orbits.refined import BoundaryError
 from casadi_skin.orbits.solution import Solution
-
-SAME = 1e-4  # of a direction: the difference that distinguishes two branches
 
 
 def other_solutions(
@@ -25,17 +23,19 @@ def other_solutions(
 ) -> BoundarySpace:
     """The space of the other branch at a branch point of a boundary-value problem."""
     old = cast(BoundarySpace, solution.space)
-    tangent = other_tangent(old.point_solver, solution.point)
     space = old.following(solution, parameter, to, at, settings)
     problem = space.levels.problem(solution.intervals).with_constants(solution.problem.constants)
-    z = solution.point.z.copy()
-    span, before = to - solution.parameters[parameter], old.to - old.statement.values[parameter]
-    z[-1], tangent[-1] = 0.0, tangent[-1] * before / span
-    tangent = tangent / np.sqrt(np.sum(space.point_solver.metric(problem, z) * tangent**2))
-    towards = np.sign(tangent[-1]) if abs(tangent[-1]) > SAME else 1.0
-    tangent = side * towards * tangent
-    first = replace(solution.point, problem=problem, z=z, tangent=tangent, special="")
-    return replace(space, first=first, leaves=True)
+    z, along = solution.point.z.copy(), solution.point.tangent.copy()
+    z[-1] = 0.0
+    along[-1] *= (old.to - old.statement.values[old.parameter]) / (to - solution.parameters[parameter])
+    first = replace(solution.point, problem=problem, z=z, tangent=along, special="")
+    return _left_along(space, first, side)
+
+
+def _left_along(space: BoundarySpace, first: Point, side: int) -> BoundarySpace:
+    """The space of the branch that leaves at a point with the tangent of the other one."""
+    tangent = leaving_tangent(space.point_solver, first, side)
+    return replace(space, first=replace(first, tangent=tangent), leaves=True)
 
 
 def doubled_solutions(
@@ -72,7 +72,4 @@ def doubled_solutions(
     rates = np.append(solution.point.tangent[problem.states : -1], before * solution.point.tangent[-1])
     start = np.concatenate([states, free, [0.0]])
     first = Point(twice, start, np.append(along, rates), solution.point.error, settings.first_step, 0)
-    tangent = other_tangent(space.point_solver, first)
-    tangent = tangent / np.sqrt(np.sum(space.point_solver.metric(twice, start) * tangent**2))
-    largest = np.argmax(np.abs(tangent[: twice.states]))
-    return replace(space, first=replace(first, tangent=side * np.sign(tangent[largest]) * tangent))
+    return _left_along(space, first, side)

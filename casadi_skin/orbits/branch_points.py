@@ -31,6 +31,8 @@ TWICE = 1e-2  # of a step: one eigenvalue that passes zero twice within it is no
 PLACES = 80  # on a stretch: more are needed only where rounding hides the branch, as on its way to infinity
 PARTED = 0.4823  # of a stretch: where it is parted, seldom at a branch point
 BEYOND = 1e-6  # of a step: where a branch point itself is looked at
+UPRIGHT = 1e-4  # of the rate of the parameter along a branch: that of one that crosses upright, by differences
+ROUNDED = 1e-8  # a rate that is rounding, where neither branch changes the parameter
 DIFFERENCE = 1e-4  # of a step: that of derivatives along it
 
 
@@ -187,6 +189,23 @@ def _as_point(stretch: _Stretch, after: Point, z: Array, slope: Array, own: floa
     error = replace(after.error, parameter=moved / problem.parameter_size(z))
     step = stretch.point_solver.settings.first_step
     return Point(problem, z, np.asarray(tangent), error, step, 0, walked=False, special=BRANCH_POINT)
+
+
+def leaving_tangent(point_solver: PointSolver, point: Point, side: int) -> Array:
+    """The tangent of the branch that leaves at a branch point with the tangent of the other one, of length 1.
+
+    Its side 1 goes to larger values of the parameter followed; where that rests to first order, as where a symmetry is
+    lost, it is the side on which the component that changes most grows. What is left of the parameter's rate there is
+    rounding, and is taken out: it would turn back next to the start.
+    """
+    tangent, problem = other_tangent(point_solver, point), point.problem
+    place, states = problem.parameter_index, tangent[: problem.states]  # type: ignore[attr-defined]
+    along = point.tangent / np.sqrt(np.sum(point_solver.metric(problem, point.z) * point.tangent**2))
+    tangent = tangent / np.sqrt(np.sum(point_solver.metric(problem, point.z) * tangent**2))
+    upright = abs(tangent[place]) <= max(UPRIGHT * abs(along[place]), ROUNDED)
+    tangent[place] = 0.0 if upright else tangent[place]
+    sign = np.sign(states[np.argmax(np.abs(states))]) if upright else np.sign(tangent[place])
+    return np.asarray(side * sign * tangent)
 
 
 def other_tangent(point_solver: PointSolver, point: Point) -> Array:
