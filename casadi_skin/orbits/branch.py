@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +27,12 @@ from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_of_families import edges_left_at, folds_of_family, special_point
 from casadi_skin.orbits.special_points import EDGE, FOLD, SpecialPoint
 from casadi_skin.result import Result
+from casadi_skin.solvers.watch import Budget, TimeLimitError
 from casadi_skin.stability.localised_diagram import LocalisedChange, LocalisedDiagram
 from casadi_skin.stability.tongues import Place, StabilityDiagram, StabilityEdge
-from casadi_skin.unresolved import Unresolved
+from casadi_skin.unresolved import STABILITY, Unresolved
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +51,7 @@ class Branch(Result):
         stopped: whether the condition `until` ended the branch.
         with_events: whether changes of stability are sought.
         passed_over: stretches that could not be resolved while the branch was followed.
+        time_left: what is left of the time limit, for what is computed on first use.
     """
 
     space: SolutionSpace
@@ -60,6 +64,8 @@ class Branch(Result):
     stopped: bool = False
     with_events: bool = False
     passed_over: tuple[Unresolved, ...] = ()
+    time_left: Budget = field(default_factory=Budget)
+    _cut: dict[str, Unresolved] = field(default_factory=dict, init=False)  # what the time limit ended, by kind
 
     def __len__(self) -> int:
         return len(self.solutions)
@@ -164,13 +170,19 @@ class Branch(Result):
             return None
         from casadi_skin.orbits.family_tongues import family_tongues
 
-        return family_tongues(self.space, (self.start, *(solution.point for solution in self.solutions)))
+        family, points = self.space, (self.start, *(solution.point for solution in self.solutions))
+        return self._within_time(STABILITY, lambda: family_tongues(family, points))
 
     @property
     def changes_known(self) -> bool:
         """Whether changes of stability need no computation now: those of a family are sought on first use."""
-        return not isinstance(self.space, Family) or not {"stability_diagram", "localised_diagram"}.isdisjoint(
-            name for name, value in vars(self).items() if value is not None
+        cut = STABILITY in self._cut
+        return (
+            cut
+            or not isinstance(self.space, Family)
+            or not {"stability_diagram", "localised_diagram"}.isdisjoint(
+                name for name, value in vars(self).items() if value is not None
+            )
         )
 
     @cached_property
@@ -183,7 +195,8 @@ class Branch(Result):
             return None
         from casadi_skin.orbits.family_localised import localised_changes
 
-        return localised_changes(self.space, [solution.point for solution in self.solutions])
+        family, points = self.space, [solution.point for solution in self.solutions]
+        return self._within_time(STABILITY, lambda: localised_changes(family, points))
 
     @property
     def _seeks_changes(self) -> bool:
@@ -210,19 +223,33 @@ class Branch(Result):
         and changes of it are sought.
         """
         diagram = self.diagram_of_changes
-        return (*self.passed_over, *(() if diagram is None else diagram.unresolved))
+        return (*self.passed_over, *(() if diagram is None else diagram.unresolved), *self._cut.values())
+
+    def _within_time(self, kind: str, compute: Callable[[], T]) -> T | None:
+        """What is computed within the time that is left; None where that is not enough, which is `unresolved` then."""
+        try:
+            with self.time_left.spent():
+                return compute()
+        except TimeLimitError as error:
+            start, end = float(self.values[0]), float(self.values[-1])
+            self._cut[kind] = Unresolved(start, end, str(error), kind, self.parameter)
+            return None
 
     @cached_property
     def passed_resonances(self) -> tuple[PassedResonance, ...] | None:
         """Stretches of a family that may have gone past an internal resonance too narrow to be resolved.
 
         Two runs of other tolerances may have other folds there and nowhere else. Computed on first use; None where it
-        is not sought: without odd cosines, or where the Jacobian is not symmetric.
+        is not sought: without odd cosines, or where the Jacobian is not symmetric; and where the time limit ends the
+        search.
         """
         if not isinstance(self.space, Family):
             return None
-        points = [solution.point for solution in self.solutions]
-        return passed_resonances(self.space.point_solver, points, lambda point: self.space.value("S", point))
+        family, points = self.space, [solution.point for solution in self.solutions]
+        return self._within_time(
+            "internal resonance",
+            lambda: passed_resonances(family.point_solver, points, lambda point: family.value("S", point)),
+        )
 
     def first_instability(self, growth: float = 0.0) -> Place | None:
         """The place where a family first becomes unstable, with the error of S.
@@ -243,7 +270,8 @@ class Branch(Result):
             change = self.localised_diagram.first_instability()
             return None if change is None else change.place
         if self.stability_diagram is None:
-            raise ValueError("first_instability: accepted: a family followed with stability=True, events=True")
+            cut = f"; {self._cut[STABILITY]}" if STABILITY in self._cut else ""
+            raise ValueError(f"first_instability: accepted: a family followed with stability=True, events=True{cut}")
         tongue = self.stability_diagram.first_instability(growth)
         return None if tongue is None else tongue.start
 
@@ -294,8 +322,15 @@ class Branch(Result):
         if self.space.locates_folds:
             special = (solution for solution in self.solutions if solution.point.special)
             return tuple(special_point(self.space, solution) for solution in special)
-        leaving = edges_left_at(self, self.stability_diagram, self.localised_diagram)
-        return (*folds_of_family(self.space, self.solutions), *leaving)
+        diagram, localised = self.stability_diagram, self.localised_diagram
+        leaving = self._within_time(EDGE, lambda: tuple(edges_left_at(self, diagram, localised)))
+        return (*self._folds, *(leaving or ()), *self._cut.values())
+
+    @cached_property
+    def _folds(self) -> tuple[SpecialPoint | Unresolved, ...]:
+        """Folds of a family: no changes of stability are sought for them."""
+        found = self._within_time(FOLD, lambda: tuple(folds_of_family(self.space, self.solutions)))
+        return found or ()
 
     def follow_all(self, **options: Any) -> Any:
         """A `Diagram` of all branches that leave this one or each other; see `casadi_skin.equilibria.diagram`."""
@@ -304,7 +339,8 @@ class Branch(Result):
     @property
     def folds(self) -> tuple[Solution, ...]:
         """Solutions at which the continuation parameter turns back."""
-        return tuple(point.solution for point in self.special_points if point.kind == FOLD)
+        points = self.special_points if self.space.locates_folds else self._folds
+        return tuple(p.solution for p in points if isinstance(p, SpecialPoint) and p.kind == FOLD)
 
     @cached_property
     def threshold(self) -> float | None:

@@ -199,7 +199,7 @@ def leaving_tangent(point_solver: PointSolver, point: Point, side: int) -> Array
     rounding, and is taken out: it would turn back next to the start.
     """
     tangent, problem = other_tangent(point_solver, point), point.problem
-    place, states = problem.parameter_index, tangent[: problem.states]  # type: ignore[attr-defined]
+    place, states = problem.parameter_index, tangent[: problem.states]
     along = point.tangent / np.sqrt(np.sum(point_solver.metric(problem, point.z) * point.tangent**2))
     tangent = tangent / np.sqrt(np.sum(point_solver.metric(problem, point.z) * tangent**2))
     upright = abs(tangent[place]) <= max(UPRIGHT * abs(along[place]), ROUNDED)

@@ -19,6 +19,7 @@ from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.section_orbits import SectionOrbit, find_all, find_one
 from casadi_skin.solvers.levels import Levels
+from casadi_skin.solvers.watch import heed
 from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
 from casadi_skin.stability.interpolation import OrbitNotFoundError, Samples
 from casadi_skin.unresolved import Unresolved
@@ -234,7 +235,8 @@ class OrbitSampler:
     # Orbits ---------------------------------------------------------------------------------------------------------
 
     def sample(self, coordinates: Array) -> Samples:
-        """Samples at coordinates of one section (see `BranchSampler`)."""
+        """Samples at coordinates of one section (see `BranchSampler`); raises TimeLimitError."""
+        heed("orbits between the points of a family")
         middle = float(np.mean(coordinates))
         number = min(range(len(self._sections)), key=lambda i: _away(self._sections[i], middle))
         section = self._sections[number]

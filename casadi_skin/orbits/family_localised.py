@@ -13,6 +13,7 @@ from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.edge_hill import EdgeHill
 from casadi_skin.orbits.family import Family
 from casadi_skin.solvers.estimates import Refinement
+from casadi_skin.solvers.watch import heed
 from casadi_skin.stability.gaps import Layout
 from casadi_skin.stability.hill import Hill
 from casadi_skin.stability.interpolation import OrbitNotFoundError
@@ -53,7 +54,8 @@ class EdgeOrbits:
         return np.arange(len(self.points), dtype=float)
 
     def sample(self, coordinate: float) -> Sample:
-        """The orbit there; raises OrbitNotFoundError."""
+        """The orbit there; raises OrbitNotFoundError, and TimeLimitError."""
+        heed("orbits between the points of a family")
         point = self._point(coordinate)
         own, better = Refinement(point.problem, point.z), point.better
         if better is not None and coordinate == round(coordinate):  # of the branch, as precise as the others

@@ -66,7 +66,8 @@ def follow_family(
         at_period: periods, likewise.
         period_max: period at which the family ends where that comes before `amplitude_max`.
         max_points: number of orbits after which it ends wherever it is.
-        time_limit: seconds after which it ends likewise, with what was computed, before its next orbit.
+        time_limit: seconds after which it ends likewise, with what was computed; what is sought later, as changes of
+            stability, has the seconds that are left.
         until: ends the family at the first orbit for which it is true.
         stability: whether multipliers are computed for each orbit.
         events: whether every change of stability is sought.
@@ -130,7 +131,7 @@ def follow(
         max_step: longest step, 1 being a change of the states by their own size.
         back_to: a value on the other side of the start, where a branch that comes back ends; left out, it ends at the
             value that it started from, and one of equilibria or of a forced model goes on to see whether it closes.
-        time_limit: seconds after which the branch ends, with what was computed, before its next point.
+        time_limit: seconds after which the branch ends, with what was computed.
         until: ends the branch at the first solution for which it is true.
         stability: whether multipliers are computed for each orbit; equilibria have their eigenvalues always.
         events: whether changes of stability are located.

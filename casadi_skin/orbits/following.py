@@ -6,6 +6,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.walk import Walk
+from casadi_skin.solvers.watch import Budget, TimeLimitError, watched
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.threads import one_thread
 from casadi_skin.unresolved import Unresolved
@@ -33,7 +35,7 @@ class Following:
     `keep` is called with each point as it converges, and with the walk, which has what is missed so far. Solutions
     computed earlier may be given, points after them whose stability is `waiting`, and what was `missed` and
     `unresolved`: the branch goes on from the last of these as if it had not been broken off. It ends before its next
-    point once `time_limit` seconds are over; the points that wait then are finished.
+    point once `time_limit` seconds are over, also within the work on that point; points that wait then are finished.
     """
 
     def __init__(
@@ -78,18 +80,32 @@ class Following:
                     one_thread(),
                     interrupts_deferred(),
                     np.errstate(all="ignore"),
+                    self._watch(),
                 ):  # not while the caller of the iteration is at work
                     result = next(results, None)
             if result is None:
                 return
             yield result
 
+    def _watch(self) -> AbstractContextManager[None]:
+        """Solvers end when the time is over, but for the first solution."""
+        if math.isinf(self._time_limit) or not (self.solutions or self._waiting):
+            return nullcontext()
+        return watched(self._end_time - time.monotonic())
+
+    def _points(self) -> Iterator[Point]:
+        """The points of the walk, up to where the time is over."""
+        try:
+            yield from self._walk
+        except TimeLimitError:
+            self._walk.stop(End.TIME, f"{self._time_limit:g} s")
+
     def _results(self) -> Iterator[Solution]:
         together = self.space.stability_batch if self.stability else 1
         limit = self.space.point_solver.settings.max_points
         if len(self._waiting) >= together:
             yield from self._finish_waiting()
-        for point in self._walk:
+        for point in self._points():
             if len(self.solutions) + len(self._waiting) == limit:
                 self._walk.stop(End.POINTS)
                 break
@@ -130,7 +146,12 @@ class Following:
 
     def _critical(self, solution: Solution) -> Solution:
         """A solution, or the special one at a requested value."""
-        return at_requested_value(solution) if self.events and _closes(solution) else solution
+        if not (self.events and _closes(solution)):
+            return solution
+        try:
+            return at_requested_value(solution)
+        except TimeLimitError:  # the stretch before it is named: the time is over there too
+            return solution
 
     def _bifurcations_before(self, solution: Solution) -> Iterator[Solution]:
         """Orbits between the last orbit and this one at which multipliers cross the unit circle."""
@@ -170,6 +191,7 @@ class Following:
             self.space, tuple(self.solutions), tuple(changes),
             self.stability or self.space.stability_included, end, detail, misses,
             stopped or self._stopped, self.events, tuple(dict.fromkeys([*self._walk.unresolved, *unresolved])),
+            Budget(self._time_limit, max(self._end_time - time.monotonic(), 0.0)),
         )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from casadi_skin.orbits.exponents import Exponents
 from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.special_points import DOUBLING, TORUS
+from casadi_skin.solvers.watch import TimeLimitError
 from casadi_skin.unresolved import Unresolved
 
 BESIDE_SPECIAL = 1e-2  # of the way from a special orbit to the next one: where its own multiplier has a side
@@ -65,6 +66,14 @@ class Ledger:
             before, after: neighbours on the branch, which may be special orbits themselves.
             leaving: whether the branch leaves a special point at the first of them.
         """
+        try:
+            yield from self._between(before, after, leaving)
+        except TimeLimitError as error:
+            self._count = None
+            self._name(before, after, str(error))
+
+    def _between(self, before: Solution, after: Solution, leaving: bool) -> Iterator[Solution]:
+        """The same; raises TimeLimitError."""
         first = self._beside(before, after, BESIDE_SPECIAL) if before.point.special or leaving else before
         last = self._beside(before, after, 1.0 - BESIDE_SPECIAL) if after.point.special else after
         if first is None or last is None:

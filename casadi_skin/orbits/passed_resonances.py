@@ -21,6 +21,7 @@ from casadi_skin.continuation.corners import side_of, turned
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
 from casadi_skin.solvers.levels import Levels
+from casadi_skin.solvers.watch import heed
 
 SYMMETRIC = 1e-9  # of the largest entry: difference of a symmetric Jacobian from its transpose
 NEAR = 3  # stretches between a turn of the frequency and the change of the number that belongs to it, at most
@@ -150,6 +151,7 @@ class _Counted:
 
 def _counted(levels: Levels, points: Sequence[Point]) -> list[_Counted] | None:
     """Those of points, on levels with all harmonics that may meet a mode; None where there is no such count."""
+    heed("internal resonances between the points of a family")
     placed = [_on_enough(levels, point) for point in points]
     known = [one for one in placed if one is not None]
     found: dict[int, _Counted] = {}

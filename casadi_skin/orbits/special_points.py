@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -106,15 +107,23 @@ class SpecialPoint(Result):
         """Coefficient of the normal form.
 
         Of a Hopf point the first Lyapunov coefficient, of a fold the quadratic one, of a period doubling or a torus the
-        cubic one (see `critical_orbits.normal_forms`). NaN where none is defined; raises ValueError where no normal
-        form is known.
+        cubic one (see `critical_orbits.normal_forms`). NaN where none is defined or known, as at a homoclinic end.
         """
-        return float(self._critical.coefficient)
+        try:
+            return float(self._critical.coefficient)
+        except ValueError:  # of a kind without a normal form
+            return math.nan
 
     @property
     def criticality(self) -> str:
-        """Meaning of the coefficient: "supercritical", "subcritical" or "degenerate"; of a fold "quadratic"."""
-        return str(self._critical.words)
+        """Meaning of the coefficient: "supercritical", "subcritical" or "degenerate"; of a fold "quadratic".
+
+        Empty where no normal form is known.
+        """
+        try:
+            return str(self._critical.words)
+        except ValueError:
+            return ""
 
     def follow(self, parameter: str, to: float, **options: Any) -> Any:
         """The `Branch` that leaves here, by `casadi_skin.equilibria.switch.switch`."""

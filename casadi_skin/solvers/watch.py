@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 class TimeLimitError(ArithmeticError):
@@ -24,14 +24,45 @@ _WATCH: ContextVar[_Watch | None] = ContextVar("watch", default=None)
 
 
 @contextmanager
-def watched(seconds: float | None = None, report: Callable[[str], object] | None = None) -> Iterator[None]:
-    """Let solvers in the block end with TimeLimitError after so many seconds, and report how far they are."""
+def watched(
+    seconds: float | None = None, report: Callable[[str], object] | None = None, allowed: float | None = None
+) -> Iterator[None]:
+    """Let solvers in the block end with TimeLimitError after so many seconds, and report how far they are.
+
+    Within another such block the earlier end holds, and its report where none is given. `allowed` is the time that
+    the message names: the whole of which `seconds` are left.
+    """
+    outer = _WATCH.get()
     end = float("inf") if seconds is None else time.monotonic() + seconds
-    token = _WATCH.set(_Watch(seconds, end, report))
+    watch = _Watch(seconds if allowed is None else allowed, end, report)
+    if outer is not None:
+        watch = replace(watch if end <= outer.end else outer, report=report or outer.report)
+    token = _WATCH.set(watch)
     try:
         yield
     finally:
         _WATCH.reset(token)
+
+
+@dataclass
+class Budget:
+    """Seconds of a time limit that are left for work in several parts."""
+
+    allowed: float = float("inf")
+    left: float = float("inf")
+
+    @contextmanager
+    def spent(self) -> Iterator[None]:
+        """Let solvers in the block end with TimeLimitError when nothing is left."""
+        if self.left == float("inf"):
+            yield
+            return
+        start = time.monotonic()
+        try:
+            with watched(self.left, allowed=self.allowed):
+                yield
+        finally:
+            self.left = max(self.left - (time.monotonic() - start), 0.0)
 
 
 def is_over() -> bool:

@@ -33,7 +33,10 @@ def test_a_pendulum_that_goes_round_ends_on_its_separatrix() -> None:
     branch = orbit.follow("E", 0.5)
     ends_at(branch, "homoclinic", 1.0)
     assert "the period grows without bound: orbits come to one that is homoclinic to (q = 3.14159" in branch.reason
-    last = branch.special_points[0].solution
+    (end,) = branch.special_points
+    assert np.isnan(end.coefficient)  # no normal form is known there
+    assert end.criticality == ""
+    last = end.solution
     assert last.period == pytest.approx(np.log(32.0 / (last["E"] - 1.0)), abs=0.1)
 
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import time
 import types
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import casadi_skin.orbits.following as following
-from casadi_skin import Branch, Chain, follow_family
+from casadi_skin import Branch, Chain, OdeModel, find_orbit, follow_family
 from casadi_skin.continuation.points import End
+from casadi_skin.solvers.watch import TimeLimitError, watched
 
 CHAIN = Chain(3, 1.0, 0.3, -1.0)
 
@@ -68,3 +71,48 @@ def test_a_branch_has_its_first_solution_at_least() -> None:
 def test_other_limits_are_refused(given: object) -> None:
     with pytest.raises((ValueError, TypeError), match=r"time_limit: given .*; accepted: a number of seconds > 0"):
         follow_family(CHAIN, 1, 0.5, time_limit=given)  # type: ignore[arg-type]
+
+
+def test_what_is_sought_later_ends_with_the_time_that_was_left() -> None:
+    """Changes of stability of a family, the points where others leave it and resonances: named where they are cut."""
+    branch = follow_family(Chain(8, 1.0, 0.25, -1.0), 1, 2.0, stability=True, time_limit=1e6)
+    whole = follow_family(Chain(8, 1.0, 0.25, -1.0), 1, 2.0, stability=True)
+    assert [change.value for change in branch.changes] == [change.value for change in whole.changes]
+    assert branch.unresolved == whole.unresolved
+    cut = follow_family(Chain(8, 1.0, 0.25, -1.0), 1, 2.0, stability=True, time_limit=1e6)
+    cut.time_left.left = 1e-6
+    assert cut.changes == ()
+    assert cut.special_points == ()
+    assert cut.passed_resonances is None
+    kinds = {stretch.kind for stretch in cut.unresolved}
+    assert "changes of stability" in kinds
+    assert all("the time allowed" in stretch.reason for stretch in cut.unresolved)
+    assert all(stretch.start <= cut.S[0] and stretch.end == cut.S[-1] for stretch in cut.unresolved)
+    assert "unresolved: " in repr(cut)
+
+
+def test_a_search_within_a_point_ends_with_the_time() -> None:
+    """Solvers heed the limit: a branch whose points take long each does not finish the one that it is at."""
+    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
+    model = OdeModel("slow", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu)
+    orbit = find_orbit(model, lambda t: [2.0 * np.cos(t), -2.0 * np.sin(t)], 2.0 * np.pi, parameters={"mu": 0.5})
+    steps = list[str]()
+    with watched(report=steps.append):
+        whole = orbit.follow("mu", 3.0, stability=True)
+    assert whole.complete
+    assert len(steps) > len(whole)  # of Newton's method: each is a place at which a limit is heeded
+    start = time.monotonic()
+    cut = orbit.follow("mu", 1e4, stability=True, max_points=10_000, time_limit=1.0)
+    assert cut.end is End.TIME
+    assert time.monotonic() - start < 20.0
+    assert 1 <= len(cut) < 10_000
+    with watched(0.0), pytest.raises(TimeLimitError):
+        cut.at(mu=0.5 * (cut.values[0] + cut.values[-1]))
+
+
+def test_folds_of_a_family_start_no_search_for_changes_of_stability() -> None:
+    branch = follow_family(Chain(8, 1.0, 0.25, -1.0), 1, 2.0, stability=True)
+    assert branch.folds == ()
+    assert not branch.changes_known
+    assert branch.changes
+    assert branch.changes_known
