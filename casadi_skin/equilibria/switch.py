@@ -27,6 +27,7 @@ from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.breaking import breaking_space, start_of
 from casadi_skin.orbits.follow import following_settings, following_space
 from casadi_skin.orbits.following import Following, run_following
+from casadi_skin.orbits.method import MAX_POINTS
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
@@ -46,7 +47,7 @@ def switch(
     *,
     side: int = 1,
     at: Sequence[float] = (),
-    max_points: int = 500,
+    max_points: int = MAX_POINTS,
     max_step: float = 0.2,
     back_to: float | None = None,
     time_limit: float | None = None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -51,7 +52,7 @@ class Branch(Result):
         stopped: whether the condition `until` ended the branch.
         with_events: whether changes of stability are sought.
         passed_over: stretches that could not be resolved while the branch was followed.
-        time_left: what is left of the time limit, for what is computed on first use.
+        time_left: seconds that are left of the time limit, for what is computed on first use.
     """
 
     space: SolutionSpace
@@ -64,8 +65,7 @@ class Branch(Result):
     stopped: bool = False
     with_events: bool = False
     passed_over: tuple[Unresolved, ...] = ()
-    time_left: Budget = field(default_factory=Budget)
-    _cut: dict[str, Unresolved] = field(default_factory=dict, init=False)  # what the time limit ended, by kind
+    time_left: float = math.inf
 
     def __len__(self) -> int:
         return len(self.solutions)
@@ -225,10 +225,19 @@ class Branch(Result):
         diagram = self.diagram_of_changes
         return (*self.passed_over, *(() if diagram is None else diagram.unresolved), *self._cut.values())
 
+    @cached_property
+    def _budget(self) -> Budget:
+        return Budget(self.time_left, self.time_left)
+
+    @cached_property
+    def _cut(self) -> dict[str, Unresolved]:
+        """What the time limit ended, by kind."""
+        return {}
+
     def _within_time(self, kind: str, compute: Callable[[], T]) -> T | None:
         """What is computed within the time that is left; None where that is not enough, which is `unresolved` then."""
         try:
-            with self.time_left.spent():
+            with self._budget.spent():
                 return compute()
         except TimeLimitError as error:
             start, end = float(self.values[0]), float(self.values[-1])

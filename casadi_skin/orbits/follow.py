@@ -110,7 +110,7 @@ def follow(
     to: float,
     *,
     at: Sequence[float] = (),
-    max_points: int = 500,
+    max_points: int = MAX_POINTS,
     max_step: float = 0.2,
     back_to: float | None = None,
     time_limit: float | None = None,

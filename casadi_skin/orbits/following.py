@@ -22,7 +22,7 @@ from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.walk import Walk
-from casadi_skin.solvers.watch import Budget, TimeLimitError, watched
+from casadi_skin.solvers.watch import TimeLimitError, watched
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.threads import one_thread
 from casadi_skin.unresolved import Unresolved
@@ -100,6 +100,11 @@ class Following:
         except TimeLimitError:
             self._walk.stop(End.TIME, f"{self._time_limit:g} s")
 
+    def _so_far(self, limit: int) -> str:
+        """Where a branch has come with its last point, in words."""
+        last, name = self._waiting[-1] if self._waiting else self.solutions[-1].point, self.space.parameter
+        return f"{limit} points, up to {name} = {self.space.value(name, last):.10g}; try max_points above {limit}"
+
     def _results(self) -> Iterator[Solution]:
         together = self.space.stability_batch if self.stability else 1
         limit = self.space.point_solver.settings.max_points
@@ -107,7 +112,7 @@ class Following:
             yield from self._finish_waiting()
         for point in self._points():
             if len(self.solutions) + len(self._waiting) == limit:
-                self._walk.stop(End.POINTS)
+                self._walk.stop(End.POINTS, self._so_far(limit))
                 break
             if time.monotonic() > self._end_time and (self.solutions or self._waiting):
                 self._walk.stop(End.TIME, f"{self._time_limit:g} s")
@@ -191,7 +196,7 @@ class Following:
             self.space, tuple(self.solutions), tuple(changes),
             self.stability or self.space.stability_included, end, detail, misses,
             stopped or self._stopped, self.events, tuple(dict.fromkeys([*self._walk.unresolved, *unresolved])),
-            Budget(self._time_limit, max(self._end_time - time.monotonic(), 0.0)),
+            max(self._end_time - time.monotonic(), 0.0),
         )  # fmt: skip
 
 

@@ -177,7 +177,7 @@ class ContinuationTable(Table, frozen=True):
             title="Points after which the branch ends wherever it is",
             description=f"a whole number >= 1 and <= {_MAX_POINTS}",
         ),
-    ] = 500
+    ] = 2000
     max_step: Annotated[
         Annotated[float, Meta(gt=0, le=10)],
         Meta(

@@ -53,7 +53,7 @@ def test_a_field_that_is_another_one_after_a_turn_is_refused() -> None:
     with pytest.raises(BoundaryError, match=r"no solutions of two turns leave .* the field does not repeat itself"):
         first_point(0.0, -1.0, even=0.3).follow("a", 0.4)
     with pytest.raises(ValueError, match="accepted: one that closes, where the field repeats itself"):
-        _ = first_point(0.0, -1.0, even=0.3).coefficient
+        _ = first_point(0.0, -1.0, even=0.3).vector
 
 
 @pytest.mark.parametrize("sign", [1.0, pytest.param(-1.0, marks=pytest.mark.slow)])
