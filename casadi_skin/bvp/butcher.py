@@ -6,7 +6,7 @@ Tables come from numpy's Legendre polynomials, which keep digits that casadi.col
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CollocationTable:
     """Increments over an interval of length 1 from the derivatives at the d stages.
+
+    Tables are equal where all their numbers are: what is kept for a method is kept by its table.
 
     `nodes` are the stages, shape (d,); `ends` the places that the increments lead to, the end of the interval last,
     shape (rows,); `extended` the increments' weights, shape (rows, d). Where the last stage is the end of the interval
@@ -27,6 +29,16 @@ class CollocationTable:
     nodes: Array
     ends: Array
     extended: Array
+
+    @cached_property
+    def _numbers(self) -> tuple[bytes, ...]:
+        return self.nodes.tobytes(), self.ends.tobytes(), self.extended.tobytes()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, CollocationTable) and self._numbers == other._numbers
+
+    def __hash__(self) -> int:
+        return hash(self._numbers)
 
     @property
     def degree(self) -> int:

@@ -67,7 +67,7 @@ class CollocationEquations(Problem):
     @cached_property
     def discretisation(self) -> Discretisation:
         """The equations on this number of intervals, shared by all problems of the formulation that have it."""
-        key, known = (self.resolution, self.degree, self.table.ends.size), self.formulation.discretisations
+        key, known = (self.resolution, self.table), self.formulation.discretisations
         if key not in known:
             known[key] = Discretisation(self.formulation, self.resolution, self.table)
         found: Discretisation = known[key]

@@ -47,14 +47,10 @@ class DefectTable:
         return int(self.slopes.shape[0])
 
 
+@lru_cache(maxsize=16)
 def defect_table(table: CollocationTable) -> DefectTable:
     """The weights that belong to a collocation method."""
-    return _kept_table(table.nodes.tobytes(), table.ends.tobytes())
-
-
-@lru_cache(maxsize=16)
-def _kept_table(nodes: bytes, ends: bytes) -> DefectTable:
-    stages, targets = np.frombuffer(nodes), np.frombuffer(ends)
+    stages, targets = table.nodes, table.ends
     d, support, inner = stages.size, np.append(0.0, stages), 0.5 * (stages[1:] + stages[:-1])
     points = np.concatenate([[0.0], inner, np.ones(targets.size - d)])
     values, at_points = _polynomials(support, inner), _node_polynomial(stages, points)

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.bvp.butcher import CollocationTable
 from casadi_skin.bvp.problem import Buffers
 from casadi_skin.models.expressions import Expression
 
@@ -38,8 +39,8 @@ class Formulation:
     idle: bool = False
 
     @cached_property
-    def discretisations(self) -> dict[tuple[int, int, int], Any]:
-        """Discretisations made of this formulation, by numbers of intervals, stages and increments."""
+    def discretisations(self) -> dict[tuple[int, CollocationTable], Any]:
+        """Discretisations made of this formulation, by the number of intervals and the table of the method."""
         return {}
 
     @cached_property

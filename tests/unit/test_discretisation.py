@@ -12,6 +12,8 @@ from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
 from casadi_skin import BoundaryValueProblem
+from casadi_skin.bvp import butcher
+from casadi_skin.bvp.butcher import CollocationTable
 from casadi_skin.bvp.problem import Problem
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.models.ode import OdeModel
@@ -279,3 +281,24 @@ def test_newton_with_smaller_residuals_finds_what_ipopt_finds() -> None:
     assert found.converged
     assert expected.converged
     np.testing.assert_allclose(found.z, expected.z, rtol=0, atol=1e-7)
+
+
+def test_a_second_method_of_as_many_stages_has_equations_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """u'' = u by Gauss's method, then by one with Chebyshev's nodes in its place: each has its values at its times."""
+    u, v = ca.SX.sym("u"), ca.SX.sym("v")
+    model = OdeModel("line", ca.vertcat(u, v), ca.vertcat(v, u))
+    problem = BoundaryValueProblem(model, [model.start(u), model.end(u) - 1.0])
+
+    def chebyshev(degree: int) -> CollocationTable:
+        powers = np.arange(1, degree + 1)
+        nodes = 0.5 - 0.5 * np.cos((powers - 0.5) * np.pi / degree)
+        slopes = np.linalg.inv(powers * nodes[:, None] ** (powers - 1))  # of polynomials without a constant
+        ends = np.append(nodes, 1.0)
+        return CollocationTable(nodes, ends, ends[:, None] ** powers @ slopes)
+
+    by_gauss = problem.solve([0.0, 0.0], degree=3, intervals=8, tolerance=1e-8)
+    monkeypatch.setattr(butcher, "gauss_table", chebyshev)
+    by_another = problem.solve([0.0, 0.0], degree=3, intervals=8, tolerance=1e-8)
+    assert by_gauss.t[1] != by_another.t[1]
+    for solution in (by_gauss, by_another):
+        np.testing.assert_allclose(solution.states[:, 0], np.sinh(solution.t) / np.sinh(1.0), atol=1e-7)
