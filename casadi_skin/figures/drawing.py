@@ -24,6 +24,7 @@ from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.results.extremes import extremes
+from casadi_skin.results.quantities import numbers_of
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
 
@@ -97,23 +98,21 @@ def _second(branch: Branch) -> str:
 
 
 def _along(branch: Branch, name: str) -> Array:
-    """A quantity along a branch: a parameter, a state, or one of an orbit.
+    """A quantity along a branch: a parameter, a state, or a number of the table.
 
     Of a state that moves its largest value, of an orbit of a family the value at t = 0.
     """
     states, solutions = branch.space.state_names, branch.solutions
-    of_orbits = [] if isinstance(solutions[0], Equilibrium) else ["S", "Omega", "period", "energy"]
-    check_name("plot", name, dict.fromkeys([*solutions[0].parameters, branch.parameter, *states, *of_orbits]))
-    if name in solutions[0].parameters or name == branch.parameter:
-        return branch[name]
-    if name in states:
+    known = [*solutions[0].parameters, branch.parameter, *states]
+    check_name("plot", name, dict.fromkeys([*known, *numbers_of(branch)]))
+    if name in states and name not in solutions[0].parameters:
         place = states.index(name)
         if isinstance(branch.space, Family):
             return np.array([orbit.evaluate(0.0, branch.space.output_sites)[0, place] for orbit in branch.orbits])
         if isinstance(solutions[0], Equilibrium):
             return np.array([solution.evaluate(0.0)[0, place] for solution in solutions])
         return np.array([extremes(solution)[1][place] for solution in solutions])
-    return np.array([getattr(solution, name) for solution in solutions])
+    return branch[name]
 
 
 @draw.register(EdgeCurve)

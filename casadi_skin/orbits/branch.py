@@ -21,7 +21,7 @@ from casadi_skin.orbits.ending import Ending
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.ledger import StabilityChange
 from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.passages import passage
+from casadi_skin.orbits.passages import held_passage, passage
 from casadi_skin.orbits.passed_resonances import PassedResonance, passed_resonances
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
@@ -104,13 +104,17 @@ class Branch(Result):
     # Arrays -----------------------------------------------------------------------------------------------------------
 
     def __getitem__(self, name: str) -> Array:
-        """Values of a parameter or of the continuation parameter along the branch, shape (solutions,)."""
+        """Values of a quantity along the branch, shape (solutions,) but where the quantity has dimensions of its own.
+
+        Parameters, and all quantities of the table that files and data frames are made from, by the same names; a
+        parameter comes before a quantity of its name. Raises KeyError, naming all, for other names.
+        """
         if name == self.parameter:
             return self.values
-        for solution in self.solutions[:1]:
-            if name not in solution.parameters:
-                raise KeyError(f"{name}; known: {', '.join(dict.fromkeys([self.parameter, *solution.parameters]))}")
-        return np.array([solution.parameters[name] for solution in self.solutions])
+        if all(name in solution.parameters for solution in self.solutions[:1]):
+            return np.array([solution.parameters[name] for solution in self.solutions])
+        found: Array = methods.TASKS["along"].load()(self, name)
+        return found
 
     @property
     def values(self) -> Array:
@@ -383,8 +387,9 @@ class Branch(Result):
         Arguments:
             value: of the continuation parameter.
             which: counts the passages of the value along the branch, from 0.
-            named: one value by name in place of `value`: S, Omega or period of a family; the parameter followed, and
-                Omega or period where the period is unknown, of other branches.
+            named: one value by name in place of `value`: of any number that `branch[name]` gives, as energy=0.3. S,
+                Omega or the period of a family, the parameter followed, and Omega or an unknown period are held by
+                the equations, others sought along the branch.
 
         Returns:
             The orbit or solution there.
@@ -395,11 +400,15 @@ class Branch(Result):
         """
         given = {name: v for name, v in {self.parameter: value, **named}.items() if v is not None}
         if len(given) != 1 or (value is not None and named):
-            accepted = f"one of {', '.join(self.space.held_names)}"
+            accepted = f"one of {', '.join(self.space.held_names)}, or another quantity of the branch"
             raise ValueError(f"at: given {' and '.join(given) or 'nothing'}; accepted: {accepted}")
-        ((name, found),) = given.items()
+        ((name, wanted),) = given.items()
         whole("which", which, 0)
-        return passage(self.space, self.solutions, name, number(f"at, {name}", found), which)
+        wanted = number(f"at, {name}", wanted)
+        if name in self.space.held_names:
+            return held_passage(self.space, self.solutions, name, wanted, which)
+        of = methods.TASKS["sought"].load()(self, name)
+        return passage(self.space, self.solutions, of, (name, wanted), which)
 
     def certify(self, start: float, end: float) -> ProvedStretch:
         """A proof that the family is one curve of orbits from S = `start` to `end`, by `certify_branch`."""

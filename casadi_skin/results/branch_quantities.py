@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
 from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_points import FOLD
 from casadi_skin.results.dataset import unique_names
 from casadi_skin.results.multiplier_quantities import multiplier_quantities
-from casadi_skin.results.quantity import CSV, NETCDF, Place, Quantity
+from casadi_skin.results.quantity import CSV, NEITHER, NETCDF, Place, Quantity
 
 PHASES = 401  # of the common grid of profiles of solutions
 
@@ -57,6 +59,8 @@ def branch_quantities(branch: Branch) -> list[Quantity]:
         add(followed, "the parameter followed", lambda p: p.solution.parameters[followed])
     if orbit:
         quantities.append(Quantity("period", "period of the orbit", lambda p: p.orbit.period, where=CSV))
+        own = [q for q in _of_orbits(solution.space) if q.name not in {*names, *solution.space.state_names}]
+        quantities, taken = quantities + own, taken | {q.name for q in own}
     for name in names:
         if name != followed and not (orbit and name == "period"):
             add(name, f"the parameter {name}", lambda p, name=name: p.solution.parameters[name])  # type: ignore[misc]
@@ -78,6 +82,18 @@ def branch_quantities(branch: Branch) -> list[Quantity]:
         if any(solution.floquet().beyond_doubles for solution in branch.solutions):
             quantities += LOGARITHMS
     return quantities + _branch_arrays(names, solution.space.state_names) + multiplier_quantities(branch)
+
+
+def _of_orbits(space: SolutionSpace) -> list[Quantity]:
+    """Numbers of orbits that their model has; a parameter or a state of the same name stands in place of one."""
+    assert isinstance(space, BoundarySpace)
+    found = [Quantity("Omega", "frequency", lambda p: p.orbit.Omega, where=NEITHER)]
+    if space.model.hamiltonian is not None:
+        found.append(Quantity("energy", "the conserved quantity", lambda p: p.orbit.energy))
+    if space.positions:
+        meaning = "total amplitude: sum of squares of the positions at t = 0"
+        found.append(Quantity("S", meaning, lambda p: p.orbit.S, where=NEITHER))
+    return found
 
 
 def _full_period_quantities() -> list[Quantity]:

@@ -18,7 +18,7 @@ from casadi_skin.results import frames_analyses
 from casadi_skin.results.columns import Columns, table
 from casadi_skin.results.dataset import Dataset, Variable, to_xarray, unique_names
 from casadi_skin.results.quantities import branch_to_xarray, places_of, quantities_of
-from casadi_skin.results.quantity import NETCDF
+from casadi_skin.results.quantity import BOTH, CSV
 from casadi_skin.stability.result import Floquet
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def result_to_dataframe(result: Any) -> pandas.DataFrame:
         raise ImportError(f"pandas is not installed; {extra}") from error
     if isinstance(result, Branch):
         quantities = quantities_of(result) if result.solutions else []
-        columns = [q for q in quantities if not (q.dimensions or q.where == NETCDF)]
+        columns = [q for q in quantities if not q.dimensions and q.where in (CSV, BOTH)]
         return pandas.DataFrame([{q.name: q.of(place) for q in columns} for place in places_of(result)])
     if isinstance(result, Diagram):
         frames = [result_to_dataframe(branch).assign(branch=n) for n, branch in enumerate(result.branches, start=1)]

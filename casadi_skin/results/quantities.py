@@ -7,12 +7,14 @@ left out of CSV; a quantity that some orbits do not have, as the energy of a mod
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from casadi_skin.arguments import accepted_names
+from casadi_skin.bvp.problem import Array
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.branch import Branch
@@ -22,7 +24,7 @@ from casadi_skin.results.branch_quantities import PHASES, branch_quantities
 from casadi_skin.results.dataset import Cell, Dataset, Variable, to_xarray
 from casadi_skin.results.equilibria import equilibrium_quantities
 from casadi_skin.results.family_quantities import family_quantities
-from casadi_skin.results.quantity import CSV, NETCDF, Place, Quantity
+from casadi_skin.results.quantity import BOTH, COUNTED, CSV, NETCDF, Place, Quantity
 
 if TYPE_CHECKING:
     import xarray
@@ -41,11 +43,43 @@ def places_of(branch: Branch) -> list[Place]:
     return [Place(s, i, mode, s.point.requested, s.point.special) for i, s in enumerate(branch.solutions)]
 
 
+def along(branch: Branch, name: str) -> Array:
+    """Values of a quantity along a branch, shape (solutions, ...); raises KeyError, naming all, for other names."""
+    if not branch.solutions:
+        return np.empty(0)
+    known = {quantity.name: quantity for quantity in quantities_of(branch)}
+    if name not in known:
+        names = dict.fromkeys([branch.parameter, *branch.solutions[0].parameters, *known])
+        raise KeyError(f"{name}; known: {', '.join(filter(None, names))}")
+    return np.array([known[name].of(place) for place in places_of(branch)])
+
+
+def sought(branch: Branch, name: str) -> Callable[[Solution], float]:
+    """A number of the table that moves along a branch as a function of a solution.
+
+    Raises ValueError, naming all, for other names; parameters that are the same everywhere are none of them.
+    """
+    known, free = numbers_of(branch), branch.space.free
+    fixed = set(branch.solutions[0].parameters) - {branch.parameter, *free} if branch.solutions else set()
+    names = dict.fromkeys([*branch.space.held_names, *free, *(n for n in known if n not in fixed)])
+    if name not in names:
+        raise ValueError(f"at: given {name}; {accepted_names(name, names)}")
+    if name in free:
+        return lambda solution: solution.parameters[name]
+    return lambda solution: float(known[name].of(Place(solution, 0)))
+
+
+def numbers_of(branch: Branch) -> dict[str, Quantity]:
+    """Quantities of a branch that are real numbers and move along it, by name."""
+    table = quantities_of(branch) if branch.solutions else []
+    return {q.name: q for q in table if not (q.dimensions or q.name in COUNTED)}
+
+
 def csv_row(quantities: Sequence[Quantity], place: Place) -> dict[str, Cell]:
     """One row: quantities without dimensions of their own; one that is not finite and may be empty is."""
     row: dict[str, Cell] = {}
     for quantity in quantities:
-        if quantity.dimensions or quantity.where == NETCDF:
+        if quantity.dimensions or quantity.where not in (CSV, BOTH):
             continue
         value = quantity.of(place)
         row[quantity.name] = "" if quantity.may_be_empty and not math.isfinite(value) else value
@@ -64,7 +98,7 @@ def dataset_of(branches: Sequence[Branch], vectors: bool = False) -> Dataset:
     """
     held = [branch for branch in branches if len(branch)]
     widest = max(held, key=lambda branch: max((getattr(s, "harmonics", 0) for s in branch.solutions), default=0))
-    quantities = [q for q in quantities_of(widest) if q.where != CSV]
+    quantities = [q for q in quantities_of(widest) if q.where in (NETCDF, BOTH)]
     places = [place for branch in held for place in places_of(branch)]
     variables = _axes(held[0])
     for quantity in quantities:

@@ -15,7 +15,12 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.results.extremes import extremes
 from casadi_skin.stability.result import Floquet
 
-CSV, NETCDF, BOTH = "csv", "netcdf", "both"
+CSV, NETCDF, BOTH, NEITHER = "csv", "netcdf", "both", "neither"  # files: those of NEITHER follow from others
+COUNTED = frozenset(  # marks, counts and words, which jump: no solution is sought by their value
+    ("mode", "point", "index", "requested", "fold", "special", "stable", "unstable", "unstable_real",
+     "unstable_complex", "at_round_off", "intervals", "resolution", "regime", "proved", "proved_stable", "localised",
+     "undecided", "finite_size", "stability_sites", "overlaps")
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
