@@ -39,6 +39,19 @@ def _refused(name: str, value: Any, accepted: str) -> str:
     return f"{name}: given {short_repr(value)}; accepted: {accepted}"
 
 
+def instants(t: Any) -> NDArray[np.float64]:
+    """Times as an array of one dimension; raises TypeError and ValueError for values that are not numbers."""
+    found = np.atleast_1d(real_array("t", t, "numbers"))
+    if found.ndim != 1:
+        raise ValueError(f"t: given shape {found.shape}; accepted: numbers, shape (times,)")
+    return found
+
+
+def at_instants(t: Any, states: NDArray[np.float64]) -> NDArray[np.float64]:
+    """States of the instants of t, one row each: of a single number its row alone, as functions of scipy have it."""
+    return np.asarray(states[0] if np.ndim(t) == 0 else states)
+
+
 def site_numbers(value: Any) -> NDArray[np.int64] | None:
     """Numbers of sites or components, shape (sites,); None for all. Raises TypeError, ValueError for other values."""
     if value is None:

@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+class NoQuantityError(ValueError, AttributeError):
+    """A quantity that a result of this kind has not: a ValueError for who asks for it, and `hasattr` is False."""
+
+
 class Result:
     """A result that prints as a few lines, draws itself, becomes tables and is saved; libraries load on first use."""
 

@@ -9,6 +9,11 @@ import numpy as np
 from casadi_skin.bvp.problem import Array
 
 
+def quarter_phases(nodes: int) -> Array:
+    """Midpoints of `nodes` equal parts of a quarter of the period."""
+    return (np.arange(nodes) + 0.5) * np.pi / (2 * nodes)
+
+
 @cache
 def cosine_matrix(harmonics: int) -> Array:
     """Symmetric matrix V with V_ik = cos((2k+1) theta_i); V V = (H/2) I, shape (H, H)."""

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.cosine_equations import CompiledEquations, odd_cosine_equations
-from casadi_skin.bvp.cosines import cosine_matrix, prolongation_matrix
+from casadi_skin.bvp.cosines import cosine_matrix, prolongation_matrix, quarter_phases
 from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.problem import EPSILON, Array, Buffers, Evaluate, Indices, Problem
 from casadi_skin.bvp.recursion import PolynomialForm, Recursion, TaylorRecursion
@@ -115,6 +115,9 @@ class TrigonometricProblem(OrbitProblem):
     @property
     def size(self) -> int:
         return self.states + 2
+
+    def phases(self) -> Array:
+        return quarter_phases(self.resolution)
 
     def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
         model = self.model

@@ -108,7 +108,7 @@ class _Stretch:
 def _sign(orbit: Orbit) -> float:
     """The sign by which an orbit differs from the continuous choice along its family: its largest site is positive."""
     assert isinstance(orbit.space, Family)
-    shown, solved = orbit.evaluate(0.0)[0], orbit.space.positions(orbit.point, np.zeros(1))[0]
+    shown, solved = orbit.evaluate(0.0), orbit.space.positions(orbit.point, np.zeros(1))[0]
     return float(np.sign(shown @ solved))
 
 

@@ -21,6 +21,7 @@ from casadi_skin.bvp.statement import named_values
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.linear_modes import scale_of_couplings
 from casadi_skin.orbits.spectrum import linear_spectrum
+from casadi_skin.result import NoQuantityError
 
 GAUGE, PHYSICAL = "gauge", "physical"
 LONGEST_ENVELOPE = 700.0  # of -log D: beyond, positions at the far end are below the smallest double
@@ -168,7 +169,7 @@ class EquationsOfMotion:
         """
         model, values, n = self.physical, self.values, self.positions
         if not self.conserves:
-            raise ValueError(f"energy: {model.name} declares no hamiltonian")
+            raise NoQuantityError(f"energy: {model.name} declares no hamiltonian")
         if model.hamiltonian is None:
             gauge = self._known_gauge("energy")
             model, values = gauge.model, gauge.parameters

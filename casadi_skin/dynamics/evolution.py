@@ -11,9 +11,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_skin.arrays import at_instants, instants
 from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics.equations import GAUGE, EquationsOfMotion
-from casadi_skin.result import Result
+from casadi_skin.result import NoQuantityError, Result
 
 FEWEST = 40  # output times that a cycle is looked for in
 AT_REST, NOISE = 1e-6, 100.0  # motion relative to that of the whole time, and to the tolerance, that is none
@@ -78,15 +79,18 @@ class Evolution(Result):
 
     def _positions(self, name: str) -> int:
         if not self.equations.positions:
-            raise ValueError(f"{name}: {self.equations.physical.name} is of first order; accepted: states")
+            raise NoQuantityError(f"{name}: {self.equations.physical.name} is of first order; accepted: states")
         return self.equations.positions
 
     def evaluate(self, t: ArrayLike) -> Array:
-        """States at times between the first and the last, shape (time, component), by cubic Hermite interpolation."""
-        times = np.atleast_1d(np.asarray(t, dtype=float))
+        """States at times between the first and the last by cubic Hermite interpolation.
+
+        Shape (time, component), of one time (component,). Raises ValueError and TypeError for other times.
+        """
+        times = instants(t)
         if np.any((times < self.t[0]) | (times > self.t[-1])):
             raise ValueError(f"t: given {times.min():g} to {times.max():g}; accepted: {self.t[0]:g} to {self.t[-1]:g}")
-        return np.asarray(self._curve(times))
+        return at_instants(t, np.asarray(self._curve(times)))
 
     @cached_property
     def _curve(self) -> Any:
@@ -146,7 +150,7 @@ class Evolution(Result):
         up = np.flatnonzero(below[:-1] & ~below[1:])
         for earlier in up[-2::-1]:
             start, end = (self._crossing(i, component, level) for i in (earlier, up[-1]))
-            gap = np.abs(self.evaluate(start) - self.evaluate(end))[0]
+            gap = np.abs(self.evaluate(start) - self.evaluate(end))
             if np.all(gap <= CLOSED * np.maximum(spread, 1e-9 * spread.max())):
                 return Cycle(self, start, end - start)
         return None
@@ -222,13 +226,12 @@ class Cycle:
         return np.concatenate([[0.0], t[(t > 0.0) & (t < self.period)], [self.period]])
 
     def evaluate(self, t: ArrayLike) -> Array:
-        """States at times from the start of the cycle on, shape (time, component)."""
-        times = np.mod(np.atleast_1d(np.asarray(t, dtype=float)), self.period)
-        states = self.evolution.evaluate(np.clip(self.start + times, self.start, self.evolution.t[-1]))
+        """States at times from the start of the cycle on, shape (time, component), or at one, shape (component,)."""
+        periods, within = np.divmod(instants(t), self.period)
+        states = self.evolution.evaluate(np.clip(self.start + within, self.start, self.evolution.t[-1]))
         if any(self.turns):
-            periods = np.floor(np.atleast_1d(np.asarray(t, dtype=float)) / self.period)
             states = states + 2.0 * np.pi * np.outer(periods, self.turns)
-        return states
+        return at_instants(t, states)
 
 
 class EvolutionError(ArithmeticError):

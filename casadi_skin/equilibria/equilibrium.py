@@ -8,6 +8,7 @@ from typing import Protocol, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_skin.arrays import at_instants, instants
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
 from casadi_skin.equilibria.linearised import ComplexArray
@@ -15,7 +16,7 @@ from casadi_skin.equilibria.problem import AlgebraicProblem
 from casadi_skin.equilibria.statics import Spectrum
 from casadi_skin.models.centred import centred_model
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.solution import Solution, as_times
+from casadi_skin.orbits.solution import Solution
 
 
 class HasSpectrum(Protocol):
@@ -53,8 +54,8 @@ class Equilibrium(Solution):
         return np.concatenate([self.positions, at_rest])
 
     def evaluate(self, t: ArrayLike) -> Array:
-        """The state at any times, shape (time, component): it is the same at all."""
-        return np.tile(self.state, (as_times(t).size, 1))
+        """The state at any times, shape (time, component), or at one, shape (component,): it is the same at all."""
+        return at_instants(t, np.tile(self.state, (instants(t).size, 1)))
 
     def __getitem__(self, name: str) -> float | Array:
         """The value of a parameter or of a state; raises KeyError for other names."""

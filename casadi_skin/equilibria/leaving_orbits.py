@@ -45,7 +45,7 @@ def leaving_orbits(
     rotated = tuple(turns * k for k in periodic.turns)
 
     def guess(t: float) -> Array:
-        return np.asarray(orbit.evaluate(t)[0])
+        return orbit.evaluate(t)
 
     if model.forced:
         cycles = round(period / model.forcing_period_at(list(values.values())))
@@ -118,7 +118,7 @@ def _perturbation(orbit: Orbit, values: dict[str, float], t: Array) -> Array:
     p = np.array(list(values.values()))
 
     def rate(at: float, w: Array) -> Array:
-        x = orbit.evaluate(at % orbit.period)[0]
+        x = orbit.evaluate(at % orbit.period)
         return np.asarray(np.array(jacobian(at, x, p)) @ w)
 
     turn = np.floor(t / orbit.period * (1.0 + 1e-14)).astype(int)

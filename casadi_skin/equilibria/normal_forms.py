@@ -47,7 +47,7 @@ def critical(point: SpecialPoint) -> Critical:
     if isinstance(solution, Orbit) and point.kind == HOPF:  # of amplitude zero
         model = solution.model
         known = Statics(model, {name: solution.parameters[name] for name in model.parameter_names})
-        return hopf_form(known, solution.evaluate(0.0)[0], np.array(list(known.values.values())))
+        return hopf_form(known, solution.evaluate(0.0), np.array(list(known.values.values())))
     if not isinstance(solution, Equilibrium):
         raise ValueError(f"{point.kind}: given one of {type(solution).__name__.lower()}s; accepted: one of equilibria")
     statics = cast(EquilibriumSpace, solution.space).statics

@@ -18,6 +18,7 @@ from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.problem import AlgebraicProblem, Course, sizes_at
 from casadi_skin.equilibria.statics import Spectrum, Statics
 from casadi_skin.orbits.solution import Solution
+from casadi_skin.result import NoQuantityError
 from casadi_skin.solvers.corrector import Correction
 from casadi_skin.solvers.estimates import ErrorEstimate
 from casadi_skin.stability.result import Floquet
@@ -157,6 +158,9 @@ class EquilibriumSpace(EquilibriumEquations):
         """An equilibrium needs no time."""
         return 0.0, 0.0
 
+    def span(self, point: Point) -> tuple[float, float]:
+        return 0.0, 0.0
+
     def solution(self, point: Point, exact: Mapping[str, float] | None) -> Solution:
         """The equilibrium of a point."""
         if exact is None:
@@ -179,17 +183,17 @@ class EquilibriumSpace(EquilibriumEquations):
         return 1
 
     def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
-        raise ValueError(NO_ORBIT)
+        raise NoQuantityError(NO_ORBIT)
 
     def floquet_vectors(self, point: Point, floquet: Floquet) -> NoReturn:
-        raise ValueError(NO_ORBIT)
+        raise NoQuantityError(NO_ORBIT)
 
     def energy(self, point: Point) -> float:
-        raise ValueError(NO_ORBIT)
+        raise NoQuantityError(NO_ORBIT)
 
     @property
     def symmetry(self) -> NoReturn:
-        raise ValueError(NO_ORBIT)
+        raise NoQuantityError(NO_ORBIT)
 
     def spectrum(self, point: Point) -> Spectrum:
         """Eigenvalues at a point, computed once for the last few points."""

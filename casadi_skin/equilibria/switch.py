@@ -138,7 +138,7 @@ def _at_rest(orbit: Orbit) -> Equilibrium:
     """The equilibrium that an orbit of amplitude zero is."""
     space = cast(BoundarySpace, orbit.space)
     values = {name: orbit.parameters[name] for name in space.given.parameter_names}
-    return find_equilibrium(space.given, orbit.evaluate(0.0).ravel(), parameters=values)
+    return find_equilibrium(space.given, orbit.evaluate(0.0), parameters=values)
 
 
 def _kind_of(solution: Solution) -> str:

@@ -146,7 +146,7 @@ def _has_orbits(branch: Branch) -> bool:
 def _heights(branch: Branch, state: int) -> list[Array]:
     """A state along a branch: its value at equilibria, its largest and smallest along orbits."""
     if isinstance(branch.solutions[0], Equilibrium):
-        return [np.array([solution.evaluate(0.0)[0, state] for solution in branch.solutions])]
+        return [np.array([solution.evaluate(0.0)[state] for solution in branch.solutions])]
     low, high = np.array([[side[state] for side in extremes(solution)] for solution in branch.solutions]).T
     return [high, low]
 

@@ -108,9 +108,9 @@ def _along(branch: Branch, name: str) -> Array:
     if name in states and name not in solutions[0].parameters:
         place = states.index(name)
         if isinstance(branch.space, Family):
-            return np.array([orbit.evaluate(0.0, branch.space.output_sites)[0, place] for orbit in branch.orbits])
+            return np.array([orbit.evaluate(0.0, branch.space.output_sites)[place] for orbit in branch.orbits])
         if isinstance(solutions[0], Equilibrium):
-            return np.array([solution.evaluate(0.0)[0, place] for solution in solutions])
+            return np.array([solution.evaluate(0.0)[place] for solution in solutions])
         return np.array([extremes(solution)[1][place] for solution in solutions])
     return branch[name]
 

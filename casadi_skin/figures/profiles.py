@@ -94,7 +94,7 @@ def _draw_profiles(
     first, *second = panels
     first.plot(n, mode, marker=dot, color="0.65", lw=3, ms=9, label="linear mode")
     for key, orbit in orbits.items():
-        y = orbit.evaluate(0.0, n)[0] / _norm(orbit)
+        y = orbit.evaluate(0.0, n) / _norm(orbit)
         first.plot(n, y * (np.sign(y @ mode) or 1.0), **looks[key])
     mode_logs = np.where(np.isfinite(mode_logs), mode_logs, np.nan)
     for axes in second:
@@ -139,7 +139,7 @@ def profile_figure(branches: Sequence[Branch]) -> Figure | None:
     if not chosen:
         return None
     shown = family(chosen[0][0]).coordinates.output_sites
-    profiles = np.array([orbit.evaluate(0.0, shown)[0] for _, orbits in chosen for orbit in orbits.values()])
+    profiles = np.array([orbit.evaluate(0.0, shown) for _, orbits in chosen for orbit in orbits.values()])
     logs = np.array([_logarithms(orbit) for _, orbits in chosen for orbit in orbits.values()])
     steep = bool(np.any(np.nanmax(logs, axis=1) > np.nanmin(logs, axis=1) + 3.0))
     keys = sorted({key for _, orbits in chosen for key in orbits})

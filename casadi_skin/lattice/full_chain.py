@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from casadi_skin.bvp.cosines import quarter_phases
 from casadi_skin.bvp.problem import Array, Indices, Problem
 from casadi_skin.continuation.points import Point
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.log_profile import continued_logarithms
 from casadi_skin.methods import EVERY_SITE
 from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.coordinates import Coordinates, normalised, numbered, quarter_phases, shift_by_projection
+from casadi_skin.orbits.coordinates import Coordinates, normalised, numbered, shift_by_projection
 from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.theory import multiple_scales
 from casadi_skin.theory.linear import standing_wave

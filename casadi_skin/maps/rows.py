@@ -150,7 +150,7 @@ def _start(branches: Sequence[Branch]) -> tuple[tuple[float, ...], float]:
     if first is None or not len(first) or isinstance(first.space, Family):
         return (), 0.0
     solution = first.solutions[0]
-    state = np.asarray(solution.evaluate(solution.interval[0]), dtype=float).ravel()
+    state = solution.evaluate(solution.interval[0])
     return tuple(state.tolist()), solution.period if isinstance(solution, Orbit) else 0.0
 
 

@@ -254,7 +254,7 @@ class OrbitSearch:
         model, names = self.model, list(_quantities(self.model))
         parameters = {name: orbit.parameters[name] for name in model.parameter_names}
         expressions = [self._expression(name) for name in names if name not in SPECIAL]
-        values = model.function("values", *expressions).call([0.0, orbit.evaluate(0.0)[0], list(parameters.values())])
+        values = model.function("values", *expressions).call([0.0, orbit.evaluate(0.0), list(parameters.values())])
         at_zero = zip((name for name in names if name not in SPECIAL), map(float, values), strict=True)
         own = {name: value for name, value in at_zero if not name.startswith(OWN)}
         return {PERIOD: orbit.period, "Omega": 2.0 * math.pi / orbit.period} | own | parameters

@@ -25,6 +25,7 @@ from casadi_skin.orbits.boundary_choices import Periodic, Sizes
 from casadi_skin.orbits.closure import Closure, closure_of
 from casadi_skin.orbits.coordinates import numbered
 from casadi_skin.orbits.method import Method
+from casadi_skin.result import NoQuantityError
 from casadi_skin.solvers.arbitrated import ArbitratedCorrector
 from casadi_skin.solvers.corrector import Corrector
 from casadi_skin.solvers.estimates import Refinement
@@ -139,7 +140,7 @@ class BoundarySolutions(ABC):
         """The conserved quantity at phase zero; raises ValueError where none is declared."""
         model = self._orbit_of().model
         if model.hamiltonian is None:
-            raise ValueError(f"energy: {model.name} declares no hamiltonian")
+            raise NoQuantityError(f"energy: {model.name} declares no hamiltonian")
         values = self.parameters(point)
         p = [values[name] for name in model.parameter_names]
         start = self.states_at(point, np.zeros(1), None)[0]
@@ -228,5 +229,6 @@ class BoundarySolutions(ABC):
     def _orbit_of(self) -> Periodic:
         if self.periodic is None:
             accepted = "accepted: an orbit, or conditions x(end) = S x(start)"
-            raise ValueError(f"a solution of a boundary-value problem that is no orbit has no stability; {accepted}")
+            words = f"a solution of a boundary-value problem that is no orbit has no stability; {accepted}"
+            raise NoQuantityError(words)
         return self.periodic

@@ -20,6 +20,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array, Indices, Problem
 from casadi_skin.models.ode import OdeModel
+from casadi_skin.result import NoQuantityError
 from casadi_skin.stability.waves import Medium
 
 if TYPE_CHECKING:
@@ -225,7 +226,7 @@ class Coordinates(ABC):
     def energy(self, problem: Problem, z: Array) -> float:
         """Energy over S at phase zero, where all velocities vanish; raises ValueError where none is conserved."""
         if self.scaled.hamiltonian is None:
-            raise ValueError(f"energy: {self.model.name} declares no hamiltonian")
+            raise NoQuantityError(f"energy: {self.model.name} declares no hamiltonian")
         q = problem.sample(z, np.zeros(1))[0]
         return float(self._hamiltonian(q, np.zeros(q.size), z[problem.parameter_index]))
 
@@ -261,11 +262,6 @@ def normalised(mode: Array, scale: Array) -> Array:
     """A mode scaled to sum_n (D_n q_n)^2 = 1, largest displacement positive."""
     q = mode / np.sqrt(np.sum((scale * mode) ** 2))
     return np.asarray(q * np.sign(q[np.argmax(np.abs(scale * q))]))
-
-
-def quarter_phases(nodes: int) -> Array:
-    """Midpoints of `nodes` equal parts of a quarter of the period."""
-    return (np.arange(nodes) + 0.5) * np.pi / (2 * nodes)
 
 
 def shift_by_projection(Omega: float, omega: float, nonlinear: float, overlap: float, size: float) -> float:

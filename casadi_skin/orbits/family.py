@@ -232,6 +232,10 @@ class Family(FamilyStability):
         """From phase zero over the period."""
         return 0.0, self.value("period", point)
 
+    def span(self, point: Point) -> tuple[float, float]:
+        """From phase zero over the part of the period that the symmetry leaves."""
+        return 0.0, self.symmetry.value * self.value("period", point)
+
     def energy(self, point: Point) -> float:
         """The conserved quantity; raises ValueError where the model declares none."""
         return self.value("S", point) * self.coordinates.energy(point.problem, point.z)

@@ -85,7 +85,7 @@ def _half_a_period_on(orbit: Orbit, vector: Array) -> Array:
     jacobian = model.function("J", ca.densify(ca.jacobian(model.full_rhs, model.full_state)))
 
     def rate(t: float, w: Array) -> Array:
-        return np.asarray(np.array(jacobian(t, orbit.evaluate(t)[0], p)) @ w)
+        return np.asarray(np.array(jacobian(t, orbit.evaluate(t), p)) @ w)
 
     found = solve_ivp(rate, (0.0, 0.5 * orbit.period), vector, "LSODA", rtol=1e-6, atol=1e-9)
     return _across(orbit, found.y[:, -1])
@@ -96,7 +96,7 @@ def _across(orbit: Orbit, vector: Array) -> Array:
     model, t = orbit.model, 0.5 * orbit.period
     if model.forced:
         return vector
-    along = np.array(model.vector_field(0.0, orbit.evaluate(t)[0], orbit.model_parameters)).ravel()
+    along = np.array(model.vector_field(0.0, orbit.evaluate(t), orbit.model_parameters)).ravel()
     return np.asarray(vector - along * (along @ vector) / (along @ along))
 
 

@@ -10,11 +10,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.bvp.cosines import quarter_phases
 from casadi_skin.bvp.problem import EPSILON, Array, Problem
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.polynomial import NotPolynomialError, homogeneous_parts
 from casadi_skin.orbits.amplitude import amplitude_square
-from casadi_skin.orbits.coordinates import Coordinates, quarter_phases, shift_by_projection
+from casadi_skin.orbits.coordinates import Coordinates, shift_by_projection
 from casadi_skin.orbits.family_modes import SIMPLE, check_alone, check_kind, fixed_values, number_of_mode
 from casadi_skin.orbits.linear_modes import SYMMETRIC, linear_modes, with_small_amplitudes
 

@@ -11,17 +11,19 @@ from numpy.typing import ArrayLike
 
 from casadi_skin import methods
 from casadi_skin.arguments import whole
-from casadi_skin.arrays import site_numbers
-from casadi_skin.bvp.cosines import cosine_matrix
+from casadi_skin.arrays import at_instants, instants, site_numbers
+from casadi_skin.bvp.cosines import cosine_matrix, quarter_phases
+from casadi_skin.bvp.orbit_problem import OrbitProblem
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.orbits.amplitude import amplitude_square
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.certificate import Certificate, ProvedStability
-from casadi_skin.orbits.coordinates import LOG10, quarter_phases
+from casadi_skin.orbits.coordinates import LOG10
 from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.solution import Solution, as_times
+from casadi_skin.orbits.solution import Solution
+from casadi_skin.result import NoQuantityError
 from casadi_skin.stability.growth import TransientGrowth, transient_growth
 from casadi_skin.stability.reduction import ComplexArray
 
@@ -102,24 +104,35 @@ class Orbit(Solution):
         """Parameters of the model itself, in its order."""
         return np.array([self.parameters[name] for name in self.model.parameter_names])
 
+    @cached_property
+    def t(self) -> Array:
+        """Times of the unknowns: of an orbit of a family those of the phases at which its equations are solved."""
+        problem = self.point.problem
+        return problem.phases() / self.Omega if isinstance(problem, OrbitProblem) else super().t
+
+    @cached_property
+    def states(self) -> Array:
+        """States at `t`, shape (time, component); of an orbit of a family displacements at `output_sites`."""
+        return self.evaluate(self.t, self.output_sites) if isinstance(self.space, Family) else super().states
+
     # Shape ----------------------------------------------------------------------------------------------------------
 
     def evaluate(self, t: ArrayLike, sites: ArrayLike | None = None) -> Array:
         """States at any times.
 
         Arguments:
-            t: times, shape (times,).
+            t: times, shape (times,), or one.
             sites: numbers of the components, from 1; all by default. In an infinite chain they are 0, -1, -2, ... from
                 the edge for gamma > 0 and 1, 2, 3, ... for gamma < 0, by default those of the nonlinear core.
 
         Returns:
-            Shape (times, components): displacements of an orbit of a family, whose largest is positive at t = 0 where
-            the model is odd; all states of another orbit.
+            Shape (times, components), of one time (components,): displacements of an orbit of a family, whose largest
+            is positive at t = 0 where the model is odd; all states of another orbit.
 
         Raises:
             ValueError: times that are not numbers, components that do not exist.
         """
-        return self._at_phases(2.0 * np.pi / self.period * as_times(t), sites)
+        return at_instants(t, self._at_phases(2.0 * np.pi / self.period * instants(t), sites))
 
     def _at_phases(self, theta: Array, sites: ArrayLike | None = None) -> Array:
         numbers = site_numbers(sites)
@@ -154,8 +167,8 @@ class Orbit(Solution):
         space = self._boundary_space()
         positions = space.positions
         if not positions:
-            raise ValueError("S: an orbit of a model of first order has no amplitude of positions")
-        return amplitude_square(space.given).value(self.evaluate(0.0)[0, :positions])
+            raise NoQuantityError("S: an orbit of a model of first order has no amplitude of positions")
+        return amplitude_square(space.given).value(self.evaluate(0.0)[:positions])
 
     @property
     def output_sites(self) -> Indices:
@@ -182,7 +195,7 @@ class Orbit(Solution):
     @cached_property
     def profile(self) -> Array:
         """States at t = 0: of an orbit of a family displacements, where all velocities vanish; shape (components,)."""
-        start: Array = self.evaluate(0.0)[0]
+        start: Array = self.evaluate(0.0)
         return start
 
     def log10_displacements(self, sites: ArrayLike | None = None) -> tuple[Array, Array]:
@@ -230,12 +243,18 @@ class Orbit(Solution):
     @cached_property
     def certificate(self) -> Certificate:
         """The proof that `certify` makes without options, kept."""
-        return self.certify()
+        try:
+            return self.certify()
+        except ValueError as error:
+            raise NoQuantityError(str(error)) from error
 
     @cached_property
     def proved_stability(self) -> ProvedStability:
         """A proof that the orbit is stable, or is not, by `casadi_skin.certify.certify_stability`, kept."""
-        proof: ProvedStability = methods.TASKS["certify_stability"].load()(self)
+        try:
+            proof: ProvedStability = methods.TASKS["certify_stability"].load()(self)
+        except ValueError as error:
+            raise NoQuantityError(str(error)) from error
         return proof
 
     # Stability ------------------------------------------------------------------------------------------------------
@@ -274,7 +293,7 @@ class Orbit(Solution):
 
     def _family(self) -> Family:
         if not isinstance(self.space, Family):
-            raise ValueError("this quantity is that of an orbit of a family that grows from a linear mode")
+            raise NoQuantityError("this quantity is that of an orbit of a family that grows from a linear mode")
         return self.space
 
     def _boundary_space(self) -> BoundarySpace:

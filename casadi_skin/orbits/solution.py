@@ -5,22 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin import methods
 from casadi_skin.arguments import check_options
-from casadi_skin.arrays import real_array
+from casadi_skin.arrays import at_instants, instants
 from casadi_skin.bvp import mesh
+from casadi_skin.bvp.collocation import CollocationEquations
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.continuation.points import Point
 from casadi_skin.orbits.optimum import Optimum
 from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.result import Result
+from casadi_skin.result import NoQuantityError, Result
 from casadi_skin.stability.result import Floquet
 
 SHOWN = 6  # parameters in a line
@@ -68,17 +69,17 @@ class Solution(Result):
         return self.space.interval(self.point)
 
     def evaluate(self, t: ArrayLike) -> Array:
-        """States at times in the interval, shape (time, component).
+        """States at times in the interval, shape (time, component), or at one, shape (component,).
 
         Raises ValueError for other times, TypeError for values that are not numbers.
         """
-        times = as_times(t)
+        times = instants(t)
         start, end = self.interval
         slack = 1e-9 * (end - start)
         if not np.all((times >= start - slack) & (times <= end + slack)):
             raise ValueError(f"t: given {times.min():g} to {times.max():g}; accepted: {start:g} to {end:g}")
         states = self.point.problem.sample(self.point.z, np.clip((times - start) / (end - start), 0.0, 1.0))
-        return np.asarray(states[:, : len(self.space.state_names)])
+        return at_instants(t, states[:, : len(self.space.state_names)])
 
     def __getitem__(self, name: str) -> float | Array:
         """The value of a parameter, or the values of a state at `t`; raises KeyError for other names."""
@@ -97,10 +98,17 @@ class Solution(Result):
 
     @property
     def problem(self) -> BoundaryProblem:
-        """The equations on their mesh; raises ValueError for an orbit in another discretisation."""
+        """The stated equations on their mesh; raises NoQuantityError for an orbit of a family and an equilibrium."""
         problem = self.point.problem
         if not isinstance(problem, BoundaryProblem):
-            raise ValueError("problem: an orbit of a family has no mesh of a boundary-value problem; see point.problem")
+            raise NoQuantityError("problem: no boundary-value problem was stated; accepted: point.problem")
+        return problem
+
+    @property
+    def _collocation(self) -> CollocationEquations:
+        problem = self.point.problem
+        if not isinstance(problem, CollocationEquations):
+            raise NoQuantityError("mesh: the solution is not one of collocation; accepted: evaluate(t)")
         return problem
 
     @property
@@ -108,16 +116,11 @@ class Solution(Result):
         """The boundary-value problem that is solved."""
         return self.problem.statement
 
-    @property
-    def _span(self) -> tuple[float, float]:
-        """Start and end of the part that was unknown; raises ValueError as `problem` does."""
-        return cast(tuple[float, float], cast(Any, self.space).span(self.point))
-
     @cached_property
     def t(self) -> Array:
         """Times of the unknowns: ends and stages of the intervals."""
-        start, end = self._span
-        return np.asarray(start + self.problem._fractions() * (end - start))
+        start, end = self.space.span(self.point)
+        return np.asarray(start + self._collocation._fractions() * (end - start))
 
     @cached_property
     def states(self) -> Array:
@@ -127,14 +130,18 @@ class Solution(Result):
 
     @property
     def mesh(self) -> Array:
-        """Ends of the intervals of the part that was unknown, shape (intervals + 1,)."""
-        start, end = self._span
-        return np.asarray(start + mesh.edges(self.problem.constants) * (end - start))
+        """Ends of the intervals of the part that was unknown, shape (intervals + 1,).
+
+        Raises NoQuantityError, as `intervals`, where there are none: for an orbit in cosines or by shooting, and an
+        equilibrium.
+        """
+        start, end = self.space.span(self.point)
+        return np.asarray(start + mesh.edges(self._collocation.constants) * (end - start))
 
     @property
     def intervals(self) -> int:
         """Number of intervals."""
-        return self.problem.resolution
+        return self._collocation.resolution
 
     # Errors -----------------------------------------------------------------------------------------------------------
 
@@ -222,7 +229,7 @@ class Solution(Result):
 
     def _known_optimum(self) -> Optimum:
         if self.optimum is None:
-            raise ValueError("objective: nothing was minimised")
+            raise NoQuantityError("objective: nothing was minimised")
         return self.optimum
 
     # Branches ---------------------------------------------------------------------------------------------------------
@@ -236,11 +243,3 @@ class Solution(Result):
     def follow_all(self, parameter: str, to: float, depth: int = 3, limit: int = 30, **options: Any) -> Any:
         """The branch through this solution, with all that leave it; options are those of `follow`."""
         return self.follow(parameter, to, **options).follow_all(depth=depth, limit=limit)
-
-
-def as_times(t: ArrayLike) -> Array:
-    """Times as an array of one dimension; raises TypeError and ValueError for values that are not numbers."""
-    found = np.atleast_1d(real_array("t", t, "numbers"))
-    if found.ndim != 1:
-        raise ValueError(f"t: given shape {found.shape}; accepted: numbers, shape (times,)")
-    return found

@@ -112,8 +112,12 @@ class SolutionSpace(Protocol):
         """Start and end of the interval, or the period from phase zero."""
         ...
 
+    def span(self, point: Point) -> tuple[float, float]:
+        """Start and end of the part of the interval that is unknown."""
+        ...
+
     def energy(self, point: Point) -> float:
-        """The conserved quantity of an orbit; raises ValueError where the model declares none."""
+        """The conserved quantity of an orbit; raises NoQuantityError where the model declares none."""
         ...
 
     def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:

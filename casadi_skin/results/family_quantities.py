@@ -51,7 +51,7 @@ FAMILY_ARRAYS: tuple[Quantity, ...] = (
         where=NETCDF,
     ),
     Quantity(
-        "profile", "displacements y_n at t = 0", lambda p: p.orbit.evaluate(0.0, p.orbit.output_sites)[0], ("site",)
+        "profile", "displacements y_n at t = 0", lambda p: p.orbit.evaluate(0.0, p.orbit.output_sites), ("site",)
     ),
     Quantity(
         "log10_profile", "log10 |y_n| at t = 0, also where y_n is below the smallest double; empty where it is 0",

@@ -108,7 +108,7 @@ def _passes(curve: Branch, point: SpecialPoint) -> bool:
     if not isinstance(found, Equilibrium):
         a, b = found.parameters[point.parameter], point.parameters[point.parameter]
         return bool(abs(a - b) <= SAME * max(abs(a), abs(b)))
-    x, y = found.positions, point.solution.evaluate(0.0)[0][: found.positions.size]
+    x, y = found.positions, point.solution.evaluate(0.0)[: found.positions.size]
     return bool(np.max(np.abs(x - y)) <= SAME * max(1.0, float(np.max(np.abs(x)))))
 
 

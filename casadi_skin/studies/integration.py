@@ -85,7 +85,7 @@ def monodromy_eigenvalues(
     from scipy.integrate import solve_ivp
 
     chain, n = orbit.model, orbit.model.sites
-    at = displacements or (lambda t: orbit.evaluate(t)[0])
+    at = displacements or orbit.evaluate
 
     def rates(t: float, flat: Array) -> Array:
         x, v = flat.reshape(2, n, 2 * n)

@@ -30,7 +30,7 @@ def shot(model: OdeModel, orbit: Any, first: str, condition: Condition, jump: np
     p = ca.SX.sym("p", len(names))
     rhs = model.vector_field(0.0, symbol, p)
     field = ca.Function("f", [symbol, p], [rhs, ca.jacobian(rhs, symbol)])
-    ref = orbit.evaluate(0.0)[0]
+    ref = orbit.evaluate(0.0)
 
     def at(value: float) -> list[float]:
         return [value if name == first else values[name] for name in names]

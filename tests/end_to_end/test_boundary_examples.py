@@ -18,7 +18,7 @@ def test_bratu_fold(tmp_path: Path) -> None:
     assert [round(fold["lambda"], 9) for fold in branch.folds] == [3.513830719]  # Bratu 1914: 8 (z^2 - 1), z tanh z = 1
     for which, bracket in enumerate(((0.0, 4.5), (4.5, 20.0))):  # u(1/2) = 2 log cosh(theta/4), lambda = 1
         theta = brentq(lambda z: z - np.sqrt(2.0) * np.cosh(z / 4.0), *bracket, xtol=1e-15)
-        assert abs(branch.at(1.0, which).evaluate(0.5)[0, 0] - 2.0 * np.log(np.cosh(theta / 4.0))) < 1e-7
+        assert abs(branch.at(1.0, which).evaluate(0.5)[0] - 2.0 * np.log(np.cosh(theta / 4.0))) < 1e-7
 
 
 @pytest.mark.slow
@@ -43,10 +43,10 @@ def test_van_der_pol(tmp_path: Path) -> None:
     assert abs(branch.at(1.0).period - 6.6632868593231301897) < 1e-9  # Hairer, Norsett and Wanner 1993, exercise I.16.1
     orbit = branch.at(10.0)
     run = solve_ivp(
-        lambda t, s: [s[1], 10 * (1 - s[0] ** 2) * s[1] - s[0]], (0.0, orbit.period), orbit.evaluate(0.0)[0], "DOP853",
+        lambda t, s: [s[1], 10 * (1 - s[0] ** 2) * s[1] - s[0]], (0.0, orbit.period), orbit.evaluate(0.0), "DOP853",
         rtol=1e-12, atol=1e-13,
     )  # fmt: skip
-    assert np.abs(run.y[:, -1] - orbit.evaluate(0.0)[0]).max() < 1e-6
+    assert np.abs(run.y[:, -1] - orbit.evaluate(0.0)).max() < 1e-6
     assert abs(orbit.period - 19.078369567) < 1e-8
 
 
@@ -61,9 +61,9 @@ def test_forced_duffing(tmp_path: Path) -> None:
         orbit = branch.at(2.0, which)
         run = solve_ivp(
             lambda t, s: [s[1], -s[0] - s[0] ** 3 - 0.1 * s[1] + 0.5 * np.cos(2.0 * t)], (0.0, np.pi),
-            orbit.evaluate(0.0)[0], "DOP853", rtol=1e-12, atol=1e-13,
+            orbit.evaluate(0.0), "DOP853", rtol=1e-12, atol=1e-13,
         )  # fmt: skip
-        np.testing.assert_allclose(run.y[:, -1], orbit.evaluate(0.0)[0], atol=1e-6)
+        np.testing.assert_allclose(run.y[:, -1], orbit.evaluate(0.0), atol=1e-6)
 
 
 @pytest.mark.slow
@@ -80,7 +80,7 @@ def test_lyapunov_orbit(tmp_path: Path) -> None:
                 -2 * u + y - (1 - mu) * y / r1 - mu * y / r2]  # fmt: skip
 
     # From one crossing at right angles to the other: half a period, no digits lost to the multiplier of 1112.
-    run = solve_ivp(field, (0.0, orbit.period / 2), orbit.evaluate(0.0)[0], "DOP853", rtol=1e-12, atol=1e-13)
+    run = solve_ivp(field, (0.0, orbit.period / 2), orbit.evaluate(0.0), "DOP853", rtol=1e-12, atol=1e-13)
     assert np.abs(run.y[[1, 2], -1]).max() < 1e-7
     assert abs(orbit.period - 3.1237510090) < 1e-8
 

@@ -107,7 +107,7 @@ def test_smallest_kick(tmp_path: Path) -> None:
         assert least < distance_from_orbit(orbit, run).max() < most
     # What linear growth makes of it, by the linearised equations written out above.
     seen = physical_flow(orbit, np.eye(2 * n), kick.linear_time) / np.repeat([1.0, orbit.Omega], n)[:, None]
-    y = [orbit.evaluate(kick.linear_time + h)[0] for h in (-1e-4, 0.0, 1e-4)]
+    y = [orbit.evaluate(kick.linear_time + h) for h in (-1e-4, 0.0, 1e-4)]
     tangent = np.concatenate([y[2] - y[0], (y[2] - 2 * y[1] + y[0]) / (0.5e-4 * orbit.Omega)])
     tangent /= np.linalg.norm(tangent)
     gain = np.linalg.svd(seen - np.outer(tangent, tangent @ seen))[1][0]

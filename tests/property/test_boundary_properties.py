@@ -58,7 +58,7 @@ def test_place_length_and_size_of_a_problem_do_not_matter(start: float, length: 
     model = OdeModel("scaled", ca.vertcat(u, v), rhs)
     conditions = [model.start(u), model.end(u)]
     solution = BoundaryValueProblem(model, conditions, interval=(start, start + length)).solve([0.0, 0.0])
-    middle = solution.evaluate(start + length / 2)[0, 0] / size
+    middle = solution.evaluate(start + length / 2)[0] / size
     assert abs(middle - np.log(c**2 / 2.0)) < 1e-8
 
 

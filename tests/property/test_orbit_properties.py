@@ -190,7 +190,7 @@ def test_orbits_are_symmetric_in_time_odd_over_half_a_period_and_periodic(
     np.testing.assert_allclose(orbit.evaluate(-t), y, rtol=0, atol=atol)
     np.testing.assert_allclose(orbit.evaluate(t + orbit.period / 2), -y, rtol=0, atol=10 * atol)
     np.testing.assert_allclose(orbit.evaluate(t - 2 * orbit.period), y, rtol=0, atol=10 * atol)
-    np.testing.assert_array_equal(orbit.evaluate(0.0), [orbit.profile])
+    np.testing.assert_array_equal(orbit.evaluate(0.0), orbit.profile)
     np.testing.assert_allclose(orbit.evaluate(orbit.period / 4), 0.0, atol=atol)
 
 

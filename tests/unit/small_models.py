@@ -56,7 +56,7 @@ def forced_orbit() -> Orbit:
     """The response of the driven oscillator below its resonance."""
     model, period = duffing(), 2 * np.pi / 1.2
     settled = simulate(model, [0.0, 0.0], period * np.linspace(0.0, 30.0, 1201))
-    return find_orbit(model, lambda t: settled.evaluate(29 * period + t % period)[0], tolerance=1e-10)
+    return find_orbit(model, lambda t: settled.evaluate(29 * period + t % period), tolerance=1e-10)
 
 
 def van_der_pol() -> OdeModel:

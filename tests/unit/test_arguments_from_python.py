@@ -144,7 +144,7 @@ WANTED = BoundaryValueProblem(LINE, [LINE.start(X), LINE.end(X) - 1])
 def test_conditions_in_every_form_are_the_same_problem(conditions: Any) -> None:
     found = BoundaryValueProblem(LINE, conditions).solve([0.0, 1.0])
     np.testing.assert_array_equal(found.states, WANTED.solve([0.0, 1.0]).states)
-    assert found.evaluate(0.5)[0, 0] == pytest.approx(np.sin(0.5) / np.sin(1.0), rel=1e-8)
+    assert found.evaluate(0.5)[0] == pytest.approx(np.sin(0.5) / np.sin(1.0), rel=1e-8)
 
 
 def test_integrals_objectives_and_running_costs_from_functions() -> None:
@@ -165,7 +165,7 @@ def test_integrals_objectives_and_running_costs_from_functions() -> None:
 def test_a_first_mesh_of_one_interval_and_nothing_for_what_is_left_out() -> None:
     problem = BoundaryValueProblem(LINE, WANTED.conditions, parameters=None, bounds=None)  # type: ignore[arg-type]
     found = problem.solve([0.0, 1.0], intervals=1)
-    assert found.evaluate(0.5)[0, 0] == pytest.approx(np.sin(0.5) / np.sin(1.0), rel=1e-8)
+    assert found.evaluate(0.5)[0] == pytest.approx(np.sin(0.5) / np.sin(1.0), rel=1e-8)
 
 
 def test_a_guess_in_the_layout_of_scipy() -> None:
@@ -209,7 +209,7 @@ def test_sections_and_selections_from_functions() -> None:
     sections: list[Any] = [Y, lambda t, x, p: x[1], [Y]]
     found = [find_orbit(PLAIN, circle, 6.3, section=section, tolerance=1e-6) for section in sections]
     assert len({orbit.period for orbit in found}) == 1
-    assert found[0].evaluate(0.0)[0, 1] == pytest.approx(0.0, abs=1e-6)
+    assert found[0].evaluate(0.0)[1] == pytest.approx(0.0, abs=1e-6)
     spring = OdeModel("spring", [X, Y], [Y, -X - X**3], hamiltonian=Y**2 / 2 + X**2 / 2 + X**4 / 4)
     selected: list[Callable[..., Any] | ca.SX] = [X - 1, lambda t, x, p: x[0] - 1]
     periods = [find_orbit(spring, circle, 5.0, select=s, tolerance=1e-6).period for s in selected]

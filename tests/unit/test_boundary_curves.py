@@ -60,7 +60,7 @@ def test_folds_of_a_slab_are_the_turns_of_its_time_map(folds: tuple[SpecialPoint
     assert [point.kind for point in folds] == ["fold", "fold"]
     for point, near in zip(folds, (2.35, 15.0), strict=True):
         largest = float(fsolve(lambda a: bends(a[0], 0.2)[:1], near, xtol=1e-12)[0])
-        assert point.solution.evaluate(0.5)[0, 0] == pytest.approx(largest, rel=1e-7)
+        assert point.solution.evaluate(0.5)[0] == pytest.approx(largest, rel=1e-7)
         assert point.parameters["lam"] == pytest.approx(time_map(largest, 0.2), rel=1e-12)
 
 
@@ -71,7 +71,7 @@ def test_two_folds_meet_at_the_cusp_of_the_time_map(curve: Branch) -> None:
     assert cusp.kind == "cusp"
     assert abs(cusp.parameters["eps"] - eps) <= cusp.error + 1e-11 < 1e-10
     assert cusp.parameters["lam"] == pytest.approx(time_map(largest, eps), rel=1e-11)
-    assert cusp.solution.evaluate(0.5)[0, 0] == pytest.approx(largest, rel=1e-5)
+    assert cusp.solution.evaluate(0.5)[0] == pytest.approx(largest, rel=1e-5)
     assert curve.end is End.RETURNED
     assert not curve.with_stability
 
@@ -85,7 +85,7 @@ def test_a_curve_of_folds_ends_in_bratus_problem(folds: tuple[SpecialPoint, ...]
 def test_solutions_on_a_curve_are_those_of_the_problem_itself(curve: Branch, tmp_path: Path) -> None:
     for solution in curve.solutions[::6]:
         assert solution.evaluate([0.0, 0.5]).shape == (2, 2)
-        largest = float(solution.evaluate(0.5)[0, 0])
+        largest = float(solution.evaluate(0.5)[0])
         assert solution["lam"] == pytest.approx(time_map(largest, solution["eps"]), rel=1e-9)
         assert abs(bends(largest, solution["eps"])[0]) < 1e-7
     save_result(curve, tmp_path / "curve")

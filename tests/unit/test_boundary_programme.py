@@ -140,7 +140,7 @@ def test_a_free_parameter_is_found_by_a_condition_at_phase_zero() -> None:
     first = find_orbit(model, lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6, parameters={"mu": 1.0}, section=y)
     orbit = find_orbit(model, first, parameters={"mu": 1.0}, free=["mu"], select=x - 2.01, section=y)
     check = find_orbit(model, first, parameters={"mu": float(orbit["mu"])}, section=y)
-    assert orbit.evaluate(0.0)[0, 0] == pytest.approx(2.01, abs=1e-9)
+    assert orbit.evaluate(0.0)[0] == pytest.approx(2.01, abs=1e-9)
     assert check.period == pytest.approx(orbit.period, abs=1e-7)
 
 

@@ -48,7 +48,7 @@ def test_a_multiplier_beside_a_tiny_one_keeps_its_digits() -> None:
         J = np.array([[0, -1, -1], [1, 0.2, 0], [z, 0, x - 3.5]])
         return np.concatenate([[-y - z, x + 0.2 * y, 0.2 + z * (x - 3.5)], (J @ s[3:].reshape(3, 3)).ravel()])
 
-    start = np.concatenate([orbit.evaluate(0.0)[0], np.eye(3).ravel()])
+    start = np.concatenate([orbit.evaluate(0.0), np.eye(3).ravel()])
     end = solve_ivp(variations, (0.0, orbit.period), start, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
     reference = sorted(np.linalg.eigvals(end[3:].reshape(3, 3)), key=abs)[1]
     assert reference == pytest.approx(-0.41873542, abs=1e-7)
@@ -141,7 +141,7 @@ def test_a_small_solution_is_found_from_zeros(size: float, corrector: str) -> No
     """Bratu's problem in other units: u(1/2) = 0.140539214400 of them."""
     model = OdeModel("small", ca.vertcat(X, Y), ca.vertcat(Y, -size * ca.exp(X / size)))
     solution = BoundaryValueProblem(model, [model.start(X), model.end(X)]).solve([0.0, 0.0], corrector=corrector)
-    assert solution.evaluate(0.5)[0, 0] / size == pytest.approx(0.1405392144, abs=1e-9)
+    assert solution.evaluate(0.5)[0] / size == pytest.approx(0.1405392144, abs=1e-9)
     assert solution.error < 1e-8
 
 

@@ -24,7 +24,7 @@ def flown(orbit: Orbit) -> np.ndarray:
     def field(_: float, x: np.ndarray) -> np.ndarray:
         return np.concatenate([x[3:], coupling @ x[:3] + x[:3] ** 3])
 
-    start = orbit.evaluate(0.0)[0]
+    start = orbit.evaluate(0.0)
     return np.asarray(solve_ivp(field, (0.0, orbit.period), start, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1])
 
 
@@ -48,7 +48,7 @@ def test_orbits_of_less_symmetry_leave_at_the_edges_of_a_real_tongue() -> None:
         assert branch.orbits[0].period == pytest.approx(family.at(S=S).period, rel=1e-8)
         last = branch.orbits[-1]
         y = last.evaluate(last.period * np.arange(16) / 16)[:, :3]
-        assert flown(last) == pytest.approx(last.evaluate(0.0)[0], abs=1e-6)
+        assert flown(last) == pytest.approx(last.evaluate(0.0), abs=1e-6)
         assert np.max(np.abs(y[8:] + y[:8])) > 1e-2  # no longer odd
         mirrored = np.max(np.abs(y[1:] - y[:0:-1]))
         assert (mirrored > 1e-2) == (point is opens)

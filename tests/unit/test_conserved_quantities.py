@@ -96,7 +96,7 @@ def test_a_phase_that_moves_as_time_does_is_no_second_phase() -> None:
         parameters={"N": 4.5}, select=norm - N,
     )  # fmt: skip
     assert orbit.floquet().trivial == 2
-    states, found = orbit.evaluate(0.0)[0], 2.0 * np.pi / orbit.period
+    states, found = orbit.evaluate(0.0), 2.0 * np.pi / orbit.period
     psi = states[:3] + 1j * states[3:]
     assert np.array([psi[1], psi[0] + psi[2], psi[1]]) + np.abs(psi) ** 2 * psi == pytest.approx(found * psi, abs=1e-7)
 

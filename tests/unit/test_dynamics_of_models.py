@@ -86,7 +86,7 @@ def test_a_forced_response_closes_and_draws_neighbours_in(method: str, response:
 
 def test_a_forced_orbit_is_left_behind_by_a_shift_of_time(response: Orbit) -> None:
     """The forcing fixes the phase: a state of the orbit at another time than its own is away from it."""
-    later = response.evaluate(0.25 * response.period)[0]
+    later = response.evaluate(0.25 * response.period)
     shifted = evolve(duffing(), later, None, [0.0])
     assert distance_from_orbit(response, shifted)[0] > 0.5
 
@@ -95,7 +95,7 @@ def test_a_forced_orbit_is_left_behind_by_a_shift_of_time(response: Orbit) -> No
 def test_a_limit_cycle_closes_and_a_shift_of_phase_is_no_distance(method: str, cycle: Orbit) -> None:
     found = simulate_orbit(cycle, np.linspace(0.0, cycle.period, 41), method=method, tolerance=1e-12)
     np.testing.assert_allclose(found.states, cycle.evaluate(found.t), rtol=0, atol=1e-8)
-    shifted = evolve(van_der_pol(), cycle.evaluate(0.3)[0], None, np.linspace(0.0, cycle.period, 41))
+    shifted = evolve(van_der_pol(), cycle.evaluate(0.3), None, np.linspace(0.0, cycle.period, 41))
     assert distance_from_orbit(cycle, shifted).max() < 1e-8
     kicked = simulate_orbit(cycle, [0.0, 3.0 * cycle.period], 0.1, site=2, method=method)
     distance = distance_from_orbit(cycle, kicked)
@@ -227,7 +227,7 @@ def test_arguments_that_do_not_fit_a_model_are_named() -> None:
 
 
 def test_perturbations_of_a_state_of_first_order(cycle: Orbit) -> None:
-    start = cycle.evaluate(0.0)[0]
+    start = cycle.evaluate(0.0)
     state, nothing = perturbed(cycle, 0.01, site=2)
     assert nothing.size == 0
     np.testing.assert_allclose(state - start, [0.0, 0.01], atol=1e-15)

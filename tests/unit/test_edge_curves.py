@@ -49,7 +49,7 @@ class Shooting:
 def angle_off(chain: Chain, S: float, near: float) -> Callable[[float], float]:
     """How far a multiplier of mode 5, by shooting, is from a third of the circle, as a function of S."""
     orbit = follow_family(chain, 5, 1.1 * S, tolerance=1e-10).at(S=near)
-    shooting = Shooting(5, 0.5, chain.gamma, -1.0, orbit.evaluate(0.0)[0][:5], orbit.period)
+    shooting = Shooting(5, 0.5, chain.gamma, -1.0, orbit.evaluate(0.0)[:5], orbit.period)
 
     def off(at: float) -> float:
         found = shooting.multipliers(at)
@@ -92,7 +92,7 @@ def test_a_window_between_krein_collisions_closes_where_their_edge_folds() -> No
 
     def highest(gamma: float) -> tuple[float, float]:
         orbit = fold.orbit
-        shooting = Shooting(4, 0.5, gamma, 1.0, orbit.evaluate(0.0)[0][:4], orbit.period)
+        shooting = Shooting(4, 0.5, gamma, 1.0, orbit.evaluate(0.0)[:4], orbit.period)
         S = fold.edge.S + 0.05 * np.cos(np.pi * (np.arange(7) + 0.5) / 7)
         found = []
         for multipliers in map(shooting.multipliers, S):

@@ -62,7 +62,7 @@ def test_a_cycle_that_shrinks_is_followed_to_its_hopf_point_and_not_back() -> No
     assert [point.kind for point in branch.special_points] == ["hopf"]
     (end,) = branch.special_points
     assert abs(end.parameters["K"] - 3.0) <= max(end.error, 1e-12)
-    np.testing.assert_allclose(branch.orbits[-1].evaluate(0.0)[0], [1.0, 4.0 / 3.0], rtol=1e-10)
+    np.testing.assert_allclose(branch.orbits[-1].evaluate(0.0), [1.0, 4.0 / 3.0], rtol=1e-10)
     assert np.all(np.diff(branch["K"]) < 0.0)
 
 

@@ -220,7 +220,7 @@ def test_the_orbit_as_data(library: Library, orbit: Orbit) -> None:
     y, v = np.zeros(24), np.zeros(24)
     for t in (0.0, 1.234, -7.0, 0.25 * orbit.period, 1e3):
         library.call("orbit", t, y, v)
-        np.testing.assert_allclose(y, orbit.evaluate(t)[0], rtol=0, atol=5e-13)
+        np.testing.assert_allclose(y, orbit.evaluate(t), rtol=0, atol=5e-13)
         before, after = orbit.evaluate([t - 1e-5, t + 1e-5])
         np.testing.assert_allclose(v, (after - before) / 2e-5, rtol=0, atol=1e-8)
     multipliers = library.doubles("orbit_multipliers_real") + 1j * library.doubles("orbit_multipliers_imaginary")
@@ -323,7 +323,7 @@ def test_an_orbit_whose_tail_was_eliminated(tmp_path: Path) -> None:
         export_c(orbit, tmp_path / "n", ["newton"])
     c, y = Library(export_c(orbit, tmp_path / "c", ["orbit"]), "chain"), np.zeros(150)
     c.call("orbit", 0.4, y, None)
-    np.testing.assert_allclose(y, orbit.evaluate(0.4)[0], atol=1e-13)
+    np.testing.assert_allclose(y, orbit.evaluate(0.4), atol=1e-13)
 
 
 @pytest.mark.slow
@@ -344,7 +344,7 @@ def test_an_orbit_of_any_model(tmp_path: Path) -> None:
     np.testing.assert_array_equal(c.doubles("orbit_multipliers_real"), cycle.floquet().multipliers.real)
     for t in (0.0, 1.234, -7.0, 1e3):
         c.call("orbit", t, state, rates)
-        np.testing.assert_allclose(state, cycle.evaluate(t)[0], atol=1e-9)
+        np.testing.assert_allclose(state, cycle.evaluate(t), atol=1e-9)
         np.testing.assert_allclose(rates, [state[1], (1 - state[0] ** 2) * state[1] - state[0]], atol=1e-7)
     with pytest.raises(ValueError, match="are written for chains and their orbits; accepted: rhs"):
         export_c(cycle, tmp_path / "n", ["newton"])
@@ -364,7 +364,7 @@ def test_an_orbit_of_a_family_of_any_model(tmp_path: Path) -> None:
     assert found["trace"] == pytest.approx(orbit.floquet().multipliers.sum().real, abs=1e-6)
     c, positions, velocities = Library(directory, "pair"), np.zeros(2), np.zeros(2)
     c.call("orbit", 0.7, positions, velocities)
-    np.testing.assert_allclose(positions, orbit.evaluate(0.7)[0], atol=1e-10)
+    np.testing.assert_allclose(positions, orbit.evaluate(0.7), atol=1e-10)
     before, after = orbit.evaluate([0.7 - 1e-5, 0.7 + 1e-5])
     np.testing.assert_allclose(velocities, (after - before) / 2e-5, atol=1e-8)
 

@@ -22,7 +22,7 @@ def physical_flow(orbit: Orbit, times: Array) -> list[Array]:
 
     def rate(t: float, x: Array) -> Array:
         X = x.reshape(2 * n, 2 * n)
-        return np.vstack([X[n:], -D @ X[:n] - 3.0 * g * (orbit.evaluate(t)[0] ** 2)[:, None] * X[:n]]).ravel()
+        return np.vstack([X[n:], -D @ X[:n] - 3.0 * g * (orbit.evaluate(t) ** 2)[:, None] * X[:n]]).ravel()
 
     start = np.eye(2 * n).ravel()
     solution = solve_ivp(rate, (0.0, times[-1]), start, method="DOP853", rtol=1e-11, atol=1e-13, t_eval=times)

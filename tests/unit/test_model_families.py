@@ -76,7 +76,7 @@ class Typed:
         size = np.max(np.abs(start))
         np.testing.assert_allclose(end, start, atol=tolerance * size * max(1.0, np.linalg.norm(monodromy, 2)))
         half, _ = self.flow(start, orbit.period / 2)
-        np.testing.assert_allclose(half[:n], orbit.evaluate(orbit.period / 2)[0], atol=1e3 * tolerance * size)
+        np.testing.assert_allclose(half[:n], orbit.evaluate(orbit.period / 2), atol=1e3 * tolerance * size)
         assert np.max(np.abs(half[n:])) < 1e3 * tolerance * size
 
         found, values = orbit.floquet().multipliers, np.linalg.eigvals(monodromy)
@@ -695,7 +695,7 @@ def test_a_driven_oscillator_loses_its_stability_at_its_fold() -> None:
         accelerated = -x[0] - x[0] ** 3 - 0.1 * x[1] + 0.5 * np.cos(omega * t)
         return np.concatenate([[x[1], accelerated], (J @ x[2:].reshape(2, 2)).ravel()])
 
-    start = np.append(orbit.evaluate(0.0)[0], np.eye(2).ravel())
+    start = np.append(orbit.evaluate(0.0), np.eye(2).ravel())
     end = solve_ivp(field, (0.0, orbit.period), start, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
     assert np.min(np.abs(np.linalg.eigvals(end[2:].reshape(2, 2)) - 1.0)) < 1e-3
     plain = first.follow("omega", 3.0, events=False, **options)
@@ -719,6 +719,6 @@ def test_an_entrained_oscillator_loses_its_stability_to_a_torus() -> None:
     assert not change.stable_after
     assert change.error < 1e-5
     orbit = branch.at(change.value)
-    square, _ = quad(lambda s: orbit.evaluate(s)[0, 0] ** 2, 0.0, orbit.period, epsabs=1e-11)
+    square, _ = quad(lambda s: orbit.evaluate(s)[0] ** 2, 0.0, orbit.period, epsabs=1e-11)
     assert square / orbit.period == pytest.approx(1.0, abs=1e-6)
     assert abs(orbit.floquet().multipliers[0].imag) > 0.1

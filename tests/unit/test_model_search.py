@@ -93,9 +93,9 @@ def test_names_say_the_same_as_expressions(largest: SearchResult) -> None:
 @pytest.mark.parametrize("held", [("q", 0.2, 0.2), (Q, 0.2, 0.2), Q - 0.2])
 def test_a_condition_holds_at_phase_zero(held: Any) -> None:
     best = search(running="square", maximise=True, constraints=[held], starts=1).best
-    assert best.orbit.evaluate(0.0)[0, 0] == pytest.approx(0.2, abs=1e-9)
+    assert best.orbit.evaluate(0.0)[0] == pytest.approx(0.2, abs=1e-9)
     plain = find_orbit(DUFFING, [0.0, 0.0], parameters={"omega": best.omega})
-    assert plain.evaluate(0.0)[0, 0] == pytest.approx(0.2, abs=1e-7)
+    assert plain.evaluate(0.0)[0] == pytest.approx(0.2, abs=1e-7)
     assert best.curvature == np.inf  # one condition and one free number: nothing is left to optimise
 
 
@@ -107,7 +107,7 @@ def test_a_condition_that_cannot_hold_is_off_by_the_least_at_the_nearest_orbit()
     assert result.nearest.worst == "q"
 
     def response(omega: float) -> float:
-        return -float(find_orbit(DUFFING, [0.0, 0.0], parameters={"omega": omega}).evaluate(0.0)[0, 0])
+        return -float(find_orbit(DUFFING, [0.0, 0.0], parameters={"omega": omega}).evaluate(0.0)[0])
 
     most = -minimize_scalar(response, bounds=(0.5, 1.1), options={"xatol": 1e-4}).fun
     assert result.nearest.gap == pytest.approx(0.3 - most, abs=1e-6)
@@ -156,7 +156,7 @@ def test_a_pareto_front_of_any_model() -> None:
     assert np.all(np.diff(front.values[:, 1]) > 0)
     for (period, q), optimum in zip(front.values, front.points, strict=True):
         orbit = find_orbit(DUFFING, [0.0, 0.0], parameters={"omega": 2 * np.pi / period})
-        assert orbit.evaluate(0.0)[0, 0] == pytest.approx(q, abs=1e-7)
+        assert orbit.evaluate(0.0)[0] == pytest.approx(q, abs=1e-7)
         assert optimum.period == period
 
 

@@ -88,7 +88,7 @@ def test_a_forced_oscillator_doubles_its_period() -> None:
     assert last.period == pytest.approx(4.0 * np.pi, rel=1e-12)
     times = 2.0 * np.pi * np.arange(202)
     F_end = last.parameters["F"]
-    evolution = simulate(model, last.evaluate(0.0)[0] + 1e-3, times, parameters={"F": F_end}, tolerance=1e-9)
+    evolution = simulate(model, last.evaluate(0.0) + 1e-3, times, parameters={"F": F_end}, tolerance=1e-9)
     known = last.evaluate([0.0, 2.0 * np.pi])
     assert min(np.max(np.abs(evolution.states[-2] - state)) for state in known) < 1e-4
     assert np.max(np.abs(evolution.states[-2] - evolution.states[-1])) > 1e-2

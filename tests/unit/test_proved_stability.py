@@ -42,7 +42,7 @@ def exponent_of_difference(orbit):
         k = 4.0 + 3.0 * y * y
         return [w, -2.0 * y - y**3, u1, -k * v1, u2, -k * v2]
 
-    start = [float(orbit.evaluate(0.0)[0, 0]), 0.0, 1.0, 0.0, 0.0, 1.0]
+    start = [float(orbit.evaluate(0.0)[0]), 0.0, 1.0, 0.0, 0.0, 1.0]
     end = solve_ivp(rhs, (0.0, 0.5 * orbit.period), start, rtol=1e-13, atol=1e-13, method="DOP853").y[:, -1]
     return np.arccos(complex(0.5 * (end[2] + end[5]))) / np.pi
 
@@ -91,7 +91,7 @@ def test_a_change_of_stability_is_proved_and_the_unstable_side_agrees_with_an_in
         y, V = x[:3], x[6:].reshape(6, 6)
         return np.concatenate([x[3:6], -K @ y - y**3, np.vstack([V[3:], -(K + 3.0 * np.diag(y**2)) @ V[:3]]).ravel()])
 
-    start = np.concatenate([orbit.evaluate(0.0)[0].ravel()[:3], np.zeros(3), np.eye(6).ravel()])
+    start = np.concatenate([orbit.evaluate(0.0)[:3], np.zeros(3), np.eye(6).ravel()])
     end = solve_ivp(rhs, (0.0, 0.5 * orbit.period), start, rtol=1e-12, atol=1e-12, method="DOP853").y[:, -1]
     assert np.max(np.abs(end[:6] + start[:6])) < 1e-8
     multipliers = np.linalg.eigvals(end[6:].reshape(6, 6))
@@ -115,7 +115,7 @@ def test_stability_of_sums_of_all_cosines_agrees_with_an_integration_over_the_pe
                 [[u, w, -x - 2 * x * y, -1.44 * y - x**2 + y**2], np.vstack([V[2:], -K @ V[:2]]).ravel()]
             )
 
-        start = np.concatenate([orbit.evaluate(0.0)[0].ravel()[:2], np.zeros(2), np.eye(4).ravel()])
+        start = np.concatenate([orbit.evaluate(0.0)[:2], np.zeros(2), np.eye(4).ravel()])
         end = solve_ivp(rhs, (0.0, orbit.period), start, rtol=1e-12, atol=1e-12, method="DOP853").y[:, -1]
         multipliers = np.linalg.eigvals(end[4:].reshape(4, 4))
         others = multipliers[np.argsort(np.abs(multipliers - 1.0))[2:]]
