@@ -91,15 +91,21 @@ def _events(path: Path) -> dict[str, NDArray[Any]]:
         return {}
     with table.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    words = {("1", "0"): "stability lost", ("0", "1"): "stability regained"}
     return {
         "event_mode": np.array([int(row["mode"]) for row in rows], dtype=int),
-        "event_S": np.array([float(row["S"]) for row in rows]),
-        "event_Omega": np.array([float(row["Omega"]) for row in rows]),
-        "event_words": np.array(
-            [f"{words[row['stable_before'], row['stable_after']]} ({row['kind']})" for row in rows], dtype=str
-        ),
+        "event_S": np.array([float(row["S"] or "nan") for row in rows]),
+        "event_Omega": np.array([float(row["Omega"] or "nan") for row in rows]),
+        "event_words": np.array([_event_words(row) for row in rows], dtype=str),
     }
+
+
+def _event_words(row: Mapping[str, str]) -> str:
+    """A row of events.csv in words: a change of stability, or a stretch on which some may be missing."""
+    if not row["stable_before"]:  # the row of a stretch, as "unresolved"
+        where = f"over {float(row['S_width']):.3g} in S" if row["S_width"] else "somewhere along the family"
+        return f"{row['kind']}, changes of stability may be missing {where}"
+    words = {("1", "0"): "stability lost", ("0", "1"): "stability regained"}
+    return f"{words[row['stable_before'], row['stable_after']]} ({row['kind']})"
 
 
 def _split(stem: str, variables: Variables) -> Iterator[tuple[str, Variables]]:
@@ -187,16 +193,16 @@ def _listed(
         after = int(np.clip(np.searchsorted(kept, place), 1, kept.size - 1))
         gap = float(kept[after] - kept[after - 1])
         where = float(after - 1 + (place - kept[after - 1]) / gap)
-        label = f"{kind}: {x} = {value:.8g}"
+        label = f"{kind}: {x} = {value:.8g}" if np.isfinite(value) else kind
         found.append({"point": round(where), "place": round(where, 4), "kind": kind, "label": label})
     return found
 
 
 def _between(S: NDArray[Any], Omega: NDArray[Any], at: float, height: float) -> float:
-    """The place between two points of a family at which it passes an amplitude, the nearest in frequency."""
+    """The place between two points of a family at which it passes an amplitude, the nearest in frequency if known."""
     k = np.flatnonzero((S[:-1] - at) * (S[1:] - at) <= 0.0)
     if not k.size:
-        return float(np.argmin(np.abs(S - at)))
+        return float(np.argmin(np.abs(S - at)))  # the first point where the amplitude is not known
     part = (at - S[k]) / np.where(S[k + 1] == S[k], 1.0, S[k + 1] - S[k])
     best = int(np.argmin(np.abs(Omega[k] + part * (Omega[k + 1] - Omega[k]) - height)))
     return float(k[best] + part[best])

@@ -11,6 +11,8 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.figures.branch_lines import draw_lines, draw_marks, stability_pieces
 from casadi_skin.figures.style import amplitude_label, blank, colours, common_model, family, finished, style, title
 from casadi_skin.figures.tongues import frequency_pieces, shade_unresolved
+from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.lattice.linear import band_edges, lattice_modes
 from casadi_skin.orbits.spectrum import linear_spectrum
 
 if TYPE_CHECKING:
@@ -55,13 +57,29 @@ def _draw_theory(axes: Axes, branch: Branch, S: Array, shift: bool) -> None:
 
 
 def draw_band(axes: Axes, model: Any, offset: float = 0.0, parameters: Mapping[str, float] | None = None) -> None:
-    """From the lowest to the highest linear frequency of each band, a line where they are the same; less `offset`."""
-    spectrum = linear_spectrum(model, parameters)
-    for k, squares in enumerate(spectrum.bands or (spectrum.ends,)):
-        low, high = np.sqrt(np.maximum(squares, 0.0)) - offset
-        is_line = squares[1] - squares[0] <= 1e-12 * abs(squares[1])
+    """From the lowest to the highest linear frequency of each band, a line where they are the same; less `offset`.
+
+    Bands of a lattice are those of its cell; frequencies between them, or of cells that differ, are lines.
+    """
+    drawn = set[str]()
+    for low, high in _bands(model, parameters):
+        is_line = high - low <= 1e-12 * abs(high)
         label, width = ("linear frequency", 2.5) if is_line else ("linear band", 0.0)
-        axes.axhspan(low, high, fc="0.9", ec="0.75", lw=width, label=None if k else label, zorder=0)
+        ends = np.sqrt(np.maximum((low, high), 0.0)) - offset
+        axes.axhspan(*ends, fc="0.9", ec="0.75", lw=width, label=None if label in drawn else label, zorder=0)
+        drawn.add(label)
+
+
+def _bands(model: Any, parameters: Mapping[str, float] | None) -> Sequence[tuple[float, float]]:
+    """Ends of bands in omega^2, with both the same for a frequency that lies in none."""
+    if not isinstance(model, Lattice):
+        spectrum = linear_spectrum(model, parameters)
+        return spectrum.bands or (spectrum.ends,)
+    own = lattice_modes(model, parameters).squares.real
+    known = [] if model.declaration.differing else band_edges(model, parameters)
+    slack = 1e-9 * float(np.max(np.abs(own)))
+    apart = [square for square in own.tolist() if not any(a - slack <= square <= b + slack for a, b in known)]
+    return [*known, *((square, square) for square in apart)]
 
 
 def label_ends(axes: Axes, branches: Sequence[Branch], ends: Array) -> None:

@@ -19,6 +19,7 @@ from casadi_skin.orbits.linear_modes import symmetrising_scale
 from casadi_skin.result import Result
 
 ComplexArray = NDArray[np.complex128]
+ZONE = 41  # wave numbers along each direction of half a zone, its corners among them
 REAL = 1e-6  # of the largest |omega^2|, below which an imaginary part may be rounding: eigenvalues split by its root
 
 
@@ -169,14 +170,41 @@ def bands(
     Raises:
         ValueError: the cells differ.
     """
+    waves = _wave_numbers(len(lattice.declaration.cells), points)
+    squares, beta = _squares(lattice, parameters, open_ends, waves)
+    return Bands(waves, squares, tuple(beta.tolist()))
+
+
+def _squares(
+    lattice: Lattice, parameters: Mapping[str, float] | None, open_ends: bool, waves: Array
+) -> tuple[ComplexArray, Array]:
+    """omega^2 of waves, ascending by real part, shape (waves, sites of a cell); and |beta| along each direction."""
     declaration = lattice.declaration
     differing = declaration.differing
     if differing:
         raise ValueError(f"lattice: given cells that differ by {', '.join(differing)}; accepted: cells alike")
     beta = _beta(lattice, parameters or {}) if open_ends else np.ones(len(declaration.cells))
-    waves = _wave_numbers(len(declaration.cells), points)
     squares = np.linalg.eigvals(cell_matrices(lattice, beta * np.exp(1j * waves), parameters)).astype(complex)
-    return Bands(waves, np.take_along_axis(squares, np.argsort(squares.real, axis=1), axis=1), tuple(beta.tolist()))
+    return np.take_along_axis(squares, np.argsort(squares.real, axis=1), axis=1), beta
+
+
+def band_edges(lattice: Lattice, parameters: Mapping[str, float] | None = None) -> list[tuple[float, float]]:
+    """Lowest and highest omega^2 of each band over all wave numbers, ascending; bands that overlap are one.
+
+    Raises ValueError where the cells differ.
+    """
+    directions = len(lattice.declaration.cells)
+    if directions == 1:
+        squares = bands(lattice, parameters).squares.real
+    else:
+        along = np.linspace(0.0, np.pi, ZONE)
+        waves = np.stack(np.meshgrid(along, np.linspace(-np.pi, np.pi, 2 * ZONE - 1), indexing="ij"), axis=-1)
+        squares = _squares(lattice, parameters, True, waves.reshape(-1, 2))[0].real
+    found = list[tuple[float, float]]()
+    for low, high in sorted(zip(squares.min(axis=0).tolist(), squares.max(axis=0).tolist(), strict=True)):
+        joined = bool(found) and low <= found[-1][1]
+        found[-1:] = [(found[-1][0], max(high, found[-1][1]))] if joined else [*found[-1:], (low, high)]
+    return found
 
 
 def cell_matrices(lattice: Lattice, betas: ComplexArray, parameters: Mapping[str, float] | None = None) -> ComplexArray:

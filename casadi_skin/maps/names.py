@@ -42,6 +42,7 @@ def known_names(request: Request) -> tuple[str, ...]:
     ]
     extremes = [f"{name}_{end}" for name in request.ode.state_names for end in ("min", "max")]
     fixed = OF_EQUILIBRIA if scene.equilibrium is not None else OF_BRANCHES
+    fixed = (*fixed, "energy") if scene.orbit is not None and request.ode.hamiltonian is not None else fixed
     found = (*request.parameters, *states, *extremes, *fixed, *STABILITY, *special, *OF_ALL)
     return tuple(name for name in dict.fromkeys(found) if name not in LEFT_OUT)
 

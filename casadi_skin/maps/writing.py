@@ -82,7 +82,9 @@ def dimension_names(columns: Columns) -> tuple[str, ...]:
 
 def _put_axis(file: netcdf_file, axis: Axis, dimension: str, unit: str) -> None:
     values, words = np.array(axis.values), ", ".join(".".join(path) for path in axis.paths)
-    meaning = {"long_name": CHAIN_MEANINGS.get(axis.name, f"the parameter {words}")}
+    declared = any("parameters" in path for path in axis.paths)  # by the user, with a meaning of their own
+    long_name = f"the parameter {words}" if declared else CHAIN_MEANINGS.get(axis.name, f"the parameter {words}")
+    meaning = {"long_name": long_name}
     file.createDimension(dimension, len(axis.values))
     if values.dtype.kind in "US":
         encoded = characters([str(value) for value in axis.values])

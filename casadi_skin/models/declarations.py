@@ -208,8 +208,8 @@ def _names(model: Equations) -> Iterator[str]:
     if strange:
         yield f"{short_repr(strange[0])} as the name of a state or parameter; accepted: {NAMES}"
     twice = sorted(name for name, count in Counter(names).items() if count > 1)
-    if twice and model.outputs:
-        yield f"{', '.join(twice)} named more than once among states, parameters and outputs"
+    if twice:
+        yield f"{', '.join(twice)} named more than once among states, parameters and outputs; accepted: different names"
 
 
 def _strangers(model: Equations, symbols: list[Expression]) -> Iterator[str]:

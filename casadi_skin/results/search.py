@@ -22,9 +22,8 @@ MEANINGS = {
     "S": "total amplitude: sum of y_n^2 at t = 0",
     "Omega": "frequency",
     "period": "period",
-    "gamma": "nonreciprocity of the optimum",
-    "g": "cubic on-site coefficient of the optimum",
 }
+OF_CHAIN = {"gamma": "nonreciprocity of the optimum", "g": "cubic on-site coefficient of the optimum"}
 
 
 # The journal ---------------------------------------------------------------------------------------------------------
@@ -133,10 +132,11 @@ def _write_netcdf(path: Path, result: SearchResult, scene_text: str, title: str)
         Variable("kkt", ("optimum",), np.array([o.kkt.largest for o in found]),
                  "largest residual of the conditions of optimality"),
     ]  # fmt: skip
+    meanings = MEANINGS | (OF_CHAIN if isinstance(problem.model, Chain) else {})
     for name in problem.columns:
         values = np.array([o.quantities[0][name] for o in found])
         stored = name if name in ("S", "Omega", "period") else f"optimum_{name}"
-        variables.append(Variable(stored, ("optimum",), values, MEANINGS.get(name, f"{name} of the optimum")))
+        variables.append(Variable(stored, ("optimum",), values, meanings.get(name, f"{name} of the optimum")))
     if isinstance(found[0].orbit, CosineOrbit):
         variables += _cosines(found)
     else:

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,11 @@ from casadi_skin import Chain, OdeModel, find_equilibrium, follow_family
 from casadi_skin.cli import main
 from casadi_skin.explorer.data import CHANGE, POINTS, page_data
 from casadi_skin.explorer.map_data import map_data
-from casadi_skin.results.dataset import Dataset, Variable, write_netcdf
+from casadi_skin.results.dataset import Dataset, Variable, write_csv, write_netcdf
 from casadi_skin.results.netcdf import stored_name
 from casadi_skin.results.quantities import dataset_of
+from casadi_skin.results.stability_tables import EVENT_COLUMNS, event_rows
+from casadi_skin.stability.tongues import Unresolved
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +157,28 @@ def test_changes_of_stability_stand_where_they_are_located(tmp_path: Path) -> No
         assert S[int(k)] + part * (S[min(int(k) + 1, len(S) - 1)] - S[int(k)]) == pytest.approx(change.S, rel=1e-3)
         assert special["kind"].startswith("stability lost" if change.stable_before else "stability regained")
         assert special["label"].endswith(f"S = {change.S:.8g}")
+
+
+def test_stretches_that_are_not_resolved_are_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Rows of events.csv without a frequency, and one without a place: both are listed, and no file is blamed."""
+    family = follow_family(Chain(8, 1.0, 0.25, -1.0), 1, 0.5, stability=True, tolerance=1e-6)
+    assert family.stability_diagram is not None
+    left = Unresolved(0.25, 0.26, 0.0, 1.0, "no orbit"), Unresolved(np.nan, np.nan, 0.0, 1.0, "no orbit")
+    write_netcdf(tmp_path / "family.nc", Dataset(dataset_of([family]).variables, {}))
+    rows = event_rows(1, replace(family.stability_diagram, unresolved=left))
+    write_csv(tmp_path / "events.csv", EVENT_COLUMNS, rows)
+    assert main(["explore", str(tmp_path)]) == 0
+    assert capsys.readouterr().err == ""
+    (branch,) = data_in(tmp_path / "explore.html")["branches"]
+    labels = [special["label"] for special in branch["special"]]
+    assert sum(label.startswith("stability") for label in labels) == len(family.changes) == 2
+    words = "unresolved, changes of stability may be missing"
+    assert [label for label in labels if label.startswith("unresolved")] == [
+        f"{words} somewhere along the family", f"{words} over 0.01 in S: S = 0.25",
+    ]  # fmt: skip
+    (place,) = [special["place"] for special in branch["special"] if special["label"].endswith("S = 0.25")]
+    S = branch["columns"]["S"]
+    assert S[int(place)] <= 0.25 <= S[int(place) + 1]
 
 
 def write_map(folder: Path, gammas: int = 3, amplitudes: int = 4, first: str = "gamma") -> np.ndarray:

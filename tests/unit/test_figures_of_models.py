@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from PIL import Image
 from small_models import forced_orbit, fput, limit_cycle, pendulums, two_wells, van_der_pol
 
-from casadi_skin import BoundaryValueProblem, Branch, Chain, OdeModel, find_orbit, follow_family
+from casadi_skin import Bond, BoundaryValueProblem, Branch, Chain, Lattice, OdeModel, Site, find_orbit, follow_family
 from casadi_skin.animation import animate
 from casadi_skin.dynamics import simulate_orbit
 from casadi_skin.figures import (
@@ -102,6 +102,43 @@ def test_frequencies_of_a_family_start_at_the_linear_ones(families: list[Branch]
     assert (low, high) == pytest.approx((omega[0], omega[-1]))
     assert axes.get_title() == "FPUT-beta: bond = 1"
     assert "multiple scales" not in " ".join(legend_labels(figure))
+
+
+def shaded(axes: Axes, label: str) -> list[list[float]]:
+    """Ends of the horizontal stretches of a look, ascending; one of several has the label."""
+    (first,) = [patch for patch in axes.patches if patch.get_label() == label]
+    alike = [patch for patch in axes.patches if patch.get_linewidth() == first.get_linewidth()]
+    return sorted(axes.transData.inverted().transform(p.get_extents().get_points())[:, 1].tolist() for p in alike)
+
+
+def test_a_gap_of_a_lattice_is_no_band() -> None:
+    """Two ground springs in turn: omega^2 = 2 + (a + b)/2 -+ sqrt((b - a)^2/4 + 4 cos^2(k/2))."""
+    a, b = 1.0, 3.0
+    sites = [Site("light", onsite="y + y^3"), Site("heavy", onsite="3*y + y^3")]
+    bonds = [Bond("light", "heavy", (0,), "d"), Bond("heavy", "light", (1,), "d")]
+    branch = follow_family(Lattice(6, sites, bonds), 1, 0.01, tolerance=1e-4)
+    (axes,) = frequency_figure([branch]).axes
+    middle, reach = 2.0 + (a + b) / 2, np.sqrt((b - a) ** 2 / 4 + 4.0)
+    edges = np.sqrt([[middle - reach, middle - (b - a) / 2], [middle + (b - a) / 2, middle + reach]])
+    np.testing.assert_allclose(shaded(axes, "linear band"), edges, rtol=1e-12)
+    assert "linear frequency" not in legend_labels(axes.figure)
+
+
+def test_a_frequency_in_a_gap_is_a_line_and_cells_that_differ_have_no_band() -> None:
+    """Weak bonds at both ends of a chain of bonds 0.2 and 1 in turn: a mode at each end, omega^2 = 2.4, in the gap."""
+    bonds = [Bond("a", "b", (0,), "0.2*d"), Bond("b", "a", (1,), "d")]
+    ends = Lattice(8, [Site("a", onsite="1.2*y + y^3"), Site("b", onsite="1.2*y + y^3")], bonds)
+    drawn = frequency_figure([follow_family(ends, 1, 0.01, tolerance=1e-4)]).axes[0]
+    np.testing.assert_allclose(np.square(shaded(drawn, "linear band")), [[1.2, 1.6], [3.2, 3.6]], rtol=1e-12)
+    np.testing.assert_allclose(np.square(shaded(drawn, "linear frequency")), np.full((2, 2), 2.4), rtol=1e-5)
+    different = Lattice(
+        3, [Site("a", onsite="s*y + y^3")], [Bond("a", "a", (1,), "d")], parameters={"s": [1.0, 5.0, 9.0]}
+    )
+    branch = follow_family(different, 1, 0.01, tolerance=1e-4)
+    (axes,) = frequency_figure([branch]).axes
+    assert "linear band" not in [patch.get_label() for patch in axes.patches]
+    squares = np.linalg.eigvalsh(np.diag([3.0, 7.0, 11.0]) - np.eye(3, k=1) - np.eye(3, k=-1))
+    np.testing.assert_allclose(np.square(shaded(axes, "linear frequency")), np.stack([squares, squares], 1), rtol=1e-9)
 
 
 def test_profiles_of_a_family_lie_over_its_linear_mode(families: list[Branch]) -> None:

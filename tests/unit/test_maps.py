@@ -565,3 +565,20 @@ def test_panels_name_the_parameters_that_change_together_one_by_one(tmp_path: Pa
     titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
     assert any("g = −1, mode = last" in title for title in titles)
     assert len(titles) == 4
+
+
+def test_a_parameter_of_the_user_has_no_meaning_of_the_chain(tmp_path: Path) -> None:
+    """`gamma` is the nonreciprocity of a chain alone, in the names of a map's axes."""
+    lattice = LATTICE.split("[map]")[0].replace(
+        "alpha = { low = 0.9, high = 1.1, seed = 1 }", "alpha = 1.0, gamma = 0.1"
+    )
+    of_user = lattice.replace("alpha*y +", "alpha*y + gamma*y +") + "[map]\ngamma = [0.1, 0.2]\n"
+    of_chain = TINY.split("[map]")[0] + "[map]\ngamma = [0.1, 0.2]\n"
+    for name, text, words in (
+        ("user", of_user, b"the parameter lattice.parameters.gamma"),
+        ("chain", of_chain, b"nonreciprocity"),
+    ):
+        (tmp_path / f"{name}.toml").write_text(text)
+        run_map(tmp_path / f"{name}.toml", tmp_path / name, pictures=False, quiet=True)
+        with netcdf_file(tmp_path / name / "map.nc", mmap=False) as file:
+            assert file.variables["gamma"].long_name == words

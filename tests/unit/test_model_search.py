@@ -6,11 +6,13 @@ At the end among the families of second-order models in odd cosines: against the
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.io import netcdf_file
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import ellipk
 
@@ -21,7 +23,7 @@ from casadi_skin.optimise.result import SearchResult, SearchStatus
 from casadi_skin.optimise.search import search as run_search
 from casadi_skin.optimise.search_orbit import stated_search
 from casadi_skin.optimise.search_problem import Ending, Outcome, solve_start
-from casadi_skin.results.search import outcome_record, restored
+from casadi_skin.results.search import outcome_record, restored, write_search
 
 Q, V, OMEGA, T = (ca.SX.sym(name) for name in ("q", "v", "omega", "t"))
 FIELD = ca.vertcat(V, -Q - Q**3 - 0.2 * V + 0.1 * ca.cos(OMEGA * T))
@@ -158,6 +160,16 @@ def test_a_pareto_front_of_any_model() -> None:
         orbit = find_orbit(DUFFING, [0.0, 0.0], parameters={"omega": 2 * np.pi / period})
         assert orbit.evaluate(0.0)[0] == pytest.approx(q, abs=1e-7)
         assert optimum.period == period
+
+
+def test_a_parameter_called_gamma_is_no_nonreciprocity_in_files(tmp_path: Path) -> None:
+    gamma = ca.SX.sym("gamma")
+    model = OdeModel("driven", ca.vertcat(Q, V), ca.vertcat(V, gamma - Q - V + ca.cos(T)), gamma, time=T,
+                     forcing_period=2 * ca.pi, nominal=(0.5,))  # fmt: skip
+    asked: dict[str, Any] = {"guess": [0.5, 0.0], "free": ["gamma"], "objective": Q - Q**2, "maximise": True}
+    write_search(search_orbit(model, **asked, starts=1), tmp_path, "", "")
+    with netcdf_file(tmp_path / "search.nc", mmap=False) as file:
+        assert file.variables["optimum_gamma"].long_name == b"gamma of the optimum"
 
 
 def test_a_saddle_is_no_optimum() -> None:

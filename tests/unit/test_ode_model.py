@@ -349,6 +349,16 @@ def test_the_ends_of_an_interval_have_their_own_symbols() -> None:
     assert not ca.depends_on(model.start(q), q)
 
 
+@pytest.mark.parametrize("second", ["x", "p"])
+def test_two_names_of_one_model_are_different(second: str) -> None:
+    """Two states, two parameters, or a state and a parameter of one name: results by name would show one of them."""
+    x, y, p, q = (ca.SX.sym(name) for name in ("x", second, "p", "x" if second == "p" else "p"))
+    words = r"^twins: p, x named more than once among states, parameters and outputs; "
+    with pytest.raises(ValueError, match=words) as error:
+        OdeModel("twins", ca.vertcat(x, y), ca.vertcat(-p * x, -q * y), ca.vertcat(p, q))
+    assert "\n" not in str(error.value)
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
