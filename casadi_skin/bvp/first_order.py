@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+
 import numpy as np
 
 from casadi_skin.bvp.orbit_problem import OrbitProblem
@@ -35,6 +37,10 @@ class FirstOrderProblem(OrbitProblem):
     def damping_index(self) -> int:
         """Place of the unfolding parameter among the unknowns (full period only)."""
         return self.states + 2
+
+    @abstractmethod
+    def phases(self) -> Array:
+        """Phases theta of the full states among the unknowns, in their order."""
 
     def _spread(self, factors: Array) -> Array:
         return np.tile(factors, self.states // factors.size)  # velocities are shown as positions are

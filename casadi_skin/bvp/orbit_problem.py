@@ -29,10 +29,6 @@ class OrbitProblem(Problem):
         """Unknowns of the orbit with q(theta) = positions cos(theta), shape (size,)."""
 
     @abstractmethod
-    def phases(self) -> Array:
-        """Phases theta of the states among the unknowns, in their order."""
-
-    @abstractmethod
     def _spread(self, factors: Array) -> Array:
         """Factors of the model's state components, shape (model.size,), for all state values in z, shape (states,)."""
 

@@ -117,6 +117,7 @@ class TrigonometricProblem(OrbitProblem):
         return self.states + 2
 
     def phases(self) -> Array:
+        """Phases theta of the positions among the unknowns."""
         return quarter_phases(self.resolution)
 
     def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -15,11 +14,6 @@ from casadi_skin.arrays import at_instants, instants
 from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics.equations import GAUGE, EquationsOfMotion
 from casadi_skin.result import NoQuantityError, Result
-
-FEWEST = 40  # output times that a cycle is looked for in
-AT_REST, NOISE = 1e-6, 100.0  # motion relative to that of the whole time, and to the tolerance, that is none
-OWN_TOLERANCE, SMALL = 1e-11, 1e-6  # of the integrator's own steps; and of the largest component, of which it is one
-CLOSED = 0.02  # distance of two states a cycle apart, relative to the cycle's size
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,10 +84,10 @@ class Evolution(Result):
         times = instants(t)
         if np.any((times < self.t[0]) | (times > self.t[-1])):
             raise ValueError(f"t: given {times.min():g} to {times.max():g}; accepted: {self.t[0]:g} to {self.t[-1]:g}")
-        return at_instants(t, np.asarray(self._curve(times)))
+        return at_instants(t, np.asarray(self.curve(times)))
 
     @cached_property
-    def _curve(self) -> Any:
+    def curve(self) -> Any:
         """The states as a spline of scipy."""
         from scipy.interpolate import CubicHermiteSpline
 
@@ -105,62 +99,14 @@ class Evolution(Result):
         """The last stretch of time over which the state returns to itself.
 
         Where the output times are too far apart to show it, as in the jumps of a relaxation oscillation, the motion is
-        followed on from the last of them for as long again, in steps of the integrator's own (Radau, order 5).
+        followed on from the last of them for as long again by CVODES, at places evenly along its path.
 
         Raises:
             ValueError: there is none.
         """
-        found = self._cycle() or self._at_own_steps()._cycle()
-        if found is None:
-            raise ValueError(
-                f"last_cycle: from t = {self.t[0]:g} to {self.t[-1]:g} the state does not come back to itself"
-            )
-        return found
+        from casadi_skin.dynamics.cycles import last_cycle
 
-    def _at_own_steps(self) -> Evolution:
-        """The motion from the last state on for as long again, at the steps of an integrator for stiff equations."""
-        from scipy.integrate import solve_ivp
-
-        model, values = self.equations.physical, self.equations.values
-        field, slope = (
-            model.vector_field,
-            model.function("slope", ca.densify(ca.jacobian(model.full_rhs, model.full_state))),
-        )
-        end = 2.0 * self.t[-1] - self.t[0]
-        scale = np.maximum(np.max(np.abs(self.states), axis=0), SMALL * np.max(np.abs(self.states)))
-        found = solve_ivp(
-            lambda time, x: np.array(field(time, x, values)).ravel(), (self.t[-1], end), self.states[-1], "Radau",
-            rtol=OWN_TOLERANCE, atol=OWN_TOLERANCE * scale, jac=lambda time, x: np.array(slope(time, x, values)),
-        )  # fmt: skip
-        return replace(self, t=found.t, states=found.y.T) if found.success else self
-
-    def _cycle(self) -> Cycle | None:
-        t, states = self.t, self.states
-        if t.size < FEWEST:
-            raise ValueError(f"last_cycle: given {t.size} output times; accepted: {FEWEST} or more, 20 a cycle")
-        half = states[t.size // 2 :]
-        spread = np.ptp(half, axis=0)
-        if np.all(
-            spread <= np.maximum(AT_REST * np.ptp(states, axis=0), NOISE * self.tolerance * np.max(np.abs(states)))
-        ):
-            raise ValueError(f"last_cycle: from t = {t[t.size // 2]:g} on the state rests: this is an equilibrium")
-        component = int(np.argmax(np.std(half, axis=0)))
-        level = float(np.mean(half[:, component]))
-        below = states[:, component] < level
-        up = np.flatnonzero(below[:-1] & ~below[1:])
-        for earlier in up[-2::-1]:
-            start, end = (self._crossing(i, component, level) for i in (earlier, up[-1]))
-            gap = np.abs(self.evaluate(start) - self.evaluate(end))
-            if np.all(gap <= CLOSED * np.maximum(spread, 1e-9 * spread.max())):
-                return Cycle(self, start, end - start)
-        return None
-
-    def _crossing(self, i: int, component: int, level: float) -> float:
-        """The time between two output times at which a component has a value."""
-        from scipy.optimize import brentq
-
-        curve = self._curve
-        return float(brentq(lambda t: curve(t)[component] - level, self.t[i], self.t[i + 1]))
+        return Cycle(*last_cycle(self))
 
     # Energy -----------------------------------------------------------------------------------------------------------
 

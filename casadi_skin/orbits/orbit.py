@@ -13,7 +13,7 @@ from casadi_skin import methods
 from casadi_skin.arguments import whole
 from casadi_skin.arrays import at_instants, instants, site_numbers
 from casadi_skin.bvp.cosines import cosine_matrix, quarter_phases
-from casadi_skin.bvp.orbit_problem import OrbitProblem
+from casadi_skin.bvp.first_order import FirstOrderProblem
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.bvp.trigonometric import TrigonometricProblem
@@ -29,6 +29,7 @@ from casadi_skin.stability.reduction import ComplexArray
 
 MOST_QUARTERS = 10_000  # periods are followed as products of matrices
 MOST_HARMONICS = 4096  # of coefficients
+WITH_PHASES = (FirstOrderProblem, TrigonometricProblem)  # problems of families
 TIE = 1e-10  # relative difference of displacements that count as equal
 
 
@@ -108,7 +109,7 @@ class Orbit(Solution):
     def t(self) -> Array:
         """Times of the unknowns: of an orbit of a family those of the phases at which its equations are solved."""
         problem = self.point.problem
-        return problem.phases() / self.Omega if isinstance(problem, OrbitProblem) else super().t
+        return problem.phases() / self.Omega if isinstance(problem, WITH_PHASES) else super().t
 
     @cached_property
     def states(self) -> Array:

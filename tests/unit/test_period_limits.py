@@ -112,10 +112,10 @@ def test_a_canard_explosion_is_followed_to_the_end_that_was_asked_for() -> None:
     assert np.max(branch.period) > 4.5
     last = branch.solutions[-1]
     run = solve_ivp(
-        lambda t, s: [(s[1] - s[0] ** 3 / 3 + s[0]) / 0.02, 0.5 - s[0]], (0.0, last.period), last.evaluate(0.0)[0],
+        lambda t, s: [(s[1] - s[0] ** 3 / 3 + s[0]) / 0.02, 0.5 - s[0]], (0.0, last.period), last.evaluate(0.0),
         "Radau", rtol=1e-9, atol=1e-10,
     )  # fmt: skip
-    assert np.max(np.abs(run.y[:, -1] - last.evaluate(0.0)[0])) < 1e-6
+    assert np.max(np.abs(run.y[:, -1] - last.evaluate(0.0))) < 1e-6
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+import scipy.integrate
 
 from casadi_skin import OdeModel, find_orbit, simulate
 from casadi_skin.integrators.trajectory import IntegrationError
@@ -38,6 +39,27 @@ def test_the_last_cycle_is_a_guess_that_finds_the_orbit() -> None:
     cycle = simulate(VAN_DER_POL, [0.1, 0.0], np.linspace(0.0, 100.0, 2001)).last_cycle()
     assert cycle.period == pytest.approx(6.663286859323, abs=1e-3)
     assert find_orbit(VAN_DER_POL, cycle).period == pytest.approx(6.663286859323, abs=1e-9)
+
+
+def test_jumps_between_output_times_are_followed_by_the_integrator_of_the_simulation(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Van der Pol at mu = 100, whose period is 162.837071092 (collocation, +- 5e-12): no output time lies in a jump."""
+
+    def refused(*arguments: object, **options: object) -> None:
+        raise AssertionError("integrated again in Python")
+
+    monkeypatch.setattr(scipy.integrate, "solve_ivp", refused)
+    t = np.linspace(0.0, 567.0, 2001)
+    cycle = simulate(VAN_DER_POL, [2.0, 0.0], t, parameters={"mu": 100.0}).last_cycle()
+    assert cycle.period == pytest.approx(162.837071092, rel=1e-9)
+    assert np.max(np.abs(cycle.evaluate(cycle.times)), axis=0) == pytest.approx([2.0, 133.3], rel=1e-2)
+    between = 0.5 * (cycle.times[1:] + cycle.times[:-1])  # slopes of the cubics there are those of the equations
+    h = 1e-4 * np.diff(cycle.times)
+    slopes = (cycle.evaluate(between + h) - cycle.evaluate(between - h)) / (2.0 * h)[:, None]
+    x, y = cycle.evaluate(between).T
+    fields = np.stack([y, 100.0 * (1.0 - x**2) * y - x], axis=1)
+    assert np.max(np.abs(slopes - fields) / np.max(np.abs(fields), axis=0)) < 1e-3
 
 
 def test_a_state_at_rest_and_one_that_grows_have_no_cycle() -> None:
