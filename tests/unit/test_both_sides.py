@@ -85,7 +85,7 @@ def test_a_strut_buckles_to_both_sides() -> None:
     problem = BoundaryValueProblem(model, [model.start(y), model.end(y)], parameters={"p": 5.0})
     point = branch_point(problem.solve([0.0, 0.0]).follow("p", 20.0))
     assert point.parameters["p"] == pytest.approx(np.pi**2, abs=1e-10)
-    ends = [point.follow("p", 20.0, side=side).solutions[-1].evaluate(0.0)[0, 0] for side in (1, -1)]
+    ends = [point.follow("p", 20.0, side=side).solutions[-1].evaluate(0.0)[0] for side in (1, -1)]
     assert ends[0] == pytest.approx(-ends[1], abs=1e-6)
     assert abs(ends[0]) > 1.0
 
@@ -100,4 +100,4 @@ def test_the_two_sides_of_a_branch_that_crosses_aslant_go_up_and_down() -> None:
     assert up.complete
     assert up.values[-1] == 15.0
     assert down.values[-1] <= 6.0
-    assert up.solutions[-1].evaluate(0.5)[0, 0] * down.solutions[-1].evaluate(0.5)[0, 0] < 0.0
+    assert up.solutions[-1].evaluate(0.5)[0] * down.solutions[-1].evaluate(0.5)[0] < 0.0
