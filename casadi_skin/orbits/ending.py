@@ -8,8 +8,10 @@ from typing import cast
 
 import numpy as np
 
+from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.continuation.points import End
 from casadi_skin.orbits.family import SLOW, Family
+from casadi_skin.orbits.family_modes import HIGHEST_HARMONIC, nearest_resonance
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
@@ -48,8 +50,11 @@ class Ending:
             return self.detail or "interrupted"
         if self.end is End.REACHED:
             return str(self.end.value)
-        if not self.solutions or not isinstance(self.space, Family):
+        if not isinstance(self.space, Family):
             return f"{self._end_words()}: {self.detail}".rstrip(". :")
+        near = near_resonance(self.space, CLOSE)
+        if not self.solutions:
+            return f"{self._end_words()}: {self.detail}".rstrip(". :") + near
         last = self.orbits[-1]
         where = f"(S = {last.S:.10g}, Omega = {last.Omega:.6g})"
         softened = self._softened(self.space, self.space.request.amplitude_max)
@@ -60,15 +65,11 @@ class Ending:
             words += f": {self._wandering(self.space)}"
         elif self.detail:
             words += f": {self.detail}"
-        return words + softened
+        return words + softened + near
 
     def _end_words(self) -> str:
         if self.end is End.RETURNED and not isinstance(self.space, Family):
             return "the branch came back to the value of the parameter that it started from"
-        if self.end is End.RETURNED and isinstance(self.space, Family):
-            gap = _closest(self.space)
-            if gap < CLOSE:
-                return f"the family was lost among linear modes: frequencies as near as {gap:.1e} of this one's"
         return str(self.end.value) if self.end is not None else ""
 
     def _softened(self, family: Family, S: float) -> str:
@@ -126,15 +127,18 @@ class Ending:
         return f"{words}; try {less}a period_max, a smaller amplitude_max, or {more}"
 
 
-def _closest(family: Family) -> float:
-    """Relative distance of a family's linear frequency from the nearest other one; infinite without others."""
-    mode, request = family.coordinates.mode_number - 1, family.request
+def near_resonance(family: Family, within: float, highest: int = HIGHEST_HARMONIC) -> str:
+    """The resonance of a family's linear mode with another one, within a relative distance, in words; empty without."""
+    coordinates, request = family.coordinates, family.request
     try:
-        frequencies = linear_frequencies(request.model, request.parameters)
+        squares = linear_frequencies(request.model, request.parameters) ** 2
     except ValueError:
-        return np.inf
-    others = np.delete(frequencies, mode)
-    return float(np.min(np.abs(others / frequencies[mode] - 1.0), initial=np.inf))
+        return ""
+    odd = family.symmetry is SymmetryClass.QUARTER
+    found = nearest_resonance(squares, coordinates.mode_number, odd, highest) if squares.size else None
+    if found is None or found.off > within:
+        return ""
+    return f"; its linear mode is within {found.off:.1e} of {found.words}, where no family starts alone"
 
 
 def _listed(values: Sequence[float]) -> str:

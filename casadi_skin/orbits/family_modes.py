@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -15,6 +16,8 @@ from casadi_skin.orbits.amplitude import amplitude_square
 from casadi_skin.orbits.linear_modes import LinearModes, linear_modes
 
 SIMPLE = 1e-10  # relative distance of squared frequencies that doubles distinguish
+HIGHEST_HARMONIC = 7  # whose resonance with another mode is looked for: the coarsest level has no higher ones
+MOST_NAMED = 6  # modes in a message
 FIRST, LAST = "first", "last"
 
 
@@ -58,15 +61,68 @@ def number_of_mode(model: OdeModel, mode: int | str) -> int:
     return int(mode)
 
 
-def check_alone(squares: Array, number: int, name: str) -> None:
-    """Raises ValueError for a mode that does not oscillate or is not alone at its frequency."""
-    square = squares[number - 1]
-    if square <= SIMPLE * np.max(np.abs(squares)):
+@dataclass(frozen=True)
+class Resonance:
+    """Two modes with `harmonic` times the frequency of `mode` next to that of `other`; `off` is their difference.
+
+    The difference is one of squared frequencies, relative to the largest.
+    """
+
+    mode: int
+    other: int
+    harmonic: int
+    omega: float
+    off: float
+
+    @property
+    def words(self) -> str:
+        """What is in resonance."""
+        m, j, k = self.harmonic, self.mode, self.other
+        if m == 1:
+            return f"a 1:1 resonance of modes {j} and {k}"
+        return f"an internal resonance at harmonic {m} ({m} omega_{j} = omega_{k} = {self.omega:.10g})"
+
+
+def nearest_resonance(squares: Array, number: int, odd: bool, highest: int = HIGHEST_HARMONIC) -> Resonance | None:
+    """The nearest resonance of a mode with another one at a harmonic up to the highest; None where there is no other.
+
+    Arguments:
+        squares: of the frequencies of all modes, ascending.
+        number: of the mode, from 1.
+        odd: whether forces are odd, so that orbits have odd harmonics alone.
+        highest: harmonic.
+    """
+    harmonics = np.arange(1, highest + 1, 2 if odd else 1)
+    off = np.abs(squares - harmonics[:, None] ** 2 * squares[number - 1]) / np.max(np.abs(squares))
+    off[:, number - 1] = np.inf
+    if not np.isfinite(off).any():
+        return None
+    i, other = (int(k) for k in np.unravel_index(np.argmin(off), off.shape))
+    omega = float(np.sqrt(np.maximum(squares[other], 0.0)))
+    return Resonance(number, other + 1, int(harmonics[i]), omega, float(off[i, other]))
+
+
+def check_alone(squares: Array, number: int, name: str, odd: bool) -> None:
+    """Raises ValueError for a mode that does not oscillate, or has no family alone: it is in resonance with another.
+
+    Arguments are those of `nearest_resonance`, and the `name` of the model.
+    """
+    square, same = squares[number - 1], SIMPLE * np.max(np.abs(squares))
+    if square <= same:
         words = f"mode {number} of {name} does not oscillate: omega^2 = {square:.6g}"
         raise ValueError(f"mode: {words}; accepted: a mode with omega^2 > 0")
-    near = [k + 1 for k in np.flatnonzero(np.abs(squares - square) <= SIMPLE * np.max(np.abs(squares))).tolist()]
+    near = [k + 1 for k in np.flatnonzero(np.abs(squares - square) <= same).tolist()]
     if len(near) > 1:
         words = f"modes {', '.join(map(str, near))} of {name} have the same frequency"
+        apart = np.abs(np.diff(squares)) > same
+        alone = np.flatnonzero(np.append(True, apart) & np.append(apart, True) & (squares > same)) + 1
+        listed = ", ".join([*map(str, alone[:MOST_NAMED]), *(["..."] if alone.size > MOST_NAMED else [])])
         raise ValueError(
-            f"mode: {words}: no family belongs to one of them alone; accepted: a mode with a frequency of its own"
+            f"mode: {words}: no family belongs to one of them alone, a 1:1 resonance; accepted: a mode with a frequency"
+            f" of its own: {listed or 'there is none'}"
         )
+    found = nearest_resonance(squares, number, odd)
+    if found is not None and found.off <= SIMPLE:
+        words = f"mode {found.other} of {name} has {found.harmonic} times the frequency of mode {number}, {found.words}"
+        accepted = "a mode without such a resonance, or other values of parameters"
+        raise ValueError(f"mode: {words}: its family does not start alone; accepted: {accepted}")

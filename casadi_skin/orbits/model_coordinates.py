@@ -20,7 +20,6 @@ from casadi_skin.orbits.family_modes import SIMPLE, check_alone, check_kind, fix
 from casadi_skin.orbits.linear_modes import SYMMETRIC, linear_modes, with_small_amplitudes
 
 DEEPEST = -230.0  # of log D: its cube is still a double
-HIGHEST = 7  # harmonic whose resonance with another mode is looked for: the coarsest level has no higher ones
 LARGEST = 1e3  # amplitude of a scaled mode
 TIE = 1e-9  # relative difference of amplitudes that are the same but for rounding
 RANDOM = 0.1  # amplitude of random positions
@@ -55,7 +54,7 @@ class ModelCoordinates(Coordinates):
             span = f"positions whose scales differ by exp({-np.min(self.modes.log_scale):.4g})"
             raise ValueError(f"model: given {model.name} with {span}; accepted: up to exp({-DEEPEST:g}), or a Chain")
         self.mode_number = number_of_mode(model, mode)
-        self._check_mode()
+        check_alone(self.modes.squares, self.mode_number, model.name, model.half_period is not None)
         self._check_drift()
         self._check_amplitude()
         excess = float(np.max(np.abs(self.mode)))
@@ -65,17 +64,6 @@ class ModelCoordinates(Coordinates):
                 self.__dict__.pop(name)
         self._parts = _homogeneous(self._force, model.state)
         self._squared = self._parts is not None and all(degree % 2 for degree in self._parts)
-
-    def _check_mode(self) -> None:
-        """Raises ValueError for a mode that has no family of its own."""
-        squares, number, name = self.modes.squares, self.mode_number, self._model.name
-        check_alone(squares, number, name)
-        for m in range(2, HIGHEST + 1):
-            off = np.abs(squares - m**2 * squares[number - 1])
-            if (m % 2 or self._model.half_period is None) and np.min(off) <= SIMPLE * np.max(np.abs(squares)):
-                words = f"mode {int(np.argmin(off)) + 1} of {name} has {m} times the frequency of mode {number}"
-                accepted = "a mode without such a resonance, or other values of parameters"
-                raise ValueError(f"mode: {words}: its family does not start alone; accepted: {accepted}")
 
     def _check_amplitude(self) -> None:
         """Raises ValueError where S does not grow with the mode, as at a position that rests in it."""

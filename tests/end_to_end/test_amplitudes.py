@@ -100,11 +100,11 @@ def test_a_family_that_cannot_be_followed_tells_the_true_reason(
     assert not table.exists() or float(end_of(tmp_path / "out")["S"]) > 0.0
 
 
-def test_a_family_among_modes_that_nearly_coincide_is_named_lost_or_ends_on_one_site() -> None:
+def test_a_family_among_modes_that_nearly_coincide_is_named_in_resonance_or_ends_on_one_site() -> None:
     """Linear frequencies 1.1e-8 apart: rounding decides whether the first steps hold, and either end is right."""
     branch = follow_family(Chain(3, 1.0, 1.0 - 1e-15, -1.0), 1, 1.0)
     assert np.all(branch.S > 0.0)
     if branch.complete:  # one site alone, y'' = -3 y + y^3 with y(0) = 1: y = sn(t sqrt(5/2)) with m = 1/5
         assert branch.Omega[-1] == pytest.approx(math.pi * math.sqrt(2.5) / (2.0 * ellipk(0.2)), rel=1e-9)
     else:
-        assert "lost among linear modes: frequencies as near as 1.1e-08 of this one's" in branch.reason
+        assert "of a 1:1 resonance of modes 1 and 2, where no family starts alone" in branch.reason
