@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 STABILITY = "changes of stability"
@@ -50,3 +51,8 @@ class Unresolved:
     def coordinate_end(self) -> float:
         """Place of the end along a family."""
         return self.coordinates[1]
+
+
+def count_in_words(count: int, unresolved: Collection[object]) -> str:
+    """A count of what is found on a branch: the least that it can be where something is unresolved."""
+    return f"at least {count}" if unresolved else str(count)

@@ -17,6 +17,7 @@ from casadi_skin.results.family_quantities import certified
 from casadi_skin.results.quantities import places_of
 from casadi_skin.results.stability_tables import UNRESOLVED
 from casadi_skin.runs.writing import mode_of
+from casadi_skin.unresolved import count_in_words
 
 if TYPE_CHECKING:
     from casadi_skin.runs.run import Run
@@ -81,7 +82,8 @@ def _families(run: Run) -> TextTable:
         last = branch.orbits[-1]
         cells += [f"{last.S:.6g}", f"{last.Omega:.10g}", f"{max(o.Omega_error for o in branch.orbits):.1e}"]
         if branch.with_stability:
-            sought = str(len(branch.changes)) if branch.with_events else "not sought"
+            known = count_in_words(len(branch.changes), branch.unresolved) if branch.with_events else ""
+            sought = known or "not sought"
             cells += [f"{_largest_multiplier(branch):.8g}", sought]
         table.add_row(*cells, f"{seconds:.2f}")
     return table

@@ -97,8 +97,10 @@ def _followed(plane: Plane, run: Sequence[Entry], reach: tuple[float, float], bo
         if to != middle.value:
             order = sorted(at, reverse=to < middle.value)
             halves.append(checked(point.curve(name, to, at=order, until=outside), name, run))
-    below, above = (halves[0], halves[-1]) if len(halves) == 2 else (halves[0][:1], halves[0])
-    return np.concatenate([below[::-1], above[1:]]) if halves else np.array([(middle.value, middle.S)])
+    if not halves:
+        return np.array([(middle.value, middle.S)])
+    below = halves[0] if len(halves) == 2 else halves[0][:1]
+    return np.concatenate([below[::-1], halves[-1][1:]])
 
 
 def _outside(plane: Plane) -> Callable[[Any], bool]:

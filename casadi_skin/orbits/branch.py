@@ -31,7 +31,7 @@ from casadi_skin.result import Result
 from casadi_skin.solvers.watch import Budget, TimeLimitError
 from casadi_skin.stability.localised_diagram import LocalisedChange, LocalisedDiagram
 from casadi_skin.stability.tongues import Place, StabilityDiagram, StabilityEdge
-from casadi_skin.unresolved import STABILITY, Unresolved
+from casadi_skin.unresolved import STABILITY, Unresolved, count_in_words
 
 T = TypeVar("T")
 
@@ -79,7 +79,8 @@ class Branch(Result):
         words = f" from {values[0]:.6g} to {values[-1]:.6g}" if values.size else ""
         known = self.with_events and self.changes_known
         sought = known and self.with_stability and not self.space.stability_included
-        changes = f", {len(self.changes)} changes of stability" if sought else ""
+        count = count_in_words(len(self.changes), self.unresolved) if sought else ""
+        changes = f", {count} changes of stability" if sought else ""
         kinds = [point.kind for point in self.special_points] if self.space.locates_folds else []
         special = "".join(f", {kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
         left = len(self.unresolved if known else self.passed_over)
@@ -175,7 +176,8 @@ class Branch(Result):
         from casadi_skin.orbits.family_tongues import family_tongues
 
         family, points = self.space, (self.start, *(solution.point for solution in self.solutions))
-        return self._within_time(STABILITY, lambda: family_tongues(family, points))
+        stability = (None, *(orbit.known_floquet for orbit in self.orbits))
+        return self._within_time(STABILITY, lambda: family_tongues(family, points, stability=stability))
 
     @property
     def changes_known(self) -> bool:

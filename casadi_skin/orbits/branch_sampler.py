@@ -26,6 +26,7 @@ from casadi_skin.unresolved import Unresolved
 
 STEEPEST = 0.6  # cosine of the angle between the branch and the direction of its section, at least
 NEARBY = 0.3  # of the distance of neighbouring points: how far an orbit may be from where they predict it
+ENDING, NEAR_END = 2, 0.01  # steps to the end of the branch, and how far it may be, of the distance of the last points
 NEIGHBOURS = 4  # points that an orbit is predicted from
 NEARER = 0.25  # of the way from a point to an orbit that is not found: where one is sought next
 NEAREST = 1e-4  # of that way, at least
@@ -122,6 +123,8 @@ class OrbitSampler:
         self._S_rate, self._converged = S_rate, converged
         self.unknown = list[Unresolved]()
         self._sections = self._divided(points)
+        if self._sections:
+            self._sections[-1] = self._up_to(self._sections[-1], points[-1].parameter)
         places = [section.offset + section.places[1:] - section.places[0] for section in self._sections]
         skipped = [stretch.coordinate_end for stretch in self.unknown]
         self.coordinates = np.sort(np.concatenate([[0.0], *places, skipped]))
@@ -197,6 +200,23 @@ class OrbitSampler:
             where = problem.whereabouts(z[0])
             raise OrbitNotFoundError(f"points are not in order near {where}: another branch crosses")
         return _Section(problem, row, places, z, slopes, offset)
+
+    def _up_to(self, section: _Section, parameter: float) -> _Section:
+        """The last section, which ends where the parameter has the value of the last point, not where its row has."""
+        problem, z, k = section.problem, section.z[-1], section.problem.parameter_index
+        try:
+            for _ in range(ENDING):
+                found = SectionOrbit.of(problem, *find_one(self.point_solver, problem, z, section.row))
+                off = (parameter - found.z[k]) / (found.along[k] or np.inf)
+                if not abs(off) <= NEAR_END * (section.places[-1] - section.places[-2]):
+                    return section
+                z = found.z + off * found.along
+        except OrbitNotFoundError:
+            return section
+        known, slopes = (
+            np.concatenate([each[:-1], last[None]]) for each, last in ((section.z, z), (section.slopes, found.along))
+        )
+        return replace(section, places=np.append(section.places[:-1], z @ section.row), z=known, slopes=slopes)
 
     def _with_slope(self, problem: Problem, point: Point, row: Array) -> tuple[Array, Array]:
         """A point in the unknowns of a problem, and its derivative by row . z."""

@@ -12,8 +12,10 @@ from casadi_skin.orbits.branch_sampler import OrbitSampler
 from casadi_skin.orbits.family import Family
 from casadi_skin.orbits.narrow_resonances import with_what_lies_between
 from casadi_skin.orbits.spectrum import linear_spectrum
+from casadi_skin.stability.account import Entry
 from casadi_skin.stability.find_changes import find_changes
 from casadi_skin.stability.interpolation import OrbitNotFoundError
+from casadi_skin.stability.result import Floquet, ReversibleFloquet
 from casadi_skin.stability.tongues import StabilityDiagram
 from casadi_skin.threads import one_thread
 
@@ -24,7 +26,12 @@ ROUNDS = 3  # of looking, each with orbits added where some were not found
 FLOW_TOLERANCE = 1e-9  # of the norm of transition matrices; errors of multipliers are 10 to 1000 times smaller
 
 
-def family_tongues(family: Family, points: Sequence[Point], flow_tolerance: float = FLOW_TOLERANCE) -> StabilityDiagram:
+def family_tongues(
+    family: Family,
+    points: Sequence[Point],
+    flow_tolerance: float = FLOW_TOLERANCE,
+    stability: Sequence[Floquet | None] = (),
+) -> StabilityDiagram:
     """Every change of stability along a family, however narrow its window.
 
     The result depends on the course of the family, not on its points or their tolerance: orbits and transition matrices
@@ -34,6 +41,7 @@ def family_tongues(family: Family, points: Sequence[Point], flow_tolerance: floa
         family: the family.
         points: of it in order; the first may be its linear mode of zero amplitude.
         flow_tolerance: of the transition matrices, in norm; a smaller one decides narrower tongues.
+        stability: of the points, where it is known: tongues have to account for it, or the stretch is unresolved.
 
     Returns:
         Changes of stability, tongues, and undecided and unresolved places.
@@ -42,11 +50,17 @@ def family_tongues(family: Family, points: Sequence[Point], flow_tolerance: floa
     squares = linear_spectrum(whole.request.model, whole.coordinates.parameters).squares
     frequencies = np.sqrt(np.maximum(squares, 0.0))
     others = {k + 1: float(w) for k, w in enumerate(frequencies) if k + 1 != whole.coordinates.mode_number}
+    known = {id(point): each for point, each in zip(points, stability, strict=False)}
     oscillate = bool(squares[0] >= -AT_REST * squares[-1])
     with one_thread():
         for _ in range(ROUNDS):
             sampler = _sampler(family, points, flow_tolerance, family.request.tolerance <= ACCURATE)
-            diagram = find_changes(sampler, others if oscillate else None)
+            entries = [
+                Entry(float(coordinate), found.mu, found.mu_error)
+                for coordinate, point in zip(sampler.coordinates, points, strict=False)
+                if isinstance(found := known.get(id(point)), ReversibleFloquet)
+            ]
+            diagram = find_changes(sampler, others if oscillate else None, entries=entries)
             lost = sampler.lost_between([(u.coordinate_start, u.coordinate_end) for u in diagram.unresolved])
             more = with_what_lies_between(family.point_solver, points, lost) if lost.any() else points
             if len(more) == len(points):

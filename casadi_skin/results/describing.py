@@ -16,6 +16,7 @@ from casadi_skin.orbits.solution import Solution
 from casadi_skin.results.wording import (
     Rows,
     complex_words,
+    found,
     listed,
     model_name,
     named,
@@ -67,7 +68,8 @@ def _(result: Branch) -> tuple[str, Rows]:
         stable = int(np.count_nonzero(result.stable))
         rows.append(("stable", f"{stable} of {len(result)} points"))
         known = result.with_events and result.changes_known
-        rows += [("changes of stability", listed([f"{c.value:.8g}" for c in result.changes]))] if known else []
+        changes = found([f"{c.value:.8g}" for c in result.changes], result.unresolved) if known else ""
+        rows += [("changes of stability", changes)] if known else []
     elif result.solutions and not result.space.stability_included and getattr(result.space, "closes", True):
         rows.append(("stability", "not computed; stability=True in follow computes it"))
     special = result.special_points if result.space.locates_folds else ()

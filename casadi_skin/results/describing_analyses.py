@@ -12,10 +12,11 @@ from casadi_skin.optimise.pareto import ParetoFront
 from casadi_skin.optimise.result import SearchResult
 from casadi_skin.orbits.certificate import Certificate, ProvedStability, ProvedStretch
 from casadi_skin.orbits.special_points import SpecialPoint
-from casadi_skin.results.wording import Rows, listed, model_name, named, parameter_rows, with_error, words
+from casadi_skin.results.wording import Rows, found, listed, model_name, named, parameter_rows, with_error, words
 from casadi_skin.stability.growth import TransientGrowth
 from casadi_skin.stability.localised_diagram import LocalisedDiagram
 from casadi_skin.stability.tongues import StabilityDiagram
+from casadi_skin.unresolved import count_in_words
 
 
 @words.register
@@ -30,15 +31,16 @@ def _(result: SpecialPoint) -> tuple[str, Rows]:
 @words.register
 def _(result: StabilityDiagram) -> tuple[str, Rows]:
     rows = [("S", f"{result.pieces[0].S(np.array([result.start]))[0]:.8g} to {_last(result):.8g}")]
-    rows += [("changes", listed([f"{change.S:.8g}" for change in result.changes]))]
-    rows += [("tongues", f"{len(result.tongues)}, deepest log |multiplier| {_deepest(result):.6g}")]
+    rows += [("changes", found([f"{change.S:.8g}" for change in result.changes], result.unresolved))]
+    count = count_in_words(len(result.tongues), result.unresolved)
+    rows += [("tongues", f"{count}, deepest log |multiplier| {_deepest(result):.6g}")]
     rows += [("unresolved", listed([f"{u.S_start:.6g} to {u.S_end:.6g}" for u in result.unresolved]))]
     return "Stability along a family", rows
 
 
 @words.register
 def _(result: LocalisedDiagram) -> tuple[str, Rows]:
-    rows = [("changes", listed([f"{change.kind} at {change.S:.8g}" for change in result.changes]))]
+    rows = [("changes", found([f"{change.kind} at {change.S:.8g}" for change in result.changes], result.unresolved))]
     rows += [("further", listed([f"{change.kind} at {change.S:.8g}" for change in result.further]))]
     rows += [("unresolved", listed([f"{u.S_start:.6g} to {u.S_end:.6g}" for u in result.unresolved]))]
     return "Localised multipliers along a family", rows

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from functools import singledispatch
 from typing import Any
+
+from casadi_skin.unresolved import count_in_words
 
 MOST = 6  # special points, parameters or states that are named
 Rows = list[tuple[str, str]]
@@ -35,6 +37,13 @@ def parameter_rows(values: Mapping[str, float]) -> Rows:
 def named(values: Mapping[str, float]) -> str:
     """Values by name, the first of many."""
     return listed([f"{name} = {value:.8g}" for name, value in values.items()])
+
+
+def found(entries: Sequence[str], unresolved: Collection[object]) -> str:
+    """What is found on a branch, one after the other: with its count as the least where something is unresolved."""
+    if not unresolved:
+        return listed(entries)
+    return f"{count_in_words(len(entries), unresolved)}: {listed(entries)}" if entries else "none found; see unresolved"
 
 
 def listed(items: Any) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from casadi_skin.stability.account import Entry, unbalanced
 from casadi_skin.stability.assembly import edges_of, place_at, tongues_of
 from casadi_skin.stability.copies import without_copies
 from casadi_skin.stability.crossings import NOT_LOOKED_AT, Crossings, find_crossings
@@ -41,6 +42,7 @@ def find_changes(
     work: float = WORK,
     progress: Callable[[float], None] | None = None,
     short: bool = False,
+    entries: Sequence[Entry] = (),
 ) -> StabilityDiagram:
     """Find every change of stability along a branch of periodic orbits of a reversible model.
 
@@ -53,6 +55,7 @@ def find_changes(
             branch is then unresolved. The default is a minute or two.
         progress: called with the coordinate up to which everything is looked at.
         short: whether one piece of the lowest degree is tried on each section of the branch first.
+        entries: all mu at orbits of the branch, in order: where those outside are not those of tongues is unresolved.
 
     Returns:
         Changes of stability and tongues, with undecided and unresolved places.
@@ -61,6 +64,7 @@ def find_changes(
     known, found = _looked_at(branch, tolerance, work, progress, short)
     groups, disagreements = groups_of(found.segments, _unknown(known, found))
     found.gaps += disagreements
+    found.gaps += unbalanced(entries, groups, [*known.gaps, *found.gaps])
     tracks = None if modes is None else _tracks(known, found, modes, branch.fraction)
     tongues = tongues_of(groups, known.pieces, power, tracks)
     decided = [i for i, tongue in enumerate(tongues) if tongue.decided]

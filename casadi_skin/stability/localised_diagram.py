@@ -8,7 +8,7 @@ import numpy as np
 
 from casadi_skin.result import Result
 from casadi_skin.stability.tongues import Meeting
-from casadi_skin.unresolved import Unresolved
+from casadi_skin.unresolved import Unresolved, count_in_words
 
 REAL, COMPLEX, BAND_EDGE, RESONANCE, OVERLAP = "real", "complex", "band edge", "resonance", "overlap"
 
@@ -61,7 +61,8 @@ class LocalisedDiagram(Result):
 
     def __repr__(self) -> str:
         left = f", {len(self.unresolved)} stretches unresolved" if self.unresolved else ""
-        return f"<LocalisedDiagram: {len(self.changes)} changes of stability, {len(self.further)} further{left}>"
+        changes, further = (count_in_words(len(each), self.unresolved) for each in (self.changes, self.further))
+        return f"<LocalisedDiagram: {changes} changes of stability, {further} further{left}>"
 
     @property
     def complete(self) -> bool:

@@ -13,7 +13,7 @@ from casadi_skin.result import Result
 from casadi_skin.stability.interpolation import Piece
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.small_blocks import growth_of
-from casadi_skin.unresolved import Unresolved
+from casadi_skin.unresolved import Unresolved, count_in_words
 
 NOISE = 1e-7  # of log |multiplier|: the effect of rounding on two mu that nearly meet
 
@@ -183,7 +183,8 @@ class StabilityDiagram(Result):
 
     def __repr__(self) -> str:
         left = f", {len(self.unresolved)} stretches unresolved" if self.unresolved else ""
-        return f"<StabilityDiagram: {len(self.changes)} changes of stability, {len(self.tongues)} tongues{left}>"
+        changes, tongues = (count_in_words(len(each), self.unresolved) for each in (self.changes, self.tongues))
+        return f"<StabilityDiagram: {changes} changes of stability, {tongues} tongues{left}>"
 
     @property
     def complete(self) -> bool:

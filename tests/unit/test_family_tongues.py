@@ -307,3 +307,13 @@ def test_changes_in_a_narrow_resonance_that_the_points_pass_by_are_found() -> No
     assert other.complete
     assert [(e.kind, e.stable_after) for e in first.changes] == [(e.kind, e.stable_after) for e in other.changes]
     assert all(abs(a.S - b.S) <= a.S_error + b.S_error for a, b in zip(first.changes, other.changes, strict=True))
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8])
+def test_a_tongue_that_goes_on_ends_where_the_family_does(tolerance: float) -> None:
+    """Multipliers grow to the end: the deepest place is there, whatever the tolerance of the last point."""
+    branch = follow_family(Chain(24, 1.0, 0.25, -1.0), 1, 1.5, stability=True, tolerance=tolerance)
+    assert branch.stability_diagram is not None
+    (last,) = (tongue for tongue in branch.stability_diagram.tongues if tongue.open_end)
+    assert pytest.approx(1.5, rel=1e-14) == last.end.S
+    assert last.S_deepest == pytest.approx(1.5, rel=1e-14)

@@ -10,6 +10,7 @@ import pytest
 from symplectic_families import Entries, ReversibleFamily, SymplecticFamily, cluster, collision, cubic, passage, real
 
 from casadi_skin.stability import crossings
+from casadi_skin.stability.account import Entry
 from casadi_skin.stability.find_changes import find_changes
 from casadi_skin.stability.flow import FlowError
 from casadi_skin.stability.interpolation import Interpolated, MatrixSeries, Samples, interpolate
@@ -347,3 +348,25 @@ def test_noise_of_the_matrices_is_among_the_errors_whatever_the_flow_says(noise:
             off = np.linalg.norm((piece.matrices.at(np.array([s])) - true.matrices.at(np.array([s])))[0], axis=(1, 2))
             assert np.all(off <= piece.matrices.noise)
             assert np.all(piece.matrices.noise <= 100.0 * noise)
+
+
+def entries_of(diagram: StabilityDiagram) -> list[Entry]:
+    """What is known at 21 orbits of a branch."""
+    coordinates = np.linspace(0.0, 1.0, 21)
+    mu, _ = diagram.spectrum(coordinates)
+    return [Entry(s, values, np.full(values.size, 1e-10)) for s, values in zip(coordinates.tolist(), mu, strict=True)]
+
+
+@pytest.mark.parametrize("kind", ["real", "complex"])
+def test_tongues_account_for_the_unstable_multipliers_at_orbits_or_the_stretch_is_unresolved(kind: str) -> None:
+    """Orbits of one family, beside the tongues of another one that lacks an instability between 0.42 and 0.58."""
+    window = real(cubic(-0.42, 1.0), cubic(-0.58, 1.0)) if kind == "real" else collision(cubic(-1.0, 2.0), 0.08)
+    quiet = real(cubic(1.0), cubic(1.1)) if kind == "real" else collision(cubic(-3.0, 2.0), 0.08)
+    with_window, without = SymplecticFamily([window, FAR]), SymplecticFamily([quiet, FAR])
+    known = entries_of(find_changes(with_window)), entries_of(find_changes(without))
+    assert find_changes(with_window, entries=known[0]).complete
+    assert find_changes(without, entries=known[1]).complete
+    for family, other in ((without, known[0]), (with_window, known[1])):
+        (stretch,) = find_changes(family, entries=other).unresolved
+        assert "account does not balance" in stretch.reason
+        assert (stretch.start, stretch.end) == (pytest.approx(0.4), pytest.approx(0.6))

@@ -21,13 +21,15 @@ from scipy.io import netcdf_file
 from casadi_skin import Chain, follow_family, read_map, run_map
 from casadi_skin.cli import main
 from casadi_skin.figures.map import COLOURS, MapAxis, Panel, map_figure
-from casadi_skin.maps.boundary import check_boundary, read_boundary, write_boundary
+from casadi_skin.maps.boundary import OF_BOUNDARY, boundaries, check_boundary, read_boundary, write_boundary
 from casadi_skin.maps.cell import Computer, Job
+from casadi_skin.maps.columns import Columns
 from casadi_skin.maps.grid import Axis, Grid, plain, scene_at
 from casadi_skin.maps.names import SUFFIX, known_names
 from casadi_skin.maps.records import Result, Row
 from casadi_skin.maps.refine import UNKNOWN, needed
 from casadi_skin.maps.result import Map
+from casadi_skin.maps.store import UNKNOWN as NOT_COMPUTED
 from casadi_skin.maps.store import Store
 from casadi_skin.maps.tongue_lines import Entry, checked, lowest
 from casadi_skin.runs.binding import bind
@@ -431,6 +433,24 @@ def test_a_boundary_is_followed_in_both_parameters(tmp_path: Path) -> None:
     known = (found.status == 1) & (np.abs(rate) > 1e-9)
     assert np.all(found["stable"][known] == (rate < 0)[known])
     assert drawn(tmp_path / "out" / "map_stable.png")
+
+
+def test_a_boundary_with_one_known_family_is_a_point(tmp_path: Path) -> None:
+    text = BASE.replace("sites = 2", "sites = 4").replace("alpha = 1.0", "alpha = 0.5").replace("0.1\n", "0.9\n")
+    text = text.replace("1e-4", "1e-8") + (
+        "[stability]\n[map]\ngamma = { from = 0.42, to = 0.46, points = 2 }\nS = { from = 0.3, to = 0.9, points = 2 }\n"
+    )
+    path, reports = write(tmp_path, text), list[str]()
+    found = run_map(path, tmp_path / "out", pictures=False, quiet=True)
+    columns = Columns(found.columns.store, OF_BOUNDARY)
+    columns.store.states[columns.store.states.size // 2 :] = NOT_COMPUTED  # of gamma = 0.46
+    scene = parse_scene(text, str(path))
+    lines = boundaries(scene, path, plain(scene), columns, reports.append)
+    (point,) = lines[()]
+    assert reports == []
+    first = follow_family(Chain(4, 0.5, 0.42, -1.0), 1, 0.9, stability=True, tolerance=1e-8).first_instability()
+    assert first is not None
+    assert point.tolist() == [[0.42, pytest.approx(first.S, abs=1e-8)]]
 
 
 @pytest.mark.slow
