@@ -83,7 +83,7 @@ class Branch(Result):
         changes = f", {count} changes of stability" if sought else ""
         kinds = [point.kind for point in self.special_points] if self.space.locates_folds else []
         special = "".join(f", {kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
-        left = len(self.unresolved if known else self.passed_over)
+        left = len(self.known_unresolved)
         gaps = f", unresolved: {left} stretch{'es' * (left > 1)}" if left else ""
         return f"<Branch: {len(self)} points, {self.parameter}{words}{changes}{special}{gaps}; {cut(self.reason)}>"
 
@@ -249,6 +249,11 @@ class Branch(Result):
             start, end = float(self.values[0]), float(self.values[-1])
             self._cut[kind] = Unresolved(start, end, str(error), kind, self.parameter)
             return None
+
+    @property
+    def known_unresolved(self) -> tuple[Unresolved, ...]:
+        """Those of `unresolved` that are known without a search for changes of stability now."""
+        return self.unresolved if self.changes_known else self.passed_over
 
     @cached_property
     def passed_resonances(self) -> tuple[PassedResonance, ...] | None:

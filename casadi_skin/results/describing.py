@@ -75,7 +75,7 @@ def _(result: Branch) -> tuple[str, Rows]:
     special = result.special_points if result.space.locates_folds else ()
     if special:
         rows.append(("special points", listed([f"{p.kind} at {p.parameters[p.parameter]:.8g}" for p in special])))
-    left = result.unresolved if result.changes_known else result.passed_over
+    left = result.known_unresolved
     rows += [("unresolved", listed([str(stretch) for stretch in left]))] if left else []
     missing = result.not_located if "_sought" in vars(result) else ()
     rows += [("not located", listed([str(point) for point in missing]))] if missing else []

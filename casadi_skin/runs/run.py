@@ -94,7 +94,7 @@ class Run:
                 part = "[continuation]" if branch.parameter else "[stability]"
             if not self._reached_its_end(branch):
                 reasons.append(f"{part}: {branch.reason}")
-            reasons += [f"{part}: not resolved: {stretch}" for stretch in branch.passed_over]
+            reasons += [f"{part}: not resolved: {stretch}" for stretch in branch.known_unresolved]
         return [*reasons, *self._other_reasons()]
 
     def _other_reasons(self) -> list[str]:
@@ -107,7 +107,7 @@ class Run:
 
     def _ended_well(self, branch: Branch) -> bool:
         """Whether a branch reached its end, and all of it was resolved."""
-        return self._reached_its_end(branch) and not branch.passed_over
+        return self._reached_its_end(branch) and not branch.known_unresolved
 
     def _reached_its_end(self, branch: Branch) -> bool:
         """Whether a branch reached its requested end, or the natural end of a branch that leaves another one."""
