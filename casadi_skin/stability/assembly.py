@@ -12,10 +12,12 @@ from casadi_skin.stability.decoupling import Indices
 from casadi_skin.stability.groups import SAME_MU, Group, error_of, values_together
 from casadi_skin.stability.interpolation import Piece
 from casadi_skin.stability.rotation import Tracks
+from casadi_skin.stability.small_blocks import Edge
 from casadi_skin.stability.tongues import Place, StabilityEdge, StableWindow, Tongue, places
 
 SAMPLES = 17  # of a segment, at which its depth is measured, and of the neighbourhood of the deepest
 ZOOMS = 2
+NO_AMPLITUDE = 1e-12  # of S at the end of a piece that begins at rest: rounding of its series
 
 
 # Tongues ------------------------------------------------------------------------------------------------------------
@@ -38,7 +40,7 @@ def tongues_of(groups: Sequence[Group], pieces: Sequence[Piece], power: int, tra
             Tongue(
                 start=starts[i],
                 end=ends[i],
-                open_start=group.first_edge is None,
+                open_start=group.first_edge is None or at_rest(pieces, group.first_edge),
                 open_end=group.last_edge is None,
                 kind="complex" if group.segments[0].is_complex else "real",
                 modes=None if meeting is None else meeting[:2],
@@ -49,6 +51,15 @@ def tongues_of(groups: Sequence[Group], pieces: Sequence[Piece], power: int, tra
             )
         )
     return found
+
+
+def at_rest(pieces: Sequence[Piece], edge: Edge) -> bool:
+    """Whether an edge is at the linear mode of zero amplitude that a family grows from, and which is no orbit of it."""
+    start = pieces[0].matrices.start
+    if edge.coordinate - edge.error > start:
+        return False
+    S = pieces[0].S(np.array([start, pieces[0].matrices.end]))
+    return bool(abs(S[0]) <= NO_AMPLITUDE * abs(S[1]))
 
 
 def _meetings(groups: Sequence[Group], tracks: Tracks | None) -> dict[int, tuple[int, int, int]]:
@@ -112,7 +123,7 @@ def edges_of(groups: Sequence[Group], tongues: Sequence[Tongue], pieces: Sequenc
     for union in unions:
         start, end = min(groups[i].start for i in union), max(groups[i].end for i in union)
         for i in union:
-            for edge in groups[i].edges:
+            for edge in (edge for edge in groups[i].edges if not at_rest(pieces, edge)):
                 before = edge is groups[i].first_edge and edge.coordinate == start
                 after = edge is groups[i].last_edge and edge.coordinate == end
                 rows.append((edge, before, after, i))

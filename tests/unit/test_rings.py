@@ -158,3 +158,19 @@ def test_momenta_of_several_free_parts_are_found_without_a_declaration() -> None
     assert orbit.floquet().trivial == 6
     assert orbit.floquet().multipliers.size == 8
     assert orbit.stable
+
+
+def test_a_family_that_is_unstable_from_rest_on_has_no_change_there() -> None:
+    """Free ends, six sites: omega_1 + omega_3 = omega_6 exactly, and quadratic forces couple the three."""
+    lattice = Lattice(6, [Site("a")], [Bond("a", "a", (1,), ALPHA.formula)], "free")
+    omega = 2 * np.sin(np.pi * np.arange(6) / 12)
+    assert omega[1] + omega[3] == pytest.approx(omega[5], rel=1e-14)
+    branch = follow_family(lattice, mode="last", amplitude_max=0.2, stability=True)
+    (change,) = branch.changes
+    assert (change.stable_before, change.stable_after) == (False, True)
+    assert branch.stability_diagram is not None
+    (tongue,) = branch.stability_diagram.tongues
+    assert tongue.open_start
+    inside = branch.S > 1e-6  # below, multipliers are nearer to the circle than their errors
+    assert np.array_equal(branch.stable[inside], branch.S[inside] > change.S)
+    assert branch.unresolved == ()
