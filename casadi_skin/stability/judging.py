@@ -27,7 +27,7 @@ def judged(found: Multipliers, better: Multipliers | None, tolerance: float, lef
     return FullPeriodFloquet(
         np.concatenate([near, found.others.values]),
         found.matrix * np.exp(min(found.size, LARGEST_LOGARITHM)),
-        count, deviation, errors, DRIFT * tolerance * found.norm,
+        count, deviation, errors, float(DRIFT * tolerance * found.norm),
         np.concatenate([found.trivial.logs, found.others.logs]), found.lost,
     )  # fmt: skip
 
