@@ -101,6 +101,13 @@ class Discretisation:
         """Results of a mapped function, one row a stage."""
         return [found.reshape(self._K * self._d + 1, -1)[:-1] for found in function(*arguments)]
 
+    def jacobians(self, z: Array, numbers: Array) -> Array:
+        """Derivatives of the field by the states at the stages, dense, shape (K d, n, n)."""
+        found = np.zeros((self._K * self._d, self._n, self._n))
+        rows, columns = (list(places) for places in self.layout.field)
+        found[:, rows, columns] = self._at_stages(self._field, self.stages(z, numbers))[1]
+        return found
+
     def along(self, *arguments: Array) -> tuple[Array, Array]:
         """Field and integrands at (s, x, scalars, constants), as many places as there are stages and one more."""
         field = self._field(*arguments)[0].reshape(-1, self._n).copy()

@@ -13,7 +13,10 @@ from casadi_skin.stability.product_spectrum import Spectrum, by_liouville, scale
 from casadi_skin.stability.trivial import Frames, Trivial
 
 MACHINE = float(np.finfo(float).eps)
-ROUNDING = 128.0  # units in the last place of a map over an interval: measured, up to 50 where multipliers nearly meet
+ROUNDING = 16.0  # units in the last place by which entries of a map over an interval are off: measured
+EIGENVALUES = (
+    4.0  # units in the last place of its norm by which a matrix differs from that whose eigenvalues LAPACK finds
+)
 COUPLED = 1e-8  # of the largest entry of a product: entries that units are chosen by are no smaller
 
 
@@ -136,5 +139,7 @@ def _rounding(maps: Array, sizes: Array, found: Spectrum) -> Array:
             left = np.full_like(right, np.inf)
         terms = (np.abs(left @ back[1:]) @ sizes) * np.abs(there[:-1] @ right).swapaxes(1, 2)
         moved = ROUNDING * MACHINE * np.sum(terms, axis=(0, 2))
+        conditions = np.linalg.norm(left, axis=1) * np.linalg.norm(right, axis=0)
+        moved += EIGENVALUES * MACHINE * float(np.linalg.norm(there[K])) * conditions
         whole = ROUNDING * MACHINE * float(np.sum(np.abs(back[1:]) @ sizes @ np.abs(there[:-1])))
     return np.asarray(np.fmin(np.maximum(moved, MACHINE * np.abs(found.values)), np.sqrt(whole)))

@@ -28,8 +28,10 @@ from casadi_skin.stability.result import FullPeriodFloquet
 from casadi_skin.stability.trivial import Trivial, trivial_along, units_of
 
 LOCAL = 1e-3  # of the tolerance, for one step of CVODES
-TIGHTEST = 1e-13
-LOOSER = 10.0  # times the local tolerance of CVODES for the multipliers that show the error of the others
+TIGHTEST = 1e-12
+TIGHTER = 0.1  # times the local tolerance of CVODES, for the multipliers that show the error of the others
+LEFT = 0.75  # of the error that the tighter tolerance may leave: measured, up to 0.7 of single multipliers
+LEAST = 0.1  # of the largest error: that of a single multiplier may vanish at both tolerances
 MAX_STEPS = 200_000
 
 
@@ -128,12 +130,14 @@ def contraction(problem: BoundaryProblem, jacobians: Array) -> float:
 def by_cvodes(orbit: Closed, better: Closed | None, tolerance: float) -> FullPeriodFloquet:
     """Multipliers from the sensitivity of the flow over the period to its start; raises IntegrationError.
 
-    Their errors are seen on the better solution, with a looser local tolerance.
+    Their errors are seen on the better solution, with a tighter local tolerance.
     """
     local = max(LOCAL * tolerance, TIGHTEST)
     found = _by_sensitivities(orbit, local, tolerance)
-    result = judged(found, _by_sensitivities(better or orbit, LOOSER * local, tolerance), tolerance)
-    return replace(result, blurred=int(np.count_nonzero(result.log_moduli < np.log(local))))
+    result = judged(found, _by_sensitivities(better or orbit, TIGHTER * local, tolerance), tolerance, LEFT)
+    sizes = np.maximum(1.0, np.abs(result.others))
+    errors = np.maximum(result.other_errors, LEAST * sizes * np.max(result.other_errors / sizes, initial=0.0))
+    return replace(result, other_errors=errors, blurred=int(np.count_nonzero(result.log_moduli < np.log(local))))
 
 
 def _by_sensitivities(orbit: Closed, local: float, tolerance: float) -> Multipliers:

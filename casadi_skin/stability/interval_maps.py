@@ -32,12 +32,11 @@ def stage_places(problem: BoundaryProblem, lengths: Array) -> Array:
 
 def stage_jacobians(problem: BoundaryProblem, z: Array) -> Array:
     """Derivatives of the field, for an interval of unit length, at all stages, shape (intervals * degree, n, n)."""
-    values = z[: problem.states].reshape(problem.columns, problem.formulation.states)
-    return jacobians_at(problem, z, stage_places(problem, problem.constants), values[problem.stages])
+    return problem.discretisation.jacobians(z, problem.numbers)
 
 
 def jacobians_at(problem: BoundaryProblem, z: Array, places: Array, states: Array) -> Array:
-    """The same at other places with the states there."""
+    """The same at any places with the states there."""
     n, count = problem.formulation.states, places.size
     mapped = problem.formulation.jacobian_function.map(count)
     blocks = np.array(mapped(places[None], states.T, *problem.repeated(z, count)))
@@ -88,14 +87,21 @@ class Parts:
     @cached_property
     def _counts(self) -> Array:
         """The number of parts that each interval needs."""
-        rates = np.max(np.abs(np.linalg.eigvals(self.jacobians)), axis=1).reshape(self.problem.resolution, -1)
-        found = np.ceil(self.problem.constants * np.max(rates, axis=1) / WITHIN_PART)
+        found = np.ceil(self._changes(np.max(np.abs(np.linalg.eigvals(self.jacobians)), axis=1)) / WITHIN_PART)
         return np.asarray(np.maximum(found, 1.0))
 
     @property
     def needed(self) -> bool:
         """Whether an interval is too long for the changes in it."""
+        entries = np.abs(self.jacobians)
+        bounds = np.minimum(np.max(np.sum(entries, axis=1), axis=1), np.max(np.sum(entries, axis=2), axis=1))
+        if np.max(self._changes(bounds)) <= RESOLVED:  # of eigenvalues, which take far longer
+            return False
         return bool(np.max(self._counts) * WITHIN_PART > RESOLVED)
+
+    def _changes(self, rates: Array) -> Array:
+        """Logarithms of the factors by which rates at the stages may change something in each interval."""
+        return np.asarray(self.problem.constants * np.max(rates.reshape(self.problem.resolution, -1), axis=1))
 
     def maps(self) -> tuple[Array, Array] | None:
         """Maps over the parts, and states at their ends; None where there are too many parts."""
