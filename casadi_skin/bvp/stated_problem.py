@@ -11,7 +11,7 @@ from casadi_skin.arguments import cut
 from casadi_skin.bvp.butcher import CollocationTable
 from casadi_skin.bvp.collocation import CollocationEquations
 from casadi_skin.bvp.formulation import Formulation
-from casadi_skin.bvp.problem import EPSILON, Array, Scalar
+from casadi_skin.bvp.problem import Array, Scalar
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.models.expressions import Expression
 
@@ -119,8 +119,12 @@ class BoundaryProblem(CollocationEquations):
         weights[: self.states] /= self.columns
         return np.asarray(weights)
 
-    def rounding(self, z: Array) -> float:
-        return super().rounding(z) * (self.statement.model.rounding / EPSILON)
+    def rounding(self, z: Array) -> Array:  # type: ignore[override]
+        """Of each equation, as components of the state have units of their own."""
+        rows, columns = self.pattern
+        largest = np.zeros(self.size - 1)
+        np.maximum.at(largest, rows, np.abs(self.evaluate(z)[1] * z[columns]))
+        return self.statement.model.rounding * largest
 
     # Words ----------------------------------------------------------------------------------------------------------
 

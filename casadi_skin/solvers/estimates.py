@@ -56,7 +56,7 @@ def step_error(problem: Problem, z: Array, step: Array, with_parameter: bool = F
 class OnFiner:
     """States prolonged to the next level `problem`, (states, size), with a Newton step from each.
 
-    `response` gives the responses to residuals of size 1, where these are needed.
+    `response` gives the responses to residuals of the size of their rounding, where these are needed.
     """
 
     problem: Problem
@@ -87,7 +87,7 @@ def estimated(
     errors[0] = np.maximum(errors[0], problem.round_off * Omega)
     near = _largest(errors, Omega) < NEAR_ROUND_OFF
     if near.any():  # no better than the response to rounding, and than what rounded constants do
-        noise = _at_parameter(finer, long_z, problem.roundings(z)[:, None] * on_finer.response(), along, free)
+        noise = _at_parameter(finer, long_z, on_finer.response(), along, free)
         floor = _step_errors(finer, long_z, noise, moves)
         floor[0], floor[1] = np.maximum(floor[0], problem.round_off * Omega), np.maximum(floor[1], problem.round_off)
         errors, floors = np.where(near, np.maximum(errors, floor), errors), np.where(near, _largest(floor, Omega), 0.0)

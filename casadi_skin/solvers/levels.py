@@ -124,7 +124,7 @@ class Levels:
         error, Omega = ErrorEstimate(SAFETY * abs(problem.frequency_step(z, step)), SAFETY * size), problem.frequency(z)
         error = replace(error, Omega=max(error.Omega, problem.round_off * Omega))
         if error.relative(Omega) < NEAR_ROUND_OFF:
-            noise = problem.rounding(z) * solve(np.append(problem.probe, 0.0))
+            noise = solve(np.append(problem.rounding(z) * problem.probe, 0.0))
             error = no_better(error, step_error(problem, z, noise), problem, z)
         return error, Refinement(problem, z - step)
 
@@ -162,7 +162,8 @@ class Levels:
         residual, nonzeros = finer.evaluate(long_z)
         solve = self.solver(finer).factor(long_z, nonzeros, row)
         step = solve(np.append(residual, 0.0))
-        better = OnFiner(finer, long_z[None], step[None], lambda: solve(np.append(finer.probe, 0.0))[None])
+        noise = finer.rounding(long_z) * finer.probe
+        better = OnFiner(finer, long_z[None], step[None], lambda: solve(np.append(noise, 0.0))[None])
         ways = None if along is None else along[None]
         return estimated(problem, z[None], better, None if tangent is None else tangent[None], ways, [held])[0]
 
@@ -183,5 +184,5 @@ class Levels:
         steps = stack.steps(long_z, np.column_stack([residuals, np.zeros(len(z))]), nonzeros, rows)
         if steps is None:
             return None
-        better = OnFiner(finer, long_z, steps.newton, lambda: steps.response)
+        better = OnFiner(finer, long_z, steps.newton, lambda: problem.roundings(z)[:, None] * steps.response)
         return estimated(problem, z, better, tangents, along, held)

@@ -44,10 +44,10 @@ class RoundedCorrector:
             return correction
         z = correction.z
         try:
-            largest = float(np.max(np.abs(self.problem.evaluate(z)[0])))
+            residual = np.abs(self.problem.evaluate(z)[0])
         except ArithmeticError:
             return correction
         held = abs(float(row @ z) - value) <= ROUNDED * np.finfo(float).eps * max(1.0, float(np.abs(row) @ np.abs(z)))
-        if held and largest <= ROUNDED * self.problem.rounding(z):
+        if held and np.all(residual <= ROUNDED * self.problem.rounding(z)):
             return replace(correction, status=Status.CONVERGED, message=TO_ROUNDING)
         return correction

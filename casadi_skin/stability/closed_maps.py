@@ -13,11 +13,9 @@ from casadi_skin.stability.product_spectrum import Spectrum, by_liouville, scale
 from casadi_skin.stability.trivial import Frames, Trivial
 
 MACHINE = float(np.finfo(float).eps)
-ROUNDING = 16.0  # units in the last place by which entries of a map over an interval are off: measured
-EIGENVALUES = (
-    4.0  # units in the last place of its norm by which a matrix differs from that whose eigenvalues LAPACK finds
-)
-COUPLED = 1e-8  # of the largest entry of a product: entries that units are chosen by are no smaller
+ROUNDING = 64.0  # units in the last place by which entries of a map over an interval are off: measured
+NORMWISE = 4.0  # the same relative to norms, as where derivatives cancel, and of eigenvalues by LAPACK
+COUPLED = 1e-8  # of the largest diagonal entry of a product: entries that units are chosen by are no smaller
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +73,7 @@ def _found(along: MapsAlong) -> Multipliers:
     trivial = along.trivial
     matrix, size = scaled_product(along.maps)
     scaled = matrix * along.units / along.units[:, None]
-    coupled = np.abs(scaled) + COUPLED * np.max(np.abs(scaled), initial=0.0)
+    coupled = np.abs(scaled) + COUPLED * (np.max(np.abs(np.diagonal(scaled)), initial=0.0) or 1.0)
     _, (scales, _) = matrix_balance(coupled, permute=False, separate=True)  # no entry is large by its units
     units = along.units * scales
     maps = along.maps * units / units[:, None]
@@ -137,9 +135,12 @@ def _rounding(maps: Array, sizes: Array, found: Spectrum) -> Array:
             left = np.linalg.inv(right)
         except np.linalg.LinAlgError:  # exactly defective
             left = np.full_like(right, np.inf)
-        terms = (np.abs(left @ back[1:]) @ sizes) * np.abs(there[:-1] @ right).swapaxes(1, 2)
+        after, before = left @ back[1:], there[:-1] @ right
+        terms = (np.abs(after) @ sizes) * np.abs(before).swapaxes(1, 2)
         moved = ROUNDING * MACHINE * np.sum(terms, axis=(0, 2))
-        conditions = np.linalg.norm(left, axis=1) * np.linalg.norm(right, axis=0)
-        moved += EIGENVALUES * MACHINE * float(np.linalg.norm(there[K])) * conditions
+        norms = np.linalg.norm(after, axis=2) * np.linalg.norm(sizes, axis=(1, 2))[:, None]
+        norms *= np.linalg.norm(before, axis=1)
+        conditions = np.linalg.norm(left, axis=1) * np.linalg.norm(right, axis=0) * np.linalg.norm(there[K])
+        moved += NORMWISE * MACHINE * (np.sqrt(np.sum(norms**2, axis=0)) + conditions)
         whole = ROUNDING * MACHINE * float(np.sum(np.abs(back[1:]) @ sizes @ np.abs(there[:-1])))
     return np.asarray(np.fmin(np.maximum(moved, MACHINE * np.abs(found.values)), np.sqrt(whole)))

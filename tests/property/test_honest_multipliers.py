@@ -43,6 +43,16 @@ def test_estimates_are_no_smaller_than_true_errors_and_not_far_above(count: int)
     assert np.quantile(true / tolerances, 0.99) <= 1.0
 
 
+def test_cycles_in_units_of_1e_minus_5_to_1e5_have_the_same_multipliers() -> None:
+    """Some components stay at zero: rounding of their equations is not that of components 1e10 times as large."""
+    for index in range(5, 11):
+        plain, scaled = (drawn(11, index, decades) for decades in (0.0, 5.0))
+        assert np.array_equal(plain.others, scaled.others)
+        for cycle in (plain, scaled):
+            true, estimates = errors(cycle.orbit(**options_of(index)).floquet(), cycle.others)
+            assert np.all(true <= estimates)
+
+
 @pytest.mark.slow
 def test_estimates_of_cvodes_are_no_smaller_than_true_errors() -> None:
     true, estimates, _ = judged(2, 45, "cvodes")
