@@ -14,7 +14,7 @@ from casadi_skin.stability.trivial import Frames, Trivial
 
 MACHINE = float(np.finfo(float).eps)
 ROUNDING = 64.0  # units in the last place by which entries of a map over an interval are off: measured
-NORMWISE = 4.0  # the same relative to norms, as where derivatives cancel, and of eigenvalues by LAPACK
+BACKWARD = 4.0  # the same of a matrix, relative to its norm, whose eigenvalues LAPACK finds
 COUPLED = 1e-8  # of the largest diagonal entry of a product: entries that units are chosen by are no smaller
 
 
@@ -138,9 +138,7 @@ def _rounding(maps: Array, sizes: Array, found: Spectrum) -> Array:
         after, before = left @ back[1:], there[:-1] @ right
         terms = (np.abs(after) @ sizes) * np.abs(before).swapaxes(1, 2)
         moved = ROUNDING * MACHINE * np.sum(terms, axis=(0, 2))
-        norms = np.linalg.norm(after, axis=2) * np.linalg.norm(sizes, axis=(1, 2))[:, None]
-        norms *= np.linalg.norm(before, axis=1)
         conditions = np.linalg.norm(left, axis=1) * np.linalg.norm(right, axis=0) * np.linalg.norm(there[K])
-        moved += NORMWISE * MACHINE * (np.sqrt(np.sum(norms**2, axis=0)) + conditions)
+        moved += BACKWARD * MACHINE * conditions
         whole = ROUNDING * MACHINE * float(np.sum(np.abs(back[1:]) @ sizes @ np.abs(there[:-1])))
     return np.asarray(np.fmin(np.maximum(moved, MACHINE * np.abs(found.values)), np.sqrt(whole)))

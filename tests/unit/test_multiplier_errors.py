@@ -79,28 +79,6 @@ def test_multipliers_do_not_depend_on_the_units_of_the_states(by: str) -> None:
         assert_within_errors(floquet, known, 1e-7)
 
 
-@pytest.mark.parametrize("index", [10, 15, 20])
-def test_cycles_in_units_of_1e_minus_5_to_1e5_are_found_with_their_multipliers(index: int) -> None:
-    """Van der Pol's cycle with a state that follows it, and one beside it that stays at zero."""
-    random = np.random.default_rng(index)
-    units = 10.0 ** random.uniform(-5, 5, 4)
-    state = ca.SX.sym("x", 4)
-    x, y, z, w = ca.vertsplit(state / units)
-    rhs = units * ca.vertcat(y + w, (1 - x**2) * y - x, x - 0.3 * z + w, -0.2 * w)
-    guess = lambda t: units * [2 * np.cos(t), -2 * np.sin(t), 0.5 * np.sin(t), 0.0]  # noqa: E731
-    orbit = find_orbit(OdeModel("units", state, rhs), guess, 6.6, tolerance=1e-9)
-    plain = solve_ivp(
-        lambda t, s: [s[1], (1 - s[0] ** 2) * s[1] - s[0], 1 - s[0] ** 2], (0.0, orbit.period),
-        [*(orbit.evaluate(0.0)[0][:2] / units[:2]), 0.0], "DOP853", rtol=1e-12, atol=1e-13,
-    )  # fmt: skip
-    assert plain.y[:2, -1] == pytest.approx(plain.y[:2, 0], abs=1e-8)
-    rates = np.array([plain.y[2, -1], -0.3 * orbit.period, -0.2 * orbit.period])
-    floquet = orbit.floquet()
-    distances = np.abs(floquet.others[:, None] - np.exp(rates)).min(axis=0)
-    assert np.all(distances <= np.max(floquet.other_errors) + 1e-9)
-    assert floquet.error < 1e-6
-
-
 def test_errors_of_multipliers_from_mu_go_with_the_root_of_mu_near_the_circle() -> None:
     found = ReversibleFloquet(np.array([-0.5, 1e-4, 1e-12 + 0j]), np.array([1e-9, 1e-9, 1e-10]), 0.0, 2)
     slope = abs(np.diff([(np.sqrt(m) + np.sqrt(1 + m)) ** 4 for m in (1e-4, 1e-4 + 1e-9)])[0])
