@@ -52,6 +52,8 @@ def leaving_orbits(
         statement = forced_statement(model, turns * cycles, values, rotated)
     else:
         statement = closed_statement(model, guess, turns * period, values, rotated)
+    bounds, named = old.statement.bounds, {*statement.model.state_names, *statement.free} - {PERIOD}
+    statement = replace(statement, bounds={name: pair for name, pair in bounds.items() if name in named})
     sizes = Sizes(_floors(orbit), turns * orbit.problem.scalar_floors)
     periodic = replace(periodic, turns=rotated)
     space = BoundarySpace(

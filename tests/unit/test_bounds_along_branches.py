@@ -92,6 +92,18 @@ def test_a_bound_holds_along_orbits() -> None:
     ends_at_bound(orbit.follow("mu", 3.0), 1.44, "x comes to its upper bound 1.2", 1e-7)
 
 
+def test_a_bound_holds_on_the_orbits_that_leave_others() -> None:
+    """On the unit circle z' = p z - z^3: the orbits that leave at p = 0 have z = sqrt(p), on either side."""
+    z, r2 = ca.SX.sym("z"), X**2 + Y**2
+    rhs = ca.vertcat(X * (1 - r2) - 2 * Y, 2 * X + Y * (1 - r2), P * z - z**3)
+    model = OdeModel("leaving", ca.vertcat(X, Y, z), rhs, P)
+    guess = lambda t: [np.cos(2 * t), np.sin(2 * t), 0.0]  # noqa: E731
+    orbit = find_orbit(model, guess, np.pi, parameters={"p": -0.5}, bounds={"z": (-0.4, 0.5)})
+    (point,) = orbit.follow("p", 0.5, stability=True).special_points
+    ends_at_bound(point.follow("p", 1.0), 0.25, "z comes to its upper bound 0.5", 1e-7)
+    ends_at_bound(point.follow("p", 1.0, side=-1), 0.16, "z comes to its lower bound -0.4", 1e-7)
+
+
 def test_a_branch_that_ended_at_a_bound_is_read_back(tmp_path: Path) -> None:
     model = OdeModel("line", X, P + 0 * X, P)
     problem = BoundaryValueProblem(model, [model.start(X)], parameters={"p": 0.5}, bounds={"x": (-10.0, 1.0)})
