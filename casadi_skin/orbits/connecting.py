@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from casadi_skin.continuation.points import Point
     from casadi_skin.orbits.boundary_space import BoundarySpace
 
-DURATION = "duration"
+DURATION, TURN = "duration", "turn"  # of the field, which leaves its equilibria where they are (Duff 1953)
 INTERVALS = 60  # of the first mesh
 FINER = 1e-2  # of the tolerance of the orbits: that of the connecting orbit
 LEAST_TOLERANCE = 1e-11
@@ -67,22 +67,32 @@ class Connection:
     def solved(self, radius: float) -> tuple[float, float] | None:
         """The parameter and its estimated error, by a connecting orbit cut off at a distance from the equilibria.
 
-        Distances are relative to the extent of the orbit. NaN where the conditions do not determine the parameter; None
-        where no connecting orbit is found that is as near to the orbit as that.
+        Distances are relative to the extent of the orbit. NaN where a connecting orbit does not determine the
+        parameter: in conservative models, in invariant subspaces; None where none is found that is near to the orbit.
         """
         missing = self._undetermined
-        if missing not in (0, 1) or (missing and not self.free):
+        if missing not in (0, 1):
             return None
+        names = [name for name in (self.free, TURN) if name] if missing else [""]
+        for name in names:
+            found = self._unknown(radius, name)
+            if found is not None and name == self.space.parameter:
+                return found
+            if found is not None and (name != TURN or abs(found[0]) <= self.space.tolerance):
+                return np.nan, np.nan
+        return None
+
+    def _unknown(self, radius: float, name: str) -> tuple[float, float] | None:
+        """The value of what is solved for beside the states, and its estimated error; None where none is found."""
         start, end = self._times(radius)
-        statement = self._statement(radius, start, end, bool(missing))
+        statement = self._statement(radius, start, end, name)
         space = replace(
             self.space, statement=statement, tolerance=max(FINER * self.space.tolerance, LEAST_TOLERANCE),
             sizes=self._sizes(statement), periodic=None, parameter="", at=(), first=None, settings=None, leaves=False,
             left=None,
         )  # fmt: skip
         problem = space.levels.problem(INTERVALS)
-        z = self._guess(problem, statement, start, end)
-        problem = problem.placed(z, problem)
+        problem = problem.placed(self._guess(problem, statement, start, end), problem)
         z = self._guess(problem, statement, start, end)
         try:
             correction = space.levels.corrector(problem).correct(z, problem.parameter_row(), 0.0)
@@ -91,9 +101,9 @@ class Connection:
             point = refined(space.point_solver, problem, correction)
         except (BoundaryError, SingularError):
             return None
-        if not missing:
+        if not name:
             return np.nan, np.nan
-        place = list(statement.free).index(self.free)
+        place = list(statement.free).index(name)
         value = float(point.z[place - len(statement.free) - 1])
         return value, point.error.relative(1.0) * max(abs(value), float(space.sizes.scalars[place]))
 
@@ -119,19 +129,21 @@ class Connection:
         come = np.flatnonzero((times < 0.5 * (last.start + last.end)) & (away >= radius))
         return start, float(times[come[-1]])
 
-    def _statement(self, radius: float, start: float, end: float, determined: bool) -> Statement:
+    def _statement(self, radius: float, start: float, end: float, unknown: str) -> Statement:
         model = self.space.statement.model
         kind, count, n = type(model.state), int(model.parameters.numel()), model.full_size
         saddles = {
             k: side.rest for k, side in enumerate(self.sides) if isinstance(side, Stay) and not len(side.rest.centre)
         }
-        names = [DURATION, *(f"equilibrium_{k}_{name}" for k in saddles for name in model.state_names)]
+        names = [DURATION, TURN, *(f"equilibrium_{k}_{name}" for k in saddles for name in model.state_names)]
         p = kind.sym("p", count + len(names))
-        given, own = p[:count], p[count + 1 :]
+        given, own = p[:count], p[count + 2 :]
         places = {k: own[i * n : (i + 1) * n] for i, k in enumerate(saddles)}
-        nominal = [*self._values, end - start, *(float(v) for rest in saddles.values() for v in rest.x)]
+        nominal = [*self._values, end - start, 0.0, *(float(v) for rest in saddles.values() for v in rest.x)]
+        field = model.field_at(0.0, model.state, given)
+        field = field + p[count + 1] * (ca.DM(self._turning) @ field)
         larger = Extended(
-            model.name, model.state, model.field_at(0.0, model.state, given), p, nominal=tuple(nominal), checked=False,
+            model.name, model.state, field, p, nominal=tuple(nominal), checked=False,
             state_labels=model.state_names, parameter_labels=(*model.parameter_names, *names), inner=model,
         )  # fmt: skip
         conditions: list[Expression] = [model.field_at(0.0, place, given) for place in places.values()]
@@ -142,8 +154,16 @@ class Connection:
                 conditions.append(at[list(side.components)] - ca.DM(side.values))
             else:
                 conditions += _at_rest(side.rest, at - places.get(k, ca.DM(side.rest.x)), k == 0, radius, guess[k])
-        free = [*([self.free] if determined else []), *names]
+        kept = [name for name in names if name != TURN]
+        free = [unknown, *kept] if unknown else kept
         return TruncatedStatement(larger, [c for c in conditions if c.numel()], (), (0.0, p[count]), free=free)
+
+    @property
+    def _turning(self) -> Array:
+        """The directions into which the field is turned where the parameter does not break a connection."""
+        extent = self.course.extent
+        turned = np.random.default_rng(0).normal(size=(extent.size, extent.size))
+        return np.asarray(turned * extent[:, None] / extent)
 
     @property
     def _values(self) -> list[float]:

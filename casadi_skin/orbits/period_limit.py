@@ -70,7 +70,8 @@ def unbounded(space: BoundarySpace, before: Point, after: Point) -> Point | None
         return None
     if np.isnan(limit.parameter):
         limit = Limit(value, SAFETY * left * way, solved=False)
-    if abs(limit.parameter - value) > allowed * way or limit.error > SAFETY * allowed * way:
+    apart = abs(limit.parameter - value)  # the parameter of an orbit has an error as well
+    if apart > SAFETY * (allowed * way + space.tolerance * abs(value)) or limit.error > SAFETY * allowed * way:
         return None
     return _marked(space, after, limit, beside)
 

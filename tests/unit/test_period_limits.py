@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from equilibrium_models import lorenz, symbols
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 from test_rotating_orbits import ENERGY, E, current, pendulum, q, turn_time
 
 from casadi_skin import Branch, OdeModel, find_equilibrium, find_orbit
@@ -171,3 +172,47 @@ def test_cycles_in_the_plane_end_at_a_saddle_node() -> None:
     branch = start.follow("a", 0.5)
     ends_at(branch, "homoclinic", 1.0)
     assert "homoclinic to (x = 1, y = 0)" in branch.reason
+
+
+def test_the_whole_period_of_a_pendulum_ends_on_its_separatrix() -> None:
+    """Without the reversal its energy has an unfolding, whose value is no limit of E."""
+    period = turn_time(1.2)
+    orbit = find_orbit(
+        pendulum(), lambda t: [2.0 * np.pi * t / period, 1.6], period, parameters={"E": 1.2}, select=ENERGY - E,
+        rotations={"q": 1},
+    )  # fmt: skip
+    ends_at(orbit.follow("E", 0.5), "homoclinic", 1.0)
+
+
+def passes_left(p: float) -> bool:
+    """Whether the orbit that leaves the right saddle of prey without predators passes the left one on its left."""
+    field = lambda t, s: [3 * s[0] * (1 - s[0]) - s[0] * s[1] - p * (1 - np.exp(-5 * s[0])), s[1] * (3 * s[0] - 1)]  # noqa: E731
+    rest = lambda u: 3 * u * (1 - u) - p * (1 - np.exp(-5 * u))  # noqa: E731
+    left, right = brentq(rest, 0.05, 0.3, xtol=1e-15), brentq(rest, 0.5, 0.9, xtol=1e-15)
+    growth = 3 * right - 1
+    slope = 3 - 6 * right - 5 * p * np.exp(-5 * right)
+    gone = lambda t, s: s[0] - (left - 0.02)  # noqa: E731
+    back = lambda t, s: s[0] - (left + 0.02) if s[1] < 1e-2 else -1.0  # noqa: E731
+    gone.terminal = back.terminal = True  # type: ignore[attr-defined]
+    gone.direction, back.direction = -1.0, 1.0  # type: ignore[attr-defined]
+    start = [right - 1e-7 * right / (growth - slope), 1e-7]
+    run = solve_ivp(field, (0.0, 400.0), start, "DOP853", events=(gone, back), rtol=1e-12, atol=1e-14)
+    return bool(run.t_events[0].size)
+
+
+@pytest.mark.slow
+def test_cycles_that_end_at_saddles_on_an_invariant_line_are_named() -> None:
+    """AUTO-07p's demo `pp2`: one of two connections lies on the line without predators, at every p."""
+    u, v, p = symbols("u v p")
+    rhs = ca.vertcat(3 * u * (1 - u) - u * v - p * (1 - ca.exp(-5 * u)), -v + 3 * u * v)
+    branch = small_cycles(OdeModel("prey", ca.vertcat(u, v), rhs, p), [1 / 3, 1.9], "p", 0.05, 0.9)
+    end = branch.special_points[-1]
+    assert (end.kind, branch.end) == ("heteroclinic", End.UNBOUNDED)
+    assert end.error < 1e-8
+    low, high = 0.7080, 0.7082
+    side = passes_left(low)
+    assert passes_left(high) != side
+    while high - low > 1e-9:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if passes_left(middle) == side else (low, middle)
+    assert abs(end.parameters["p"] - low) <= end.error + 2e-8  # of shooting, which starts 1e-7 beside the saddle
