@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
 from casadi_skin.lattice.full_chain import ChainCoordinates, EdgeSite, FullChain
 from casadi_skin.methods import PAYS_FROM, TRIGONOMETRIC
-from casadi_skin.orbits.family_modes import check_alone
+from casadi_skin.orbits.family_modes import check_harmonics
 
 if TYPE_CHECKING:
     from casadi_skin.orbits.method import Method
@@ -49,7 +49,7 @@ def chain_coordinates(chain: Chain, mode: int | str, amplitude_max: float, metho
     if method.tail is None and not obstacle:
         eliminated = eliminated or chain.sites >= max(PAYS_FROM, PAYS * sites)
     if not eliminated:
-        check_alone(chain.linear_spectrum().squares, number, repr(chain), odd=True)
+        check_harmonics(chain.linear_spectrum().squares, number, repr(chain), odd=True)
         return FullChain(chain, number)
     from casadi_skin.lattice.core_with_tail import CoreWithTail  # here: short chains do not need it
 

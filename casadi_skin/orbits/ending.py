@@ -11,7 +11,7 @@ import numpy as np
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.continuation.points import End
 from casadi_skin.orbits.family import SLOW, Family
-from casadi_skin.orbits.family_modes import HIGHEST_HARMONIC, nearest_resonance
+from casadi_skin.orbits.family_modes import nearest_resonance
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
@@ -127,7 +127,7 @@ class Ending:
         return f"{words}; try {less}a period_max, a smaller amplitude_max, or {more}"
 
 
-def near_resonance(family: Family, within: float, highest: int = HIGHEST_HARMONIC) -> str:
+def near_resonance(family: Family, within: float) -> str:
     """The resonance of a family's linear mode with another one, within a relative distance, in words; empty without."""
     coordinates, request = family.coordinates, family.request
     try:
@@ -135,7 +135,7 @@ def near_resonance(family: Family, within: float, highest: int = HIGHEST_HARMONI
     except ValueError:
         return ""
     odd = family.symmetry is SymmetryClass.QUARTER
-    found = nearest_resonance(squares, coordinates.mode_number, odd, highest) if squares.size else None
+    found = nearest_resonance(squares, coordinates.mode_number, odd) if squares.size else None
     if found is None or found.off > within:
         return ""
     return f"; its linear mode is within {found.off:.1e} of {found.words}, where no family starts alone"

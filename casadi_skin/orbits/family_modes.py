@@ -83,16 +83,17 @@ class Resonance:
         return f"an internal resonance at harmonic {m} ({m} omega_{j} = omega_{k} = {self.omega:.10g})"
 
 
-def nearest_resonance(squares: Array, number: int, odd: bool, highest: int = HIGHEST_HARMONIC) -> Resonance | None:
-    """The nearest resonance of a mode with another one at a harmonic up to the highest; None where there is no other.
+def nearest_resonance(squares: Array, number: int, odd: bool, lowest: int = 1) -> Resonance | None:
+    """The nearest resonance of a mode with another one at a harmonic from the lowest on; None where there is no other.
 
     Arguments:
         squares: of the frequencies of all modes, ascending.
         number: of the mode, from 1.
         odd: whether forces are odd, so that orbits have odd harmonics alone.
-        highest: harmonic.
+        lowest: harmonic.
     """
-    harmonics = np.arange(1, highest + 1, 2 if odd else 1)
+    harmonics = np.arange(1, HIGHEST_HARMONIC + 1, 2 if odd else 1)
+    harmonics = harmonics[harmonics >= lowest]
     off = np.abs(squares - harmonics[:, None] ** 2 * squares[number - 1]) / np.max(np.abs(squares))
     off[:, number - 1] = np.inf
     if not np.isfinite(off).any():
@@ -105,7 +106,7 @@ def nearest_resonance(squares: Array, number: int, odd: bool, highest: int = HIG
 def check_alone(squares: Array, number: int, name: str, odd: bool) -> None:
     """Raises ValueError for a mode that does not oscillate, or has no family alone: it is in resonance with another.
 
-    Arguments are those of `nearest_resonance`, and the `name` of the model.
+    Arguments are those of `check_harmonics`.
     """
     square, same = squares[number - 1], SIMPLE * np.max(np.abs(squares))
     if square <= same:
@@ -121,7 +122,15 @@ def check_alone(squares: Array, number: int, name: str, odd: bool) -> None:
             f"mode: {words}: no family belongs to one of them alone, a 1:1 resonance; accepted: a mode with a frequency"
             f" of its own: {listed or 'there is none'}"
         )
-    found = nearest_resonance(squares, number, odd)
+    check_harmonics(squares, number, name, odd)
+
+
+def check_harmonics(squares: Array, number: int, name: str, odd: bool) -> None:
+    """Raises ValueError for a mode a harmonic of which is in resonance with another mode.
+
+    Arguments are those of `nearest_resonance`, and the `name` of the model.
+    """
+    found = nearest_resonance(squares, number, odd, lowest=2)
     if found is not None and found.off <= SIMPLE:
         words = f"mode {found.other} of {name} has {found.harmonic} times the frequency of mode {number}, {found.words}"
         accepted = "a mode without such a resonance, or other values of parameters"
