@@ -17,7 +17,7 @@ flint = pytest.importorskip("flint")
 
 from casadi_skin.certify import balls  # noqa: E402
 from casadi_skin.certify.attempt import attempt_of, computed_series, cosine_coefficients, distance  # noqa: E402
-from casadi_skin.certify.bounds import Constants, FiniteInverse, holds, proved_radius  # noqa: E402
+from casadi_skin.certify.bounds import Constants, FiniteInverse, holds, proved_radius, uniqueness_radius  # noqa: E402
 from casadi_skin.certify.certify import step_of  # noqa: E402
 from casadi_skin.certify.cosine_system import CosineSeries  # noqa: E402
 from casadi_skin.certify.model_terms import system_of  # noqa: E402
@@ -429,6 +429,42 @@ def test_conditions_of_the_theorem():
     assert not holds(Constants(1e-10, 0.1, 10.0, 1e-3), 0.1)  # no contraction
     assert not holds(Constants(1e-10, 0.1, 1.0, 1e-3), 2e-3)  # beyond what W is a bound for
     assert not holds(Constants(float("nan"), 0.1, 1.0, 1e-3), 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("Y", "Z", "W", "held"),
+    [
+        (0.375, 0.0, 1.0, True),  # Y + W r^2/2 = r, in numbers that doubles hold
+        (0.376, 0.0, 1.0, False),
+        (0.4, 0.0, 1.0, False),
+        (0.1, 0.5, 1.0, False),  # Z + W r = 1
+        (0.1, 0.25, 1.0, True),
+        (0.3, 0.5, 0.0, False),
+        (0.25, 0.5, 0.0, True),
+    ],
+)
+def test_conditions_are_those_of_the_theorem_at_their_limits(Y, Z, W, held):
+    """At the radius 1/2: Y + Z/2 + W/8 <= 1/2 and Z + W/2 < 1."""
+    assert holds(Constants(Y, Z, W, 1.0), 0.5) is held
+    assert not holds(Constants(Y, Z, W, 0.25), 0.5)
+    assert not holds(Constants(-1.0, Z, W, 1.0), 0.0)
+
+
+def test_the_radius_of_uniqueness_is_the_largest_trial_that_holds():
+    """At W = 3/2 the radius 1 is no contraction, 1/2 is one; from 0.6 on there is no larger one."""
+    constants = Constants(0.01, 0.0, 1.5, 1.0)
+    assert uniqueness_radius(constants, 0.02) == 0.5
+    assert uniqueness_radius(constants, 0.6) == 0.6
+    assert uniqueness_radius(replace(constants, W=0.5), 0.02) == 1.0
+    assert uniqueness_radius(replace(constants, reach=0.25), 0.02) == 0.25
+
+
+@pytest.mark.parametrize(("Y", "Z", "W"), [(0.01, 0.25, 2.0), (1e-9, 0.1, 1e4), (0.1, 0.0, 4.9)])
+def test_the_proved_radius_is_the_smaller_root(Y, Z, W):
+    """Of Y + (Z - 1) r + W r^2/2."""
+    roots = np.roots([W / 2, Z - 1.0, Y])
+    assert proved_radius(Constants(Y, Z, W, 1.0)) == pytest.approx(min(roots), rel=3e-9)
+    assert proved_radius(Constants(Y, Z, 1.001 * (1 - Z) ** 2 / (2 * Y), 1.0)) is None
 
 
 # What is not proved, and refused --------------------------------------------------------------------------------------

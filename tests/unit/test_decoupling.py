@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.polynomial import chebyshev as chebyshev_polynomial
 from numpy.polynomial.chebyshev import chebroots
 
 from casadi_skin.native.decoupling import decoupling_kernel
@@ -227,3 +228,15 @@ def test_a_zero_on_the_border_of_two_parts_is_one(place: float) -> None:
     for i in (1, 2):
         assert x[of == i] == pytest.approx(place, abs=1e-4)
         assert np.count_nonzero(of == i) >= 1
+
+
+@pytest.mark.parametrize("end", [-1.0, 1.0])
+def test_a_zero_beyond_the_end_by_rounding_alone_is_at_the_end(end: float) -> None:
+    """Of x - place and, by eigenvalues, of (x - place)(x^2 + 0.1): no place is outside of [-1, 1]."""
+    place = end * (1.0 + 0.5 * chebyshev.SLACK)
+    coefficients = np.zeros((17, 2))
+    coefficients[:2, 0] = -place, 1.0
+    coefficients[:4, 1] = chebyshev_polynomial.poly2cheb([-0.1 * place, 0.1, -place, 1.0])
+    of, x, crosses = chebyshev.real_zeros(coefficients)
+    assert x[crosses].tolist() == [end, end]
+    assert sorted(of[crosses].tolist()) == [0, 1]
