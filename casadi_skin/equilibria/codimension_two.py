@@ -181,16 +181,15 @@ def _quadratic(space: Followed, reference: Point) -> Test:
     statics, sizes, n = space.equations.statics, space.equations.sizes, space.equations.statics.size
 
     def left(point: Point) -> Array:
-        return _null_space(point).left[:, -1]
+        psi = _null_space(point).left[:, -1]
+        return np.asarray(psi / np.linalg.norm(psi))
 
     first = left(reference)
 
     def test(point: Point) -> float:
         problem, psi, v = cast(ExtendedSystem, point.problem), left(point), sizes * point.z[n : 2 * n]
         curved = statics.second(problem.state(point.z), problem.parameters(point.z), v, v).real / sizes
-        units = problem.units(point.z)
-        psi = psi / np.linalg.norm(psi * units)
-        return float(psi @ curved) * float(np.sign((psi * units) @ (first * units)))
+        return float(psi @ curved) * float(np.sign(psi @ first))
 
     return test
 
@@ -200,17 +199,17 @@ def _branching(space: Followed, reference: Point) -> tuple[str, Test]:
     statics, sizes, n = space.equations.statics, space.equations.sizes, space.equations.statics.size
 
     def null_vector(point: Point) -> Array:
-        return _null_space(point).right[:, -1]
+        v = _null_space(point).right[:, -1]
+        return np.asarray(v / np.linalg.norm(v))
 
     first = null_vector(reference)
 
     def terms(point: Point) -> tuple[Array, Array]:
         problem, psi, v = cast(ExtendedSystem, point.problem), point.z[n : 2 * n], null_vector(point)
-        units = problem.units(point.z)
-        v = v * np.sign((v / units) @ (first / units)) / np.linalg.norm(v / units)
+        v = v * np.sign(v @ first)
         A, (x, p) = jacobian_of(problem, point.z), (problem.state(point.z), problem.parameters(point.z))
         twice = statics.second(x, p, sizes * v, sizes * v).real / sizes
-        closed = np.block([[A, (psi * units**2)[:, None]], [(v / units**2)[None, :], np.zeros((1, 1))]])
+        closed = np.block([[A, psi[:, None]], [v[None, :], np.zeros((1, 1))]])
         bent = sizes * np.linalg.solve(closed, np.append(-twice, 0.0))[:-1]
         thrice = statics.third(x, p, sizes * v, sizes * v, sizes * v).real / sizes
         curved = statics.second(x, p, sizes * v, bent).real / sizes
@@ -224,9 +223,9 @@ def _branching(space: Followed, reference: Point) -> tuple[str, Test]:
 
 
 def _null_space(point: Point) -> NullSpace:
-    """Null vectors of dF/dy."""
+    """Null vectors of dF/dy, in the sizes of the branch: tests along it have one scale."""
     problem = cast(ExtendedSystem, point.problem)
-    return NullSpace.of(jacobian_of(problem, point.z), problem.units(point.z), problem.statics.model.rounding)
+    return NullSpace.of(jacobian_of(problem, point.z), np.ones(problem.statics.size), problem.statics.model.rounding)
 
 
 def _kappa(point: Point) -> float:

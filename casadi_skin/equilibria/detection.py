@@ -10,11 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from casadi_skin.continuation.points import Point
 from casadi_skin.equilibria.equations import EquilibriumEquations
+from casadi_skin.equilibria.ledger import counted
 from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF, Located, locate
 from casadi_skin.equilibria.search import EquilibriumSearch
 from casadi_skin.equilibria.stretch import Signs, Stretch, crossings, height
@@ -23,6 +25,8 @@ from casadi_skin.unresolved import Unresolved
 
 TOGETHER = 4  # divisions after which a fold and a branch point that cannot be separated are one
 BISECTIONS = 40
+SHARP = 0.5  # cosine of the turn between two points: a step turns by less
+RECOUNTS = 3  # divisions of a stretch where special points do not account for eigenvalues
 SAME = 1e-9  # of a step or of a frequency
 BESIDE = 0.7  # of a stretch: how far from where it is expected a special point may be found
 
@@ -39,9 +43,47 @@ class Found:
 def special_between(equations: EquilibriumEquations, before: Point, after: Point) -> Iterator[Point | Unresolved]:
     """Special points between two points of a branch in order, each marked by its kind, and parts not resolved.
 
-    Where several lie too near to each other to be separated, they are all at the start of the part that is named.
+    Where several lie too near to each other to be separated, they are all at the start of the part that is named. The
+    stretch is divided where the number of unstable eigenvalues differs along it, or the special points do not account
+    for it; what stays is named.
     """
+    search = _Search(equations, before, after)
+    counts = counted(equations, before, after) if search.free else None
+    if counts is None:
+        yield from search.between(before, after)
+        if search.free:
+            yield _gap(equations, before.parameter, after.parameter, "the branch is not found between two points")
+        return
+    places = counts.cuts
+    for _ in range(RECOUNTS):
+        parts = pairwise((before, *counts.points(equations, places), after))
+        found = [one for ends in parts for one in _between(equations, *ends)]
+        events = [point for point in found if isinstance(point, Point)]
+        missing = None if len(events) < len(found) else counts.violation(events)
+        if missing is None:
+            break
+        places = sorted({*places, *missing})
+    yield from found
+    if missing is not None:
+        numbers = " to ".join(str(counts.least[k]) for k in missing)
+        words = f"the number of unstable eigenvalues goes from {numbers}, and no special point accounts for it"
+        start, end = (float(counts.unknowns[k, -1]) for k in missing)
+        yield _gap(equations, start, end, words)
+
+
+def _between(equations: EquilibriumEquations, before: Point, after: Point) -> Iterator[Point | Unresolved]:
+    """Special points of a part; it is named where the branch turns by so much that no curve through its ends is it."""
+    if float(equations.sample(before).row @ after.tangent) < SHARP:
+        yield _gap(equations, before.parameter, after.parameter, "the branch turns sharply between two points")
+        return
     yield from _Search(equations, before, after).between(before, after)
+
+
+def _gap(equations: EquilibriumEquations, start: float, end: float, words: str) -> Unresolved:
+    """The record of a stretch by its places along the course of the parameter."""
+    assert equations.course is not None
+    low, high = (float(equations.course.at(u)) for u in (start, end))
+    return Unresolved(low, high, words, "special points", equations.parameter)
 
 
 class _Search(EquilibriumSearch):

@@ -184,8 +184,11 @@ class AlgebraicProblem(Problem):
         return float(np.max(np.abs(step[:n]) / np.maximum(np.abs(z[:n]), SMALLEST)))
 
     def metric(self, z: Array, parameter_scale: float) -> Array:
-        """Diagonal of the mean of |dy|^2 by the units at z, and of the scalars; little of what is beside these."""
-        weights, n = self.units_of_all(z) ** -2.0, self.statics.size
+        """Diagonal of the mean of |dy|^2 relative to the sizes, and of the scalars; little of what is beside these.
+
+        A balanced unit at z is none for a length: it vanishes where eigenvectors meet, as at a Bogdanov-Takens point.
+        """
+        weights, n = np.maximum(np.abs(z), 1.0) ** -2.0, self.statics.size
         weights[:n] /= n
         weights[n : self.states] *= BESIDE**2 / max(self.others, 1)
         weights[-1] = parameter_scale**-2.0

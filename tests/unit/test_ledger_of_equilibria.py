@@ -1,0 +1,80 @@
+"""The special points of a branch of equilibria account for the number of unstable eigenvalues along it."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from equilibrium_models import symbols
+
+from casadi_skin import OdeModel, find_equilibrium
+from casadi_skin.equilibria import detection
+
+
+def bump(place: float, shape: str, moves: bool = False) -> OdeModel:
+    """A pair that is unstable for |p - place| < 0.001 alone, by a bell 0.001 wide; the state `moves` by it, or not."""
+    x, y, z, p = symbols("x y z p")
+    s = (p - place) / 1e-3
+    bell, edge = (ca.exp(-(s**2)), np.exp(-1.0)) if shape == "gaussian" else (1 / (1 + s**2), 0.5)
+    growth = (z if moves else bell) - edge
+    r2 = x**2 + y**2
+    rhs = ca.vertcat(growth * x - 2 * y - x * r2, 2 * x + growth * y - y * r2, (bell if moves else 0) - z)
+    return OdeModel("bump", ca.vertcat(x, y, z), rhs, p)
+
+
+@pytest.mark.parametrize("shape", ["gaussian", "lorentzian"])
+def test_both_hopf_points_of_a_narrow_bump_are_found_at_any_place(shape: str) -> None:
+    """Closed form: place -+ 0.001; between points of the branch nothing else shows them."""
+    for place in np.random.default_rng(7).uniform(0.02, 0.98, 3):
+        branch = find_equilibrium(bump(place, shape), [0.0, 0.0, 0.0], parameters={"p": 0.0}).follow("p", 1.0)
+        points = branch.special_points
+        assert [point.kind for point in points] == ["hopf", "hopf"], place
+        np.testing.assert_allclose([point.parameters["p"] for point in points], [place - 1e-3, place + 1e-3], atol=1e-9)
+        assert branch.unresolved == ()
+
+
+def test_where_the_state_has_the_bump_both_are_found_or_the_stretch_is_named() -> None:
+    for place in np.random.default_rng(8).uniform(0.02, 0.98, 3):
+        model = bump(place, "gaussian", moves=True)
+        branch = find_equilibrium(model, [0.0, 0.0, 0.0], parameters={"p": 0.0}).follow("p", 1.0)
+        assert {point.kind for point in branch.special_points} <= {"hopf"}
+        gaps = [gap for gap in branch.unresolved if gap.start <= place + 1e-3 and gap.end >= place - 1e-3]
+        assert gaps or [point.kind for point in branch.special_points] == ["hopf", "hopf"]
+
+
+def test_a_stretch_that_special_points_do_not_account_for_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the search finds nothing, the stretch on which the number of unstable eigenvalues differs is there."""
+    x, y, p = symbols("x y p")
+    r2 = x**2 + y**2
+    model = OdeModel("hopf", ca.vertcat(x, y), ca.vertcat(p * x - y - x * r2, x + p * y - y * r2), p)
+    monkeypatch.setattr(detection._Search, "found", lambda *_: ())
+    branch = find_equilibrium(model, [0.0, 0.0], parameters={"p": -1.0}).follow("p", 1.2)
+    assert branch.special_points == ()
+    (stretch,) = branch.unresolved
+    assert stretch.start <= 0.0 <= stretch.end
+    assert stretch.end - stretch.start < 0.05
+    assert stretch.reason == "the number of unstable eigenvalues goes from 0 to 2, and no special point accounts for it"
+    assert "unresolved: 1 stretch;" in repr(branch)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12))
+def test_pairs_that_come_and_go_at_random_are_all_listed(seed: int) -> None:
+    """Growth rates by random cosines of several frequencies against their roots on 20,000 values."""
+    random = np.random.default_rng(seed)
+    p = ca.SX.sym("p")
+    x = ca.SX.sym("x", 4)
+    values, rows, roots = np.linspace(0.0, 1.0, 20_001), [], []
+    for k in range(2):
+        frequencies, phases, heights = random.uniform(5.0, 120.0, 4), random.uniform(0.0, 6.3, 4), random.normal(size=4)
+        growth = sum(h * ca.cos(f * p + a) for f, a, h in zip(frequencies, phases, heights, strict=True))
+        u, v = x[2 * k], x[2 * k + 1]
+        rows += [growth * u - (3 + k) * v - u * (u**2 + v**2), (3 + k) * u + growth * v - v * (u**2 + v**2)]
+        exact = np.sum(heights * np.cos(frequencies * values[:, None] + phases), axis=1)
+        roots += list(values[1:][exact[1:] * exact[:-1] < 0.0])
+    model = OdeModel("cosines", x, ca.vertcat(*rows), p)
+    branch = find_equilibrium(model, np.zeros(4), parameters={"p": 0.0}).follow("p", 1.0)
+    assert {point.kind for point in branch.special_points} == {"hopf"}
+    found = [point.parameters["p"] for point in branch.special_points]
+    np.testing.assert_allclose(sorted(found), np.sort(roots), atol=5.1e-5)
+    assert branch.unresolved == ()
