@@ -155,7 +155,7 @@ def test_where_two_branches_cross_the_digits_are_those_of_bessel_functions() -> 
     model = OdeModel("growing", ca.vertcat(u, v, w, x, y), rows, p)
     held = [end(one) for one in (u, w) for end in (model.start, model.end)]
     problem = BoundaryValueProblem(model, [*held, model.start(y) - 1], parameters={"p": 0.5})
-    points = problem.solve([0.0, 0.0, 0.0, 0.0, 1.0]).follow("p", 1.2).special_points
+    points = problem.solve([0.0, 0.0, 0.0, 0.0, 1.0], tolerance=1e-10).follow("p", 1.2).special_points
 
     def crossed(value: float) -> float:
         a, b = np.pi, np.pi * np.exp(value)
