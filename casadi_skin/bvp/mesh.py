@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FLOOR = 0.2  # of the mean density: no interval is longer than 1/FLOOR mean ones
+ON_EDGE = 1e-14  # of the whole: distance of a place from an edge that is rounding
 NEIGHBOURS = 2.0  # largest ratio of the lengths of neighbouring intervals, about
 
 
@@ -80,6 +81,23 @@ def imbalance(lengths: Array, wanted: Array) -> float:
     """Largest over mean part of the density that an interval holds; 1 where it is spread evenly."""
     parts = lengths * wanted
     return float(np.max(parts) / np.mean(parts))
+
+
+def with_edges(lengths: Array, places: Array) -> Array:
+    """The mesh moved so that an edge is at each of the places, in ascending order between 0 and 1.
+
+    As it is where they are edges already, or are more than there are edges between the intervals.
+    """
+    ends, inner = edges(lengths), lengths.size - 1
+    nearest = np.interp(places, ends, np.arange(ends.size))
+    if places.size > inner or not places.size or np.all(np.abs(ends[np.round(nearest).astype(int)] - places) < ON_EDGE):
+        return lengths
+    order = np.arange(places.size)
+    chosen = np.maximum.accumulate(np.round(nearest) - order) + order  # each place its own edge
+    last = inner - places.size + 1 + order
+    chosen = np.clip(np.minimum(chosen, last), 1 + order, last).astype(int)
+    fixed = np.concatenate([[0], chosen, [lengths.size]])
+    return np.diff(np.interp(ends, ends[fixed], np.concatenate([[0.0], places, [1.0]])))
 
 
 def resampled(lengths: Array, intervals: int) -> Array:

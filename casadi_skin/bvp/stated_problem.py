@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Self
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.arguments import cut
+from casadi_skin.bvp import mesh
 from casadi_skin.bvp.butcher import CollocationTable
 from casadi_skin.bvp.collocation import CollocationEquations
 from casadi_skin.bvp.formulation import Formulation
@@ -43,6 +45,10 @@ class BoundaryProblem(CollocationEquations):
         self.statement, self.walking, self.end = statement, walking, end
         self.floors, self.scalar_floors = floors, scalar_floors
         self._discretise(formulation, intervals, table, statement.constants(walking, end))
+        self.constants = mesh.with_edges(self.constants, statement.switching)
+
+    def with_constants(self, constants: Array) -> Self:
+        return super().with_constants(mesh.with_edges(constants, self.statement.switching))
 
     def index_of(self, scalar: Scalar) -> int:
         """Place of u among the unknowns; of the unknown period of an orbit, which stands for Omega."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
-from functools import cached_property
+from functools import cached_property, wraps
+from inspect import Parameter, signature
 from numbers import Real
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -21,6 +22,30 @@ from casadi_skin.models.ode import OdeModel
 Bounds = Mapping[str, tuple[float, float]]
 
 
+Kind = TypeVar("Kind")
+
+
+def arguments_once(cls: type[Kind]) -> type[Kind]:
+    """The class, which refuses arguments that are given both in order and by name, and those in order that are none."""
+    made: Any = cls.__init__
+    names = [name for name, entry in signature(made).parameters.items() if entry.kind is not Parameter.KEYWORD_ONLY][1:]
+
+    @wraps(made)
+    def once(self: Any, *given: Any, **named: Any) -> None:
+        for place, (name, value) in enumerate(zip(names, given, strict=False), start=1):
+            if name in named:
+                twice = f"{short_repr(value)} as argument {place} and {short_repr(named[name])} by name"
+                raise TypeError(f"{name}: given twice, {twice}; accepted: once")
+        if len(given) > len(names):
+            more = short_repr(given[len(names)])
+            raise TypeError(f"arguments: given {more} as number {len(names) + 1}; accepted: {', '.join(names)}")
+        made(self, *given, **named)
+
+    setattr(cls, "__init__", once)  # noqa: B010  mypy takes no method for another
+    return cls
+
+
+@arguments_once
 @dataclass(frozen=True, eq=False)
 class Statement:
     """x' = f(t, x, p) on an interval, with `conditions` and `integrals` that vanish and parameters that are `free`.
@@ -70,6 +95,9 @@ class Statement:
             raise TypeError(f"free: given {short_repr(self.free)}; accepted: a list of names of parameters")
         object.__setattr__(self, "parameters", by_name("parameters", self.parameters))
         object.__setattr__(self, "bounds", by_name("bounds", self.bounds, "(lower, upper)"))
+        if _is_interval(self.integrals):
+            accepted = "expressions in t, x and the parameters; the interval is argument 4, or interval=(start, end)"
+            raise TypeError(f"integrals: given {short_repr(self.integrals)}, two numbers; accepted: {accepted}")
         if not isinstance(self.interval, list | tuple) or len(self.interval) != 2:
             raise TypeError(f"interval: given {short_repr(self.interval)}; accepted: (start, end)")
         for end in self.interval:
@@ -179,6 +207,12 @@ class Statement:
         return float(start), float(end)
 
     @cached_property
+    def switching(self) -> Array:
+        """Fractions of the interval at which the equations switch by time alone: edges of every mesh."""
+        p = np.array(list(self.values.values()))
+        return self.model.jumps.times(*self.span(p), p)
+
+    @cached_property
     def _formulations(self) -> dict[str | None, Formulation]:
         return {}
 
@@ -261,10 +295,17 @@ class Statement:
         """The same problem at other values of parameters; functions built for one serve all."""
         _ = self._formulations  # shared by the copy
         other = copy.copy(self)
-        other.__dict__.pop("values", None)
+        for name in ("values", "switching"):
+            other.__dict__.pop(name, None)
         object.__setattr__(other, "parameters", by_name("parameters", {**self.parameters, **values}))
         other._check_values()
         return other
+
+
+def _is_interval(given: object) -> bool:
+    """Whether this is a pair of numbers, as an interval is and no list of integrals."""
+    numbers = isinstance(given, list | tuple | np.ndarray) and len(given) == 2
+    return numbers and all(isinstance(end, Real) for end in given)  # type: ignore[attr-defined]
 
 
 def named_values(model: OdeModel, given: Mapping[str, float] | None) -> dict[str, float]:

@@ -97,6 +97,7 @@ class End(Enum):
     ZERO_HOPF = "the cycles shrink to an equilibrium at a zero-Hopf point"
     RESONANCE_ONE = "the tori end at a 1:1 resonance"
     RESONANCE_TWO = "the tori end at a 1:2 resonance"
+    JUMP = "the equations jump there"
     POINTS = "the limit on the number of points was reached"
     TIME = "the time limit is over"
     STILL = "the parameter no longer changes in double precision while the solution does"

@@ -17,6 +17,7 @@ from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.problem import sizes_at, sizes_of
 from casadi_skin.equilibria.space import EquilibriumError, EquilibriumSpace
 from casadi_skin.equilibria.statics import Statics
+from casadi_skin.models.jumps import JumpError
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.solvers.corrector import Correction
 from casadi_skin.threads import one_thread
@@ -70,7 +71,7 @@ def find_equilibrium(
     model = statics.model
     _check(tolerance, corrector)
     start = positions_of(model, guess)
-    with one_thread():
+    with one_thread(), np.errstate(all="ignore"):  # of equations that are not finite somewhere
         if transient is None:
             return _near(EquilibriumSpace(statics, float(tolerance), corrector, sizes_of([start])), start)
         return _settled(statics, start, number("transient", transient), float(tolerance), corrector)
@@ -172,11 +173,30 @@ def _near(space: EquilibriumSpace, start: Array, second: bool = True) -> Equilib
         correct = space.levels.corrector(problem) if name == space.corrector else None
         correction: Correction = (correct or corrector_of(name, space.tolerance, problem)).correct(z, row, 0.0)
         if correction.converged and np.all(np.isfinite(correction.z)):
-            found = Equilibrium(space, space.refined(correction))
+            point = space.refined(correction)
+            words = space.jump(point)
+            if words:
+                raise JumpError(space.model.name, f"{words}, at the equilibrium")
+            found = Equilibrium(space, point)
             return found if not second else _in_own_units(found)
         worst = problem.worst(correction.z if np.all(np.isfinite(correction.z)) else z)
         failures.append(f"{name}: {correction.status.value}; {worst}")
-    raise EquilibriumError(f"{space.model.name}: no equilibrium near the guess: {failures[0]}")
+    full = np.concatenate([start, np.zeros(space.model.full_size - start.size)])
+    reach = np.maximum(np.abs(full), np.resize(space.sizes, full.size))
+    p = problem.parameters(z)
+    words, jumps = _not_finite(space.model, full, p) or failures[0], space.model.jumps.beside(full, p, reach)
+    more = f"; beside the guess {jumps}" if jumps else ""
+    raise EquilibriumError(f"{space.model.name}: no equilibrium near the guess: {words}{more}")
+
+
+def _not_finite(model: OdeModel, state: Array, parameters: Array) -> str:
+    """The equation that is not finite at a guess; empty where all are."""
+    rates = np.array(model.vector_field(0.0, state, parameters)).ravel()
+    if np.all(np.isfinite(rates)):
+        return ""
+    name = model.state_names[int(np.argmax(~np.isfinite(rates)))]
+    at = ", ".join(f"{k} = {x:.6g}" for k, x in zip(model.state_names, state, strict=True))
+    return f"the equation of {name} is not finite at the guess, with {at}"
 
 
 def _in_own_units(found: Equilibrium) -> Equilibrium:

@@ -9,7 +9,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Indices, Scalar, SingularError
+from casadi_skin.bvp.problem import Array, Indices, Scalar, SingularError
 from casadi_skin.continuation.arclength import ArclengthContinuation
 from casadi_skin.continuation.points import Continuation, ContinuationSettings, End, Point, Target
 from casadi_skin.equilibria.detection import special_between
@@ -17,6 +17,7 @@ from casadi_skin.equilibria.equations import EquilibriumEquations
 from casadi_skin.equilibria.equilibrium import Equilibrium
 from casadi_skin.equilibria.problem import AlgebraicProblem, Course, sizes_at
 from casadi_skin.equilibria.statics import Spectrum, Statics
+from casadi_skin.models.jumps import PARAMETER, STATE
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.result import NoQuantityError
 from casadi_skin.solvers.corrector import Correction
@@ -25,6 +26,7 @@ from casadi_skin.stability.result import Floquet
 from casadi_skin.unresolved import Unresolved
 
 NO_ORBIT = "an equilibrium is no orbit: it has eigenvalues in place of multipliers, and no period"
+AT_JUMP = 1e-6  # of the sizes of states: distance of an equilibrium from a jump at which it counts as on it
 BESIDE = 0.01  # of a step from a special point: where the search for other ones starts
 
 
@@ -132,7 +134,25 @@ class EquilibriumSpace(EquilibriumEquations):
         return requested[u] if u in requested else float(self.course.at(u))
 
     def stop(self, point: Point) -> tuple[End | None, str]:
-        return None, ""
+        """JUMP where the equations jump at the point, or between the start of the branch and the point."""
+        jumps = self.model.jumps
+        if not jumps.found:
+            return None, ""
+        (x, p), (y, q) = map(self._place, (self.start, point))
+        words = self.jump(point) or jumps.along(np.zeros(2), np.array([x, y]), np.array([p, q]), STATE | PARAMETER)
+        return (End.JUMP if words else None), words
+
+    def jump(self, point: Point) -> str:
+        """That the equations jump at an equilibrium, with the equation; empty where they do not."""
+        x, p = self._place(point)
+        sizes = np.resize(self.sizes, x.size)  # those of velocities are not known: the positions' stand for them
+        return self.model.jumps.beside(x, p, AT_JUMP * np.maximum(np.abs(x), sizes))
+
+    def _place(self, point: Point) -> tuple[Array, Array]:
+        """The state of first order and the parameters of a point."""
+        assert isinstance(point.problem, AlgebraicProblem)
+        y = point.problem.state(point.z)
+        return np.concatenate([y, np.zeros(self.model.full_size - y.size)]), point.problem.parameters(point.z)
 
     # Values ---------------------------------------------------------------------------------------------------------
 

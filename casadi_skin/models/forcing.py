@@ -11,6 +11,7 @@ from casadi_skin.models.equations import Array, Equations
 
 SAME = 1e-7  # of the largest rate
 COMPARED = 7  # places of a motion
+BESIDE = 0.382  # of the way between two places: forces like sign(sin t) jump at simple parts of the period
 
 
 class Motion(Protocol):
@@ -31,7 +32,7 @@ def check_forcing_period(model: Equations, motion: Motion, length: float, parame
     """
     p = [parameters[name] for name in model.parameter_names]
     period, field = model.forcing_period_at(p), model.function("field", model.full_rhs)
-    times = np.linspace(0.0, length, COMPARED + 1)[:-1]
+    times = length * (np.arange(COMPARED) + BESIDE) / COMPARED
     for t, x in zip(times, motion.evaluate(times), strict=True):
         now, later = (np.array(field(at, x, p)).ravel() for at in (t, t + period))
         if np.max(np.abs(later - now)) > SAME * (1.0 + np.max(np.abs(now))):  # not so where one is no number

@@ -13,6 +13,7 @@ import casadi as ca
 from casadi_skin.models.declarations import check_declarations, declarations
 from casadi_skin.models.equations import Equations
 from casadi_skin.models.expressions import Expression
+from casadi_skin.models.jumps import Jumps
 from casadi_skin.models.symmetries import check_symmetries
 
 EPSILON = sys.float_info.epsilon
@@ -63,6 +64,11 @@ class OdeModel(Equations):
     def vector_field(self) -> ca.Function:
         """Function (t, x, p) -> dense time derivative of the first-order state x."""
         return self.function("field", ca.densify(self.full_rhs))
+
+    @cached_property
+    def jumps(self) -> Jumps:
+        """Where the right-hand side jumps."""
+        return Jumps(self)
 
     def field_at(self, time: Any, state: Any, parameters: Any) -> Expression:
         """The vector field at expressions, written out: derivatives that are not used do not enter a program."""

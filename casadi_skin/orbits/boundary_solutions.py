@@ -14,12 +14,14 @@ import numpy as np
 
 from casadi_skin import methods
 from casadi_skin.arguments import check_name
+from casadi_skin.bvp import mesh
 from casadi_skin.bvp.problem import Array, Indices, Problem, SingularError
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.bvp.symmetry import SymmetryClass, unfolded_phases
 from casadi_skin.continuation.points import Point
 from casadi_skin.integrators.trajectory import IntegrationError
+from casadi_skin.models.jumps import STATE, TIME, JumpError
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.boundary_choices import Periodic, Sizes
 from casadi_skin.orbits.closure import Closure, closure_of
@@ -36,6 +38,8 @@ from casadi_skin.stability.full_period import Closed
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
 
+OFF_EDGE = 1e-10  # of the interval: distance of a jump in time from an edge of the mesh that counts
+PER_STAGE = 4  # places a stage at which a solution is looked at for jumps
 ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
 
 
@@ -110,6 +114,30 @@ class BoundarySolutions(ABC):
         """Start and end of the part that is unknown."""
         return self.statement.span(np.array(list(self.parameters(point).values())))
 
+    def jump(self, point: Point) -> str:
+        """That the equations jump along a solution, with the equation; empty where they do not.
+
+        A jump in time alone counts where no edge of the mesh is at it: between edges its error shows nowhere.
+        """
+        jumps, problem = self.model.jumps, point.problem
+        if not jumps.found:
+            return ""
+        assert isinstance(problem, BoundaryProblem)
+        (start, end), values = self.span(point), self.parameters(point)
+        model = jumps.model  # without parameters that are added to make its orbits isolated
+        p = np.array([values[name] for name in model.parameter_names])
+
+        def words(fractions: Array, by: int) -> str:
+            states = problem.sample(point.z, fractions)[:, : model.full_size]
+            return jumps.along(start + fractions * (end - start), states, p, by)
+
+        places, edges = problem._fractions(), mesh.edges(problem.constants)
+        at = np.arange(PER_STAGE * (places.size - 1) + 1) / PER_STAGE
+        found = words(np.interp(at, np.arange(places.size), places), STATE)
+        off = [t for t in jumps.times(start, end, p) if np.min(np.abs(edges - t)) > OFF_EDGE]
+        moved = (words(np.array([t - OFF_EDGE, t + OFF_EDGE]), TIME) for t in off)
+        return found or next((f"{w}, in time beside the edges of the mesh" for w in moved if w), "")
+
     # Orbits ---------------------------------------------------------------------------------------------------------
 
     @property
@@ -158,6 +186,10 @@ class BoundarySolutions(ABC):
         """
         name = str(self.method.flow) if by is None else by
         check_name("by", name, methods.FULL_PERIOD_FLOWS)
+        for words in filter(None, map(self.jump, points)):
+            raise JumpError(
+                self.model.name, f"{words}, along the orbit, where linearised equations have no multipliers"
+            )
         if self.closure is not None and by not in (None, "collocation"):
             raise ValueError(f"by: given {by!r} with a boundary-value problem; accepted: collocation")
         try:

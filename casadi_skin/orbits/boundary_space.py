@@ -240,6 +240,9 @@ class BoundarySpace(BoundarySolutions):
             value, error = self.parameters(point)[self.parameter], self.parameter_error(point)
             where = f"{self.parameter} = {value:.10g} +- {error:.0e}"
             return End.UNBOUNDED, f"{joined_words(self, point)}, at {where}"
+        jumps = self.jump(point)
+        if jumps:
+            return End.JUMP, jumps
         problem = point.problem
         assert isinstance(problem, BoundaryProblem)
         words = problem.backwards(point.z)

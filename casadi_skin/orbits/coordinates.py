@@ -9,7 +9,7 @@ opposite directions would lose (Hatano and Nelson 1996).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
@@ -141,6 +141,13 @@ class Coordinates(ABC):
 
     def check_whole(self, purpose: str = "what is asked for") -> None:  # noqa: B027  most have every position as an unknown
         """Raises ValueError for a task that needs more positions than can be unknowns."""
+
+    def jump(self, positions: Callable[[], Array]) -> str:
+        """That the forces jump along positions of the model, shape (places, positions); empty where they do not.
+
+        Most forces are known not to, and the positions are not computed for these.
+        """
+        return ""
 
     # Output -----------------------------------------------------------------------------------------------------------
 

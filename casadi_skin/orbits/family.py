@@ -44,6 +44,7 @@ SMALL = 1000  # unknowns up to which the cost of a call of Ipopt does not depend
 CHEAP = 1_000_000  # the same for systems solved in a fraction of a second
 SERIES_PRECISION = 1e-6  # of a residual before Newton's step
 SERIES_ORDERS = 24  # cost of a step over its length is flat between 20 and 35
+PHASES = np.linspace(0.0, TWO_PI, 401)  # at which an orbit is looked at for jumps
 SLOW = 3.0  # times the period of the linear mode
 UNCHANGED = 1e-13  # a relative change of S, per that of Omega, that no longer shows
 
@@ -199,7 +200,10 @@ class Family(FamilyStability):
         return relative * self.coordinates.S_rate * self.value("S", point)
 
     def stop(self, point: Point) -> tuple[End | None, str]:
-        """LIMIT where the only requests left are values of S that the family does not reach."""
+        """LIMIT where the only requests left are values of S that the family does not reach; JUMP where forces do."""
+        jumps = self.coordinates.jump(lambda: math.sqrt(self.value("S", point)) * self.positions(point, PHASES))
+        if jumps:
+            return End.JUMP, jumps
         targets = self.request.targets
         if SLOW * point.Omega > self.start.Omega or targets.period_max is not None:
             return None, ""

@@ -14,6 +14,8 @@ from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.bvp.statement import Bounds, Statement
 from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
+from casadi_skin.integrators.cvodes import stiff_cvodes
+from casadi_skin.integrators.trajectory import IntegrationError
 from casadi_skin.models.conserved import quantities
 from casadi_skin.models.expressions import Expression, expression_of
 from casadi_skin.models.forcing import check_forcing_period
@@ -24,11 +26,15 @@ from casadi_skin.orbits.guesses import Guess, over_its_own_period, sampled
 from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.orbit_statement import SAMPLES, TWO_PI, UNFOLDING, OrbitRequest, statement_of
 from casadi_skin.orbits.rank_deficiency import equilibrium_words
-from casadi_skin.orbits.refined import BoundaryError
+from casadi_skin.orbits.refined import BoundaryError, FamilyError
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.solve import solve
 
 NOT_ZERO = 100.0  # tolerances that the unfolding parameter may differ from zero by
+LONGEST_RETURN, RETURN_SAMPLES = 8.0, 1601  # stated periods in which a motion may come back, and places looked at
+RETURN_TOLERANCE = 1e-6
+GONE, BACK = 0.5, 0.1  # of the ranges of the states: distance from the start that has left it, and that has come back
+OTHER = 0.1  # relative difference of the stated period and another one
 TRIALS, SAME = 3, 1e-9  # random points at which a field is compared with itself after one turn
 SHRUNK, STILL = 1e-6, 1e-12  # motion relative to that of the guess, and to the states, that counts as rest
 
@@ -91,14 +97,20 @@ def find_orbit(
         objective, running,
     )  # fmt: skip
     _check_selects(request)
-    solution = solve(statement_of(request), guess, **options)
+    statement = statement_of(request)
+    try:
+        solution = solve(statement, guess, **options)
+        if not model.forced:
+            _check_moves(model.name, solution, guess, length)
+    except BoundaryError as error:
+        apart = model.forced or isinstance(error, FamilyError)
+        words = "" if apart else _returning_words(statement, guess, first, length)
+        raise (BoundaryError(f"{error}; {words}") if words else error) from error.__cause__
     space = cast(BoundarySpace, solution.space)
     space = replace(space, periodic=Periodic(model, first, symmetry, tuple(int(k) for k in turns)))
     orbit = Orbit(space, solution.point, solution.exact, solution.optimum)
     if model.forced:
         check_forcing_period(model, orbit, orbit.period, orbit.parameters)
-    else:
-        _check_moves(orbit, solution, guess, length)
     if abs(orbit.unfolding) > NOT_ZERO * max(space.tolerance, orbit.error):
         words = f"the unfolding parameter is {orbit.unfolding:.1e} in place of 0"
         kept = " or ".join(f"the {name}" for name in quantities(model))
@@ -178,14 +190,33 @@ def scalar_of(label: str, given: Any, model: OdeModel) -> Any:
     return expression
 
 
-def _check_moves(orbit: Orbit, solution: Solution, guess: Guess, length: float) -> None:
+def _check_moves(name: str, solution: Solution, guess: Guess, length: float) -> None:
     """Raises BoundaryError for an orbit at rest: an equilibrium solves the equations for any period."""
     statement, states = solution.statement, solution.states
     wanted = np.ptp(sampled(statement, guess, np.linspace(0.0, length, SAMPLES)), axis=0)
     moved, size = np.ptp(states, axis=0), np.max(np.abs(states), axis=0)
     if np.any(moved > np.maximum(SHRUNK * wanted, STILL * size)):
         return
-    raise BoundaryError(f"{orbit.model.name}: {equilibrium_words(solution.problem, solution.point.z)}")
+    raise BoundaryError(f"{name}: {equilibrium_words(solution.problem, solution.point.z)}")
+
+
+def _returning_words(statement: Statement, guess: Guess, model: OdeModel, period: float) -> str:
+    """That the motion from the guess comes back after another time than the stated period; empty where it does not."""
+    times = np.linspace(0.0, LONGEST_RETURN * period, RETURN_SAMPLES)
+    try:
+        start = sampled(statement, guess, times[:1])[0]
+        p = np.array([statement.values[name] for name in model.parameter_names])
+        states = np.vstack([start[None], stiff_cvodes(model, p, start, times[1:], RETURN_TOLERANCE).states])
+    except IntegrationError:  # from there nothing comes back
+        return ""
+    away = np.linalg.norm((states - start) / np.maximum(np.ptp(states, axis=0), np.finfo(float).tiny), axis=1)
+    gone = int(np.argmax(away > GONE)) if np.any(away > GONE) else times.size
+    least = gone + np.flatnonzero((away[gone + 1 : -1] < away[gone:-2]) & (away[gone + 1 : -1] <= away[gone + 2 :])) + 1
+    back = least[away[least] < BACK]
+    if not back.size or abs(times[back[0]] / period - 1.0) < OTHER:
+        return ""
+    found = float(times[back[0]])
+    return f"from there the motion comes back after {found:.4g}, {found / period:.3g} times the given period"
 
 
 def guessed_period(guess: Guess, period: float | None) -> float:

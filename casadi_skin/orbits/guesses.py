@@ -169,10 +169,8 @@ def _values(statement: Statement, guess: Guess, t: Array) -> Array:
         try:
             return np.array([np.asarray(guess(float(x)), dtype=float).ravel() for x in t])
         except Exception as error:  # of the user's function
-            words = cut(" ".join(f"{type(error).__name__}: {error}".split()), 200)
-            raise ValueError(
-                f"guess: the function fails: {words}; accepted: one that gives {len(names)} numbers"
-            ) from error
+            accepted = f"one that gives {len(names)} numbers"
+            raise ValueError(f"guess: the function fails: {_words(error)}; accepted: {accepted}") from error
     if _is_sampled(guess):
         times, values = (real_array("guess", part, ACCEPTED) for part in guess)
         turned = values.shape == (len(names), times.size) != (times.size, len(names))  # as scipy has it
@@ -183,20 +181,24 @@ def _values(statement: Statement, guess: Guess, t: Array) -> Array:
 def _evaluated(guess: Evaluated, t: Array) -> Array:
     try:
         return np.asarray(guess.evaluate(t), dtype=float)
-    except (TypeError, AttributeError) as error:  # a class, or an object of somebody else's
-        raise TypeError(f"guess: given {short_repr(guess)}; accepted: {ACCEPTED}") from error
+    except Exception as error:  # of a class, or of somebody else's object
+        raise ValueError(f"guess: {short_repr(guess)} fails: {_words(error)}; accepted: {ACCEPTED}") from error
 
 
 def _column(name: str, given: Any, t: Array) -> Array:
     """Values of one state from a number or a function."""
+    accepted = "a number, or a function of t"
+    if not callable(given):
+        return np.full(t.size, number(f"guess {name}", given, accepted))
     try:
-        if not callable(given):
-            return np.full(t.size, number(name, given))
         return np.array([float(given(float(x))) for x in t])
-    except Exception:  # of the user's function, and of values that are no numbers
-        raise ValueError(
-            f"guess: given {short_repr(given)} for {name}; accepted: a number, or a function of t"
-        ) from None
+    except Exception as error:  # of the user's function, and of values that are no numbers
+        raise ValueError(f"guess: the function for {name} fails: {_words(error)}; accepted: {accepted}") from error
+
+
+def _words(error: Exception) -> str:
+    """What a function of the user raised, in a line."""
+    return cut(" ".join(f"{type(error).__name__}: {error}".split()), 200)
 
 
 def _interpolated(times: Array, values: Array, t: Array) -> Array:

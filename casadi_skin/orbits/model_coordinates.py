@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.bvp.cosines import quarter_phases
 from casadi_skin.bvp.problem import EPSILON, Array, Problem
+from casadi_skin.models.jumps import JumpError
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.models.polynomial import NotPolynomialError, homogeneous_parts
 from casadi_skin.orbits.amplitude import amplitude_square
@@ -23,6 +24,7 @@ DEEPEST = -230.0  # of log D: its cube is still a double
 LARGEST = 1e3  # amplitude of a scaled mode
 TIE = 1e-9  # relative difference of amplitudes that are the same but for rounding
 RANDOM = 0.1  # amplitude of random positions
+PHASES = np.linspace(0.0, 2.0 * np.pi, 1001)  # at which a linear mode is looked at for jumps
 TRIALS = 3  # random states at which the symmetry of the forces' derivative is looked at
 
 
@@ -63,6 +65,9 @@ class ModelCoordinates(Coordinates):
             for name in ("mode", "scale"):
                 self.__dict__.pop(name)
         self._parts = _homogeneous(self._force, model.state)
+        words = self.jump(lambda: np.sqrt(amplitude_max) * np.cos(PHASES)[:, None] * (self.scale * self.mode))
+        if words:
+            raise JumpError(model.name, f"{words}, in the linear mode at S = {amplitude_max:g}")
         self._squared = self._parts is not None and all(degree % 2 for degree in self._parts)
 
     def _check_amplitude(self) -> None:
@@ -73,6 +78,14 @@ class ModelCoordinates(Coordinates):
         if not self._amplitude.value(y) > SIMPLE * size:
             words = f"a normalisation by which mode {self.mode_number} of {self._model.name} has no amplitude"
             raise ValueError(f"normalisation: given {words}; accepted: one that is positive for it")
+
+    def jump(self, positions: Callable[[], Array]) -> str:
+        model, p = self._model, np.array([self._values.get(name, 0.0) for name in self._model.parameter_names])
+        if self._parts is not None or not model.jumps.found:  # polynomials do not jump
+            return ""
+        y = positions()
+        states = np.concatenate([y, np.zeros_like(y)], axis=1)  # no force depends on velocities
+        return model.jumps.along(np.zeros(len(states)), states, p)
 
     def _at_values(self, expression: ca.SX) -> ca.SX:
         """An expression of the model at the values of its parameters."""

@@ -25,6 +25,7 @@ from casadi_skin.bvp.statement import Bounds, Statement, check_expressions
 from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components
 from casadi_skin.models.conserved import HAMILTONIAN, directions, independent, is_odd, quantities
 from casadi_skin.models.expressions import Expression
+from casadi_skin.models.jumps import Jumps
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.orbits.guesses import Guess, known_times, sampled
 
@@ -45,6 +46,11 @@ class Extended(OdeModel):
     @property
     def rounding(self) -> float:
         return self.inner.rounding
+
+    @cached_property
+    def jumps(self) -> Jumps:
+        """Those of the model that it is made of: time does not enter."""
+        return self.inner.jumps
 
 
 def extended(model: OdeModel, length: float, unfolded: Mapping[str, Expression]) -> Extended:

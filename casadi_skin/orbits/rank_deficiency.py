@@ -11,13 +11,15 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import BoundaryProblem
+from casadi_skin.orbits.orbit_statement import UNFOLDING, Extended
 from casadi_skin.solvers.bordered import LONG, long_rows
 
 SINGULAR = 1e-6  # smallest singular value of the scaled matrix that counts as zero: solvers stop near such points
 PERTURBED = 1e-13
 ROUNDS = 4
-ADDED = ("period", "unfolding")  # parameters that are not the model's
+ADDED = ("period", UNFOLDING)  # parameters that are not the model's
 RESTING = 1e-2  # of the sizes that states are measured by at least, a thousandth of the guess
+MOVING = 100.0  # of the same: a state that changes by more in the guessed period does not rest
 BESIDE = 0.1  # of the sizes of unknowns: how far off z a point in general position is
 NAMED = 0.05  # of the largest weight of a condition
 
@@ -50,14 +52,53 @@ def rank_deficiency(problem: BoundaryProblem, z: Array, everywhere: bool = False
     return f"{names} repeat or contradict each other and leave {_variable(problem, z, right)} undetermined"
 
 
-def equilibrium_words(problem: BoundaryProblem, z: Array) -> str:
-    """That an orbit has come to rest, and where."""
+def in_family(problem: BoundaryProblem, z: Array) -> str:
+    """That an orbit is one of many that only a conserved quantity tells apart; empty where the equations are regular.
+
+    At a solution of an orbit's equations alone: the conditions at its ends and its phase fix all else.
+    """
     model = problem.statement.model
+    orbit = "period" in problem.statement.free and isinstance(model, Extended)
+    if not orbit or _rests(problem, z) or _null_vectors(problem, z) is None:
+        return ""
+    more = "more than is declared" if any(name.startswith(UNFOLDING) for name in model.parameter_names) else "something"
+    declare = "accepted: what is conserved declared, as hamiltonian= or in conserved=, with select= to pick an orbit"
+    return f"orbits come in a family there, for the model seems to conserve {more}; {declare}"
+
+
+def not_finite(problem: BoundaryProblem, z: Array) -> str:
+    """The equation that is not finite at z, where, and the state there; empty where all are finite."""
+    try:
+        residual, nonzeros = problem.evaluate(z)
+    except ArithmeticError as error:
+        return str(error)
+    rows = np.flatnonzero(~np.isfinite(residual))
+    what = "is not finite"
+    if not rows.size:
+        rows, what = problem.pattern[0][~np.isfinite(nonzeros)], "has a derivative that is not finite"
+    if not rows.size:
+        return ""
+    n, row = problem.formulation.states, int(rows[0])
+    column = min(row // n + 1, problem.columns - 1)
+    states = z[: problem.states].reshape(-1, n)[column]
+    at = ", ".join(f"{k} = {x:.6g}" for k, x in zip(problem.statement.model.state_names, states, strict=True))
+    return f"{problem.place(row)} {what}, with {at}"
+
+
+def equilibrium_words(problem: BoundaryProblem, z: Array) -> str:
+    """That an orbit has come to rest, and where; or that it is a point alone, after no time."""
+    model, p = problem.statement.model, problem.parameters(z)
     start = z[: problem.formulation.states]
     state = ", ".join(f"{name} = {value:.6g}" for name, value in zip(model.state_names, start, strict=True))
-    values = zip(model.parameter_names, problem.parameters(z), strict=True)
+    values = zip(model.parameter_names, p, strict=True)
     at = ", ".join(f"{name} = {value:.6g}" for name, value in values if not name.startswith(ADDED))
-    return f"this is an equilibrium: the orbit has shrunk to it ({state}{f', at {at}' if at else ''})"
+    place = f"({state}{f', at {at}' if at else ''})"
+    guessed = problem.statement.values.get(ADDED[0], 1.0)
+    moves = np.abs(np.array(model.vector_field(0.0, start, p)).ravel()) * guessed
+    if np.any(moves > MOVING * problem.floors):
+        period = dict(zip(model.parameter_names, p, strict=True)).get(ADDED[0], 0.0)
+        return f"the orbit has shrunk to a point at which the model does not rest {place}, its period to {period:.2g}"
+    return f"this is an equilibrium: the orbit has shrunk to it {place}"
 
 
 def _rests(problem: BoundaryProblem, z: Array) -> bool:

@@ -15,13 +15,14 @@ from casadi_skin.bvp.problem import Array, Problem, SingularError
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.bvp.statement import Statement
 from casadi_skin.continuation.points import Point
+from casadi_skin.models.jumps import JumpError
 from casadi_skin.orbits.boundary_choices import Sizes, boundary_method
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.converged_mesh import converged_mesh
 from casadi_skin.orbits.guesses import Guess, along_the_guess, is_straight, sampled
 from casadi_skin.orbits.method import Method
 from casadi_skin.orbits.other_ways import other_ways
-from casadi_skin.orbits.rank_deficiency import rank_deficiency
+from casadi_skin.orbits.rank_deficiency import not_finite, rank_deficiency
 from casadi_skin.orbits.refined import BoundaryError, refined
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.solvers.corrector import Correction, Corrector
@@ -32,6 +33,7 @@ from casadi_skin.solvers.watch import TimeLimitError, watched
 OPTIONS = ("tolerance", "transcription", "degree", "corrector", "intervals", "flow", "walker", "time_limit", "progress")
 NOT_METHODS = ("tolerance", "time_limit", "progress")
 TRIES = 6  # resolutions on which a first solution is sought
+GUESS_SAMPLES = 2001  # of a guess that is looked at for jumps
 QUICK_TRIES = 1  # the same by another way
 JUMPS = (90, 200, 450)  # the same where the guess has jumps, on a mesh that follows its length
 STEEP = 0.02  # of the mean interval: a shorter one on such a mesh is in a jump
@@ -74,6 +76,7 @@ def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
 
     Raises:
         ValueError: an argument is out of range.
+        JumpError: the equations jump along the solution; a ValueError.
         BoundaryError: no solution is found to the tolerance.
     """
     limit, report = options.get("time_limit"), options.get("progress")
@@ -97,6 +100,16 @@ def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
         raise BoundaryError(f"{statement.model.name}: {error}; {advice}") from None
 
 
+def _jump_along(space: BoundarySpace, guess: Guess) -> str:
+    """That the equations jump along a guess, with the equation; empty where they do not."""
+    jumps, values = space.model.jumps, space.statement.values
+    if not jumps.found:
+        return ""
+    t = np.linspace(*space.statement.span(np.array(list(values.values()))), GUESS_SAMPLES)
+    p = np.array([values[name] for name in jumps.model.parameter_names])
+    return jumps.along(t, sampled(space.statement, guess, t)[:, : jumps.model.full_size], p)
+
+
 class NotReachedError(BoundaryError):
     """The corrector does not converge from the guess; another method may find a solution."""
 
@@ -104,9 +117,16 @@ class NotReachedError(BoundaryError):
 def solution_near(space: BoundarySpace, guess: Guess) -> Solution:
     """The solution near a guess, by `other_ways` where the corrector does not reach it; raises BoundaryError."""
     try:
-        return Solution(space, first_point(space, guess))
-    except NotReachedError as error:
-        if PERIOD in space.statement.values:  # of an orbit, whose guess is a cycle
+        point = first_point(space, guess)
+        jumps = space.jump(point)
+        if jumps:
+            raise JumpError(space.model.name, f"{jumps}, along the solution")
+        return Solution(space, point)
+    except BoundaryError as error:
+        jumps = _jump_along(space, guess)
+        if jumps:
+            raise JumpError(space.model.name, f"{jumps}, along the guess, near which no solution was found") from error
+        if not isinstance(error, NotReachedError) or PERIOD in space.statement.values:  # an orbit's guess is a cycle
             raise
         found, words = other_ways(space, guess, lambda other, near: first_point(other, near, QUICK_TRIES))
         if found is None:
@@ -143,7 +163,8 @@ def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) ->
                 continue
         undetermined = rank_deficiency(problem, correction.z, everywhere=True)
         words = (f"{correction.status.value}; {problem.worst(correction.z)}", undetermined)
-        failures.append("; there ".join(filter(None, words)))
+        at_guess = not_finite(problem, z)
+        failures.append(f"at the guess {at_guess}" if at_guess else "; there ".join(filter(None, words)))
     kind = BoundaryError if undetermined else NotReachedError
     raise kind(f"{statement.model.name}: no solution near the guess: {failures[0]}")
 

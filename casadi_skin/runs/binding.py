@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from casadi_skin.models.jumps import JumpError
 from casadi_skin.models.loading import ModelFileError, named, read_source, run_file
 from casadi_skin.models.ode import OdeModel
 from casadi_skin.runs.request import Request, chain_of, lattice_of
@@ -46,6 +47,7 @@ def bind(scene: Scene, scene_path: Path, files: Files | None = None) -> Request:
     if scene.equilibrium is not None:
         _check_equilibrium(request, scene.equilibrium)
     _check_continuation(request)
+    _check_jumps(request)
     _check_families(request)
     _check_perturbation(request)
     if scene.spectrum is not None:
@@ -131,6 +133,23 @@ def _check_provable(request: Request) -> None:
             provable(Family(family))
     except (ValueError, ImportError) as error:
         raise SceneError(_placed(str(error))) from None
+
+
+def _check_jumps(request: Request) -> None:
+    """Refuse equilibria and orbits of equations that jump along them; only of such equations they are sought here."""
+    scene = request.scene
+    if scene.family is not None or not isinstance(request.model, OdeModel) or not request.ode.jumps.by_name:
+        return
+    if scene.equilibrium is None and scene.orbit is None and scene.solution is None:
+        return
+    from casadi_skin.runs.first_solution import first_solution
+
+    try:
+        first_solution(request)
+    except JumpError as error:
+        raise SceneError(f"[model] {error}") from None
+    except (ArithmeticError, ValueError):  # none is found: the run says why
+        return
 
 
 def _check_perturbation(request: Request) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,18 +13,10 @@ from numpy.typing import NDArray
 
 from casadi_skin.export.codegen import c_source
 from casadi_skin.export.fmu.initial_value_problem import InitialValueProblem
+from casadi_skin.models.jumps import INPUT, NAMES, STATE, TIME, Switch, switches
 from casadi_skin.models.ode import OdeModel
 
 Pattern = NDArray[np.bool_]
-JUMPS = {
-    getattr(ca, f"OP_{code}"): name
-    for code, name in (
-        ("LT", "a comparison"), ("LE", "a comparison"), ("EQ", "a comparison"), ("NE", "a comparison"),
-        ("NOT", "a comparison"), ("AND", "a comparison"), ("OR", "a comparison"), ("IF_ELSE_ZERO", "if_else"),
-        ("SIGN", "sign"), ("FLOOR", "floor"), ("CEIL", "ceil"), ("FMOD", "fmod"), ("REMAINDER", "remainder"),
-        ("COPYSIGN", "copysign"),
-    )
-}  # fmt: skip
 ROLES = ("derivatives", "outputs", "forward", "adjoint")  # of the generated functions
 
 
@@ -94,41 +86,30 @@ def check_smooth(problem: InitialValueProblem) -> None:
 
     An FMU would report events there, at which a solver stops; those of casadi_skin have none.
     """
-    model, count = problem.model, len(problem.inputs)
-    every = model.function("every", model.full_rhs, *model.outputs.values())
-    if _jump(every, count) is None:
-        return
+    model = problem.model
+    held = len(model.parameter_names) - len(problem.inputs)
     rates = ca.vertsplit(ca.densify(model.full_rhs))
     named = {f"der({name})": rate for name, rate in zip(model.state_names, rates, strict=True)} | dict(model.outputs)
+    names = ["t"], model.state_names, model.parameter_names
+
+    def source(argument: int, index: int) -> int:
+        return (TIME, STATE, INPUT if index >= held else 0)[argument]
+
+    if not _jumps(switches(model.function("every", *named.values()), names, source)[1]):
+        return
     for name, expression in named.items():
-        jump = _jump(model.function("f", expression), count)
-        if jump is not None:
-            where = f"{name} has {jump} in it, where it jumps, and FMUs are exported without events"
+        found = _jumps(switches(model.function("f", expression), names, source)[1])
+        if found:
+            where = f"{name} has {found[0]} in it, where it jumps, and FMUs are exported without events"
             accepted = "smooth equations, without if_else, comparisons, sign, floor, ceil, fmod, remainder and copysign"
             raise ValueError(f"{model.name}: {where}; accepted: {accepted}")
 
 
-def _jump(function: ca.Function, inputs: int) -> str | None:
-    """An operation that jumps with time, a state or one of the last parameters; None too for a program."""
-    try:
-        scalar = function.expand()
-    except RuntimeError:  # no C can be generated of it either, and that error names the reason
-        return None
-    held = function.nnz_in(2) - inputs
-    moves: dict[int, bool] = {}  # whether a place of work changes with them
-    found = set()
-    for k in range(scalar.n_instructions()):
-        operation, given, to = scalar.instruction_id(k), scalar.instruction_input(k), scalar.instruction_output(k)
-        if operation == ca.OP_INPUT:
-            moves[to[0]] = given[0] < 2 or given[1] >= held
-        elif operation == ca.OP_CONST:
-            moves[to[0]] = False
-        elif operation != ca.OP_OUTPUT:
-            decides = {ca.OP_IF_ELSE_ZERO: given[:1], ca.OP_COPYSIGN: given[1:]}.get(operation, given)
-            if operation in JUMPS and any(moves[i] for i in decides):
-                found.add(JUMPS[operation])
-            moves[to[0]] = any(moves[i] for i in given)
-    return next((name for name in dict.fromkeys(("if_else", *JUMPS.values())) if name in found), None)
+def _jumps(found: Sequence[Switch]) -> list[str]:
+    """Names of operations that jump, if_else before the comparison in it."""
+    return sorted(
+        {switch.name for switch in found if switch.name in NAMES.values()}, key=lambda name: name != "if_else"
+    )
 
 
 # The header ---------------------------------------------------------------------------------------------------------
