@@ -196,7 +196,7 @@ def _not_finite(model: OdeModel, state: Array, parameters: Array) -> str:
         return ""
     name = model.state_names[int(np.argmax(~np.isfinite(rates)))]
     at = ", ".join(f"{k} = {x:.6g}" for k, x in zip(model.state_names, state, strict=True))
-    return f"the equation of {name} is not finite at the guess, with {at}"
+    return f"not finite at the equation of {name}, where {at} at the guess"
 
 
 def _in_own_units(found: Equilibrium) -> Equilibrium:

@@ -61,12 +61,32 @@ class JumpError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Switch:
-    """An operation that switches: its name, its words, a value that is constant but where it does, and by what."""
+    """An operation that switches, with its arguments, a value that is constant but where it does, and by what it does.
 
-    name: str
-    text: str
+    `code` is CasADi's name, `by` are bits.
+    """
+
+    code: str
+    arguments: tuple[ca.SX, ...]
     value: ca.SX
     by: int
+
+    @property
+    def name(self) -> str:
+        """Its name for users."""
+        return NAMES.get(self.code, self.code.lower())
+
+    @property
+    def text(self) -> str:
+        """The operation as it is written in a message."""
+        texts = [cut(str(entry), LONGEST_TEXT) for entry in self.arguments]
+        if self.code in COMPARISONS:
+            return f"{texts[0]} {COMPARISONS[self.code]} {texts[1]}"
+        if self.code in ("DIV", "INV"):
+            return f"the division by {texts[-1]}"
+        if self.code in ("AND", "OR", "NOT", "IF_ELSE_ZERO"):
+            return f"if_else of {texts[0]}"
+        return f"{self.name}({', '.join(texts)})"
 
 
 def switches(
@@ -79,12 +99,14 @@ def switches(
         names: of the entries of each argument.
         source: the bit of an entry of an argument, 0 for one that never changes.
     """
+    codes = JUMPING | SINGULAR
+    if not any(_codes(part) & codes.keys() for part in (function, *function.find_functions())):
+        return [], []
     try:
         scalar = function.expand()
     except RuntimeError:  # a program, whose operations nobody sees
         return [], []
     inputs = [ca.vertcat(ca.SX(0, 1), *map(ca.SX.sym, group)) for group in names]
-    codes = JUMPING | SINGULAR
     by: dict[int, int] = {}  # a place of work: bits of what changes it
     found: list[tuple[int, int]] = []
     for k in range(scalar.n_instructions()):
@@ -99,6 +121,12 @@ def switches(
                 found.append((k, deciding))
             by[to[0]] = _together(by[i] for i in given)
     return inputs, list(_described(scalar, inputs, dict(found))) if found else []
+
+
+def _codes(function: ca.Function) -> set[int]:
+    """The operations of a function, without those of the functions that it calls; none of a program."""
+    made_of_operations = function.is_a("SXFunction") or function.is_a("MXFunction")
+    return {function.instruction_id(k) for k in range(function.n_instructions())} if made_of_operations else set()
 
 
 def _together(bits: Iterable[int]) -> int:
@@ -125,21 +153,8 @@ def _described(scalar: ca.Function, inputs: list[ca.SX], found: dict[int, int]) 
             a = [work[i] for i in given]
             result = ca.SX.unary(code, a[0]) if len(a) == 1 else ca.SX.binary(code, a[0], a[1])
             if k in found:
-                name = (JUMPING | SINGULAR)[code]
-                yield Switch(NAMES.get(name, name.lower()), _words(name, a), _value(code, a, result), found[k])
+                yield Switch((JUMPING | SINGULAR)[code], tuple(a), _value(code, a, result), found[k])
             work[to[0]] = result
-
-
-def _words(name: str, a: list[ca.SX]) -> str:
-    """The operation as it is written in a message."""
-    texts = [cut(str(entry), LONGEST_TEXT) for entry in a]
-    if name in COMPARISONS:
-        return f"{texts[0]} {COMPARISONS[name]} {texts[1]}"
-    if name in ("DIV", "INV"):
-        return f"the division by {texts[-1]}"
-    if name in ("AND", "OR", "NOT", "IF_ELSE_ZERO"):
-        return f"if_else of {texts[0]}"
-    return f"{name.lower()}({', '.join(texts)})"
 
 
 def _value(code: int, a: list[ca.SX], result: ca.SX) -> ca.SX:
@@ -184,11 +199,10 @@ class Jumps:
 
     def times(self, start: float, end: float, parameters: Array) -> Array:
         """Fractions of an interval of time at which operations switch that no state decides, in ascending order."""
-        symbols, found = self._found
-        tried = [switch for switch in found if switch.by & TIME and not switch.by & STATE]
+        tried = [switch for switch in self.found if switch.by & TIME and not switch.by & STATE]
         if not tried:
             return np.empty(0)
-        value = self._values(symbols, tried)
+        value = self._values(tried)
         fractions = np.linspace(0.0, 1.0, TIMES)
         places = np.column_stack([
             start + fractions * (end - start), np.zeros((TIMES, self.model.full_size)), np.tile(parameters, (TIMES, 1)),
@@ -211,16 +225,18 @@ class Jumps:
             by: bits, of which one at least decides the operations that are tried. Those that time alone decides are not
                 among them: multipliers do not miss them.
         """
-        symbols, found = self._found
-        tried = [switch for switch in found if switch.by & by]
+        tried = [switch for switch in self.found if switch.by & by]
         if not tried:
             return ""
         rows = np.broadcast_to(parameters, (len(times), np.shape(parameters)[-1]))
-        places, value, field = np.column_stack([times, states, rows]), self._values(symbols, tried), self._field
-        classes, rates = value(places), np.abs(field(places))
+        places, value, field = np.column_stack([times, states, rows]), self._values(tried), self._field
+        switched = np.diff(value(places), axis=0) != 0.0
+        if not switched.any():
+            return ""
+        rates = np.abs(field(places))
         scale = np.max(np.where(np.isfinite(rates), rates, 0.0), axis=0, initial=0.0)
         for j, switch in enumerate(tried):
-            changes = np.flatnonzero(np.diff(classes[:, j]) != 0.0)
+            changes = np.flatnonzero(switched[:, j])
             for k in changes[:: max(1, len(changes) // CROSSINGS)]:
                 ends = places[k], places[k + 1]
                 between = _neighbours(value, j, *ends)
@@ -238,9 +254,16 @@ class Jumps:
     def _field(self) -> Values:
         return _on_rows(self.model.vector_field, self.model.full_size)
 
-    def _values(self, symbols: list[ca.SX], tried: Sequence[Switch]) -> Values:
-        function = ca.Function("switches", symbols, [ca.vertcat(*(switch.value for switch in tried))])
-        return _on_rows(function, self.model.full_size)
+    def _values(self, tried: Sequence[Switch]) -> Values:
+        key = tuple(map(id, tried))
+        if key not in self._functions:
+            entries = ca.vertcat(*(switch.value for switch in tried))
+            self._functions[key] = ca.Function("switches", self._found[0], [entries])
+        return _on_rows(self._functions[key], self.model.full_size)
+
+    @cached_property
+    def _functions(self) -> dict[tuple[int, ...], ca.Function]:
+        return {}
 
 
 def _neighbours(value: Values, entry: int, before: Array, after: Array) -> tuple[Array, Array]:

@@ -39,7 +39,7 @@ from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
 
 OFF_EDGE = 1e-10  # of the interval: distance of a jump in time from an edge of the mesh that counts
-PER_STAGE = 4  # places a stage at which a solution is looked at for jumps
+PER_STAGE = 2  # places a stage at which a solution is looked at for jumps
 ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
 
 

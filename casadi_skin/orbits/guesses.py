@@ -189,7 +189,10 @@ def _column(name: str, given: Any, t: Array) -> Array:
     """Values of one state from a number or a function."""
     accepted = "a number, or a function of t"
     if not callable(given):
-        return np.full(t.size, number(f"guess {name}", given, accepted))
+        try:
+            return np.full(t.size, number(name, given))
+        except (TypeError, ValueError):
+            raise ValueError(f"guess: given {short_repr(given)} for {name}; accepted: {accepted}") from None
     try:
         return np.array([float(given(float(x))) for x in t])
     except Exception as error:  # of the user's function, and of values that are no numbers

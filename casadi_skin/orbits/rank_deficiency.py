@@ -73,16 +73,16 @@ def not_finite(problem: BoundaryProblem, z: Array) -> str:
     except ArithmeticError as error:
         return str(error)
     rows = np.flatnonzero(~np.isfinite(residual))
-    what = "is not finite"
+    what = "not finite"
     if not rows.size:
-        rows, what = problem.pattern[0][~np.isfinite(nonzeros)], "has a derivative that is not finite"
+        rows, what = problem.pattern[0][~np.isfinite(nonzeros)], "a derivative is not finite"
     if not rows.size:
         return ""
     n, row = problem.formulation.states, int(rows[0])
     column = min(row // n + 1, problem.columns - 1)
     states = z[: problem.states].reshape(-1, n)[column]
     at = ", ".join(f"{k} = {x:.6g}" for k, x in zip(problem.statement.model.state_names, states, strict=True))
-    return f"{problem.place(row)} {what}, with {at}"
+    return f"{what} at {problem.place(row)}, where {at} at the guess"
 
 
 def equilibrium_words(problem: BoundaryProblem, z: Array) -> str:

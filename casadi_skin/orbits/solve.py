@@ -163,8 +163,7 @@ def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) ->
                 continue
         undetermined = rank_deficiency(problem, correction.z, everywhere=True)
         words = (f"{correction.status.value}; {problem.worst(correction.z)}", undetermined)
-        at_guess = not_finite(problem, z)
-        failures.append(f"at the guess {at_guess}" if at_guess else "; there ".join(filter(None, words)))
+        failures.append(not_finite(problem, z) or "; there ".join(filter(None, words)))
     kind = BoundaryError if undetermined else NotReachedError
     raise kind(f"{statement.model.name}: no solution near the guess: {failures[0]}")
 

@@ -128,15 +128,13 @@ def test_what_is_not_finite_at_the_guess_is_named_with_the_state():
     divided = model("divided", v, -v / x - x)
     problem = BoundaryValueProblem(divided, lambda start, end, p: [start[1], end[0] - 1])
     with pytest.raises(
-        BoundaryError, match=r"at the guess the equation of v at t = .* is not finite, with x = 0, v = 0"
+        BoundaryError, match=r"not finite at the equation of v at t = .*, where x = 0, v = 0 at the guess"
     ):
         problem.solve([0.0, 0.0])
-    with pytest.raises(ArithmeticError, match=r"the equation of v is not finite at the guess, with x = 0, v = 0"):
+    with pytest.raises(ArithmeticError, match="not finite at the equation of v, where x = 0, v = 0 at the guess"):
         find_equilibrium(divided, [0.0, 0.0])
     rooted = model("rooted", v, -ca.sqrt(x) - v)
-    with pytest.raises(
-        BoundaryError, match=r"the equation of v at t = .* has a derivative that is not finite, with x = 0"
-    ):
+    with pytest.raises(BoundaryError, match=r"a derivative is not finite at the equation of v at t = .*, where x = 0"):
         BoundaryValueProblem(rooted, lambda start, end, p: [start[1], end[0]]).solve([0.0, 0.0])
 
 
