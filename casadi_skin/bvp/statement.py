@@ -38,7 +38,7 @@ def arguments_once(cls: type[Kind]) -> type[Kind]:
                 raise TypeError(f"{name}: given twice, {twice}; accepted: once")
         if len(given) > len(names):
             more = short_repr(given[len(names)])
-            raise TypeError(f"arguments: given {more} as number {len(names) + 1}; accepted: {', '.join(names)}")
+            raise TypeError(f"given {more} as positional argument {len(names) + 1}; accepted: {', '.join(names)}")
         made(self, *given, **named)
 
     setattr(cls, "__init__", once)  # noqa: B010  mypy takes no method for another

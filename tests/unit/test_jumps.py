@@ -130,8 +130,10 @@ def test_multipliers_across_jumps_in_time_are_those_of_matrix_exponentials(a, k,
     truth = np.linalg.eigvals(expm((TWO_PI - a) * matrix(k - d)) @ expm(a * matrix(k + d)))
     found = orbit.floquet().multipliers
     assert np.max(np.abs(np.sort_complex(found) - np.sort_complex(truth))) < 1e-9
-    later = simulate(orbit.model, orbit.evaluate(0.0)[0], [0.0, a, TWO_PI], tolerance=1e-12).states[-1]
-    assert np.max(np.abs(later - orbit.evaluate(0.0)[0])) < max(10.0 * orbit.error, 1e-7) * np.max(np.abs(orbit.states))
+    later = simulate(orbit.model, orbit.evaluate([0.0])[0], [0.0, a, TWO_PI], tolerance=1e-12).states[-1]
+    assert np.max(np.abs(later - orbit.evaluate([0.0])[0])) < max(10.0 * orbit.error, 1e-7) * np.max(
+        np.abs(orbit.states)
+    )
 
 
 def test_square_forcing_repeats_after_its_period():

@@ -82,7 +82,7 @@ def test_part_of_a_period_is_named_with_the_time_after_which_the_motion_comes_ba
     cycle = simulate(system, [2.0, 0.0], np.linspace(0.0, 60.0, 3001)).last_cycle()
     length = cycle.period / part
     times = np.linspace(0.0, length, 201)
-    guess = {"cycle": cycle, "function": lambda t: cycle.evaluate(np.mod(t, cycle.period))[0],
+    guess = {"cycle": cycle, "function": lambda t: cycle.evaluate([np.mod(t, cycle.period)])[0],
              "arrays": (times, cycle.evaluate(times))}[kind]  # fmt: skip
     words = rf"the motion comes back after {cycle.period:.2f}\d*, {part} times the given period"
     with pytest.raises(BoundaryError, match=words) as refused:
@@ -106,7 +106,7 @@ own = BoundaryValueProblem(pendulum, ends, {arguments})
         ("(0.0, 2.0)", "integrals: given (0.0, 2.0), two numbers; accepted: expressions in t, x and"),
         ("(), (0.0, 2.0), interval=(0, 1)", "interval: given twice, (0.0, 2.0) as argument 4 and (0, 1) by name"),
         ("[x], integrals=[x - 1]", "integrals: given twice, [SX(x)] as argument 3 and [SX((x-1))] by name; accepted"),
-        ("(), (0, 1), {}, (), 5", "arguments: given 5 as number 7; accepted: model, conditions, integrals, interval,"),
+        ("(), (0, 1), {}, (), 5", "given 5 as positional argument 7; accepted: model, conditions, integrals, interval,"),
     ],
 )  # fmt: skip
 def test_arguments_in_the_wrong_place_are_named(arguments, words, tmp_path, capsys):
