@@ -106,7 +106,7 @@ own = BoundaryValueProblem(pendulum, ends, {arguments})
         ("(0.0, 2.0)", "integrals: given (0.0, 2.0), two numbers; accepted: expressions in t, x and"),
         ("(), (0.0, 2.0), interval=(0, 1)", "interval: given twice, (0.0, 2.0) as argument 4 and (0, 1) by name"),
         ("[x], integrals=[x - 1]", "integrals: given twice, [SX(x)] as argument 3 and [SX((x-1))] by name; accepted"),
-        ("(), (0, 1), {}, (), 5", "given 5 as positional argument 7; accepted: model, conditions, integrals, interval,"),
+        ("(), (0, 1), {}, (), 5", "given 5 as positional argument 7; accepted: model, conditions, integrals, interval"),
     ],
 )  # fmt: skip
 def test_arguments_in_the_wrong_place_are_named(arguments, words, tmp_path, capsys):
