@@ -21,24 +21,21 @@ from typing import NamedTuple
 import numpy as np
 
 from casadi_skin import methods
-from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
 from casadi_skin.equilibria.samples import Sample
-from casadi_skin.equilibria.search import Search
 from casadi_skin.equilibria.stretch import Stretch, height
 from casadi_skin.orbits.boundary_space import BoundarySpace
-from casadi_skin.orbits.exponents import Exponents, ExponentSampler
+from casadi_skin.orbits.exponents import Exponents
 from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, TORUS
 from casadi_skin.orbits.stretch_points import snapped, target_of
+from casadi_skin.orbits.stretch_search import StretchSearch
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
 from casadi_skin.unresolved import Unresolved
 
 KREIN = "krein collision"
-DEEPEST = 14  # divisions of a stretch between two orbits
-MOST_PARTS = 120  # that such a stretch is divided into
 CLEAR = 0.5  # of the changes of a quantity on a stretch: a distance from zero at both ends that needs no sample between
 ROOT_XTOL = 1e-10  # of a stretch, of roots of quantities where no extended equations are solved
 OUTSIDE_STRETCH = 1e-3  # of a stretch: a special orbit farther out is another one
@@ -108,42 +105,16 @@ def _is_same(one: Event, other: Event) -> bool:
     return one.kind == other.kind != KREIN and abs(one.place - other.place) <= SAME_EVENT and one.angle == other.angle
 
 
-class _OrbitSearch(Search[Event | Unresolved]):
-    """The search on one stretch between two orbits, in the unknowns of the second."""
-
-    deepest, most_parts = DEEPEST, MOST_PARTS
+class _OrbitSearch(StretchSearch[Event | Unresolved]):
+    """The search on one stretch between two orbits."""
 
     def __init__(self, space: BoundarySpace, before: Solution, after: Solution) -> None:
-        super().__init__("real parts")
-        self.space, self.solver, self.ends = space, space.point_solver, (before, after)
-        problem = after.point.problem
-        start = before.point
-        z, tangent = (start.problem.prolong(v, problem) for v in (start.z, start.tangent))
-        self.first = replace(start, problem=problem, z=z, tangent=tangent, better=None)
-        self.last = after.point
-        self.row = self.metric(self.first) * tangent
-        self.length = float(self.row @ (self.last.z - z))
-        self.sampler = ExponentSampler(self.floquet, self.metric)
-
-    def metric(self, point: Point) -> Array:
-        return self.solver.metric(point.problem, point.z)
+        super().__init__(space.point_solver, before.point, after.point)
+        self.space, self._known = space, (before, after)
 
     def floquet(self, point: Point) -> Floquet:
-        """Multipliers at a point; those of both ends are known."""
-        for end, own in zip(self.ends, (self.first, self.last), strict=True):
-            if point is own or point is end.point:
-                return end.floquet()
-        return self.space.floquets([point])[0]
-
-    def own(self, point: Point) -> Point:
-        """The point at which multipliers are computed: the first end on its own mesh."""
-        return self.ends[0].point if point is self.first else point
-
-    def along(self, before: Point, after: Point, fraction: float) -> Point | None:
-        correction, tangent = self.solver.corrected_along(before, after, fraction)
-        if correction is None or tangent is None:
-            return None
-        return replace(self.last, z=correction.z, tangent=tangent, better=None, special="", walked=False)
+        known = next((end for end in self._known if end.point is point), None)
+        return self.space.floquets([point])[0] if known is None else known.floquet()
 
     def on_stretch(self) -> Iterator[Event | Unresolved]:
         """Events on the stretch, and parts that are not resolved."""
@@ -162,13 +133,6 @@ class _OrbitSearch(Search[Event | Unresolved]):
         """Whether jumps account for the change in the number of multipliers outside the circle."""
         (start, open_at_start), (end, open_at_end) = (self.outside(end.point) for end in (stretch.first, stretch.last))
         return abs(end - start - jumps) <= min(open_at_start, open_at_end)
-
-    def outside(self, point: Point) -> tuple[int, int]:
-        """The number of multipliers outside the circle at a point, and how many errors leave open."""
-        return self.sampler.exponents(self.own(point))[0].outside
-
-    def is_clear(self, point: Point) -> bool:
-        return self.outside(point)[1] <= min(self.outside(end)[1] for end in (self.first, self.last))
 
     def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Event | Unresolved] | None:
         if not any(self.is_clear(sample.point) for sample in stretch.samples):
@@ -227,10 +191,7 @@ class _OrbitSearch(Search[Event | Unresolved]):
 
     def place(self, stretch: Stretch, point: Point) -> float | None:
         """The place of a point on the whole stretch by its length; None where it is outside the part of it."""
-        z = point.problem.prolong(point.z, self.last.problem)
-        low, high, at = (float(self.row @ (v - self.first.z)) for v in (
-            stretch.first.point.z, stretch.last.point.z, z
-        ))  # fmt: skip
+        low, high, at = (self.sigma(one) for one in (stretch.first.point, stretch.last.point, point))
         slack = OUTSIDE_STRETCH * (high - low)
         return at / self.length if low - slack <= at <= high + slack else None
 
