@@ -7,13 +7,14 @@ strong resonance (Kuznetsov 2004, chapter 9). Or the orbits shrink to an equilib
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from casadi_skin.bvp.problem import EPSILON
+from casadi_skin.bvp.problem import EPSILON, Array
 from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.continuation.points import End, Point
 from casadi_skin.critical_orbits.bend import quadratic_term
@@ -23,8 +24,14 @@ from casadi_skin.critical_orbits.normal_forms import critical_functions, terms_o
 from casadi_skin.critical_orbits.shrinking import shrunk
 from casadi_skin.equilibria.codimension_two import CUSP, DEGENERATE_PITCHFORK, DEGENERATE_TRANSCRITICAL
 from casadi_skin.equilibria.double_points import double_between, interpolated
+from casadi_skin.equilibria.samples import Sample
+from casadi_skin.equilibria.stretch import Stretch, height
+from casadi_skin.orbits.exponents import STEP, TURN, Exponents, beside_on_tangent, is_real, nearest_order, turned
 from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS, NotLocatedError, zero_between
+from casadi_skin.orbits.stretch_search import StretchSearch
 from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.result import Floquet
+from casadi_skin.unresolved import Unresolved
 
 DEGENERATE = {FOLD: "cusp of cycles", DOUBLING: "generalized period doubling", TORUS: "chenciner"}
 RESONANCES = {1.0: "1:1 resonance", -1.0: "1:2 resonance", -0.5: "1:3 resonance", 0.0: "1:4 resonance"}  # by cosine
@@ -38,31 +45,112 @@ VANISHES = 1e-2  # of its values at both ends: a test where it has a root
 INTERPOLATED = 1e-3  # of a step: an error of interpolation with which a point is named
 SMALL = 0.5  # of the amplitude at the other end of a step: an orbit that is shrinking
 NOISE = 100.0  # times what a finer level changes: a test above it has its sign
-NEUTRAL = 1e-6  # imaginary part of a pair that is one
+MEETING = 0.1  # between the logarithms of two multipliers that are about to meet
 Test = Callable[[Point], float]
 
 
-def special_on_curve(space: Followed, before: Point, after: Point) -> Iterator[Point]:
-    """Points of codimension two between two points of a curve, in order; raises NotLocatedError."""
+def special_on_curve(space: Followed, before: Point, after: Point) -> Iterator[Point | Unresolved]:
+    """Points of codimension two between two points of a curve, in order, and parts of it that are not resolved.
+
+    Raises NotLocatedError.
+    """
     if space.shrinks(before, after):
         end = shrunk(space, before, after)
         if end is not None:
             yield end
             return
-    found = [_root(space, before, after, kind, test) for kind, test in _tests(space, before, after)]
-    yield from (point for _, point in sorted((one for one in found if one is not None), key=lambda entry: entry[0]))
+    search = _Search(space, before, after)
+    found = list(search.between(search.first, search.last))
+    yield from (part for part in found if isinstance(part, Unresolved))
+    yield from sorted((point for point in found if isinstance(point, Point)), key=search.sigma)
+
+
+class _Search(StretchSearch[Point | Unresolved]):
+    """Points of codimension two on one stretch of a curve."""
+
+    def __init__(self, space: Followed, before: Point, after: Point) -> None:
+        super().__init__(space.point_solver, before, after)
+        self.space = space
+        self.tests = dict(_tests(space, before, after))
+        self.closes = space.periodic is not None or space.repeats
+
+    def floquet(self, point: Point) -> Floquet:
+        return self.space.floquet(point)
+
+    def outside(self, point: Point) -> tuple[int, int]:
+        return super().outside(point) if self.closes else (0, 0)
+
+    def sample(self, point: Point) -> Sample:
+        own = self.own(point)
+        ahead = beside_on_tangent(own, STEP)
+        values = [(test(own), test(ahead)) for test in self.tests.values()]
+        leading = tuple((here, (there - here) / STEP) for here, there in values)
+        row = self.metric(point) * point.tangent
+        if not self.closes:
+            empty = np.empty(0)
+            return Sample(point, row, empty.astype(complex), empty.astype(complex), empty, empty, 1.0, leading)
+        here, there = self.sampler.exponents(own)
+        (first, noise), (last, _) = (_others(self.space, end, e) for end, e in ((own, here), (ahead, there)))
+        order = nearest_order(first, last)
+        rates = turned(last[order] - first) / STEP
+        return Sample(point, row, first, rates, noise, np.zeros_like(point.z), 1.0, leading, TURN)
+
+    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point | Unresolved] | None:
+        if not (last or np.all(stretch.settled)):
+            return None
+        passed = list(self._passed(stretch))
+        if last and not passed and self._is_pole(stretch):
+            return ()
+        if last and not passed:
+            return list(self.unresolved(stretch))
+        before, after = (self.own(end.point) for end in (stretch.first, stretch.last))
+        located = [_root(self.space, before, after, kind, test) for kind, test in passed]
+        return [point for _, point in sorted((one for one in located if one is not None), key=lambda one: one[0])]
+
+    def _is_pole(self, stretch: Stretch) -> bool:
+        """Whether only the coefficients are not resolved, which have poles."""
+        return bool(np.all(stretch.settled[stretch.leading :]))
+
+    def _passed(self, stretch: Stretch) -> Iterator[tuple[str, Test]]:
+        """Kinds of the points that are passed, each with a function that changes its sign there."""
+        for kind, changed in zip(self.tests, stretch.changed, strict=False):
+            if changed and not _is_rounding(self.space, self.first, self.last, self.tests[kind]):
+                yield kind, self.tests[kind]
+        for kind, angle in self._crossings(stretch):
+            test = _tracked(self.space, angle)
+            if not _is_rounding(self.space, self.own(self.first), self.last, test):
+                yield kind, test
+
+    def _crossings(self, stretch: Stretch) -> Iterator[tuple[str, float]]:
+        """Kinds of the points at which another multiplier is on the circle, with its angle."""
+        plus, minus, pair = ANOTHER[self.space.kind]
+        for k in np.flatnonzero(stretch.changed[stretch.leading :]):
+            first, last = stretch.first.values[k], stretch.last.values[stretch.order[k]]
+            if is_real(first) and is_real(last):
+                yield (minus, np.pi) if abs(first.imag) > 1.0 else (plus, 0.0)
+            elif (angle := height(first, last)) > 0.0:
+                yield pair, float(angle)
+
+    def unresolved(self, stretch: Stretch) -> Iterator[Unresolved]:
+        start, end = (self.space.parameters(s.point)[self.space.parameter] for s in (stretch.first, stretch.last))
+        yield Unresolved(start, end, "points of codimension two may be missing", self.space.kind, self.space.parameter)
 
 
 def _tests(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, Test]]:
-    """Kinds of the points that are passed, each with a function that changes its sign there."""
+    """Functions of a point that vanish at points of some kinds; others are found from multipliers."""
     if space.kind == BRANCH_POINT:
         yield from _branching(space, before, after)
-    for kind, test in [*_resonances(space), *_of_multipliers(space), *_of_normal_form(space, before)]:
-        try:
-            if test(before) * test(after) < 0.0 and not _is_rounding(space, before, after, test):
-                yield kind, test
-        except (RuntimeError, NotImplementedError):  # the model has no third derivatives
-            continue
+    yield from _resonances(space)
+    for kind, test in _of_normal_form(space, before):
+        with suppress(RuntimeError, NotImplementedError):  # the model has no third derivatives
+            size = abs(test(before)) + abs(test(after))
+            if size:
+                yield kind, _bounded(test, size)
+
+
+def _bounded(test: Test, size: float) -> Test:
+    """A test of a usual size as one between -1 and 1: coefficients have poles."""
+    return lambda point: float(np.tanh(test(point) / size))
 
 
 def _is_rounding(space: Followed, before: Point, after: Point, test: Test) -> bool:
@@ -76,30 +164,22 @@ def _is_rounding(space: Followed, before: Point, after: Point, test: Test) -> bo
 
 
 def _branching(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, Test]]:
-    """The kind of the point at which the branching equation degenerates, where it does, with its coefficient."""
+    """The coefficient at whose zero the branching equation degenerates, with the kind of that point."""
     equations = [branching_equation(space, point) for point in (before, after)]
     try:
         symmetric = all(one.symmetric(p.error.profile) for one, p in zip(equations, (before, after), strict=True))
-        values = [equation.coefficients[int(symmetric)] for equation in equations]
+        size = sum(abs(equation.coefficients[int(symmetric)]) for equation in equations)
     except (RuntimeError, NotImplementedError):  # the model has no third derivatives
         return
-    if values[0] * values[1] < 0.0:
-        kind = DEGENERATE_PITCHFORK if symmetric else DEGENERATE_TRANSCRITICAL
-        yield kind, lambda point: branching_equation(space, point).coefficients[int(symmetric)]
+    kind = DEGENERATE_PITCHFORK if symmetric else DEGENERATE_TRANSCRITICAL
+    if size:
+        yield kind, _bounded(lambda point: branching_equation(space, point).coefficients[int(symmetric)], size)
 
 
 def _resonances(space: Followed) -> list[tuple[str, Test]]:
     if space.kind != TORUS:
         return []
     return [(name, lambda p, at=cosine: space.kappa(p) - at) for cosine, name in RESONANCES.items()]  # type: ignore[misc]
-
-
-def _of_multipliers(space: Followed) -> list[tuple[str, Test]]:
-    """Kinds of points at which another multiplier is on the unit circle, of orbits and of solutions that close."""
-    if space.periodic is None and not space.repeats:
-        return []
-    plus, minus, pair = ANOTHER[space.kind]
-    return [(plus, _real(space, 1.0)), (minus, _real(space, -1.0)), (pair, _pairs(space))]
 
 
 def _of_normal_form(space: Followed, before: Point) -> list[tuple[str, Test]]:
@@ -110,46 +190,34 @@ def _of_normal_form(space: Followed, before: Point) -> list[tuple[str, Test]]:
     return [(DEGENERATE[space.kind], _coefficient(space))] if known else []
 
 
-def others(space: Followed, point: Point) -> ComplexArray:
-    """Multipliers but the trivial and the critical ones."""
-    values = space.multipliers(point)
-    roots = [-1.0 if space.kind == DOUBLING else 1.0]
-    if space.kind == TORUS:
-        kappa = space.kappa(point)
-        width = np.sqrt(complex(kappa**2 - 1.0))
-        roots = [kappa + width, kappa - width]
-    for root in roots:
-        values = np.delete(values, np.argmin(np.abs(values - root)))
-    return values
+def _others(space: Followed, point: Point, exponents: Exponents) -> tuple[ComplexArray, Array]:
+    """Logarithms of the multipliers but the trivial and the critical ones, and their noise.
 
-
-def _real(space: Followed, value: float) -> Test:
-    """The product over other multipliers of their distances from 1 or -1, which changes its sign as one passes it.
-
-    Where the critical one is there too, the nearest other comes with it: of two that meet the sum alone has its digits.
+    Where another one meets a critical one at 1 or -1 the two have half the digits, and their product has all: the
+    nearest other one is taken with what the critical one is off.
     """
-    meets = {FOLD: 1.0, BRANCH_POINT: 1.0, DOUBLING: -1.0}.get(space.kind) == value
+    values, noise = exponents.values, exponents.noise
+    critical = np.array([1j * np.pi if space.kind == DOUBLING else 0j])
+    if space.kind == TORUS:
+        angle = np.arccos(complex(space.kappa(point)))
+        critical = np.array([1j * angle, -1j * angle])
+    for place in critical:
+        k = int(np.argmin(np.abs(turned(values - place))))
+        off, values, noise = turned(values[k] - place), np.delete(values, k), np.delete(noise, k)
+        if space.kind != TORUS and values.size:
+            nearest = int(np.argmin(np.abs(turned(values - place))))
+            joined = turned(values[nearest] + off - place)
+            if abs(joined) <= MEETING and abs(joined.imag) <= EPSILON:
+                values[nearest] = place + joined.real
+    return values, noise
+
+
+def _tracked(space: Followed, angle: float) -> Test:
+    """The logarithm of the modulus of the other multiplier that is nearest to a place on the circle."""
 
     def test(point: Point) -> float:
-        found = others(space, point)
-        distances = found - value
-        if meets and found.size:
-            every = space.multipliers(point)
-            nearest = np.argmin(np.abs(distances))
-            distances[nearest] = np.sum(every - value) - np.sum(np.delete(distances, nearest))
-        return float(np.prod(distances / (1.0 + np.abs(found))).real)
-
-    return test
-
-
-def _pairs(space: Followed) -> Test:
-    """The product over pairs of other multipliers of 1 minus their product."""
-
-    def test(point: Point) -> float:
-        found = others(space, point)
-        i, j = np.triu_indices(found.size, 1)
-        products = found[i] * found[j]
-        return float(np.prod((1.0 - products) / (1.0 + np.abs(products))).real) if products.size else 1.0
+        values = _others(space, point, Exponents.from_floquet(space.floquet(point)))[0]
+        return float(values[np.argmin(np.abs(turned(values - 1j * angle)))].real)
 
     return test
 
@@ -189,23 +257,13 @@ def _root(space: Followed, before: Point, after: Point, kind: str, test: Test) -
         found = interpolated(space.point_solver, before, after, test)
         if found is None or found[1].error.parameter > INTERPOLATED * abs(after.parameter - before.parameter):
             raise
-        return (found[0], replace(found[1], special=kind)) if _is_pair(space, found[1], kind) else None
-    if abs(zero.value) > VANISHES * size or not _is_pair(space, zero.point, kind):
+        return found[0], replace(found[1], special=kind)
+    if abs(zero.value) > VANISHES * size:
         return None
     slope = (beside.value - zero.value) / (beside.fraction - zero.fraction)
     moved = _error(space, zero.point, test, slope / _length(space, before, after))
     error = replace(zero.point.error, parameter=moved)
     return zero.fraction, replace(zero.point, error=error, requested=False, walked=False, special=kind)
-
-
-def _is_pair(space: Followed, point: Point, kind: str) -> bool:
-    """Whether a pair on the unit circle is one, and not two real multipliers with product 1."""
-    if kind != ANOTHER[space.kind][2]:
-        return True
-    found = others(space, point)
-    i, j = np.triu_indices(found.size, 1)
-    nearest = np.argmin(np.abs(1.0 - found[i] * found[j]))
-    return bool(abs(found[i[nearest]].imag) > NEUTRAL)
 
 
 def _length(space: Followed, before: Point, after: Point) -> float:

@@ -35,7 +35,8 @@ from casadi_skin.orbits.refined import BoundaryError
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.space import SolutionSpace
 from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS, SpecialPoint, check_second
-from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.result import Floquet
+from casadi_skin.unresolved import Unresolved
 
 KINDS = (FOLD, DOUBLING, TORUS, BRANCH_POINT)
 UNFOLDS = 1e-7  # of a step: a push that grows along a curve of branch points
@@ -98,8 +99,8 @@ class OrbitCurveSpace(BoundarySpace):
         """The equations of the orbit of a point around it."""
         return Linearised(cast(Any, point.problem), point.z, self._critical.orbit)
 
-    def special_between(self, before: Point, after: Point) -> Iterator[Point]:
-        """Points of codimension two on the stretch between two points, in order."""
+    def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
+        """Points of codimension two on the stretch between two points, in order, and parts that are not resolved."""
         yield from special_on_curve(self, before, after)
 
     def stop(self, point: Point) -> tuple[End | None, str]:
@@ -137,12 +138,12 @@ class OrbitCurveSpace(BoundarySpace):
         states = self.states_at(point, np.linspace(0.0, 2.0 * np.pi, 65)[:-1], None)
         return np.asarray((states - states.mean(axis=0)) / self._critical.sizes)
 
-    def multipliers(self, point: Point) -> ComplexArray:
-        """Multipliers but the trivial one, computed once for the last few points."""
+    def floquet(self, point: Point) -> Floquet:
+        """Multipliers, computed once for the last few points."""
         for known, found in self._known:
             if known is point:
                 return found
-        found = self.floquets([point])[0].others
+        found = self.floquets([point])[0]
         self._known[:] = [*self._known[-7:], (point, found)]
         return found
 
@@ -152,7 +153,7 @@ class OrbitCurveSpace(BoundarySpace):
         return []
 
     @cached_property
-    def _known(self) -> list[tuple[Point, ComplexArray]]:
+    def _known(self) -> list[tuple[Point, Floquet]]:
         return []
 
 

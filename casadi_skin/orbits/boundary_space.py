@@ -27,6 +27,7 @@ from casadi_skin.orbits.refined import BoundaryError, refined
 from casadi_skin.orbits.special_points import BOUND, BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, fold_between
 from casadi_skin.orbits.turns import turning
 from casadi_skin.solvers.levels import Levels
+from casadi_skin.unresolved import Unresolved
 
 if TYPE_CHECKING:
     from casadi_skin.orbits.solution import Solution
@@ -112,7 +113,7 @@ class BoundarySpace(BoundarySolutions):
         """Pseudo-arclength continuation from its last points, and from points reported after these."""
         return ArclengthContinuation(self.point_solver, history, reported)
 
-    def special_between(self, before: Point, after: Point) -> Iterator[Point]:
+    def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
         """Folds on the stretch between two points, and the Hopf point where an orbit shrinks to an equilibrium.
 
         The later point itself where the period grows without bound there; where a bound is met, that point comes last.

@@ -25,7 +25,7 @@ from casadi_skin.continuation.points import Point
 from casadi_skin.equilibria.samples import Sample
 from casadi_skin.equilibria.stretch import Stretch, height
 from casadi_skin.orbits.boundary_space import BoundarySpace
-from casadi_skin.orbits.exponents import Exponents
+from casadi_skin.orbits.exponents import Exponents, is_real
 from casadi_skin.orbits.making import solution_at
 from casadi_skin.orbits.solution import Solution
 from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, TORUS
@@ -257,7 +257,7 @@ class _Free(_OrbitSearch):
         for k in np.flatnonzero(stretch.changed):
             first, last = stretch.first.values[k], stretch.last.values[stretch.order[k]]
             sign = 1 if last.real > first.real else -1
-            if _is_real(first) and _is_real(last):
+            if is_real(first) and is_real(last):
                 negative = abs(first.imag) > 1.0
                 yield Crossing(int(k), DOUBLING if negative else BRANCH_POINT, np.pi if negative else 0.0, sign)
             elif (angle := height(first, last)) > 0.0:
@@ -322,10 +322,6 @@ class _Paired(_OrbitSearch):
             return None
         angle = float(np.arccos(np.clip(0.5 * centre, -1.0, 1.0)))
         return [self.event(place, point, Crossing(0, KREIN, angle, 2 if leaves else -2))]
-
-
-def _is_real(logarithm: complex) -> bool:
-    return logarithm.imag == 0.0 or abs(logarithm.imag) == np.pi
 
 
 def _way(sample: Sample, first: complex, last: complex) -> complex:

@@ -63,7 +63,7 @@ class Exponents:
         while left:
             k = max(left, key=lambda place: abs(self.values[place].real))
             left.remove(k)
-            sums = np.abs(_turned(self.values[k] + self.values[left]))
+            sums = np.abs(turned(self.values[k] + self.values[left]))
             nearest = left[int(np.argmin(sums))]
             if np.min(sums) > RECIPROCAL_RTOL + self.noise[k] + self.noise[nearest]:
                 return None
@@ -92,7 +92,7 @@ class Exponents:
         return np.where(on_axis, tau.real, tau), slope * noise + noise**2
 
 
-def _turned(logarithms: ComplexArray) -> ComplexArray:
+def turned(logarithms: ComplexArray) -> ComplexArray:
     """Logarithms with imaginary parts in [-pi, pi]."""
     return np.asarray(logarithms - 1j * TURN * np.round(logarithms.imag / TURN))
 
@@ -117,7 +117,7 @@ class ExponentSampler:
         if place not in self.known:
             here = Exponents.from_floquet(self.floquet(point))
             ahead = Exponents.from_floquet(self.floquet(beside_on_tangent(point, STEP)))
-            order = _order(here.values, ahead.values)
+            order = nearest_order(here.values, ahead.values)
             while len(self.known) > 8:  # more than one stretch shares
                 del self.known[next(iter(self.known))]
             self.known[place] = point, here, Exponents(ahead.values[order], ahead.noise[order])
@@ -126,7 +126,7 @@ class ExponentSampler:
     def free(self, point: Point, own: Point) -> Sample:
         """The sample of multipliers that move freely, at a point that `own` has in the unknowns of the stretch."""
         here, ahead = self.exponents(point)
-        rates = _turned(ahead.values - here.values) / STEP
+        rates = turned(ahead.values - here.values) / STEP
         return self._sample(own, here.values, rates, here.noise, TURN)
 
     def paired(self, point: Point, own: Point, passed: float) -> Sample:
@@ -150,8 +150,13 @@ def beside_on_tangent(point: Point, step: float) -> Point:
     return replace(point, z=point.z + step * point.tangent, better=None)
 
 
-def _order(first: ComplexArray, last: ComplexArray) -> Indices:
+def nearest_order(first: ComplexArray, last: ComplexArray) -> Indices:
     """For each logarithm its place among others: the assignment with the smallest changes."""
     from scipy.optimize import linear_sum_assignment
 
-    return np.asarray(linear_sum_assignment(np.abs(_turned(first[:, None] - last)))[1])
+    return np.asarray(linear_sum_assignment(np.abs(turned(first[:, None] - last)))[1])
+
+
+def is_real(logarithm: complex) -> bool:
+    """Whether a logarithm is that of a real multiplier."""
+    return logarithm.imag == 0.0 or abs(logarithm.imag) == np.pi
