@@ -13,6 +13,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import EPSILON, Array
 from casadi_skin.bvp.stated_problem import PERIOD
@@ -30,7 +31,6 @@ from casadi_skin.orbits.exponents import STEP, TURN, Exponents, beside_on_tangen
 from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS, NotLocatedError, zero_between
 from casadi_skin.orbits.stretch_search import StretchSearch
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.result import Floquet
 from casadi_skin.unresolved import Unresolved
 
 DEGENERATE = {FOLD: "cusp of cycles", DOUBLING: "generalized period doubling", TORUS: "chenciner"}
@@ -45,6 +45,8 @@ VANISHES = 1e-2  # of its values at both ends: a test where it has a root
 INTERPOLATED = 1e-3  # of a step: an error of interpolation with which a point is named
 SMALL = 0.5  # of the amplitude at the other end of a step: an orbit that is shrinking
 NOISE = 100.0  # times what a finer level changes: a test above it has its sign
+NEAR_END = 4  # divisions of a step after which a point at which a curve ends is on it
+POLE = 0.95  # of a coefficient between -1 and 1: nearly twice what it is at both ends of a step together
 MEETING = 0.1  # between the logarithms of two multipliers that are about to meet
 Test = Callable[[Point], float]
 
@@ -69,18 +71,22 @@ class _Search(StretchSearch[Point | Unresolved]):
     """Points of codimension two on one stretch of a curve."""
 
     def __init__(self, space: Followed, before: Point, after: Point) -> None:
-        super().__init__(space.point_solver, before, after)
+        closes = space.periodic is not None or space.repeats
+        ends = [Exponents.from_floquet(space.floquet(end)) for end in (before, after)] if closes else []
+        super().__init__(space.point_solver, before, after, space.multipliers_alone, ends)
         self.space = space
         self.tests = dict(_tests(space, before, after))
-        self.closes = space.periodic is not None or space.repeats
-
-    def floquet(self, point: Point) -> Floquet:
-        return self.space.floquet(point)
+        self.closes, self._samples = closes, dict[int, Sample]()
 
     def outside(self, point: Point) -> tuple[int, int]:
         return super().outside(point) if self.closes else (0, 0)
 
     def sample(self, point: Point) -> Sample:
+        if id(point) not in self._samples:
+            self._samples[id(point)] = self._sampled(point)
+        return self._samples[id(point)]
+
+    def _sampled(self, point: Point) -> Sample:
         own = self.own(point)
         ahead = beside_on_tangent(own, STEP)
         values = [(test(own), test(ahead)) for test in self.tests.values()]
@@ -96,29 +102,43 @@ class _Search(StretchSearch[Point | Unresolved]):
         return Sample(point, row, first, rates, noise, np.zeros_like(point.z), 1.0, leading, TURN)
 
     def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point | Unresolved] | None:
-        if not (last or np.all(stretch.settled)):
+        settled, changed = stretch.settled.copy(), stretch.changed[: stretch.leading]
+        settled[: stretch.leading] |= self._poles(stretch)
+        ends = np.array([(self.space.kind, kind) in ENDS for kind in self.tests], dtype=bool)
+        if self._is_beyond(stretch, ends):
+            return ()
+        if depth >= NEAR_END and np.any(changed & settled[: stretch.leading] & ends):
+            settled[: stretch.leading] = True  # beyond it there are no such orbits, and no coefficient
+        if not (last or np.all(settled)):
             return None
         passed = list(self._passed(stretch))
-        if last and not passed and self._is_pole(stretch):
-            return ()
-        if last and not passed:
+        if not (passed or np.all(settled)):
             return list(self.unresolved(stretch))
         before, after = (self.own(end.point) for end in (stretch.first, stretch.last))
         located = [_root(self.space, before, after, kind, test) for kind, test in passed]
         return [point for _, point in sorted((one for one in located if one is not None), key=lambda one: one[0])]
 
-    def _is_pole(self, stretch: Stretch) -> bool:
-        """Whether only the coefficients are not resolved, which have poles."""
-        return bool(np.all(stretch.settled[stretch.leading :]))
+    def _is_beyond(self, stretch: Stretch, ends: NDArray[np.bool_]) -> bool:
+        """Whether a part lies beyond a point at which the curve ends."""
+        start, here = (
+            np.array([g for g, _ in sample.leading or ()]) for sample in (self.sample(self.first), stretch.first)
+        )
+        return bool(np.any(ends & (start * here < 0.0)))
+
+    def _poles(self, stretch: Stretch) -> NDArray[np.bool_]:
+        """Which of the leading quantities change their sign through infinity: they are larger there than beside it."""
+        ends = np.abs(stretch.quantities[0][[0, -1], : stretch.leading])
+        return np.asarray(stretch.changed[: stretch.leading] & (np.min(ends, axis=0) > POLE))
 
     def _passed(self, stretch: Stretch) -> Iterator[tuple[str, Test]]:
         """Kinds of the points that are passed, each with a function that changes its sign there."""
-        for kind, changed in zip(self.tests, stretch.changed, strict=False):
-            if changed and not _is_rounding(self.space, self.first, self.last, self.tests[kind]):
+        poles = self._poles(stretch)
+        for kind, changed in zip(self.tests, stretch.changed[: poles.size] & ~poles, strict=True):
+            if changed and not _is_rounding(self.space, *self.ends, self.tests[kind]):
                 yield kind, self.tests[kind]
         for kind, angle in self._crossings(stretch):
             test = _tracked(self.space, angle)
-            if not _is_rounding(self.space, self.own(self.first), self.last, test):
+            if not _is_rounding(self.space, *self.ends, test):
                 yield kind, test
 
     def _crossings(self, stretch: Stretch) -> Iterator[tuple[str, float]]:
@@ -216,7 +236,7 @@ def _tracked(space: Followed, angle: float) -> Test:
     """The logarithm of the modulus of the other multiplier that is nearest to a place on the circle."""
 
     def test(point: Point) -> float:
-        values = _others(space, point, Exponents.from_floquet(space.floquet(point)))[0]
+        values = _others(space, point, Exponents.from_floquet(space.multipliers_alone(point)))[0]
         return float(values[np.argmin(np.abs(turned(values - 1j * angle)))].real)
 
     return test
@@ -260,10 +280,15 @@ def _root(space: Followed, before: Point, after: Point, kind: str, test: Test) -
         return found[0], replace(found[1], special=kind)
     if abs(zero.value) > VANISHES * size:
         return None
+    point: Point | None = zero.point
+    if zero.point.better is None:  # an end of the stretch, which is no point of the curve
+        point = space.point_solver.along(before, after, zero.fraction)
+    if point is None:
+        raise NotLocatedError(f"a point of kind {kind} cannot be located: {space.point_solver.failure}")
     slope = (beside.value - zero.value) / (beside.fraction - zero.fraction)
-    moved = _error(space, zero.point, test, slope / _length(space, before, after))
-    error = replace(zero.point.error, parameter=moved)
-    return zero.fraction, replace(zero.point, error=error, requested=False, walked=False, special=kind)
+    moved = _error(space, point, test, slope / _length(space, before, after))
+    error = replace(point.error, parameter=moved)
+    return zero.fraction, replace(point, error=error, requested=False, walked=False, special=kind)
 
 
 def _length(space: Followed, before: Point, after: Point) -> float:

@@ -232,8 +232,12 @@ class BoundarySolutions(ABC):
         except SingularError:
             return None
 
-    def _floquet(self, point: Point, by: str) -> Floquet:
-        better = self._better(point)
+    def multipliers_alone(self, point: Point) -> Floquet:
+        """Multipliers from the mesh of a point alone, without their errors."""
+        return self._floquet(point, "collocation", with_errors=False)
+
+    def _floquet(self, point: Point, by: str, with_errors: bool = True) -> Floquet:
+        better = self._better(point) if with_errors else None
         if self.closure is not None:
             assert isinstance(point.problem, BoundaryProblem)
             return self.closure.multipliers(point.problem, point.z, better, self.tolerance)

@@ -32,11 +32,9 @@ from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, TORUS
 from casadi_skin.orbits.stretch_points import snapped, target_of
 from casadi_skin.orbits.stretch_search import StretchSearch
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.result import Floquet
 from casadi_skin.unresolved import Unresolved
 
 KREIN = "krein collision"
-CLEAR = 0.5  # of the changes of a quantity on a stretch: a distance from zero at both ends that needs no sample between
 ROOT_XTOL = 1e-10  # of a stretch, of roots of quantities where no extended equations are solved
 OUTSIDE_STRETCH = 1e-3  # of a stretch: a special orbit farther out is another one
 SAME_EVENT = (
@@ -109,25 +107,16 @@ class _OrbitSearch(StretchSearch[Event | Unresolved]):
     """The search on one stretch between two orbits."""
 
     def __init__(self, space: BoundarySpace, before: Solution, after: Solution) -> None:
-        super().__init__(space.point_solver, before.point, after.point)
-        self.space, self._known = space, (before, after)
-
-    def floquet(self, point: Point) -> Floquet:
-        known = next((end for end in self._known if end.point is point), None)
-        return self.space.floquets([point])[0] if known is None else known.floquet()
+        exponents = [Exponents.from_floquet(end.floquet()) for end in (before, after)]
+        super().__init__(space.point_solver, before.point, after.point, space.multipliers_alone, exponents)
+        self.space = space
 
     def on_stretch(self) -> Iterator[Event | Unresolved]:
         """Events on the stretch, and parts that are not resolved."""
         yield from self.between(self.first, self.last)
 
     def passes(self, stretch: Stretch) -> bool:
-        """Whether every quantity stays far from zero, by its values and rates at both ends."""
-        if not (self.is_clear(stretch.first.point) or self.is_clear(stretch.last.point)):
-            return False
-        g, d = stretch.quantities
-        moves = np.abs(g[-1] - g[0]) + stretch.length * (np.abs(d[0]) + np.abs(d[-1]))
-        clear = (np.sign(g[0]) == np.sign(g[-1])) & (np.min(np.abs(g), axis=0) > CLEAR * moves)
-        return bool(np.all(clear | np.all(g == 0.0, axis=0))) and self.balanced(stretch)
+        return super().passes(stretch) and self.balanced(stretch)
 
     def balanced(self, stretch: Stretch, jumps: int = 0) -> bool:
         """Whether jumps account for the change in the number of multipliers outside the circle."""

@@ -16,7 +16,7 @@ Rates are differences to the point one small step along the tangent: it leaves t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -30,6 +30,7 @@ from casadi_skin.stability.result import Floquet
 STEP = 1e-5  # of the metric: of differences along the tangent; rates are wrong by some 1e-5, and by rounding / 1e-5
 SMALLEST_LOGARITHM = float(np.log(np.finfo(float).tiny))  # of multipliers that are below the smallest double
 RECIPROCAL_RTOL = 1e-7  # of a product mu_k mu_l that is 1 by a symmetry; dissipation within a period is seldom less
+RECIPROCAL_NOISE = 1e-3  # largest error of a logarithm with which that product may be off
 TURN = 2.0 * np.pi
 
 
@@ -65,7 +66,7 @@ class Exponents:
             left.remove(k)
             sums = np.abs(turned(self.values[k] + self.values[left]))
             nearest = left[int(np.argmin(sums))]
-            if np.min(sums) > RECIPROCAL_RTOL + self.noise[k] + self.noise[nearest]:
+            if np.min(sums) > RECIPROCAL_RTOL + min(self.noise[k] + self.noise[nearest], RECIPROCAL_NOISE):
                 return None
             left.remove(nearest)
             found.append((k, nearest))
@@ -102,26 +103,32 @@ class ExponentSampler:
     """Samples at points of one branch, for one stretch between two of them.
 
     Attributes:
-        floquet: the multipliers at a point, and at one beside it on its tangent.
+        alone: the multipliers at a point without their errors, which takes a fraction of the time.
         metric: weights of the unknowns of a point, shape (unknowns,).
+        ends: both ends of the stretch with their exponents: other points take the errors that are larger there.
         known: exponents and their rates that have been computed, by the unknowns of their points.
     """
 
-    floquet: Callable[[Point], Floquet]
+    alone: Callable[[Point], Floquet]
     metric: Callable[[Point], Array]
+    ends: Sequence[tuple[Point, Exponents]]
     known: dict[int, tuple[Point, Exponents, Exponents]] = field(default_factory=dict)
 
     def exponents(self, point: Point) -> tuple[Exponents, Exponents]:
         """Those at a point, and those one step along its tangent in the same order."""
         place = id(point)
         if place not in self.known:
-            here = Exponents.from_floquet(self.floquet(point))
-            ahead = Exponents.from_floquet(self.floquet(beside_on_tangent(point, STEP)))
-            order = nearest_order(here.values, ahead.values)
-            while len(self.known) > 8:  # more than one stretch shares
-                del self.known[next(iter(self.known))]
-            self.known[place] = point, here, Exponents(ahead.values[order], ahead.noise[order])
+            here = next((exponents for end, exponents in self.ends if end is point), None) or self._alone(point)
+            ahead = Exponents.from_floquet(self.alone(beside_on_tangent(point, STEP))).values
+            ahead = ahead[nearest_order(here.values, ahead)]
+            self.known[place] = point, here, Exponents(ahead, here.noise)
         return self.known[place][1:]
+
+    def _alone(self, point: Point) -> Exponents:
+        """Exponents with the errors of the nearest ones at the ends."""
+        values = Exponents.from_floquet(self.alone(point)).values
+        noise = [end.noise[nearest_order(values, end.values)] for _, end in self.ends]
+        return Exponents(values, np.max(noise, axis=0))
 
     def free(self, point: Point, own: Point) -> Sample:
         """The sample of multipliers that move freely, at a point that `own` has in the unknowns of the stretch."""
