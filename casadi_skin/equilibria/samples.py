@@ -8,10 +8,12 @@ from typing import cast
 
 import numpy as np
 
-from casadi_skin.bvp.problem import EPSILON, Array
+from casadi_skin.bvp.problem import EPSILON, Array, Indices
 from casadi_skin.continuation.points import Point
 from casadi_skin.equilibria.linearised import ROUNDING, ComplexArray, Linearised
 from casadi_skin.equilibria.problem import AlgebraicProblem
+
+APART = 1e6  # distance of values of different groups
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +30,7 @@ class Sample:
         orientation: the sign of the determinant of the Jacobian closed by `row`.
         leading: values and rates of other quantities that matter, in place of the rate of the parameter.
         turn: period of the imaginary parts: 2 pi of logarithms of multipliers, infinite of eigenvalues.
+        groups: a number for each value where only values of one group may be the same elsewhere; None where all may.
         blurred: whether rounding decides the sign of the rate of the parameter, as at a branch point itself.
     """
 
@@ -40,6 +43,7 @@ class Sample:
     orientation: float
     leading: tuple[tuple[float, float], ...] | None = None
     turn: float = np.inf
+    groups: Indices | None = None
     blurred: bool = False
 
     @property
@@ -53,6 +57,8 @@ class Sample:
         difference = values[:, None] - others
         if np.isfinite(self.turn):
             difference -= 1j * self.turn * np.round(difference.imag / self.turn)
+        if self.groups is not None and difference.shape == (self.groups.size, self.groups.size):
+            difference = np.where(self.groups[:, None] == self.groups, difference, APART)
         return np.abs(difference)
 
     def along(self, row: Array) -> tuple[float, float, float]:

@@ -55,6 +55,10 @@ class Search(ABC, Generic[Event]):
         """Whether every quantity has its sign at a point, where a stretch may be divided."""
         return True
 
+    def suspected(self, stretch: Stretch) -> float | None:
+        """The place at which a stretch is best divided; None where any will do."""
+        return stretch.dip()
+
     @abstractmethod
     def unresolved(self, stretch: Stretch) -> Iterator[Event | Unresolved]:
         """What is known of a part that can be divided no further, and its record."""
@@ -76,7 +80,7 @@ class Search(ABC, Generic[Event]):
         if last or middle is None:
             yield from self.unresolved(stretch)
             return
-        divided = self._dividing(before, middle, after, stretch.dip())
+        divided = self._dividing(before, middle, after, self.suspected(stretch))
         yield from self.between(before, divided, depth + 1)
         yield from self.between(divided, after, depth + 1)
 

@@ -19,8 +19,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import BPoly
+from scipy.optimize import brentq, linear_sum_assignment
 
 from casadi_skin import methods
+from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.continuation.points import Point
 from casadi_skin.equilibria.samples import Sample
 from casadi_skin.equilibria.stretch import Stretch, height
@@ -42,6 +45,8 @@ SAME_EVENT = (
 )
 ASIDE = (0.0, 0.03, 0.2)  # of a stretch, from a root: at a branch point itself no orbit is found
 CRITICAL = 1e-4  # log |multiplier| of one that is on the unit circle at a requested value
+SAME_MEETING = 1e-3  # of a stretch between two orbits: meetings of two pairs that near are looked at once
+MEETINGS = 3  # places near a meeting at which it is looked whether the pairs have left the circle
 KREIN_DEPTH = 3  # divisions before a collision is located by its discriminant
 
 
@@ -94,6 +99,8 @@ def events_between(space: BoundarySpace, before: Solution, after: Solution) -> I
         last_one = merged[-1] if merged else None
         if isinstance(one, Event) and isinstance(last_one, Event) and _is_same(one, last_one):
             merged[-1] = last_one._replace(jump=last_one.jump + one.jump)
+        elif isinstance(one, Unresolved) and isinstance(last_one, Unresolved) and last_one.end == one.start:
+            merged[-1] = replace(last_one, end=one.end)
         else:
             merged.append(one)
     yield from merged
@@ -131,9 +138,15 @@ class _OrbitSearch(StretchSearch[Event | Unresolved]):
         crossings = list(self.crossings(stretch))
         if not self.balanced(stretch, sum(crossing.jump for crossing in crossings)):
             return self.collision(stretch, crossings) if depth >= KREIN_DEPTH else None
+        if not (last or self.is_simple(stretch)):
+            return None
         located = (self.located(stretch, crossing) for crossing in crossings)
         known: list[Event] = sorted((event for event in located if event is not None), key=lambda event: event.place)
         return known if len(known) == len(crossings) else None
+
+    def is_simple(self, stretch: Stretch) -> bool:
+        """Whether nothing happens on a stretch but what its quantities show."""
+        return True
 
     def crossings(self, stretch: Stretch) -> Iterator[Crossing]:
         """Quantities that change their sign on a stretch that is resolved."""
@@ -205,8 +218,6 @@ class _OrbitSearch(StretchSearch[Event | Unresolved]):
         self, stretch: Stretch, value: Callable[[Point, float], float], noise: float, kind: str
     ) -> Point | None:
         """The point of a stretch at which a value vanishes; at a branch point, where none is alone, the nearest one."""
-        from scipy.optimize import brentq
-
         before, after = stretch.first.point, stretch.last.point
         known = {0.0: (before, value(before, 0.0)), 1.0: (after, value(after, 1.0))}
         if not known[0.0][1] * known[1.0][1] < 0.0:
@@ -258,23 +269,77 @@ class _Paired(_OrbitSearch):
 
     def __init__(self, space: BoundarySpace, before: Solution, after: Solution) -> None:
         super().__init__(space, before, after)
-        self.signs = "real"
+        self.signs, self._tried = "real", list[float]()
+        # The multipliers of an orbit that is odd are squares, which touch -1 and do not pass it.
+        odd = space.periodic is not None and space.symmetry is SymmetryClass.QUARTER
+        self.passed = (1.0,) if odd else (1.0, -1.0)
 
     def sample(self, point: Point) -> Sample:
-        plus, minus = (self.sampler.paired(self.own(point), point, passed) for passed in (1.0, -1.0))
-        return replace(
-            plus, values=np.concatenate([plus.values, minus.values]), rates=np.concatenate([plus.rates, minus.rates]),
-            noise=np.concatenate([plus.noise, minus.noise]),
-        )  # fmt: skip
+        samples = [self.sampler.paired(self.own(point), point, passed) for passed in self.passed]
+        parts = zip(*((s.values, s.rates, s.noise) for s in samples), strict=True)
+        values, rates, noise = (np.concatenate(part) for part in parts)
+        groups = np.repeat(np.arange(len(samples)), samples[0].values.size)
+        return replace(samples[0], values=values, rates=rates, noise=noise, groups=groups)
+
+    def passes(self, stretch: Stretch) -> bool:
+        return super().passes(stretch) and self.meeting(stretch) is None
+
+    def is_simple(self, stretch: Stretch) -> bool:
+        return self.meeting(stretch) is None
+
+    def suspected(self, stretch: Stretch) -> float | None:
+        return self.meeting(stretch) or super().suspected(stretch)
+
+    def meeting(self, stretch: Stretch) -> float | None:
+        """A place at which two pairs that pass one another on the circle have left it; None where none have."""
+        half, length = stretch.first.values.size // len(self.passed), stretch.length
+        ends = (stretch.first, stretch.last)
+        tau = np.array([2.0 + np.sinh(sample.values[:half]) for sample in ends])
+        rates = np.array([sample.along(self.row)[0] * sample.rates[:half] for sample in ends]) * length
+        rates = (rates * np.sqrt(1.0 + (tau - 2.0) ** 2)).real
+        expected, back = tau[0] + 0.5 * rates[0], tau[1] - 0.5 * rates[1]  # those that meet go on as their rates say
+        order = linear_sum_assignment(np.abs(expected[:, None] - back))[1]
+        tau[1], rates[1] = tau[1, order], rates[1, order]
+        on_circle = np.flatnonzero(np.all((tau.imag == 0.0) & (np.abs(tau.real) < 2.0), axis=0))
+        for n, k in enumerate(on_circle):
+            for m in on_circle[:n]:
+                gap, slope = (tau[:, k] - tau[:, m]).real, rates[:, k] - rates[:, m]
+                if gap[0] * gap[1] < 0.0:
+                    place = self._left_at(stretch, BPoly.from_derivatives([0.0, 1.0], np.column_stack([gap, slope])))
+                    if place is not None:
+                        return place
+        return None
+
+    def _left_at(self, stretch: Stretch, gap: BPoly) -> float | None:
+        """The place near the root of a gap between two traces at which they are a complex pair; None where none is."""
+        root = float(brentq(lambda place: float(gap(place)), 0.0, 1.0))
+        sigma = self.sigma(stretch.first.point) + root * stretch.length
+        if any(abs(sigma - known) <= SAME_MEETING * self.length for known in self._tried):
+            return None
+        self._tried.append(sigma)
+        centre, expected = None, max(self.outside(end.point)[0] for end in (stretch.first, stretch.last))
+        for _ in range(MEETINGS):
+            point = self.along(stretch.first.point, stretch.last.point, root)
+            if point is None:
+                return None
+            if self.outside(point)[0] > expected:
+                self._tried.pop()
+                return root
+            tau = np.sort(self.traces(point).real)
+            centre = tau[int(np.argmin(np.diff(tau)))] if centre is None else centre
+            near = int(np.argmin(np.abs(tau[:-1] - centre) + np.diff(tau)))
+            off = float(np.diff(tau)[near] / abs(gap.derivative()(root)))
+            root = float(np.clip(root + (off if gap(min(root + off, 1.0)) * gap(root) <= 0.0 else -off), 0.0, 1.0))
+        return None
 
     def crossings(self, stretch: Stretch) -> Iterator[Crossing]:
-        half = stretch.first.values.size // 2
-        g = stretch.quantities[0]
+        g, groups = stretch.quantities[0], stretch.first.groups
+        assert groups is not None
         for k in np.flatnonzero(stretch.changed):
-            leaves = (g[-1, k] > 0.0) == (k < half)
-            yield Crossing(
-                int(k), BRANCH_POINT if k < half else DOUBLING, 0.0 if k < half else np.pi, 1 if leaves else -1
-            )
+            passed = self.passed[groups[k]]
+            jump = 1 if (g[-1, k] > 0.0) == (passed > 0.0) else -1
+            kind, angle = (BRANCH_POINT, 0.0) if passed > 0.0 else (DOUBLING, np.pi)
+            yield Crossing(int(k), kind, angle, jump)
 
     def traces(self, point: Point) -> ComplexArray:
         here = self.sampler.exponents(self.own(point))[0]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cycles_in_closed_form import Block, Truth, random_truth
 
-from casadi_skin import Branch, OdeModel, find_orbit, simulate
+from casadi_skin import Branch, Chain, OdeModel, find_orbit, follow_family, simulate
 
 
 def check(truth: Truth, branch: Branch, within: float = 1e-7) -> None:
@@ -71,3 +71,46 @@ def test_every_event_of_more_random_models_is_located(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(100, 120))
 def test_events_do_not_depend_on_the_units_of_states(seed: int) -> None:
     check(truth := random_truth(seed, units=3.0), truth.follow(), within=1e-6)
+
+
+@pytest.mark.slow
+def test_an_orbit_of_a_family_followed_in_gamma_has_the_changes_of_the_families_at_each_gamma() -> None:
+    """Three windows of instability, one 0.0003 wide; families judge orbits by another matrix over a quarter period."""
+    orbit = follow_family(Chain(8, 1.0, 0.25, -1.0), mode=1, amplitude_max=1.2).at(S=1.0901975)
+    assert not orbit.stable
+    branch = orbit.follow("gamma", 0.4, stability=True)
+    assert branch.unresolved == ()
+    assert [change.kind for change in branch.changes] == [
+        "complex",
+        "real",
+        "real",
+        "complex",
+        "complex",
+        "real",
+        "real",
+    ]
+    assert np.min(np.diff([change.value for change in branch.changes])) < 4e-4
+    for change in branch.changes:
+        for side in (-1e-6, 1e-6):
+            chain = Chain(8, 1.0, change.value + side, -1.0)
+            same = follow_family(chain, mode=1, amplitude_max=orbit.S).orbits[-1]
+            assert same.stable == (change.stable_before if side < 0.0 else change.stable_after)
+
+
+@pytest.mark.parametrize("width", [0.02, 0.003])
+def test_a_pair_of_fold_torus_points_within_a_step_is_found_on_a_curve_of_cycles(width: float) -> None:
+    """r' = r (mu + a r^2 - r^4) folds along mu = -a^2/4; beside it a pair of rates (a - 1.03)^2 - width^2/4 and 0.7."""
+    x, y, u, v, mu, a = (ca.SX.sym(name) for name in ("x", "y", "u", "v", "mu", "a"))
+    square = x**2 + y**2
+    growth, rate = mu + a * square - square**2, 0.5 * ((a - 1.03) ** 2 - 0.25 * width**2)
+    rhs = [growth * x - y, growth * y + x, rate * u - 0.7 * v, 0.7 * u + rate * v]
+    model = OdeModel("folding cycles", [x, y, u, v], rhs, [mu, a])
+    radius, values = 1.1, {"mu": 1.1**4 - 1.1**2, "a": 1.0}
+    orbit = find_orbit(model, lambda t: [radius * np.cos(t), radius * np.sin(t), 0, 0], 2 * np.pi, parameters=values)
+    fold = orbit.follow("mu", -0.5).special_points[0]
+    assert (fold.kind, fold.parameters["mu"]) == ("fold", pytest.approx(-0.25, abs=1e-10))
+    curve = fold.curve("a", 2.0)
+    assert [point.kind for point in curve.special_points] == ["fold-torus", "fold-torus"]
+    for point, place in zip(curve.special_points, (1.03 - 0.5 * width, 1.03 + 0.5 * width), strict=True):
+        assert abs(point.parameters["a"] - place) <= max(3.0 * point.error, 1e-12) < 1e-9
+    assert curve.unresolved == ()
