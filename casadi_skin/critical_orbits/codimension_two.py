@@ -92,14 +92,15 @@ class _Search(StretchSearch[Point | Unresolved]):
         values = [(test(own), test(ahead)) for test in self.tests.values()]
         leading = tuple((here, (there - here) / STEP) for here, there in values)
         row = self.metric(point) * point.tangent
+        still = np.zeros_like(point.z)
         if not self.closes:
-            empty = np.empty(0)
-            return Sample(point, row, empty.astype(complex), empty.astype(complex), empty, empty, 1.0, leading)
+            empty = np.empty(0, dtype=complex)
+            return Sample(point, row, empty, empty, np.empty(0), still, 1.0, leading)
         here, there = self.sampler.exponents(own)
         (first, noise), (last, _) = (_others(self.space, end, e) for end, e in ((own, here), (ahead, there)))
         order = nearest_order(first, last)
         rates = turned(last[order] - first) / STEP
-        return Sample(point, row, first, rates, noise, np.zeros_like(point.z), 1.0, leading, TURN)
+        return Sample(point, row, first, rates, noise, still, 1.0, leading, TURN)
 
     def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point | Unresolved] | None:
         settled, changed = stretch.settled.copy(), stretch.changed[: stretch.leading]
