@@ -126,7 +126,8 @@ class _Search(EquilibriumSearch):
             return None
 
         def second(point: Point) -> float:
-            return float(_null_space(point).values[-2])
+            matrix = jacobian_of(cast(ExtendedSystem, point.problem), point.z)  # in one scale: rows may vanish there
+            return float(np.linalg.svd(matrix, compute_uv=False)[-2])
 
         return double_between(self.equations.point_solver, before, after, test, second)
 
