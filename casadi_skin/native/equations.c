@@ -10,7 +10,7 @@
 #define EXPORTED __attribute__((visibility("default")))
 
 enum { INPUT, OUTPUT, CONSTANT, ASSIGN, ADD, SUB, MUL, DIV, NEG, SQUARE, TWICE, INVERSE, SQRT, SIN, COS, TAN, EXP, LOG,
-       TANH, POWER, EQUAL, NOT, IF_ELSE_ZERO };
+       TANH, POWER, EQUAL, LESS_EQUAL, NOT, IF_ELSE_ZERO };
 
 /* An instruction writes place `out` of the work from places `first` and `second`. Of INPUT `first` and `second` are the
    argument and its element, of OUTPUT `out` is the element of the result; a CONSTANT is the `first` of the constants. */
@@ -73,6 +73,7 @@ static void run(const program *p, int64_t lanes, const double *states, double pa
         case TANH: LANES(tanh(a[i]));
         case POWER: LANES(pow(a[i], b[i]));
         case EQUAL: LANES(a[i] == b[i]);
+        case LESS_EQUAL: LANES(a[i] <= b[i]);
         case NOT: LANES(!a[i]);
         case IF_ELSE_ZERO: LANES(a[i] ? b[i] : 0.0);
         }

@@ -20,7 +20,7 @@ Indices = NDArray[np.int64]
 INTEGER, POINTER = ctypes.c_int64, ctypes.c_void_p
 OPERATIONS = (  # in the order of the kernel's
     "INPUT", "OUTPUT", "CONST", "ASSIGN", "ADD", "SUB", "MUL", "DIV", "NEG", "SQ", "TWICE", "INV", "SQRT", "SIN", "COS",
-    "TAN", "EXP", "LOG", "TANH", "POW", "EQ", "NOT", "IF_ELSE_ZERO",
+    "TAN", "EXP", "LOG", "TANH", "POW", "EQ", "LE", "NOT", "IF_ELSE_ZERO",
 )  # fmt: skip
 CODES = {getattr(ca, f"OP_{name}"): code for code, name in enumerate(OPERATIONS)}
 CODES[ca.OP_CONSTPOW] = CODES[ca.OP_POW]

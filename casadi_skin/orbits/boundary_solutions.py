@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -246,7 +246,8 @@ class BoundarySolutions(ABC):
 
         def closed(problem: Problem, z: Array) -> Closed:
             assert isinstance(problem, BoundaryProblem)
-            return Closed(problem, z, periodic.model, periodic.symmetry)
+            period = self.interval(replace(point, problem=problem, z=z))[1]
+            return Closed(problem, z, periodic.model, periodic.symmetry, period)
 
         found: Floquet = compute(
             closed(point.problem, point.z), None if better is None else closed(better.problem, better.z), self.tolerance

@@ -179,7 +179,9 @@ class _OrbitSearch(StretchSearch[Event | Unresolved]):
             for aside in ASIDE:
                 fraction = root + (aside if root < 0.5 else -aside)
                 near = self.solver.along(stretch.first.point, stretch.last.point, fraction)
-                event = None if near is None else self.solved(stretch, crossing, near)
+                if near is None:  # beside a branch point rounding decides; the extended equations are regular there
+                    near = replace(self.last, z=stretch.curve.at(fraction * stretch.length), better=None, special="")
+                event = self.solved(stretch, crossing, near)
                 if event is not None:
                     return event
         return self.by_root(stretch, crossing)

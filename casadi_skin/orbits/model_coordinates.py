@@ -192,7 +192,7 @@ class ModelCoordinates(Coordinates):
         bend = float(np.linalg.norm(np.array(ca.Function("bend", [q], [ca.densify(second)])(self.mode))))
         # Below `small` two terms are right to rounding, where f(a q) / a loses all digits.
         small = float(np.sqrt(EPSILON) / max(1.0, bend / np.linalg.norm(self.modes.stiffness @ self.mode)))
-        is_small = ca.fabs(p) <= small
+        is_small = p**2 <= small**2
         safe = ca.if_else(is_small, small, p)
         return ca.if_else(is_small, linear + p * second, ca.substitute(along, t, safe) / (safe * D))
 

@@ -21,7 +21,7 @@ from casadi_skin.results.quantity import CSV, NEITHER, NETCDF, Place, Quantity
 PHASES = 401  # of the common grid of profiles of solutions
 
 FIXED = ("point", "requested", "fold", "period", "error", "parameter_error", "intervals", "residual",
-         "max_abs_multiplier", "stable", "unstable", "trivial_deviation")  # fmt: skip
+         "max_abs_multiplier", "multiplier_error", "stable", "unstable", "trivial_deviation")  # fmt: skip
 
 
 LOGARITHMS = (  # of multipliers that no double holds
@@ -100,8 +100,12 @@ def _full_period_quantities() -> list[Quantity]:
     def largest(place: Place) -> float:  # all of them may be trivial
         return place.floquet.max_abs_multiplier if place.floquet.others.size else math.nan
 
+    def error(place: Place) -> float:  # infinite where no mesh is finer
+        return place.floquet.error if np.isfinite(place.floquet.error) else math.nan
+
     return [
         Quantity("max_abs_multiplier", "largest modulus but for the trivial ones", largest, may_be_empty=True),
+        Quantity("multiplier_error", "estimated error of the multipliers", error, may_be_empty=True),
         Quantity("stable", "1 where none but the trivial is unstable", lambda p: int(p.floquet.stable)),
         Quantity(
             "unstable", "multipliers outside the unit circle", lambda p: int(np.sum(p.floquet.outside)), where=CSV

@@ -37,7 +37,7 @@ MAX_STEPS = 200_000
 
 @dataclass(frozen=True, eq=False)
 class Closed:
-    """A periodic solution: its unknowns, the model of first order, and the part of the period that is unknown.
+    """A periodic solution: its unknowns, the model of first order, the part of the period that is unknown, the period.
 
     The state of the problem may have others beside it: those of the model come first, and do not depend on these.
     """
@@ -46,18 +46,13 @@ class Closed:
     z: Array
     model: OdeModel
     symmetry: SymmetryClass
+    period: float
 
     @cached_property
     def parameters(self) -> Array:
         """Those of the model."""
         values = dict(zip(self.problem.statement.model.parameter_names, self.problem.parameters(self.z), strict=True))
         return np.array([values[name] for name in self.model.parameter_names])
-
-    @property
-    def period(self) -> float:
-        """Duration of the whole orbit."""
-        start, end = self.problem.statement.span(self.problem.parameters(self.z))
-        return float(end - start) / self.symmetry.value
 
     @property
     def ends(self) -> Array:

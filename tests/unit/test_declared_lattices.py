@@ -97,7 +97,7 @@ def test_the_turning_point_of_phase_zero_does_not_depend_on_rounding() -> None:
     [
         ("n^2*y + y^3", "d^3", "fixed", "mode 3 of lattice has 3 times the frequency of mode 1"),
         ("n^2*y + y^2", "d^3", "fixed", "mode 2 of lattice has 2 times the frequency of mode 1"),
-        ("sqrt(2)*(n - 1)*y + y^2", "d^3", "fixed", "omega.2 = 0 of mode 1 of lattice, which is no free motion"),
+        ("sqrt(2)*(n - 1)*y + y^2", "d^3", "fixed", "omega.2 = 0 of lattice, whose mode is no free motion"),
     ],
 )
 def test_a_mode_whose_family_does_not_start_alone_is_refused(

@@ -38,7 +38,7 @@ FORCES: dict[str, Callable[[ca.SX, ca.SX], ca.SX]] = {
     "roots and powers": lambda q, p: q * ca.sqrt(1 + q**2) + q * (2 + q**2) ** 1.5 + q * (2 + q**2) ** (p**2),
     "circles": lambda q, p: ca.sin(q) + p * q * ca.cos(q) + ca.tan(0.3 * q),
     "exponentials": lambda q, p: q * ca.exp(-(q**2)) + p * q * ca.log(2 + q**2) + ca.tanh(p * q),
-    "limits": lambda q, p: ca.if_else(p == 0, q**3, ca.sin(p * q) / p),
+    "limits": lambda q, p: ca.if_else(p == 0, q**3, ca.sin(p * q) / p) + ca.if_else(p**2 <= 0.5, q**3, q),
     "none": lambda q, p: 0 * q,
 }
 MODELS = {
