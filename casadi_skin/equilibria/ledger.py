@@ -15,8 +15,9 @@ from functools import cached_property
 from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array, Indices, SingularError
+from casadi_skin.bvp.problem import EPSILON, Array, Indices, SingularError
 from casadi_skin.continuation.hermite import LocalCurve
 from casadi_skin.continuation.points import Point
 from casadi_skin.equilibria.equations import EquilibriumEquations
@@ -34,6 +35,7 @@ SETTLED = 1e-7  # of a stretch: a step that is none
 SMALL = 16  # states: eigenvalues of more are computed only where derivatives are not what is between two points
 SURE = 10.0  # times the change of an eigenvalue, to first order, that leaves it on its side
 CHANGES = {FOLD: (1,), BRANCH_POINT: (0, 1), HOPF: (2,)}  # of the number of unstable eigenvalues
+Flags = NDArray[np.bool_]
 AT = 1e-9  # of a stretch: a place at an event itself
 
 
@@ -112,39 +114,38 @@ def counted(equations: EquilibriumEquations, before: Point, after: Point) -> Cou
     over = PLACES if equations.statics.exact else OF_PROGRAMS
     many = max(abs(after.parameter - before.parameter), length / LENGTH)
     sigma = length * np.linspace(0.0, 1.0, int(np.clip(np.ceil(over * many), 3, MOST)) + 1)
-    matrices, unknowns = [], []
-    for place in sigma:
-        z = before.z if place == 0.0 else after.z if place == sigma[-1] else curve.at(float(place))
-        known = _solved(problem, z, row, SETTLED * length, weights)
-        if known is None:
-            point = equations.point_solver.along(before, after, float(place / length))
-            if point is None:
-                return None
-            known = problem.jacobian(point.z), point.z
-        matrices.append(known[0][:, : problem.statics.size])
-        unknowns.append(known[1])
-    stack = np.stack(matrices)
+    guesses = np.array([curve.at(float(place)) for place in sigma])
+    guesses[[0, -1]] = before.z, after.z
+    unknowns, settled = _solved(problem, guesses, row, SETTLED * length, weights)
+    for k in np.flatnonzero(~settled):
+        point = equations.point_solver.along(before, after, float(sigma[k] / length))
+        if point is None:
+            return None
+        unknowns[k] = point.z
+    stack = problem.equations_at_all(unknowns)[1][:, :, : problem.statics.size]
     stretch = Stretch.of((first, equations.sample(after)), "real parts")
     seen = np.ones(sigma.size, dtype=bool) if problem.statics.size <= SMALL else _unlike(stretch, stack, sigma / length)
     least, most = _numbers(problem.statics.model.rounding, stack, seen)
-    return Counts(before, after, row, sigma[seen], least, most, np.stack(unknowns)[seen])
+    return Counts(before, after, row, sigma[seen], least, most, unknowns[seen])
 
 
-def _solved(
-    problem: AlgebraicProblem, z: Array, row: Array, still: float, weights: Array
-) -> tuple[Array, Array] | None:
-    """The Jacobian and the unknowns of the equilibrium near z at its place along; None where steps do not settle."""
+def _solved(problem: AlgebraicProblem, z: Array, row: Array, still: float, weights: Array) -> tuple[Array, Flags]:
+    """Equilibria near states, each at its place along, by Newton's method; and whether the steps settled."""
+    z, left, settled = z.copy(), np.arange(len(z)), np.zeros(len(z), dtype=bool)
     for _ in range(NEWTON):
-        residual, nonzeros = problem._buffers(z, problem.constants)
-        matrix, right = problem._matrix(nonzeros), np.append(residual, 0.0)
-        try:
-            step = np.linalg.solve(np.vstack([matrix, row]), right)
-        except np.linalg.LinAlgError:
-            return None
-        z = z - step
-        if np.sqrt(np.sum(weights * step**2)) <= still:
-            return matrix, z
-    return None
+        residuals, matrices = problem.equations_at_all(z[left])
+        closed = np.concatenate([matrices, np.tile(row, (left.size, 1, 1))], axis=1)
+        regular = np.linalg.cond(closed) < 1.0 / EPSILON
+        left, closed, residuals = left[regular], closed[regular], residuals[regular]
+        right = np.concatenate([residuals, np.zeros((left.size, 1))], axis=1)
+        steps = np.linalg.solve(closed, right[..., None])[..., 0]
+        z[left] -= steps
+        small = np.sqrt(np.sum(weights * steps**2, axis=1)) <= still
+        settled[left[small]] = True
+        left = left[~small]
+        if not left.size:
+            break
+    return z, settled
 
 
 def _unlike(stretch: Stretch, matrices: Array, fractions: Array) -> np.ndarray:

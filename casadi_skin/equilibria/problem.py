@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -22,6 +23,7 @@ from casadi_skin.solvers.levels import Levels
 
 SMALLEST = 1e-3  # of a component's size: changes of smaller components are measured by that
 KEPT = 16  # places whose units are kept
+TOGETHER = 64  # states at which equations are evaluated by one call
 BESIDE = 0.1  # weight of unknowns beside state and parameters in the length of a step
 
 
@@ -272,9 +274,28 @@ class AlgebraicProblem(Problem):
 
     def _matrix(self, nonzeros: Array) -> Array:
         rows, columns = self.pattern
-        matrix = np.zeros((self.size - 1, self.size))
-        matrix[rows, columns] = nonzeros
+        matrix = np.zeros((*nonzeros.shape[:-1], self.size - 1, self.size))
+        matrix[..., rows, columns] = nonzeros
         return matrix
+
+    def equations_at_all(self, z: Array) -> tuple[Array, Array]:
+        """Residuals and Jacobians of the equations as they are written at states (k, size): (k, m) and (k, m, size)."""
+        if not self.statics.exact:  # a program is run for one state after the other
+            residual, nonzero = np.empty((len(z), self.size - 1)), np.empty((len(z), self.pattern[0].size))
+            for k, one in enumerate(z):
+                residual[k], nonzero[k] = self._buffers(one, self.constants)
+            return residual, self._matrix(nonzero)
+        padded = np.concatenate([z, np.repeat(z[:1], -len(z) % TOGETHER, axis=0)]).reshape(-1, TOGETHER, self.size)
+        numbers = np.tile(self.numbers[:, None], TOGETHER)
+        found = [self._together(some.T, numbers) for some in padded]
+        residuals = np.concatenate([np.array(residual).T for residual, _ in found])
+        nonzeros = np.concatenate([jacobians.nz[:].full().reshape(TOGETHER, -1) for _, jacobians in found])
+        return residuals[: len(z)], self._matrix(nonzeros[: len(z)])
+
+    @cached_property
+    def _together(self) -> ca.Function:
+        """The function at `TOGETHER` states, whose residuals and Jacobians are columns one beside the other."""
+        return self.compiled.map(TOGETHER)
 
 
 class ExactLevels(Levels):

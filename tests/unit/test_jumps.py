@@ -106,6 +106,7 @@ def test_orbit_of_a_clock_is_refused_in_a_line_with_the_jump(tolerance):
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.slow
 def test_a_relay_that_does_not_converge_is_refused_with_its_jump():
     relay = OdeModel("relay", ca.vertcat(x, v), ca.vertcat(-ca.sign(x - v), ca.sign(x) - v))
     with pytest.raises(ValueError, match=r"relay: the equation of \w jumps, by sign"):
