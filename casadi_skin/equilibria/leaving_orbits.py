@@ -10,6 +10,7 @@ import numpy as np
 from casadi_skin.bvp import mesh
 from casadi_skin.bvp.problem import Array
 from casadi_skin.bvp.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.continuation.points import ContinuationSettings, Point
 from casadi_skin.orbits.boundary_choices import Sizes
 from casadi_skin.orbits.boundary_space import BoundarySpace
@@ -20,6 +21,7 @@ from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.orbits.rejoining import Left
 from casadi_skin.solvers.estimates import ErrorEstimate
 
+ACCEPTED = "orbits over the whole period (symmetric=False), and of models that conserve something branch points alone"
 RESTS, SHARE = 1e-5, 1e-2  # of the largest component: a component below it rests; of a usual one: its scale
 
 
@@ -47,7 +49,13 @@ def leaving_orbits(
     def guess(t: float) -> Array:
         return orbit.evaluate(t)
 
-    if model.forced:
+    conserves = model.hamiltonian is not None or bool(model.conserved)
+    if periodic.symmetry is not SymmetryClass.FULL or (conserves and turns == 2):
+        words = "a period doubling of" if turns == 2 else "a branch point on a part of the period of"
+        raise ValueError(f"follow: given {words} {model.name}; accepted: {ACCEPTED}")
+    if conserves:  # what selects one of a family, and what keeps the equations regular, stays
+        statement = old.statement.with_parameters(**orbit.parameters)
+    elif model.forced:
         cycles = round(period / model.forcing_period_at(list(values.values())))
         statement = forced_statement(model, turns * cycles, values, rotated)
     else:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.events import KREIN, Event, events_between
 from casadi_skin.orbits.exponents import Exponents
@@ -56,8 +55,6 @@ class Ledger:
 
     def __init__(self, space: BoundarySpace) -> None:
         self.space = space
-        # Of an orbit on half or a quarter of its period no branch leaves in that symmetry: there are changes alone.
-        self._lists = space.periodic is None or space.symmetry is SymmetryClass.FULL
         self.changes: list[StabilityChange] = []
         self.unresolved: list[Unresolved] = []
         self._count: int | None = None  # n_u behind the last solution; None where it is not known
@@ -93,7 +90,7 @@ class Ledger:
                 self.unresolved.append(event)
                 continue
             self._enter(event)
-            if event.kind != KREIN and self._lists:
+            if event.kind != KREIN:
                 yield event.solution
         end, open_at_end = Exponents.from_floquet(last.floquet()).outside
         if len(self.unresolved) == known and abs(end - self._count) > min(open_at_start, open_at_end):

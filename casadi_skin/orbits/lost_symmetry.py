@@ -33,7 +33,7 @@ def lost_symmetries(orbit: Orbit) -> tuple[str, ...]:
     for signs, shift in lost_operations(orbit):
         changed = ", ".join(name for name, sign in zip(orbit.model.state_names, signs, strict=True) if sign < 0)
         found.append(f"{'half-period' if shift else 'mirror'} symmetry in {changed}")
-    return tuple(found)
+    return tuple(dict.fromkeys(found))
 
 
 def lost_operations(orbit: Orbit) -> Iterator[tuple[Array, float]]:

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from cycles_in_closed_form import Block, Truth, random_truth
+from test_multiplier_errors import planar_orbit, three_bodies
 
 from casadi_skin import Branch, Chain, OdeModel, find_orbit, follow_family, simulate
 
@@ -114,3 +115,33 @@ def test_a_pair_of_fold_torus_points_within_a_step_is_found_on_a_curve_of_cycles
     for point, place in zip(curve.special_points, (1.03 - 0.5 * width, 1.03 + 0.5 * width), strict=True):
         assert abs(point.parameters["a"] - place) <= max(3.0 * point.error, 1e-12) < 1e-9
     assert curve.unresolved == ()
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_halo_orbits_leave_lyapunov_orbits_where_their_vertical_pair_passes_1(symmetric: bool) -> None:
+    """The orbits are unstable before and after; z'' = -U_zz z along a planar orbit has the trace 2 at the same x0."""
+    model, select = three_bodies()
+    period, states, _ = planar_orbit(1.1247, (0.15, 0.16))
+
+    def guess(t: float) -> list[float]:
+        x, y, u, v = states(t)[:4]  # type: ignore[operator]
+        return [x, y, 0.0, u, v, 0.0]
+
+    orbit = find_orbit(
+        model, guess, period, parameters={"x0": 1.1247}, select=select, tolerance=1e-9, symmetric=symmetric
+    )
+    branch = orbit.follow("x0", 1.115, stability=True)
+    (point,) = branch.special_points
+    assert (point.kind, branch.changes, branch.unresolved) == ("branch point", (), ())
+    place = point.parameters["x0"]
+    beside = [np.trace(planar_orbit(place + off, (0.165, 0.185))[2]) - 2.0 for off in (1e-5, -1e-5)]
+    assert beside[0] < 0.0 < beside[1]
+    assert place + 1e-5 * (beside[0] + beside[1]) / (beside[0] - beside[1]) == pytest.approx(place, abs=1e-8)
+    if symmetric:
+        with pytest.raises(ValueError, match=r"follow: given a branch point on a part of the period of three bodies"):
+            point.follow("x0", 1.11)
+    else:
+        halo = point.follow("x0", 1.11, max_points=12).orbits[-1]
+        heights = halo.evaluate(np.linspace(0.0, halo.period, 50))[:, 2]
+        assert np.ptp(heights) > 1e-4
+        assert halo.error < 1e-8
