@@ -127,7 +127,9 @@ def leaving_space(
     if point.kind == HOPF and isinstance(solution, Equilibrium):
         space = cast(EquilibriumSpace, solution.space)
         statics = Statics(space.model, solution.parameters)
-        return born_at(statics, solution.positions, parameter, float(to), values, both, tolerance)
+        x = solution.positions  # what rounding leaves of a component that is zero has no size
+        x = np.where(np.abs(x) > ROUNDED * space.sizes, x, 0.0)
+        return born_at(statics, x, parameter, float(to), values, both, tolerance)
     if not isinstance(solution, Equilibrium):
         leaving = doubled_solutions if point.kind == DOUBLING else other_solutions
         return leaving(solution, parameter, float(to), values, both, side)

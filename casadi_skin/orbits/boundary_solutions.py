@@ -123,7 +123,7 @@ class BoundarySolutions(ABC):
         if not jumps.found:
             return ""
         assert isinstance(problem, BoundaryProblem)
-        (start, end), values = self.span(point), self.parameters(point)
+        (start, end), values = self.span(point), BoundarySolutions.parameters(self, point)  # added ones too
         model = jumps.model  # without parameters that are added to make its orbits isolated
         p = np.array([values[name] for name in model.parameter_names])
 
