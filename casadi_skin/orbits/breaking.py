@@ -155,7 +155,7 @@ def breaking_space(
     crosses = not breaking.lost and abs(float(tangent[problem.parameter_index])) > ASKEW
     towards = tangent[problem.parameter_index] if crosses else side * (tangent[: first.full_size] @ breaking.vector)
     tangent = np.sign(towards) * tangent
-    if not crosses:  # what is left of the rate of the parameter is rounding, and would turn back next to the start
+    if abs(float(tangent[problem.parameter_index])) <= ASKEW:  # rounding, which would turn back next to the start
         tangent[problem.parameter_index] = 0.0
     return replace(space, first=replace(own, tangent=tangent))
 
