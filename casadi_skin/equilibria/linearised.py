@@ -126,12 +126,16 @@ class NullSpace:
 
     @classmethod
     def of(cls, matrix: Array, columns: Array, rounding: float = EPSILON, change: Array | None = None) -> NullSpace:
-        """Of a matrix whose unknowns are measured by `columns`; each row counts by its largest entry."""
-        scaled = matrix * columns
+        """Of a matrix whose unknowns are measured by `columns`; each row counts by its largest entry.
+
+        A row that is within its change is zero: it counts by no entry of its own.
+        """
+        scaled, off = matrix * columns, (np.zeros_like(matrix) if change is None else change) * columns
         rows = np.max(np.abs(scaled), axis=1)
-        rows = np.where(rows > 0.0, rows, 1.0)
-        left, values, right = np.linalg.svd(scaled / rows[:, None])
-        moved = 0.0 if change is None else float(np.linalg.norm(change * columns / rows[:, None]))
+        seen = rows > np.max(np.abs(off), axis=1)
+        rows = np.where(seen, rows, 1.0)
+        left, values, right = np.linalg.svd(np.where(seen[:, None], scaled, 0.0) / rows[:, None])
+        moved = float(np.linalg.norm(np.where(seen[:, None], off, 0.0) / rows[:, None]))
         uncertain = 4.0 * ROUNDING * rounding * float(values[0]) + moved
         return cls(values, left / rows[:, None], right.T * columns[:, None], uncertain)
 

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.bvp.problem import EPSILON, Array, Problem, Scalar
-from casadi_skin.equilibria.linearised import NullSpace, units_of
+from casadi_skin.equilibria.linearised import ROUNDED, NullSpace, units_of
 from casadi_skin.equilibria.statics import Statics
 from casadi_skin.models.expressions import Expression
 from casadi_skin.solvers.corrector import Corrector
@@ -66,7 +66,20 @@ def sizes_at(statics: Statics, x: Array, courses: Sequence[Course], usual: Array
     `usual` are scales known from elsewhere: what is smaller by far is rounding.
     """
     p = np.array(list(statics.values.values()))
-    return power_of_two(units_of(statics.jacobian(x, p), x, moving(statics, x, p, courses), np.zeros_like(x), usual))
+    return power_of_two(_units(statics, x, p, courses, np.zeros_like(x), usual))
+
+
+def _units(statics: Statics, x: Array, p: Array, courses: Sequence[Course], usual: Array, sizes: Array) -> Array:
+    """Units of the components of a state (see `units_of`), for which a derivative that is rounding is zero.
+
+    Balancing would turn one, as of a product with a component that is zero, into units without bound.
+    """
+    matrix, ranges = statics.jacobian(x, p), np.abs(p)
+    for course in courses:
+        ranges[list(statics.values).index(course.name)] += abs(course.to - course.start)
+    moved = statics.jacobian(x + ROUNDED * np.maximum(np.abs(x), sizes), p + ROUNDED * ranges)
+    matrix = np.where(np.abs(matrix) <= np.abs(moved - matrix), 0.0, matrix)  # all are kept beside undefined places
+    return units_of(matrix, x, moving(statics, x, p, courses), usual, sizes)
 
 
 def moving(statics: Statics, x: Array, p: Array, courses: Sequence[Course]) -> Array:
@@ -216,8 +229,7 @@ class AlgebraicProblem(Problem):
         x, p, statics = self.state(z), self.parameters(z), self.statics
         courses = [*self.free, *([] if self.walking is None else [self.walking])]
         try:
-            found = units_of(statics.jacobian(x, p), x, moving(statics, x, p, courses), self.scale, self.scale)
-            return found / self.scale
+            return _units(statics, x, p, courses, self.scale, self.scale) / self.scale
         except ArithmeticError:  # where the equations are not defined
             return np.maximum(np.abs(z[: statics.size]), 1.0)
 

@@ -102,6 +102,28 @@ def test_the_other_branch_of_a_transcritical_point_goes_both_ways() -> None:
         assert bool(other.solutions[-1].stable) == (to > 0.0)
 
 
+@pytest.mark.parametrize("shift", [0.0, 1.0])
+@pytest.mark.parametrize("unit", [1.0, 1e-6, 1e6])
+def test_a_species_enters_where_it_and_its_predator_are_zero_but_for_rounding(unit: float, shift: float) -> None:
+    """AUTO-07p's demo `pp3`: y enters at p = 3/4, with x = 1 - 4 y and p = y (15/4 - 16 y)/(1 - exp(-5 y)).
+
+    Also with y in other units, or beside another zero; derivatives that are products with y are rounding at y = 0.
+    """
+    x, w, z, p = symbols("x w z p")
+    y = w / unit - shift
+    eaten = -0.25 * y + 4 * x * y - 3 * y * z - p * (1 - ca.exp(-5 * y))
+    rates = ca.vertcat(x * (1 - x) - 4 * x * y, unit * eaten, -0.5 * z + 3 * y * z)
+    model = OdeModel("pp3", ca.vertcat(x, w, z), rates, p)
+    (point,) = find_equilibrium(model, [1, unit * shift, 0], parameters={"p": 0.0}).follow("p", 1.0).special_points
+    assert point.kind == "branch point"
+    assert abs(point.parameters["p"] - 0.75) <= point.error < 1e-9
+    branch = point.follow("p", 0.7, side=1)
+    entered = branch["w"][1:] / unit - shift
+    assert np.ptp(entered) > 1e-3
+    np.testing.assert_allclose(branch["x"][1:], 1 - 4 * entered, atol=1e-9)
+    np.testing.assert_allclose(branch["p"][1:], entered * (3.75 - 16 * entered) / -np.expm1(-5 * entered), atol=1e-8)
+
+
 @pytest.mark.slow
 def test_a_branch_point_of_a_large_model_is_left_along_its_null_vector() -> None:
     """Chafee and Infante: u'' + p (u - u^3) = 0 on (0, pi) on 150 points leaves zero at 4 sin^2(k h/2)/h^2."""
