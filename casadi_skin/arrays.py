@@ -49,7 +49,7 @@ def instants(t: Any) -> NDArray[np.float64]:
 
 def at_instants(t: Any, states: NDArray[np.float64]) -> NDArray[np.float64]:
     """States of the instants of t, one row each: of a single number its row alone, as functions of scipy have it."""
-    return np.asarray(states[0] if np.ndim(t) == 0 else states)
+    return np.asarray(states[0] if real_array("t", t, "numbers").ndim == 0 else states)
 
 
 def site_numbers(value: Any) -> NDArray[np.int64] | None:

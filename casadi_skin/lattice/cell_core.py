@@ -22,6 +22,7 @@ from casadi_skin.lattice.tail_parameter import Regime
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.methods import TRIGONOMETRIC
 from casadi_skin.orbits.coordinates import Localised, normalised
+from casadi_skin.orbits.family_modes import check_alone
 from casadi_skin.orbits.linear_modes import linear_modes
 from casadi_skin.orbits.method import Method
 from casadi_skin.orbits.model_coordinates import DEEPEST, ModelCoordinates
@@ -52,7 +53,10 @@ class CellCoreWithTail(ModelCoordinates):
         self._cuts: dict[int, CellsAtEdge] = {}
 
     def _check_mode(self) -> None:
-        """The mode is that of the edge, and oscillates; a short lattice may have another at its other end."""
+        """Among modes of this edge alone: the core's cut may have one of the same frequency, which the tail has not."""
+        modes = self.lattice.modes
+        squares = np.array([mode.square for mode in modes])
+        check_alone(squares, modes.index(self.edge_mode) + 1, self._model.name, self._model.half_period is not None)
 
     @cached_property
     def tail(self) -> CellTail:

@@ -56,7 +56,7 @@ class ModelCoordinates(Coordinates):
             span = f"positions whose scales differ by exp({-np.min(self.modes.log_scale):.4g})"
             raise ValueError(f"model: given {model.name} with {span}; accepted: up to exp({-DEEPEST:g}), or a Chain")
         self.mode_number = number_of_mode(model, mode)
-        check_alone(self.modes.squares, self.mode_number, model.name, model.half_period is not None)
+        self._check_mode()
         self._check_drift()
         self._check_amplitude()
         excess = float(np.max(np.abs(self.mode)))
@@ -69,6 +69,11 @@ class ModelCoordinates(Coordinates):
         if words:
             raise JumpError(model.name, f"{words}, in the linear mode at S = {amplitude_max:g}")
         self._squared = self._parts is not None and all(degree % 2 for degree in self._parts)
+
+    def _check_mode(self) -> None:
+        """Raises ValueError for a mode that does not oscillate, or is in resonance with another."""
+        model = self._model
+        check_alone(self.modes.squares, self.mode_number, model.name, model.half_period is not None)
 
     def _check_amplitude(self) -> None:
         """Raises ValueError where S does not grow with the mode, as at a position that rests in it."""

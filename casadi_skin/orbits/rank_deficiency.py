@@ -19,6 +19,7 @@ PERTURBED = 1e-13
 ROUNDS = 4
 ADDED = ("period", UNFOLDING)  # parameters that are not the model's
 RESTING = 1e-2  # of the sizes that states are measured by at least, a thousandth of the guess
+SHRUNK = 100.0  # of the same: an orbit within a tenth of the guess's size nears an equilibrium
 MOVING = 100.0  # of the same: a state that changes by more in the guessed period does not rest
 BESIDE = 0.1  # of the sizes of unknowns: how far off z a point in general position is
 NAMED = 0.05  # of the largest weight of a condition
@@ -55,11 +56,12 @@ def rank_deficiency(problem: BoundaryProblem, z: Array, everywhere: bool = False
 def in_family(problem: BoundaryProblem, z: Array) -> str:
     """That an orbit is one of many that only a conserved quantity tells apart; empty where the equations are regular.
 
-    At a solution of an orbit's equations alone: the conditions at its ends and its phase fix all else.
+    At a solution of an orbit's equations alone: the conditions at its ends and its phase fix all else. Beside a Hopf
+    point the equations are singular as well, for amplitudes near 0 alone: of an orbit that has shrunk nothing is said.
     """
     model = problem.statement.model
     orbit = "period" in problem.statement.free and isinstance(model, Extended)
-    if not orbit or _rests(problem, z) or _null_vectors(problem, z) is None:
+    if not orbit or _rests(problem, z, SHRUNK) or _null_vectors(problem, z) is None:
         return ""
     more = "more than is declared" if any(name.startswith(UNFOLDING) for name in model.parameter_names) else "something"
     declare = "accepted: what is conserved declared, as hamiltonian= or in conserved=, with select= to pick an orbit"
@@ -101,10 +103,10 @@ def equilibrium_words(problem: BoundaryProblem, z: Array) -> str:
     return f"this is an equilibrium: the orbit has shrunk to it {place}"
 
 
-def _rests(problem: BoundaryProblem, z: Array) -> bool:
-    """Whether states move by less than a part of what the guess's own sizes distinguish."""
+def _rests(problem: BoundaryProblem, z: Array, most: float = RESTING) -> bool:
+    """Whether states move by less than so much of what the guess's own sizes distinguish."""
     states = z[: problem.states].reshape(-1, problem.formulation.states)
-    return bool(np.all(np.ptp(states, axis=0) <= RESTING * problem.floors))
+    return bool(np.all(np.ptp(states, axis=0) <= most * problem.floors))
 
 
 def _null_vectors(problem: BoundaryProblem, z: Array) -> tuple[Array, Array] | None:

@@ -166,6 +166,7 @@ def test_a_first_mesh_of_one_interval_and_nothing_for_what_is_left_out() -> None
     problem = BoundaryValueProblem(LINE, WANTED.conditions, parameters=None, bounds=None)  # type: ignore[arg-type]
     found = problem.solve([0.0, 1.0], intervals=1)
     assert found.evaluate(0.5)[0] == pytest.approx(np.sin(0.5) / np.sin(1.0), rel=1e-8)
+    np.testing.assert_array_equal(found.evaluate(ca.DM([0.5, 1.0])), found.evaluate([0.5, 1.0]))
 
 
 def test_a_guess_in_the_layout_of_scipy() -> None:

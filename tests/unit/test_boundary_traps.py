@@ -95,6 +95,17 @@ def test_the_equilibrium_at_a_hopf_point_is_no_orbit() -> None:
         find_orbit(hopf(), turning(0.1, 0.1), 6.28, parameters={"mu": 0.0})
 
 
+@pytest.mark.slow
+def test_a_weak_hopf_point_conserves_nothing() -> None:
+    """Its orbits have the square radius 20 mu: at mu = 0 there is the equilibrium alone."""
+    square = X**2 + Y**2
+    field = ca.vertcat(MU * X - Y - 0.05 * X * square, X + MU * Y - 0.05 * Y * square)
+    model = OdeModel("weak Hopf", ca.vertcat(X, Y), field, MU)
+    with pytest.raises(BoundaryError) as refused:
+        find_orbit(model, turning(0.1, 0.1), 6.28, parameters={"mu": 0.0})
+    assert "conserve" not in str(refused.value)
+
+
 def test_a_branch_to_a_hopf_point_ends_there_by_name() -> None:
     """Orbits shrink to the equilibrium at mu = 0: their square radius is mu, their frequency 1 + 0.3 mu."""
     orbit = find_orbit(hopf(), turning(0.3, 0.3), 6.28, parameters={"mu": 0.1})

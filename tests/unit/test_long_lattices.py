@@ -120,6 +120,14 @@ def test_the_family_of_an_infinite_chain_declared_as_a_lattice_is_that_of_the_ch
     assert np.array_equal(read_result(tmp_path / "branch").Omega, branch.Omega)
 
 
+def test_the_edge_mode_is_accepted_where_the_cut_of_its_cells_has_another_of_the_same_frequency() -> None:
+    """Without nonreciprocity the dimer is its own mirror image; sites b alone move, by -u from cell to cell."""
+    lattice = long(DIMER, math.inf, edge="last", **{**VALUES, "gamma": 0.0})
+    orbit = follow_family(lattice, 1, 1e-4, at=(1e-4,), tolerance=1e-8).at(S=1e-4)
+    shape = orbit.evaluate(0.0)[-6:] / orbit.evaluate(0.0)[-1]
+    np.testing.assert_allclose(shape, [0.0, 0.4**2, 0.0, -0.4, 0.0, 1.0], atol=1e-3)
+
+
 @pytest.mark.slow
 def test_the_edge_breather_of_a_dimer_agrees_with_harmonic_balance() -> None:
     """Newton's method on odd cosines of 40 cells, written by hand in physical coordinates without nonreciprocity."""
