@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from casadi_skin.bvp.problem import EPSILON, Array
 from casadi_skin.bvp.stated_problem import PERIOD
 from casadi_skin.continuation.points import End, Point
+from casadi_skin.continuation.sample import Sample
+from casadi_skin.continuation.stretch import Stretch, height
 from casadi_skin.critical_orbits.bend import quadratic_term
 from casadi_skin.critical_orbits.branch_forms import branching_equation, second_singular
 from casadi_skin.critical_orbits.followed import Followed
@@ -25,8 +27,6 @@ from casadi_skin.critical_orbits.normal_forms import critical_functions, terms_o
 from casadi_skin.critical_orbits.shrinking import shrunk
 from casadi_skin.equilibria.codimension_two import CUSP, DEGENERATE_PITCHFORK, DEGENERATE_TRANSCRITICAL
 from casadi_skin.equilibria.double_points import double_between, interpolated
-from casadi_skin.equilibria.samples import Sample
-from casadi_skin.equilibria.stretch import Stretch, height
 from casadi_skin.orbits.exponents import STEP, TURN, Exponents, beside_on_tangent, is_real, nearest_order, turned
 from casadi_skin.orbits.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS, NotLocatedError, zero_between
 from casadi_skin.orbits.stretch_search import StretchSearch

@@ -20,15 +20,15 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.points import Point
+from casadi_skin.continuation.sample import Sample
+from casadi_skin.continuation.stretch import Stretch, crossings, height, less
 from casadi_skin.equilibria.double_points import double_between
 from casadi_skin.equilibria.equations import EquilibriumEquations
 from casadi_skin.equilibria.linearised import ComplexArray, NullSpace
 from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF, jacobian_of
 from casadi_skin.equilibria.normal_forms import critical_pair, lyapunov_terms
-from casadi_skin.equilibria.samples import Sample
 from casadi_skin.equilibria.search import EquilibriumSearch
 from casadi_skin.equilibria.statics import Statics
-from casadi_skin.equilibria.stretch import Stretch, crossings, height, less
 from casadi_skin.equilibria.systems import ExtendedSystem, HopfSystem
 from casadi_skin.orbits.special_points import FINE, zero_between
 from casadi_skin.unresolved import Unresolved

@@ -15,11 +15,11 @@ from itertools import pairwise
 import numpy as np
 
 from casadi_skin.continuation.points import Point
+from casadi_skin.continuation.stretch import Signs, Stretch, crossings, height
 from casadi_skin.equilibria.equations import EquilibriumEquations
 from casadi_skin.equilibria.ledger import counted
 from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF, Located, locate
 from casadi_skin.equilibria.search import EquilibriumSearch
-from casadi_skin.equilibria.stretch import Signs, Stretch, crossings, height
 from casadi_skin.solvers.estimates import ErrorEstimate
 from casadi_skin.unresolved import Unresolved
 

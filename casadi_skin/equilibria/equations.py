@@ -11,8 +11,9 @@ from casadi_skin import methods
 from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import ContinuationSettings, Point
+from casadi_skin.continuation.sample import Sample
 from casadi_skin.equilibria.problem import AlgebraicProblem, Course, ExactLevels
-from casadi_skin.equilibria.samples import Sample, sample_of
+from casadi_skin.equilibria.samples import sample_of
 from casadi_skin.equilibria.statics import Statics
 from casadi_skin.equilibria.systems import ExtendedSystem
 from casadi_skin.models.ode import OdeModel

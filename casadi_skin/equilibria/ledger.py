@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from casadi_skin.bvp.problem import EPSILON, Array, Indices, SingularError
 from casadi_skin.continuation.hermite import LocalCurve
 from casadi_skin.continuation.points import Point
+from casadi_skin.continuation.stretch import Stretch
 from casadi_skin.equilibria.equations import EquilibriumEquations
 from casadi_skin.equilibria.linearised import Linearised
 from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF
 from casadi_skin.equilibria.problem import AlgebraicProblem
-from casadi_skin.equilibria.stretch import Stretch
 
 PLACES = 1024  # over the range of the parameter
 OF_PROGRAMS = 128  # of a program, whose derivatives are differences and cost as much
@@ -150,7 +150,7 @@ def _solved(problem: AlgebraicProblem, z: Array, row: Array, still: float, weigh
 
 def _unlike(stretch: Stretch, matrices: Array, fractions: Array) -> np.ndarray:
     """Places at which a matrix is not what is between a few of them, by as much as may take an eigenvalue across."""
-    from casadi_skin.equilibria.stretch import _cubic
+    from casadi_skin.continuation.stretch import _cubic
 
     nodes = np.unique(np.linspace(0, len(matrices) - 1, 4).astype(int))
     weights = np.array([[np.prod([(t - fractions[j]) / (fractions[i] - fractions[j]) for j in nodes if j != i])

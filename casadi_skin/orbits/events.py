@@ -1,8 +1,8 @@
 """Events of a branch of orbits: where multipliers cross the unit circle, with the account of their number outside.
 
 Between two orbits of a branch the multipliers are samples of `orbits.exponents`; the stretch is divided until each
-quantity has no root on it, or one simple root within the bounds of its errors (see `equilibria.stretch`). The orbit at
-a root is the solution of the extended equations of its kind, or, where there are none, the root of the quantity itself.
+quantity has no root on it, or one simple root within the bounds of its errors (see `continuation.stretch`). The orbit
+at a root is the solution of the extended equations of its kind, or, where there are none, the root of the quantity.
 The events account for the change in the number n_u of multipliers outside the circle,
 
     n_u(after) = n_u(before) + sum of the jumps of all events between,
@@ -25,8 +25,8 @@ from scipy.optimize import brentq, linear_sum_assignment
 from casadi_skin import methods
 from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.continuation.points import Point
-from casadi_skin.equilibria.samples import Sample
-from casadi_skin.equilibria.stretch import Stretch, height
+from casadi_skin.continuation.sample import Sample
+from casadi_skin.continuation.stretch import Stretch, height
 from casadi_skin.orbits.boundary_space import BoundarySpace
 from casadi_skin.orbits.exponents import Exponents, is_real
 from casadi_skin.orbits.making import solution_at
@@ -40,9 +40,7 @@ from casadi_skin.unresolved import Unresolved
 KREIN = "krein collision"
 ROOT_XTOL = 1e-10  # of a stretch, of roots of quantities where no extended equations are solved
 OUTSIDE_STRETCH = 1e-3  # of a stretch: a special orbit farther out is another one
-SAME_EVENT = (
-    1e-8  # of a stretch: two events of one kind that near are one, of multipliers that a symmetry keeps together
-)
+SAME_EVENT = 1e-8  # of a stretch: events of one kind that near are one, of multipliers that a symmetry keeps together
 ASIDE = (0.0, 0.03, 0.2)  # of a stretch, from a root: at a branch point itself no orbit is found
 CRITICAL = 1e-4  # log |multiplier| of one that is on the unit circle at a requested value
 SAME_MEETING = 1e-3  # of a stretch between two orbits: meetings of two pairs that near are looked at once

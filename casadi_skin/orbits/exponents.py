@@ -1,4 +1,4 @@
-"""Floquet exponents along a branch of orbits, as samples of the search for events (see `equilibria.search`).
+"""Floquet exponents along a branch of orbits, as samples of the search for events (see `continuation.search`).
 
 Multipliers mu_k, k = 1 ... m, the trivial ones left out, are smooth along the branch but where two of them meet.
 Where they move freely the sample holds, each of shape (m,),
@@ -23,7 +23,7 @@ import numpy as np
 
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.continuation.points import Point
-from casadi_skin.equilibria.samples import Sample
+from casadi_skin.continuation.sample import Sample
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
 

@@ -10,8 +10,8 @@ import numpy as np
 from casadi_skin.bvp.problem import Array
 from casadi_skin.continuation.point_solver import PointSolver
 from casadi_skin.continuation.points import Point
-from casadi_skin.equilibria.search import Event, Search
-from casadi_skin.equilibria.stretch import Stretch
+from casadi_skin.continuation.search import Event, Search
+from casadi_skin.continuation.stretch import Stretch
 from casadi_skin.orbits.exponents import Exponents, ExponentSampler
 from casadi_skin.stability.result import Floquet
 

@@ -1,4 +1,4 @@
-"""A stretch of a branch of equilibria: quantities that change their sign on it, and whether it is resolved.
+"""A stretch of a branch: quantities that change their sign on it, and whether it is resolved.
 
 The rate of the parameter and the real parts of eigenvalues are known with their derivatives at both ends and at a place
 between. A cubic through the ends predicts the values in between; its error there bounds how far the cubics
@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.continuation.hermite import LocalCurve
-from casadi_skin.equilibria.linearised import ComplexArray
-from casadi_skin.equilibria.samples import Sample
+from casadi_skin.continuation.sample import ComplexArray, Sample
 
 WITHIN = 0.47  # of a stretch: the place of its sample; not the middle, where symmetric functions agree by accident
 BOUND = 0.25  # of the error of a cubic between two ends: four times that of cubics of half the length
