@@ -16,11 +16,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.interpolate import BPoly
-from scipy.optimize import brentq, linear_sum_assignment
 
 from casadi_skin import methods
 from casadi_skin.bvp.symmetry import SymmetryClass
@@ -36,6 +34,9 @@ from casadi_skin.orbits.stretch_points import snapped, target_of
 from casadi_skin.orbits.stretch_search import StretchSearch
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.unresolved import Unresolved
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BPoly
 
 KREIN = "krein collision"
 ROOT_XTOL = 1e-10  # of a stretch, of roots of quantities where no extended equations are solved
@@ -218,6 +219,8 @@ class _OrbitSearch(StretchSearch[Event | Unresolved]):
         self, stretch: Stretch, value: Callable[[Point, float], float], noise: float, kind: str
     ) -> Point | None:
         """The point of a stretch at which a value vanishes; at a branch point, where none is alone, the nearest one."""
+        from scipy.optimize import brentq
+
         before, after = stretch.first.point, stretch.last.point
         known = {0.0: (before, value(before, 0.0)), 1.0: (after, value(after, 1.0))}
         if not known[0.0][1] * known[1.0][1] < 0.0:
@@ -292,6 +295,9 @@ class _Paired(_OrbitSearch):
 
     def meeting(self, stretch: Stretch) -> float | None:
         """A place at which two pairs that pass one another on the circle have left it; None where none have."""
+        from scipy.interpolate import BPoly
+        from scipy.optimize import linear_sum_assignment
+
         half, length = stretch.first.values.size // len(self.passed), stretch.length
         ends = (stretch.first, stretch.last)
         tau = np.array([2.0 + np.sinh(sample.values[:half]) for sample in ends])
@@ -312,6 +318,8 @@ class _Paired(_OrbitSearch):
 
     def _left_at(self, stretch: Stretch, gap: BPoly) -> float | None:
         """The place near the root of a gap between two traces at which they are a complex pair; None where none is."""
+        from scipy.optimize import brentq
+
         root = float(brentq(lambda place: float(gap(place)), 0.0, 1.0))
         sigma = self.sigma(stretch.first.point) + root * stretch.length
         if any(abs(sigma - known) <= SAME_MEETING * self.length for known in self._tried):
