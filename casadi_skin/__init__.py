@@ -8,27 +8,27 @@ from typing import TYPE_CHECKING, Any
 from casadi_skin._version import __version__
 
 if TYPE_CHECKING:
-    from casadi_skin.bvp.symmetry import SymmetryClass
     from casadi_skin.dynamics.simulation import simulate
-    from casadi_skin.equilibria.find import find_equilibria, find_equilibrium
     from casadi_skin.export.c_code import export_c
-    from casadi_skin.export.fmu.archive import export_fmu
+    from casadi_skin.fmu.archive import export_fmu
+    from casadi_skin.fmu.fmu import import_fmu
+    from casadi_skin.follow.branch import Branch
+    from casadi_skin.follow.find import find_equilibria, find_equilibrium
+    from casadi_skin.follow.find_orbit import find_orbit
+    from casadi_skin.follow.follow import follow_family
+    from casadi_skin.follow.orbit import Orbit
     from casadi_skin.lattice.chain import Chain
     from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
     from casadi_skin.lattice.long_lattice import LongLattice
-    from casadi_skin.maps.read_map import read_map
-    from casadi_skin.maps.run_map import run_map
-    from casadi_skin.models.fmu import import_fmu
-    from casadi_skin.models.ode import OdeModel
-    from casadi_skin.models.saved import read_model, save_model
-    from casadi_skin.optimise.kick.smallest_kick import smallest_kick
+    from casadi_skin.model.ode import OdeModel
+    from casadi_skin.model.saved import read_model, save_model
+    from casadi_skin.model.symmetry import SymmetryClass
     from casadi_skin.optimise.search_orbit import search_orbit
-    from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
-    from casadi_skin.orbits.branch import Branch
-    from casadi_skin.orbits.find_orbit import find_orbit
-    from casadi_skin.orbits.follow import follow_family
-    from casadi_skin.orbits.orbit import Orbit
+    from casadi_skin.optimise.smallest_kick import smallest_kick
     from casadi_skin.results.saving import read_result, save_result
+    from casadi_skin.runs.read_map import read_map
+    from casadi_skin.runs.run_map import run_map
+    from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
 
 __all__ = [
     "Bond",
@@ -66,32 +66,32 @@ def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that reading a scene or `--help` does not load CasADi."""
     places = {
         "Bond": "lattice.lattice",
-        "BoundaryValueProblem": "orbits.boundary_value_problem",
-        "Branch": "orbits.branch",
+        "BoundaryValueProblem": "zero.boundary_value_problem",
+        "Branch": "follow.branch",
         "Chain": "lattice.chain",
         "Lattice": "lattice.lattice",
         "LongLattice": "lattice.long_lattice",
-        "OdeModel": "models.ode",
-        "Orbit": "orbits.orbit",
+        "OdeModel": "model.ode",
+        "Orbit": "follow.orbit",
         "Site": "lattice.lattice",
-        "SymmetryClass": "bvp.symmetry",
+        "SymmetryClass": "model.symmetry",
         "Uniform": "lattice.lattice",
         "export_c": "export.c_code",
-        "export_fmu": "export.fmu.archive",
-        "find_equilibria": "equilibria.find",
-        "find_equilibrium": "equilibria.find",
-        "find_orbit": "orbits.find_orbit",
-        "follow_family": "orbits.follow",
-        "import_fmu": "models.fmu",
-        "read_map": "maps.read_map",
-        "read_model": "models.saved",
-        "run_map": "maps.run_map",
+        "export_fmu": "fmu.archive",
+        "find_equilibria": "follow.find",
+        "find_equilibrium": "follow.find",
+        "find_orbit": "follow.find_orbit",
+        "follow_family": "follow.follow",
+        "import_fmu": "fmu.fmu",
+        "read_map": "runs.read_map",
+        "read_model": "model.saved",
+        "run_map": "runs.run_map",
         "read_result": "results.saving",
-        "save_model": "models.saved",
+        "save_model": "model.saved",
         "save_result": "results.saving",
         "simulate": "dynamics.simulation",
         "search_orbit": "optimise.search_orbit",
-        "smallest_kick": "optimise.kick.smallest_kick",
+        "smallest_kick": "optimise.smallest_kick",
     }
     if name not in places:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

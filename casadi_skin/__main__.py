@@ -7,7 +7,7 @@ import os
 import sys
 from typing import NoReturn
 
-from casadi_skin.cli import main
+from casadi_skin.runs.program import main
 
 
 def program() -> NoReturn:

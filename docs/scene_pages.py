@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from casadi_skin.scene import scene_schema
+from casadi_skin.runs.reading import scene_schema
 
 MARK = "<!-- tables from the schema -->"
 SCHEMA_MARK = "<!-- the schema -->"

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from casadi_skin import Chain, Orbit, follow_family
-from casadi_skin.figures.style import style
+from casadi_skin.results.figures.style import style
 
 
 @style()

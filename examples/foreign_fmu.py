@@ -15,9 +15,9 @@ import numpy as np
 
 from casadi_skin import find_orbit, import_fmu
 from casadi_skin.export.compiler import find_compiler, fmi_headers
-from casadi_skin.figures.style import style
-from casadi_skin.models.fmu_archive import library_ending, platform_folder
-from casadi_skin.orbits.branch import Branch
+from casadi_skin.fmu.fmu_archive import library_ending, platform_folder
+from casadi_skin.follow.branch import Branch
+from casadi_skin.results.figures.style import style
 
 
 def made_elsewhere(folder: Path) -> Path:

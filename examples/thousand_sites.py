@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import Chain, Orbit, follow_family
-from casadi_skin.figures.style import style
+from casadi_skin.results.figures.style import style
 
 
 @style()

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from casadi_skin.cli import main
 from casadi_skin.results.journal import Journal
+from casadi_skin.runs.program import main
 
 BLANK = "import pytest; from drawing import blank_pictures; blank_pictures(pytest.MonkeyPatch())\n"
 
@@ -26,7 +26,7 @@ def program(code: str) -> subprocess.Popen[str]:
 def undrawn(*arguments: object) -> subprocess.Popen[str]:
     """casadi-skin with these arguments, started; its pictures stay blank."""
     words = [str(argument) for argument in arguments]
-    return program(f"{BLANK}from casadi_skin.cli import main\nraise SystemExit(main({words!r}))")
+    return program(f"{BLANK}from casadi_skin.runs.program import main\nraise SystemExit(main({words!r}))")
 
 
 def modules_of_a_run(scene: Path, out: Path) -> set[str]:
@@ -36,7 +36,7 @@ def modules_of_a_run(scene: Path, out: Path) -> set[str]:
 
 def modules_of(*words: str, before: str = "") -> set[str]:
     """What casadi-skin with these arguments has imported when it ends."""
-    code = f"import sys\nfrom casadi_skin.cli import main\nassert main({words!r}) == 0\nprint(*sys.modules)"
+    code = f"import sys\nfrom casadi_skin.runs.program import main\nassert main({words!r}) == 0\nprint(*sys.modules)"
     process = program(before + code)
     printed, error = process.communicate()
     assert process.returncode == 0, error

@@ -29,10 +29,10 @@ def blank_pictures(patch: pytest.MonkeyPatch) -> None:
         drawn._draw_was_started = True  # a film that was not drawn warns
 
     patch.setattr("matplotlib.figure.Figure.savefig", write)
-    patch.setattr("casadi_skin.figures.style._write", write)
+    patch.setattr("casadi_skin.results.figures.style._write", write)
     patch.setattr("matplotlib.animation.Animation.save", write)
     patch.setattr("matplotlib.layout_engine.ConstrainedLayoutEngine.execute", lambda *_: None)
-    patch.setattr("casadi_skin.figures.style.lay_out", lambda *_: None)
+    patch.setattr("casadi_skin.results.figures.style.lay_out", lambda *_: None)
 
 
 def stretches(lines: Iterable[Line2D]) -> list[Line2D]:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.fft import dct
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.certify import balls
 from casadi_skin.certify.bounds import FiniteInverse, proved_radius
+from casadi_skin.certify.certificate import Constants
 from casadi_skin.certify.cosine_system import CosineSeries, CosineSystem
-from casadi_skin.orbits.certificate import Constants
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
     from flint import arb

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
+from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
     from flint import arb

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.certify.balls import ROUNDING, Enclosed, above, rounded_up, size
+from casadi_skin.certify.certificate import Constants
 from casadi_skin.certify.cosine_system import CosineSeries
 from casadi_skin.certify.lipschitz import OperatorSize, curvature, series_norms
 from casadi_skin.certify.tail_size import TailSize
-from casadi_skin.orbits.certificate import Constants
+from casadi_skin.zero.problem import Array, Indices
 
 if TYPE_CHECKING:
     from flint import arb

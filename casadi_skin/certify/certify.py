@@ -6,19 +6,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casadi_skin.arguments import number, short_repr
-from casadi_skin.bvp.symmetry import SymmetryClass
 from casadi_skin.certify import balls
 from casadi_skin.certify.attempt import LARGEST, Attempt, attempt_of, carrying
 from casadi_skin.certify.bounds import uniqueness_radius
+from casadi_skin.certify.certificate import NO_ABSENCE, Certificate, Interval
 from casadi_skin.certify.cosine_system import CosineSystem, Terms
 from casadi_skin.certify.model_terms import energy_terms, evaluate, system_of
 from casadi_skin.certify.tailed_system import tailed_system
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.core_with_tail import CoreWithTail
-from casadi_skin.orbits.certificate import NO_ABSENCE, Certificate, Interval
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.threads import one_thread
+from casadi_skin.model.arguments import number, short_repr
+from casadi_skin.model.symmetry import SymmetryClass
+from casadi_skin.solve.threads import one_thread
 
 if TYPE_CHECKING:
     from flint import arb

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.certify.balls import ROUNDING, above, below, rounded_up
 from casadi_skin.certify.bounds import proved_radius
+from casadi_skin.certify.certificate import Constants
 from casadi_skin.certify.eigenpair import Eigenpair
 from casadi_skin.certify.linearised import Linearised
-from casadi_skin.orbits.certificate import Constants
 from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
     from flint import acb

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.certify.balls import ROUNDING, Enclosed, below, rounded_up
 from casadi_skin.certify.linearised import Linearised
+from casadi_skin.zero.problem import Array
 
 LARGEST = 4000  # rows of the finite part
 GROWTH = 1.5

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.certify.balls import Enclosed, above, below, rounded_up
 from casadi_skin.certify.cosine_system import CosineSeries, CosineSystem
 from casadi_skin.certify.lipschitz import curvature, series_norms
 from casadi_skin.certify.model_terms import potential, weights_of
+from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
     from flint import arb

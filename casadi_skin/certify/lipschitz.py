@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.certify.balls import ROUNDING, above
 from casadi_skin.certify.cosine_system import CosineSeries, CosineSystem
+from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
     from flint import arb

@@ -13,12 +13,12 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.certify.cosine_system import CosineSystem, Terms
-from casadi_skin.formula import Number
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.models.polynomial import NotPolynomialError, constants, exact_terms
-from casadi_skin.orbits.amplitude import amplitude_square
-from casadi_skin.orbits.coordinates import Coordinates
+from casadi_skin.model.amplitude import amplitude_square
+from casadi_skin.model.formula import Number
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.polynomial import NotPolynomialError, constants, exact_terms
+from casadi_skin.zero.coordinates import Coordinates
 
 if TYPE_CHECKING:
     from flint import arb

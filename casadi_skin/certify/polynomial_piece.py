@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.certify.balls import ROUNDING, above, rounded_up, size
 from casadi_skin.certify.bounds import LARGEST_RADIUS, FiniteInverse
+from casadi_skin.certify.certificate import Constants
 from casadi_skin.certify.cosine_system import CosineSeries, CosineSystem
 from casadi_skin.certify.lipschitz import OperatorSize, curvature, series_norms
-from casadi_skin.orbits.certificate import Constants
+from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
     from flint import arb

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.certify import balls
+from casadi_skin.certify.certificate import STABLE, UNDECIDED, UNSTABLE, ProvedStability
 from casadi_skin.certify.certify import WEIGHT, best_attempt, reason_of
 from casadi_skin.certify.exponent import enclosed_exponent
 from casadi_skin.certify.inertia import negative_eigenvalues
 from casadi_skin.certify.linearised import Linearised, linearised
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.certificate import STABLE, UNDECIDED, UNSTABLE, ProvedStability
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.solve.threads import one_thread
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import ReversibleFloquet
-from casadi_skin.stability.tongues import StabilityEdge
-from casadi_skin.threads import one_thread
+from casadi_skin.stability.tongues.diagram import StabilityEdge
+from casadi_skin.zero.problem import Array
 
 NEAREST = 1e-8  # relative distance from a change at which proofs are tried first
 WIDER = 10.0

@@ -12,21 +12,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.fft import dct
 
-from casadi_skin.arguments import number
-from casadi_skin.bvp.problem import Array
 from casadi_skin.certify import balls
 from casadi_skin.certify.attempt import attempt_near, cosine_coefficients, distance, refined
 from casadi_skin.certify.bounds import FiniteInverse, holds, proved_radius
+from casadi_skin.certify.certificate import Constants, ProvedStretch
 from casadi_skin.certify.certify import WEIGHT, best_attempt, provable, reason_of, step_of
 from casadi_skin.certify.cosine_system import CosineSeries, CosineSystem
 from casadi_skin.certify.model_terms import ball, exact, system_of
 from casadi_skin.certify.polynomial_piece import Curve, piece_constants
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.core_with_tail import CoreWithTail
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.certificate import Constants, ProvedStretch
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.threads import one_thread
+from casadi_skin.model.arguments import number
+from casadi_skin.solve.threads import one_thread
+from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
     from flint import arb

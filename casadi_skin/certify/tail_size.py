@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.certify.cosine_system import CosineSeries
+from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
     from flint import arb

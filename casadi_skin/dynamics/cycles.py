@@ -7,11 +7,11 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics.evolution import Evolution
-from casadi_skin.integrators.cvodes import stiff_cvodes
-from casadi_skin.integrators.trajectory import IntegrationError
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.model.cvodes import stiff_cvodes
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.trajectory import IntegrationError
+from casadi_skin.zero.problem import Array
 
 FEWEST = 40  # output times that a cycle is looked for in
 AT_REST, NOISE = 1e-6, 100.0  # motion relative to that of the whole time, and to the tolerance, that is none

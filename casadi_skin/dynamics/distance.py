@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.dynamics.perturbation import orbit_equations
-from casadi_skin.orbits.closed_curve import CosineSeries, Curve, cosine_curve
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.follow.closed_curve import CosineSeries, Curve, cosine_curve
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.zero.problem import Array
 
 PHASES = 2048  # of an orbit with any wave form
 SMALLEST = 1e-6  # of the largest component of an orbit: the least scale of a component

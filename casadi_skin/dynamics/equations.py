@@ -15,13 +15,13 @@ from typing import Any, Protocol, runtime_checkable
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import short_repr
-from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.statement import named_values
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.linear_modes import scale_of_couplings
-from casadi_skin.orbits.spectrum import linear_spectrum
-from casadi_skin.result import NoQuantityError
+from casadi_skin.lattice.linear_modes import scale_of_couplings
+from casadi_skin.lattice.spectrum import linear_spectrum
+from casadi_skin.model.arguments import short_repr
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.result import NoQuantityError
+from casadi_skin.zero.problem import Array
+from casadi_skin.zero.statement import named_values
 
 GAUGE, PHYSICAL = "gauge", "physical"
 LONGEST_ENVELOPE = 700.0  # of -log D: beyond, positions at the far end are below the smallest double

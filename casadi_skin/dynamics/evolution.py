@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.arrays import at_instants, instants
-from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics.equations import GAUGE, EquationsOfMotion
-from casadi_skin.result import NoQuantityError, Result
+from casadi_skin.model.arrays import at_instants, instants
+from casadi_skin.model.result import NoQuantityError, Result
+from casadi_skin.zero.problem import Array
 
 
 @dataclass(frozen=True, eq=False)

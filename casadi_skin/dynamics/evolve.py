@@ -8,12 +8,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin import methods
-from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics.equations import GAUGE, PHYSICAL, EquationsOfMotion, MovingModel, equations_of_motion
 from casadi_skin.dynamics.evolution import Evolution, EvolutionError
-from casadi_skin.integrators.trajectory import IntegrationError, Integrator, Trajectory
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.model import methods
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.trajectory import IntegrationError, Integrator, Trajectory
+from casadi_skin.zero.problem import Array
 
 SYMPLECTIC = "symplectic"
 FAR = 1e6  # times the largest component, beyond which a state has escaped

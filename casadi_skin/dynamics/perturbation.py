@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics.equations import EquationsOfMotion, equations_of_motion
 from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.dynamics.evolve import checked_vector, evolve
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.boundary_space import BoundarySpace
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.zero.problem import Array
 
 
 def orbit_equations(orbit: Orbit) -> EquationsOfMotion:

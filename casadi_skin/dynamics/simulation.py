@@ -7,15 +7,15 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.arguments import by_name, number, short_repr, state_by_name
-from casadi_skin.arrays import real_array
 from casadi_skin.dynamics.equations import PHYSICAL, EquationsOfMotion
 from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.dynamics.evolve import far_state
-from casadi_skin.integrators.cvodes import stiff_cvodes
-from casadi_skin.integrators.trajectory import IntegrationError
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.theory.linear import Array
+from casadi_skin.lattice.uniform_chain import Array
+from casadi_skin.model.arguments import by_name, number, short_repr, state_by_name
+from casadi_skin.model.arrays import real_array
+from casadi_skin.model.cvodes import stiff_cvodes
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.trajectory import IntegrationError
 
 
 def simulate(

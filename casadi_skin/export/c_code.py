@@ -11,7 +11,6 @@ from pathlib import Path
 from types import MappingProxyType
 
 from casadi_skin._version import __version__
-from casadi_skin.arguments import short_repr
 from casadi_skin.export.c_text import MOST_ENTRIES, Part, comment, plain
 from casadi_skin.export.codegen import LIBM_HEADERS, CSource, c_source, check_parts
 from casadi_skin.export.equations import (
@@ -26,7 +25,8 @@ from casadi_skin.export.example_program import main_text
 from casadi_skin.export.exported_model import ExportedModel, Source, chosen_parts, exported_model
 from casadi_skin.export.orbit_equations import IPOPT_HEADER, ipopt_part, newton_part, orbit_part, residual_part
 from casadi_skin.export.readme import cmake_text, readme_text
-from casadi_skin.interrupts import interrupts_deferred
+from casadi_skin.model.arguments import short_repr
+from casadi_skin.model.interrupts import interrupts_deferred
 
 MAKERS: Mapping[str, Callable[[ExportedModel], Part]] = MappingProxyType({
     "rhs": rhs_part,
@@ -98,7 +98,7 @@ def export_texts(exported: ExportedModel, chosen: Collection[str]) -> dict[str, 
     texts |= {
         "CMakeLists.txt": cmake_text(name, sources),
         "README.md": readme_text(exported, parts, sources),
-        "license.txt": files("casadi_skin.export.fmu").joinpath("sources", "license.txt").read_text(encoding="utf-8"),
+        "license.txt": files("casadi_skin.fmu").joinpath("sources", "license.txt").read_text(encoding="utf-8"),
     }
     return {file: text.replace("@p", name).replace("@P", name.upper()) for file, text in texts.items()}
 

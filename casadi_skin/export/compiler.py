@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from importlib.util import find_spec
 from pathlib import Path
 
-from casadi_skin.arguments import short_repr
-from casadi_skin.models.fmu_archive import FMPY_MISSING
+from casadi_skin.fmu.fmu_archive import FMPY_MISSING
+from casadi_skin.model.arguments import short_repr
 from casadi_skin.native.compiler import LIBRARY_FLAGS, CompilerError, compile_with, find_compiler
 
 

@@ -8,14 +8,14 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import TypeAlias
 
-from casadi_skin.arguments import check_name, short_repr, whole
-from casadi_skin.bvp.trigonometric import TrigonometricProblem
 from casadi_skin.export.codegen import c_name
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.core_with_tail import CoreWithTail
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.model.arguments import check_name, short_repr, whole
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 Source: TypeAlias = Chain | OdeModel | Orbit
 PARTS: Mapping[str, str] = MappingProxyType({

@@ -5,8 +5,6 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.cosines import cosine_matrix
-from casadi_skin.bvp.problem import Array
 from casadi_skin.export.c_text import (
     Call,
     Part,
@@ -21,9 +19,11 @@ from casadi_skin.export.c_text import (
 )
 from casadi_skin.export.exported_model import ExportedModel
 from casadi_skin.export.site_loops import called
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.solvers.nlp import nlp_solver
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.solve.nlp import nlp_solver
 from casadi_skin.stability.result import Floquet
+from casadi_skin.zero.cosines import cosine_matrix
+from casadi_skin.zero.problem import Array
 
 IPOPT_HEADER = "coin-or/IpStdCInterface.h"
 MOST_SAMPLES = 8192  # of an orbit of a model, over its period

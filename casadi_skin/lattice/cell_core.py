@@ -9,24 +9,24 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.cosines import cosine_matrix
-from casadi_skin.bvp.problem import Array, Indices, Problem
-from casadi_skin.bvp.statement import named_values
-from casadi_skin.continuation.points import Point
+from casadi_skin.follow.settings import Point
 from casadi_skin.lattice.cell_motion import edge_motion, pinned_vectors, tail_coefficients
 from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.cell_tail_parameter import CellTailParameter
+from casadi_skin.lattice.linear_modes import linear_modes
 from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.lattice.nonlinear_core import Core, core_model, core_of
 from casadi_skin.lattice.tail_parameter import Regime
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
-from casadi_skin.methods import TRIGONOMETRIC
-from casadi_skin.orbits.coordinates import Localised, normalised
-from casadi_skin.orbits.family_modes import check_alone
-from casadi_skin.orbits.linear_modes import linear_modes
-from casadi_skin.orbits.method import Method
-from casadi_skin.orbits.model_coordinates import DEEPEST, ModelCoordinates
-from casadi_skin.stability.waves import Medium
+from casadi_skin.model.methods import TRIGONOMETRIC
+from casadi_skin.stability.tongues.waves import Medium
+from casadi_skin.zero.coordinates import Localised, normalised
+from casadi_skin.zero.cosines import cosine_matrix
+from casadi_skin.zero.family_modes import check_alone
+from casadi_skin.zero.method import Method
+from casadi_skin.zero.model_coordinates import DEEPEST, ModelCoordinates
+from casadi_skin.zero.problem import Array, Indices, Problem
+from casadi_skin.zero.statement import named_values
 
 BESIDE_CORE = 100  # sites beside the core on which stability is computed at first
 DOUBLINGS = 2  # of the cells, where multipliers that decay into the tail are not decided

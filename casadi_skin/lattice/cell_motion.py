@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.long_lattice import LongLattice
+from casadi_skin.zero.problem import Array
 
 
 def tail_coefficients(

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array
+from casadi_skin.zero.problem import Array
 
 ComplexArray = NDArray[np.complex128]
 

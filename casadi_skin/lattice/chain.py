@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin import methods
-from casadi_skin.arguments import number, short_repr
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.spectrum import LinearSpectrum, of_norm_one
-from casadi_skin.theory import linear
-from casadi_skin.theory.linear import Array
+from casadi_skin.lattice import uniform_chain as linear
+from casadi_skin.lattice.spectrum import LinearSpectrum, of_norm_one
+from casadi_skin.lattice.uniform_chain import Array
+from casadi_skin.model import methods
+from casadi_skin.model.arguments import number, short_repr
+from casadi_skin.model.ode import OdeModel
 
 if TYPE_CHECKING:
     from casadi_skin.dynamics.equations import EquationsOfMotion
-    from casadi_skin.orbits.coordinates import Coordinates
-    from casadi_skin.orbits.method import Method
+    from casadi_skin.zero.coordinates import Coordinates
+    from casadi_skin.zero.method import Method
 
 FIRST, LAST = "first", "last"  # names of the modes of lowest and highest frequency
 

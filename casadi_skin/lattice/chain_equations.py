@@ -6,10 +6,10 @@ from functools import cached_property
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics.equations import EquationsOfMotion, Gauge
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.zero.problem import Array
 
 
 class ChainEquations(EquationsOfMotion):

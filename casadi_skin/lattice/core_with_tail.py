@@ -8,18 +8,18 @@ from functools import cached_property
 
 import numpy as np
 
-from casadi_skin import methods
-from casadi_skin.bvp.problem import Array, Indices, Problem
-from casadi_skin.continuation.points import Point
+from casadi_skin.dynamics import multiple_scales
+from casadi_skin.follow.settings import Point
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
 from casadi_skin.lattice.full_chain import ChainCoordinates
 from casadi_skin.lattice.log_profile import continued_logarithms
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
-from casadi_skin.orbits.coordinates import Localised, normalised
-from casadi_skin.stability.waves import Medium
-from casadi_skin.theory import multiple_scales
+from casadi_skin.model import methods
+from casadi_skin.stability.tongues.waves import Medium
+from casadi_skin.zero.coordinates import Localised, normalised
+from casadi_skin.zero.problem import Array, Indices, Problem
 
 FAR = 745.0  # of -log rho: beyond it displacements are below the smallest double
 LONGEST_WHOLE = 5000  # sites of a chain all of which are unknowns where they are asked for

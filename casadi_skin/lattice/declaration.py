@@ -12,8 +12,8 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.arguments import check_name, number, short_repr, whole
-from casadi_skin.formula import (
+from casadi_skin.model.arguments import check_name, number, short_repr, whole
+from casadi_skin.model.formula import (
     CONSTANTS,
     FUNCTIONS,
     Formula,

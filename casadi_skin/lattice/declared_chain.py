@@ -9,8 +9,8 @@ import casadi as ca
 
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.declaration import FIXED, Declaration
-from casadi_skin.lattice.expressions import expression
-from casadi_skin.models.polynomial import NotPolynomialError, polynomial_terms
+from casadi_skin.model.array_expressions import expression
+from casadi_skin.model.polynomial import NotPolynomialError, polynomial_terms
 
 
 def declared_chain(declaration: Declaration, autonomous: bool, values: Mapping[str, float]) -> Chain | None:

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import casadi as ca
 import numpy as np
 
-from casadi_skin.formula import Name, Operation, Tree
 from casadi_skin.lattice.declaration import read_formula
 from casadi_skin.lattice.equations import Equations
-from casadi_skin.lattice.expressions import expression
+from casadi_skin.model.array_expressions import expression
+from casadi_skin.model.formula import Name, Operation, Tree
 
 SAME = 1e-12  # relative difference of frequencies that are the same but for rounding
 ACCEPTED = "accepted: sines and cosines of t of one frequency, or with forcing_period"

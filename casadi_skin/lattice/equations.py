@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.lattice.declaration import INDICES, Declaration, Link
-from casadi_skin.lattice.expressions import expression
+from casadi_skin.model.array_expressions import expression
 
 
 class Equations:

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.bvp.cosines import quarter_phases
-from casadi_skin.bvp.problem import Array, Indices, Problem
-from casadi_skin.continuation.points import Point
+from casadi_skin.dynamics import multiple_scales
+from casadi_skin.follow.settings import Point
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.log_profile import continued_logarithms
-from casadi_skin.methods import EVERY_SITE
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.coordinates import Coordinates, normalised, numbered, shift_by_projection
+from casadi_skin.lattice.uniform_chain import standing_wave
+from casadi_skin.model.methods import EVERY_SITE
+from casadi_skin.model.ode import OdeModel
 from casadi_skin.stability.result import ReversibleFloquet
-from casadi_skin.theory import multiple_scales
-from casadi_skin.theory.linear import standing_wave
+from casadi_skin.zero.coordinates import Coordinates, normalised, numbered, shift_by_projection
+from casadi_skin.zero.cosines import quarter_phases
+from casadi_skin.zero.problem import Array, Indices, Problem
 
 if TYPE_CHECKING:
     from casadi_skin.lattice.lattice import Lattice

@@ -10,13 +10,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.statement import named_values
 from casadi_skin.lattice.declaration import Array
-from casadi_skin.lattice.expressions import expression
 from casadi_skin.lattice.gauge import logs_of
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.orbits.linear_modes import symmetrising_scale
-from casadi_skin.result import Result
+from casadi_skin.lattice.linear_modes import symmetrising_scale
+from casadi_skin.model.array_expressions import expression
+from casadi_skin.model.result import Result
+from casadi_skin.zero.statement import named_values
 
 ComplexArray = NDArray[np.complex128]
 ZONE = 41  # wave numbers along each direction of half a zone, its corners among them

@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.cosines import cosine_matrix
-from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.trigonometric import TrigonometricProblem
-from casadi_skin.continuation.points import Point
+from casadi_skin.follow.settings import Point
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.zero.cosines import cosine_matrix
+from casadi_skin.zero.problem import Array
+from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 SMALLEST = 1e-250  # of the largest state: below it doubles run out
 LINEAR = 1e-16  # of the coupling: a stiffness of the cubic term that is round-off

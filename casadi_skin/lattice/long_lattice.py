@@ -11,18 +11,18 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from casadi_skin import methods
-from casadi_skin.arguments import check_name, short_repr
-from casadi_skin.bvp.statement import named_values
 from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.declaration import FIXED, PERIODIC, Array, Bond, Site
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.orbits.linear_modes import symmetrising_scale
-from casadi_skin.orbits.spectrum import LinearSpectrum
+from casadi_skin.lattice.linear_modes import symmetrising_scale
+from casadi_skin.lattice.spectrum import LinearSpectrum
+from casadi_skin.model import methods
+from casadi_skin.model.arguments import check_name, short_repr
+from casadi_skin.zero.statement import named_values
 
 if TYPE_CHECKING:
-    from casadi_skin.orbits.coordinates import Coordinates
-    from casadi_skin.orbits.method import Method
+    from casadi_skin.zero.coordinates import Coordinates
+    from casadi_skin.zero.method import Method
 
 FIRST, LAST = "first", "last"
 SAMPLE = 6  # cells of a lattice from which the properties of one cell are read

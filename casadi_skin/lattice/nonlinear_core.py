@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.statement import named_values
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.long_lattice import EdgeMode, LongLattice
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.zero.statement import named_values
 
 NEGLIGIBLE = 1e-16  # of the nonlinear forces: the part that the tail may leave out
 LONGEST_CORE = 2000  # sites

@@ -10,13 +10,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.arguments import short_repr
-from casadi_skin.bvp.statement import named_values
 from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.declaration import PERIODIC, Array
 from casadi_skin.lattice.lattice import Bond, Lattice, Site
-from casadi_skin.result import Result
+from casadi_skin.model.arguments import short_repr
+from casadi_skin.model.result import Result
+from casadi_skin.zero.statement import named_values
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.arguments import number, short_repr
 from casadi_skin.dynamics.equations import equations_of_motion
 from casadi_skin.dynamics.evolve import checked_vector
 from casadi_skin.lattice.declaration import Array
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import lattice_modes
-from casadi_skin.orbits.spectrum import linear_spectrum
+from casadi_skin.lattice.spectrum import linear_spectrum
+from casadi_skin.model.arguments import number, short_repr
 
 KINDS = ("mode", "site", "vector", "seed")
 

@@ -8,7 +8,7 @@ import numpy as np
 from casadi_skin.lattice.declaration import INDICES
 from casadi_skin.lattice.equations import Equations
 from casadi_skin.lattice.trials import SAME, Trial, field_of
-from casadi_skin.models.polynomial import NotPolynomialError, homogeneous_parts
+from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
 
 
 def is_odd(equations: Equations, trials: list[Trial]) -> bool:

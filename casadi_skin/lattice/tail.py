@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
+from casadi_skin.zero.problem import Array
 
 EDGE_ANGLE = 0.25 * math.pi  # psi of the band edge, in the limit of a long tail
 LONGEST = 40.0  # of c kappa: beyond it the far end of the tail is not felt

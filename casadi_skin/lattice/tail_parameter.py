@@ -10,10 +10,10 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.tail import Tail, Wave
 from casadi_skin.lattice.tail_series import Harmonics, TailSeries
+from casadi_skin.zero.problem import Array
 
 KEPT = 256  # values that are used again: those of all places of a series at several steps
 NEWTON_STEPS = 10  # for an angle, before it is bracketed

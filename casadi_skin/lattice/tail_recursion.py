@@ -11,11 +11,11 @@ from typing import Protocol
 
 import numpy as np
 
-from casadi_skin.bvp.cosines import cosine_matrix
-from casadi_skin.bvp.problem import Array, Indices, SingularError, Solve
-from casadi_skin.bvp.recursion import CosineUnknowns, PolynomialForm, TaylorRecursion
 from casadi_skin.lattice.tail_series import TailSeries
 from casadi_skin.native.tail import TailKernel, has_tail_kernel
+from casadi_skin.zero.cosines import cosine_matrix
+from casadi_skin.zero.problem import Array, Indices, SingularError, Solve
+from casadi_skin.zero.recursion import CosineUnknowns, PolynomialForm, TaylorRecursion
 
 
 class Tail(Protocol):

@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.cell_tail import CellTail, ComplexArray, Place
+from casadi_skin.zero.problem import Array
 
 NODES = 64  # of the circle
 WITHIN = 0.5  # of the distance to the next edge of a band that the circle may have

@@ -1,4 +1,4 @@
-/* Solutions with a banded matrix and its border; see solvers/bordered.py, whose steps these are.
+/* Solutions with a banded matrix and its border; see solve/bordered.py, whose steps these are.
 
    The band is factorised as LAPACK's gbtf2 does it, in the same places: its routine calls four others a column, which
    takes several times as long where the band is narrow. A row of our arrays is a column of its. */

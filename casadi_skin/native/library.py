@@ -18,7 +18,7 @@ import warnings
 from functools import cache
 from pathlib import Path
 
-from casadi_skin.files import replacing
+from casadi_skin.model.files import replacing
 from casadi_skin.native.compiler import LIBRARY_FLAGS, CompilerError, compile_with, find_compiler
 
 SWITCH = "CASADI_SKIN_KERNELS"  # 0 in this variable of the environment: numpy alone

@@ -1,4 +1,4 @@
-/* Power series of a branch of collocation equations Omega^2 D2 x = f(x, p), order by order; see bvp/recursion.py.
+/* Power series of a branch of collocation equations Omega^2 D2 x = f(x, p), order by order; see zero/recursion.py.
 
    Series are stored order by order. Terms are coefficient * p^power * product of `degree` states, each added to a row of
    f, or of the normalisation, whose states are those at phase zero. */

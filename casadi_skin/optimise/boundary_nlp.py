@@ -14,23 +14,23 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Indices
-from casadi_skin.bvp.stated_problem import BoundaryProblem
-from casadi_skin.bvp.statement import Statement
-from casadi_skin.continuation.points import Point
-from casadi_skin.models.saved import programs_in
+from casadi_skin.follow import optimum as of_solution
+from casadi_skin.follow import solution as solutions
+from casadi_skin.follow.boundary_solutions import ITERATIONS
+from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.settings import Point
+from casadi_skin.model.saved import programs_in
 from casadi_skin.optimise.nlp import Limits, Nlp, Solution
 from casadi_skin.optimise.optimality import FLAT, Optimality, optimality
 from casadi_skin.optimise.search_arguments import Condition
-from casadi_skin.orbits import optimum as of_solution
-from casadi_skin.orbits import solution as solutions
-from casadi_skin.orbits.boundary_solutions import ITERATIONS
-from casadi_skin.orbits.boundary_space import BoundarySpace
-from casadi_skin.orbits.guesses import Guess
-from casadi_skin.orbits.refined import BoundaryError
-from casadi_skin.orbits.solve import packed, space_of
-from casadi_skin.solvers.estimates import SAFETY, ErrorEstimate
-from casadi_skin.solvers.nlp import SOLVED, nlp_reason
+from casadi_skin.solve.estimates import SAFETY, ErrorEstimate
+from casadi_skin.solve.guesses import Guess
+from casadi_skin.solve.nlp import SOLVED, nlp_reason
+from casadi_skin.solve.refined import BoundaryError
+from casadi_skin.solve.solve import packed, space_of
+from casadi_skin.zero.problem import Array, Indices
+from casadi_skin.zero.stated_problem import BoundaryProblem
+from casadi_skin.zero.statement import Statement
 
 ENOUGH = 200  # intervals where a bound holds a state, and errors fall with the distance of the points only
 OPTIONS: Mapping[str, Any] = {
@@ -167,7 +167,7 @@ def optimise(statement: Statement, guess: Guess, **options: Any) -> solutions.So
 
     Arguments:
         statement: a problem with an objective or bounds.
-        guess, options: as in `casadi_skin.orbits.solve.solve`.
+        guess, options: as in `casadi_skin.solve.solve.solve`.
 
     Raises:
         ValueError: options out of range.

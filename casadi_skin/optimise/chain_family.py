@@ -14,13 +14,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import short_repr
-from casadi_skin.bvp.problem import Array
+from casadi_skin.follow.follow import follow_family
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.model.arguments import short_repr
+from casadi_skin.model.ode import OdeModel
 from casadi_skin.optimise.observables import FamilyEquations, FreeNumber
-from casadi_skin.orbits.follow import follow_family
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.zero.problem import Array
 
 STEEPEST = 0.99  # |gamma| where no bound is given: beyond it the band is nearly a point
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.bvp.cosines import cosine_matrix
-from casadi_skin.bvp.problem import Array
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.zero.cosines import cosine_matrix
+from casadi_skin.zero.problem import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,11 +12,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.cosines import prolongation_matrix
-from casadi_skin.bvp.problem import Array, Indices
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.optimise.family_statement import FamilyStatement
 from casadi_skin.optimise.nlp import Limits, Nlp
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.zero.cosines import prolongation_matrix
+from casadi_skin.zero.problem import Array, Indices
 
 SLOWEST = 1e-6  # Omega^2 beside the largest stiffness: the square root is kept above it
 OPTIONS: Mapping[str, Any] = {

@@ -9,9 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from casadi_skin.bvp.cosines import prolongation_matrix
-from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.trigonometric import TrigonometricProblem
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.optimise.cosine_orbit import CosineOrbit
 from casadi_skin.optimise.family_nlp import FamilyNlp
 from casadi_skin.optimise.family_statement import FamilyStatement
@@ -19,8 +17,10 @@ from casadi_skin.optimise.nlp import Solution
 from casadi_skin.optimise.optimality import FLAT, optimality
 from casadi_skin.optimise.optimum import Optimum, PlainCheck
 from casadi_skin.optimise.search_problem import Ending, Outcome, Start, judged, sampled_starts
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.solvers.newton import NewtonCorrector
+from casadi_skin.solve.newton import NewtonCorrector
+from casadi_skin.zero.cosines import prolongation_matrix
+from casadi_skin.zero.problem import Array
+from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 HARMONICS = (6, 8, 10, 12, 15, 18, 24, 32, 48, 64, 96)
 UNKNOWN_HARMONICS = 12  # where the first start has no orbit that shows how many it needs

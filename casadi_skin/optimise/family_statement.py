@@ -10,14 +10,14 @@ from typing import Any, Self
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import accepted_names, number, short_repr
-from casadi_skin.arrays import real_array
-from casadi_skin.bvp.problem import Array
-from casadi_skin.models.expressions import is_comparison
+from casadi_skin.model.arguments import accepted_names, number, short_repr
+from casadi_skin.model.arrays import real_array
+from casadi_skin.model.expressions import is_comparison
 from casadi_skin.optimise.chain_family import ChainFamily
 from casadi_skin.optimise.model_family import ModelFamily
 from casadi_skin.optimise.observables import FreeNumber, Observables
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
+from casadi_skin.zero.problem import Array
 
 Family = ChainFamily | ModelFamily
 Quantity = str | Callable[..., Any]  # a name, or a function of Observables (of several orbits: a tuple of them)

@@ -15,13 +15,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.statement import named_values
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.follow.follow import follow_family
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.model.ode import OdeModel
 from casadi_skin.optimise.observables import QUANTITIES, RESERVED, FamilyEquations, FreeNumber, Observables
-from casadi_skin.orbits.follow import follow_family
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.zero.problem import Array
+from casadi_skin.zero.request import FamilyRequest
+from casadi_skin.zero.statement import named_values
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,11 +14,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Indices
-from casadi_skin.interrupts import interrupts_deferred
-from casadi_skin.models.expressions import Expression
-from casadi_skin.optimise.iteration_callback import IterationCallback, Monitor
-from casadi_skin.solvers.nlp import SOLVED, nlp_solver
+from casadi_skin.model.expressions import Expression
+from casadi_skin.model.interrupts import interrupts_deferred
+from casadi_skin.solve.iteration_callback import IterationCallback, Monitor
+from casadi_skin.solve.nlp import SOLVED, nlp_solver
+from casadi_skin.zero.problem import Array, Indices
 
 BALLS = 8  # known optima that a solve keeps away from at a time
 RADIUS = 0.05  # of the balls round them, in the scaled place

@@ -14,8 +14,8 @@ from types import MappingProxyType
 import casadi as ca
 import numpy as np
 
-from casadi_skin.arguments import accepted_names
-from casadi_skin.bvp.cosines import cosine_matrix, second_derivative_matrix
+from casadi_skin.model.arguments import accepted_names
+from casadi_skin.zero.cosines import cosine_matrix, second_derivative_matrix
 
 # Attributes of `Observables` that are no quantities.
 RESERVED = ("y0", "slope", "value", "names", "is_shared", "at_rest", "state", "nodes", "Omega_squared", "tangent",

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Indices
 from casadi_skin.optimise.nlp import Nlp, Solution
+from casadi_skin.zero.problem import Array, Indices
 
 CURVED = 1e-6  # of the Hessian in the free directions: less is rounding
 NOISE = 1e-8  # curvature, relative to the gradient, that errors of multipliers make where there is none

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.arguments import accepted_names
-from casadi_skin.bvp.problem import Array
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.model.arguments import accepted_names
 from casadi_skin.optimise.cosine_orbit import CosineOrbit
 from casadi_skin.optimise.nlp import Nlp, Solution
 from casadi_skin.optimise.optimality import Kkt, Optimality
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.zero.problem import Array
 
 ON_FAMILY = 1e-6  # relative difference of Omega to the member of the family
 

@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.arguments import whole
-from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.model.arguments import whole
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.result import Result
 from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.optimise.result import SearchResult, SearchStatus
 from casadi_skin.optimise.search import search
 from casadi_skin.optimise.search_orbit import STARTS, stated_search
-from casadi_skin.result import Result
+from casadi_skin.zero.problem import Array
 
 ROOM = 1e-6  # of the range of the second quantity, left to the first at the end of the front
 

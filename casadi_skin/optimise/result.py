@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from casadi_skin.model.result import Result
 from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.optimise.search_problem import Outcome, SearchProblem
-from casadi_skin.result import Result
 
 
 class SearchStatus(Enum):

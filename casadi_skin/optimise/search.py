@@ -13,9 +13,9 @@ import numpy as np
 
 from casadi_skin.optimise.optimality import FLAT
 from casadi_skin.optimise.optimum import Optimum
-from casadi_skin.optimise.processes import Report, Runner
 from casadi_skin.optimise.result import SearchResult, SearchStatus
 from casadi_skin.optimise.search_problem import FEASIBLE, Ending, Outcome, SearchProblem, Start, nearest, solve_start
+from casadi_skin.runs.processes import Report, Runner
 
 SAME = 1e-4  # distance of places, and relative difference of objectives, below which two optima are one
 NEAREST = 4  # starts of the search for the orbit nearest to the constraints

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from casadi_skin.arguments import accepted_names, number, short_repr
+from casadi_skin.model.arguments import accepted_names, number, short_repr
 
 PAIR = "a pair (lower, upper) of numbers, None where there is no bound"
 CONDITION = "what is to vanish, or (quantity, lower, upper); a quantity is a name or {}"

@@ -6,18 +6,18 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from typing import Any
 
-from casadi_skin.arguments import check_options, short_repr, truth, whole
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.model.arguments import check_options, short_repr, truth, whole
+from casadi_skin.model.ode import OdeModel
 from casadi_skin.optimise.chain_family import ChainFamily
 from casadi_skin.optimise.family_search import FamilySearch
 from casadi_skin.optimise.family_statement import FamilyStatement
 from casadi_skin.optimise.model_family import ModelFamily
 from casadi_skin.optimise.orbit_search import OrbitSearch
-from casadi_skin.optimise.processes import Report
 from casadi_skin.optimise.result import SearchResult
 from casadi_skin.optimise.search import search
 from casadi_skin.optimise.search_problem import SearchProblem
+from casadi_skin.runs.processes import Report
 
 STARTS = 8
 

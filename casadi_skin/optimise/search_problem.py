@@ -9,11 +9,11 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
-from casadi_skin.optimise.iteration_callback import Monitor
 from casadi_skin.optimise.nlp import STOPPED, Nlp, Solution
 from casadi_skin.optimise.optimality import optimality
 from casadi_skin.optimise.optimum import Optimum
+from casadi_skin.solve.iteration_callback import Monitor
+from casadi_skin.zero.problem import Array
 
 CONVERGED = 1e-7  # residual of an optimum, whatever Ipopt says of it
 FEASIBLE = 1e-9  # violation of a constraint, relative to its terms

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.orbits.boundary_space import BoundarySpace
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import FOLD
+from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.special_points import FOLD
 from casadi_skin.results.dataset import unique_names
 from casadi_skin.results.multiplier_quantities import multiplier_quantities
 from casadi_skin.results.quantity import CSV, NEITHER, NETCDF, Place, Quantity

@@ -10,10 +10,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from casadi_skin.continuation.points import Point, Target
-from casadi_skin.orbits.making import solution_at
-from casadi_skin.orbits.solution import Solution
-from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.follow.making import solution_at
+from casadi_skin.follow.settings import Point, Target
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.results.branch_records import (
     BranchRecord,
     CutRecord,
@@ -28,11 +29,10 @@ from casadi_skin.results.branch_records import (
     StabilityRecord,
     doubles_of,
 )
-from casadi_skin.solvers.estimates import ErrorEstimate, Refinement
+from casadi_skin.solve.estimates import ErrorEstimate, Refinement
 from casadi_skin.stability.continuous import ContinuousSpectrum
 from casadi_skin.stability.localised import LocalisedFloquet
 from casadi_skin.stability.result import Floquet, FullPeriodFloquet, ReversibleFloquet
-from casadi_skin.unresolved import Unresolved
 
 
 @dataclass

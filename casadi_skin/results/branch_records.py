@@ -8,12 +8,12 @@ from typing import Protocol
 import msgspec
 import numpy as np
 
-from casadi_skin.continuation.points import End, Point, Target
-from casadi_skin.orbits.solution import Solution
-from casadi_skin.orbits.walk import Walk
+from casadi_skin.follow.settings import End, Point, Target
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.unresolved import Unresolved
+from casadi_skin.follow.walk import Walk
 from casadi_skin.stability.localised import LocalisedFloquet
 from casadi_skin.stability.result import FullPeriodFloquet, ReversibleFloquet
-from casadi_skin.unresolved import Unresolved
 
 
 class ReversibleRecord(msgspec.Struct, frozen=True, tag="reversible"):

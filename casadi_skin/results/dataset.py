@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin._version import __version__
-from casadi_skin.files import replacing
+from casadi_skin.model.files import replacing
 from casadi_skin.results.netcdf import EMPTY, characters, new_file, put_attributes, stored_name
 
 if TYPE_CHECKING:

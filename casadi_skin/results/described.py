@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from casadi_skin.arguments import cut
+from casadi_skin.model.arguments import cut
 from casadi_skin.results import describing, describing_analyses
 from casadi_skin.results.wording import Rows, words
 

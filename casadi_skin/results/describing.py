@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_skin.critical_orbits.edges import EdgeCurve
 from casadi_skin.dynamics.evolution import Evolution
-from casadi_skin.equilibria.diagram import Diagram
-from casadi_skin.equilibria.equilibrium import Equilibrium
-from casadi_skin.equilibria.statics import Spectrum
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.solution import Solution
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.equilibrium import Equilibrium
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Solution
+from casadi_skin.points.diagram import Diagram
+from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.results.wording import (
     Rows,
     complex_words,
@@ -26,6 +25,7 @@ from casadi_skin.results.wording import (
 )
 from casadi_skin.stability.localised import LocalisedFloquet
 from casadi_skin.stability.result import Floquet
+from casadi_skin.zero.statics import Spectrum
 
 
 @words.register

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.results.dataset import Cell, Variable, unique_names
+from casadi_skin.zero.problem import Array
 
 
 def known_energy(evolution: Evolution) -> Array | None:

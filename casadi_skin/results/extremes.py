@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.solution import Solution
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Solution
+from casadi_skin.zero.problem import Array
 
 FINE = 16  # places an interval in which extremes are looked for
 

@@ -9,10 +9,10 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.certificate import STABLE, UNSTABLE, Certificate
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.certify.certificate import STABLE, UNSTABLE, Certificate
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.results.multiplier_quantities import multiplier_quantities
 from casadi_skin.results.quantity import CSV, NETCDF, Place, Quantity
 

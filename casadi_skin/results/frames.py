@@ -6,20 +6,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casadi_skin.critical_orbits.edges import EdgeCurve
 from casadi_skin.dynamics.evolution import Evolution
-from casadi_skin.equilibria.diagram import Diagram
-from casadi_skin.equilibria.equilibrium import Equilibrium
-from casadi_skin.equilibria.statics import Spectrum
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.solution import Solution
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.equilibrium import Equilibrium
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.solution import Solution
+from casadi_skin.points.diagram import Diagram
+from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.results import frames_analyses
 from casadi_skin.results.columns import Columns, table
 from casadi_skin.results.dataset import Dataset, Variable, to_xarray, unique_names
 from casadi_skin.results.quantities import branch_to_xarray, places_of, quantities_of
 from casadi_skin.results.quantity import BOTH, CSV
 from casadi_skin.stability.result import Floquet
+from casadi_skin.zero.statics import Spectrum
 
 if TYPE_CHECKING:
     import pandas

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from casadi_skin.certify.certificate import Certificate, ProvedStability, ProvedStretch
+from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.lattice.linear import Bands, LatticeModes
 from casadi_skin.lattice.spreading import Spreading
-from casadi_skin.optimise.kick.smallest_kick import SmallestKick
 from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.optimise.pareto import ParetoFront
 from casadi_skin.optimise.result import SearchResult
-from casadi_skin.orbits.certificate import Certificate, ProvedStability, ProvedStretch
-from casadi_skin.orbits.special_points import SpecialPoint
+from casadi_skin.optimise.smallest_kick import SmallestKick
 from casadi_skin.results.columns import Columns, table
 from casadi_skin.results.stability_tables import EVENT_COLUMNS, edge_rows
 from casadi_skin.stability.growth import TransientGrowth
-from casadi_skin.stability.localised_diagram import LocalisedDiagram
-from casadi_skin.stability.tongues import StabilityDiagram
+from casadi_skin.stability.tongues.diagram import StabilityDiagram
+from casadi_skin.stability.tongues.localised_diagram import LocalisedDiagram
 
 
 @table.register

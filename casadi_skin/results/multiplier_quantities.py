@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
-from casadi_skin.orbits.branch import Branch
+from casadi_skin.follow.branch import Branch
 from casadi_skin.results.quantity import NETCDF, Place, Quantity
 from casadi_skin.stability.localised import LocalisedFloquet
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import ReversibleFloquet
+from casadi_skin.zero.problem import Array
 
 MULTIPLIERS: tuple[Quantity, ...] = (
     Quantity(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin._version import __version__
-from casadi_skin.files import replacing
+from casadi_skin.model.files import replacing
 
 if TYPE_CHECKING:
     from scipy.io import netcdf_file

@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casadi_skin.arguments import accepted_names
-from casadi_skin.bvp.problem import Array
-from casadi_skin.equilibria.equilibrium import Equilibrium
-from casadi_skin.orbits.boundary_space import BoundarySpace
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.solution import Solution
+from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.equilibrium import Equilibrium
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.solution import Solution
+from casadi_skin.model.arguments import accepted_names
 from casadi_skin.results.branch_quantities import PHASES, branch_quantities
 from casadi_skin.results.dataset import Cell, Dataset, Variable, to_xarray
 from casadi_skin.results.equilibria import equilibrium_quantities
 from casadi_skin.results.family_quantities import family_quantities
 from casadi_skin.results.quantity import BOTH, COUNTED, CSV, NETCDF, Place, Quantity
+from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
     import xarray

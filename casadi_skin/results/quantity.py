@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.solution import Solution
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Solution
 from casadi_skin.results.extremes import extremes
 from casadi_skin.stability.result import Floquet
 

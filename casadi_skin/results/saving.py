@@ -12,24 +12,24 @@ import casadi as ca
 import msgspec
 
 from casadi_skin._version import __version__
-from casadi_skin.arguments import cut, file_path, short_repr
-from casadi_skin.bvp.statement import Statement
 from casadi_skin.dynamics.equations import EquationsOfMotion, equations_of_motion
-from casadi_skin.equilibria.space import EquilibriumSpace
-from casadi_skin.files import replacing
+from casadi_skin.fmu.fmu_model import FmuModel
+from casadi_skin.fmu.saved import OtherModelError, at_symbols, checked, identity, noises
+from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.long_lattice import LongLattice
-from casadi_skin.models.fmu_model import FmuModel
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.models.operations import from_operations, to_operations
-from casadi_skin.models.saved import dumps, loads, programs_in
-from casadi_skin.orbits.boundary_space import BoundarySpace
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.orbit_statement import Extended, extended
+from casadi_skin.model.arguments import cut, file_path, short_repr
+from casadi_skin.model.files import replacing
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.operations import from_operations, to_operations
+from casadi_skin.model.saved import dumps, loads, programs_in
 from casadi_skin.results.encoding import Reader, Writer, class_named
-from casadi_skin.results.fmu_models import OtherModelError, at_symbols, checked, identity, noises
 from casadi_skin.results.journal import framed, read_records
+from casadi_skin.zero.orbit_statement import Extended, extended
+from casadi_skin.zero.statement import Statement
 
 FORMAT = "casadi_skin result 1"
 ACCEPTED = "accepted: a file that save_result wrote"

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.results.dataset import Cell
-from casadi_skin.stability.localised_diagram import LocalisedChange, LocalisedDiagram
-from casadi_skin.stability.tongues import StabilityDiagram, StabilityEdge, Tongue
-from casadi_skin.unresolved import Unresolved
+from casadi_skin.stability.tongues.diagram import StabilityDiagram, StabilityEdge, Tongue
+from casadi_skin.stability.tongues.localised_diagram import LocalisedChange, LocalisedDiagram
 
 EVENT_COLUMNS = (
     "mode", "S", "Omega", "kind", "stable_before", "stable_after", "mu", "S_width",

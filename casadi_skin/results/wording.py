@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from functools import singledispatch
 from typing import Any
 
-from casadi_skin.unresolved import count_in_words
+from casadi_skin.follow.unresolved import count_in_words
 
 MOST = 6  # special points, parameters or states that are named
 Rows = list[tuple[str, str]]

@@ -6,15 +6,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from casadi_skin.models.jumps import JumpError
-from casadi_skin.models.loading import ModelFileError, named, read_source, run_file
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.model.jumps import JumpError
+from casadi_skin.model.loading import ModelFileError, named, read_source, run_file
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.runs.faults import SceneError, check_known, refusal
+from casadi_skin.runs.lattice_tables import LatticeTable
+from casadi_skin.runs.model_tables import SELECTED, ContinuationTable, EquilibriumTable, ModelTable
 from casadi_skin.runs.request import Request, chain_of, lattice_of
+from casadi_skin.runs.scene import Scene
 from casadi_skin.runs.states import check_state, values_of
-from casadi_skin.scene import Scene, SceneError
-from casadi_skin.scene.faults import check_known, refusal
-from casadi_skin.scene.lattice_tables import LatticeTable
-from casadi_skin.scene.model_tables import SELECTED, ContinuationTable, EquilibriumTable, ModelTable
 
 if TYPE_CHECKING:
     pass
@@ -71,8 +71,8 @@ def _bound_lattice(scene: Scene, table: LatticeTable) -> Request:
 
 
 def _bound_file(scene: Scene, table: ModelTable, scene_path: Path, files: Files) -> Request:
-    from casadi_skin.models.saved import loads
-    from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
+    from casadi_skin.model.saved import loads
+    from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
 
     path, kinds = scene_path.parent / table.file, (OdeModel, BoundaryValueProblem)
     try:
@@ -126,7 +126,7 @@ def _check_families(request: Request) -> None:
 def _check_provable(request: Request) -> None:
     """Refuse proofs of orbits that the theorem is not about, and all without python-flint."""
     from casadi_skin.certify.certify import provable
-    from casadi_skin.orbits.family import Family
+    from casadi_skin.follow.family import Family
 
     try:
         for family in request.families:
@@ -176,7 +176,7 @@ def _check_perturbation(request: Request) -> None:
 
 def check_spectrum(request: Request) -> None:
     """Raises SceneError where linear frequencies cannot be shown."""
-    from casadi_skin.orbits.spectrum import linear_frequencies
+    from casadi_skin.lattice.spectrum import linear_frequencies
 
     if request.scene.lattice is not None:  # frequencies that are not real are written as they are
         return

@@ -9,21 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.stated_problem import PERIOD
-from casadi_skin.bvp.symmetry import pinned_components, symmetry_class
-from casadi_skin.models.loading import call
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
-from casadi_skin.orbits.closure import closure_of
-from casadi_skin.orbits.find_orbit import rotations_of
-from casadi_skin.orbits.guesses import Guess
-from casadi_skin.orbits.orbit_statement import UNFOLDING
+from casadi_skin.follow.find_orbit import rotations_of
+from casadi_skin.model.loading import call
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.symmetry import pinned_components, symmetry_class
+from casadi_skin.runs.faults import SceneError, check_known, refusal, toml_repr
+from casadi_skin.runs.model_tables import CONSERVED, ModelTable, OrbitTable
 from casadi_skin.runs.request import Request
+from casadi_skin.runs.scene import Scene
 from casadi_skin.runs.states import Numbers, check_state, state_of, values_of
-from casadi_skin.scene import OrbitTable, Scene, SceneError
-from casadi_skin.scene.faults import check_known, refusal, toml_repr
-from casadi_skin.scene.model_tables import CONSERVED, ModelTable
+from casadi_skin.solve.guesses import Guess
+from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
+from casadi_skin.zero.closure import closure_of
+from casadi_skin.zero.orbit_statement import UNFOLDING
+from casadi_skin.zero.problem import Array
+from casadi_skin.zero.stated_problem import PERIOD
 
 
 def check_orbit(request: Request, orbit: OrbitTable) -> None:

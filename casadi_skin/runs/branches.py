@@ -11,18 +11,17 @@ from typing import Protocol
 
 import msgspec
 
-from casadi_skin.continuation.points import End, Point
-from casadi_skin.interrupts import interrupts_deferred
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.follow import following_space
-from casadi_skin.orbits.following import Following
-from casadi_skin.orbits.making import solution_at
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.solution import Solution
-from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.walk import Walk
-from casadi_skin.progress import Progress
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.follow import following_space
+from casadi_skin.follow.following import Following
+from casadi_skin.follow.making import solution_at
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.settings import End, Point
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.walk import Walk
+from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.results.branch_reading import known_of
 from casadi_skin.results.branch_records import (
     BranchRecord,
@@ -34,8 +33,9 @@ from casadi_skin.results.branch_records import (
 )  # fmt: skip
 from casadi_skin.results.journal import Journal
 from casadi_skin.runs.offshoots import Offshoots
+from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
-from casadi_skin.solvers.watch import watched
+from casadi_skin.solve.time_limit import watched
 from casadi_skin.stability.flow import FlowError
 
 BUILTIN = (ZeroDivisionError, OverflowError, FloatingPointError)

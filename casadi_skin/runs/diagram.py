@@ -8,25 +8,25 @@ from pathlib import Path
 
 import numpy as np
 
-import casadi_skin.figures as figures
-from casadi_skin.bvp.stated_problem import PERIOD
-from casadi_skin.continuation.points import End
-from casadi_skin.critical_orbits.curve import curve_space
-from casadi_skin.equilibria.curve import UnfoldingError
-from casadi_skin.equilibria.diagram import LEAVING, Further
-from casadi_skin.equilibria.equilibrium import Equilibrium
-from casadi_skin.equilibria.location import BRANCH_POINT, FOLD, HOPF
-from casadi_skin.figures.portrait import chosen_solutions
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import DOUBLING, TORUS, SpecialPoint
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.curve import curve_space
+from casadi_skin.follow.equilibrium import Equilibrium
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.rest_curve import UnfoldingError
+from casadi_skin.follow.settings import End
+from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.special_points import DOUBLING, TORUS, SpecialPoint
+from casadi_skin.points.diagram import LEAVING, Further
+from casadi_skin.results import figures
 from casadi_skin.results.dataset import Cell, unique_names, write_csv, write_netcdf
+from casadi_skin.results.figures.portrait import chosen_solutions
 from casadi_skin.results.quantities import dataset_of
 from casadi_skin.results.stability_tables import UNRESOLVED
+from casadi_skin.runs.model_tables import ContinuationTable
 from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.request import Request
-from casadi_skin.scene.model_tables import ContinuationTable
+from casadi_skin.zero.rest_location import BRANCH_POINT, FOLD, HOPF
+from casadi_skin.zero.stated_problem import PERIOD
 
 NATURAL = (
     End.HOPF,

@@ -9,9 +9,11 @@ from enum import Enum
 from glob import escape
 from pathlib import Path
 
-from casadi_skin.files import leftovers, replacing
-from casadi_skin.methods import FORMATS
-from casadi_skin.scene import Scene, SceneError, parse_scene
+from casadi_skin.model.files import leftovers, replacing
+from casadi_skin.model.methods import FORMATS
+from casadi_skin.runs.faults import SceneError
+from casadi_skin.runs.reading import parse_scene
+from casadi_skin.runs.scene import Scene
 
 SCENE = "scene.toml"
 JOURNAL = "journal.msgpack"

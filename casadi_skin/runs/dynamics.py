@@ -10,26 +10,27 @@ import numpy as np
 
 from casadi_skin.dynamics import Evolution, evolve, simulate_orbit
 from casadi_skin.dynamics.equations import equations_of_motion
-from casadi_skin.figures.spacetime import spacetime_figure
-from casadi_skin.figures.spreading import spreading_figure
-from casadi_skin.figures.style import number
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.declaration import INDICES
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import lattice_modes
 from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.lattice.spreading import Spreading, spreading
 from casadi_skin.lattice.starts import initial_state
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.lattice.uniform_chain import Array
+from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.dataset import Dataset, write_csv, write_netcdf
 from casadi_skin.results.evolution import evolution_columns, evolution_rows, evolution_variables
+from casadi_skin.results.figures.spacetime import spacetime_figure
+from casadi_skin.results.figures.spreading import spreading_figure
+from casadi_skin.results.figures.style import number
 from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.request import Request
+from casadi_skin.runs.scene import Scene
+from casadi_skin.runs.task_tables import DynamicsTable
 from casadi_skin.runs.writing import mode_of, origin
-from casadi_skin.scene import DynamicsTable, Scene
-from casadi_skin.theory.linear import Array
 
 PER_PERIOD, FEWEST, MOST = 20, 401, 4001
 

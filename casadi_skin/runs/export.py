@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from casadi_skin.export.c_code import export_c
-from casadi_skin.export.fmu import export_fmu
+from casadi_skin.fmu.archive import export_fmu
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.long_lattice import LongLattice
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.model.ode import OdeModel
 from casadi_skin.runs.directory import EXPORT
 from casadi_skin.runs.request import Request
+from casadi_skin.runs.task_tables import ExportTable
 from casadi_skin.runs.writing import mode_of
-from casadi_skin.scene import ExportTable
 
 
 def export_scene(request: Request, branches: Sequence[Branch], directory: Path) -> tuple[Path, ...]:

@@ -8,24 +8,24 @@ from pathlib import Path
 
 import msgspec
 
-import casadi_skin.figures as figures
-from casadi_skin.critical_orbits.edges import EdgeCurve
-from casadi_skin.equilibria.switch import leaving_space
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.space import SolutionSpace
-from casadi_skin.orbits.special_points import SpecialPoint
-from casadi_skin.progress import Progress
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.special_points import SpecialPoint
+from casadi_skin.points.edges import EdgeCurve
+from casadi_skin.points.switch import leaving_space
+from casadi_skin.results import figures
 from casadi_skin.results.branch_records import EdgeRecord, Records
 from casadi_skin.results.dataset import Cell, write_csv, write_netcdf
 from casadi_skin.results.frames import edge_columns
 from casadi_skin.results.quantities import dataset_of
 from casadi_skin.results.saving import SavedResult, restored, saved
 from casadi_skin.runs.diagram import ended_well
+from casadi_skin.runs.model_tables import ContinuationTable
 from casadi_skin.runs.offshoots import Offshoots
 from casadi_skin.runs.pictures import picture
+from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.writing import mode_of
-from casadi_skin.scene.model_tables import ContinuationTable
 
 EVENTS, FURTHER = "events.csv", "further_events.csv"  # where edges are listed
 POINT_COLUMNS = ("branch", "kind", "S", "error", "Omega", "period", "mu", "loses")

@@ -12,17 +12,17 @@ import numpy as np
 from casadi_skin.dynamics.equations import PHYSICAL, EquationsOfMotion
 from casadi_skin.dynamics.evolution import Cycle, Evolution
 from casadi_skin.dynamics.simulation import simulate
-from casadi_skin.equilibria.find import find_equilibrium
-from casadi_skin.models.conserved import HAMILTONIAN
-from casadi_skin.models.expressions import Expression
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.find_orbit import find_orbit
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.solution import Solution
+from casadi_skin.follow.find import find_equilibrium
+from casadi_skin.follow.find_orbit import find_orbit
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Solution
+from casadi_skin.model.conserved import HAMILTONIAN
+from casadi_skin.model.expressions import Expression
+from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.branch_records import BranchRecord, CycleRecord, bytes_of, doubles_of
+from casadi_skin.runs.model_tables import SELECTED, EquilibriumTable
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.states import state_of
-from casadi_skin.scene.model_tables import SELECTED, EquilibriumTable
 
 SAMPLES = 801  # of the cycle that is the guess
 TRANSIENT_SAMPLES = 20_001  # of a transient whose cycle is not known before

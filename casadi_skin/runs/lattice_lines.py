@@ -10,7 +10,7 @@ import numpy as np
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import REAL, bands, lattice_modes
 from casadi_skin.lattice.long_lattice import LongLattice
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.model.ode import OdeModel
 from casadi_skin.runs.words import Lines, named
 
 ROUNDING = 1e-13  # of the largest omega^2: smaller ones are 0

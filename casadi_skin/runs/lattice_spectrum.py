@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from casadi_skin import figures
-from casadi_skin.figures.bands import band_figure
-from casadi_skin.figures.skin import skin_figure
 from casadi_skin.lattice.declaration import INDICES
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import bands, lattice_modes
 from casadi_skin.lattice.skin import brillouin_zone, winding_numbers
+from casadi_skin.results import figures
 from casadi_skin.results.dataset import Cell, write_csv
+from casadi_skin.results.figures.bands import band_figure
+from casadi_skin.results.figures.skin import skin_figure
 from casadi_skin.runs.pictures import picture
-from casadi_skin.scene import Scene
+from casadi_skin.runs.scene import Scene
 
 
 def write_lattice_spectrum(scene: Scene, lattice: Lattice, parameters: Mapping[str, float], directory: Path) -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from casadi_skin.orbits.branch import Branch
+from casadi_skin.follow.branch import Branch
 
 if TYPE_CHECKING:
-    from casadi_skin.critical_orbits.edges import EdgeCurve
+    from casadi_skin.points.edges import EdgeCurve
 
 
 @dataclass

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, ParamSpec
 
-from casadi_skin.figures.style import save
+from casadi_skin.results.figures.style import save
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from casadi_skin.scene import Scene
+    from casadi_skin.runs.scene import Scene
 
 Arguments = ParamSpec("Arguments")
 

@@ -7,20 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadi_skin import methods
-from casadi_skin.bvp.problem import Problem
-from casadi_skin.bvp.shooting import ShootingProblem
-from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
+from casadi_skin.follow.family import Family
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.request import FamilyRequest
+from casadi_skin.model import methods
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.runs.family_plan import SPECTRUM, FamilyPlan, chain_line, family_lines
+from casadi_skin.runs.model_tables import LEAVING, ContinuationTable, EquilibriumTable
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.states import state_of
 from casadi_skin.runs.words import Lines, listed, named
-from casadi_skin.scene.model_tables import LEAVING, ContinuationTable, EquilibriumTable
-from casadi_skin.solvers.estimates import ErrorEstimate
+from casadi_skin.solve.estimates import ErrorEstimate
+from casadi_skin.zero.problem import Problem
+from casadi_skin.zero.request import FamilyRequest
+from casadi_skin.zero.shooting import ShootingProblem
 
 TYPICAL_SAMPLES = (60, 450)  # orbits of a family that its changes of stability are sought with
 TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to end modes of long or steep ones
@@ -283,9 +283,9 @@ def _problem_lines(request: Request) -> Lines:
 
 def _unknowns(request: Request) -> str:
     """States at the ends and stages of the intervals, and free parameters, on the first mesh."""
-    from casadi_skin.bvp.stated_problem import PERIOD
-    from casadi_skin.orbits.boundary_choices import DEGREE, FIRST
-    from casadi_skin.orbits.orbit_statement import UNFOLDING
+    from casadi_skin.zero.boundary_choices import DEGREE, FIRST
+    from casadi_skin.zero.orbit_statement import UNFOLDING
+    from casadi_skin.zero.stated_problem import PERIOD
 
     method, model, problem = request.scene.methods, request.ode, request.problem
     intervals, degree = method.intervals or FIRST, method.degree or DEGREE

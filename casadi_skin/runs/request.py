@@ -9,19 +9,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.models.expressions import Expression
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.method import Method, Targets
-from casadi_skin.orbits.request import FamilyRequest
-from casadi_skin.scene import OrbitTable, Scene
-from casadi_skin.scene.lattice_tables import LatticeTable, UniformTable
-from casadi_skin.scene.model_tables import CONSERVED
+from casadi_skin.model.expressions import Expression
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.runs.lattice_tables import LatticeTable, UniformTable
+from casadi_skin.runs.model_tables import CONSERVED, OrbitTable
+from casadi_skin.runs.scene import Scene
+from casadi_skin.zero.method import Method, Targets
+from casadi_skin.zero.request import FamilyRequest
 
 if TYPE_CHECKING:  # a scene of a chain needs none of it
     from casadi_skin.lattice.lattice import Lattice
     from casadi_skin.lattice.long_lattice import LongLattice
-    from casadi_skin.orbits.boundary_value_problem import BoundaryValueProblem
-    from casadi_skin.orbits.guesses import Guess
+    from casadi_skin.solve.guesses import Guess
+    from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,20 +7,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casadi_skin.files import replacing
-from casadi_skin.interrupts import interrupts_deferred
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.progress import Progress
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.model.files import replacing
+from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.results.family_quantities import certified
 from casadi_skin.runs.branches import Branches
 from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL, renew
 from casadi_skin.runs.offshoots import Offshoots
+from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.tables import Tables
 from casadi_skin.runs.writing import mode_of, origin, write_branches, write_spectrum
-from casadi_skin.threads import one_thread
+from casadi_skin.solve.threads import one_thread
 
 if TYPE_CHECKING:
     from casadi_skin.dynamics import Evolution

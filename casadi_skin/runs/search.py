@@ -7,9 +7,8 @@ from pathlib import Path
 
 import msgspec
 
-from casadi_skin.figures.search import search_figure
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.model.ode import OdeModel
 from casadi_skin.optimise.chain_family import ChainFamily
 from casadi_skin.optimise.family_nlp import FamilyNlp
 from casadi_skin.optimise.family_search import FamilySearch
@@ -17,12 +16,14 @@ from casadi_skin.optimise.model_family import ModelFamily
 from casadi_skin.optimise.result import SearchResult, SearchStatus
 from casadi_skin.optimise.search import search
 from casadi_skin.optimise.search_problem import Ending
-from casadi_skin.progress import Progress
+from casadi_skin.results.figures.search import search_figure
 from casadi_skin.results.journal import Journal
-from casadi_skin.results.search import OutcomeRecord, outcome_record, restored, write_search
+from casadi_skin.results.search_records import OutcomeRecord, outcome_record, restored, write_search
 from casadi_skin.runs.pictures import picture
+from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
-from casadi_skin.scene import Scene, SearchTable
+from casadi_skin.runs.scene import Scene
+from casadi_skin.runs.task_tables import SearchTable
 
 COMPLETE = (SearchStatus.FOUND, SearchStatus.ON_BOUND)
 

@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.scene import SceneError
-from casadi_skin.scene.faults import check_known, refusal
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.runs.faults import SceneError, check_known, refusal
+from casadi_skin.zero.problem import Array
 
 Numbers = Sequence[float] | Mapping[str, float]
 
@@ -20,7 +19,7 @@ def values_of(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
         check_known("[model] parameters", name, model.parameter_names)
     if model.order == 2 and model.normalisation is not None:  # the amplitude's parameter needs no value
         return dict(given)
-    from casadi_skin.bvp.statement import named_values
+    from casadi_skin.zero.statement import named_values
 
     try:
         return named_values(model, given)

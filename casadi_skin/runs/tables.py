@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.solution import Solution
-from casadi_skin.orbits.space import SolutionSpace
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.results.dataset import Cell, write_csv
 from casadi_skin.results.quantities import csv_row, quantities_of
 from casadi_skin.results.quantity import Place

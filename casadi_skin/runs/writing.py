@@ -7,15 +7,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import casadi_skin.figures as figures
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.method import TWO_PI
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.spectrum import linear_frequencies
-from casadi_skin.progress import Progress
+from casadi_skin.lattice.spectrum import linear_frequencies
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.results import figures
 from casadi_skin.results.dataset import Cell, unique_names, versions, write_csv, write_netcdf
 from casadi_skin.results.quantities import dataset_of
 from casadi_skin.results.stability_tables import (
@@ -28,7 +26,9 @@ from casadi_skin.results.stability_tables import (
     tongue_rows,
 )
 from casadi_skin.runs.pictures import picture
+from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
+from casadi_skin.zero.method import TWO_PI
 
 PASSED_COLUMNS = ("mode", "S_before", "S_after", "Omega_before", "Omega_after", "changes", "meetings")
 
@@ -87,7 +87,7 @@ def _write_families(request: Request, branches: Sequence[Branch], directory: Pat
     picture(request.scene, directory / "profile", figures.profile_figure, branches)
     for branch in branches:
         if request.scene.chain is None:
-            from casadi_skin.figures.plane import plane_figure
+            from casadi_skin.results.figures.plane import plane_figure
 
             picture(request.scene, directory / f"plane_j{mode_of(branch)}", plane_figure, branch)
         picture(request.scene, directory / f"multipliers_j{mode_of(branch)}", figures.multiplier_figure, branch)
@@ -108,7 +108,7 @@ def mode_of(branch: Branch) -> int:
 
 def _write_films(branches: Sequence[Branch], directory: Path, progress: Progress) -> None:
     """A film of each family's mode, at the last requested point or at the end."""
-    from casadi_skin.animation import animate
+    from casadi_skin.results.figures.animation import animate
 
     for branch in branches:
         progress.say(f"film of j = {mode_of(branch)}")

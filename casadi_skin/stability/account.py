@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
-from casadi_skin.stability.groups import Group
-from casadi_skin.stability.interpolation import Gap
 from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.tongues.groups import Group
+from casadi_skin.stability.tongues.interpolation import Gap
+from casadi_skin.zero.problem import Array
 
 CLEARLY = 4.0  # errors of a mu that it is outside by, to be in the account
 LEAST = 1e-9  # of such a distance: rounding of two mu that nearly meet

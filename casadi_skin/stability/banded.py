@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array
+from casadi_skin.zero.problem import Array
 
 BLOCK = 128  # columns of a product of which zeros are left out
 

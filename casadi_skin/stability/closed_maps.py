@@ -8,9 +8,9 @@ from functools import reduce
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.stability.product_spectrum import Spectrum, by_liouville, scaled_product, spectrum_of
 from casadi_skin.stability.trivial import Frames, Trivial
+from casadi_skin.zero.problem import Array
 
 MACHINE = float(np.finfo(float).eps)
 ROUNDING = 64.0  # units in the last place by which entries of a map over an interval are off: measured

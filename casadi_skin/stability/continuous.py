@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
+from casadi_skin.zero.problem import Array
 
 HALF_TURN = np.pi
 TOUCHING = 1e-12  # length of an overlap of arcs that only meet, as where the orbit is pinned to its band

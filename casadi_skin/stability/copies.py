@@ -14,8 +14,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from casadi_skin.bvp.problem import Array
-from casadi_skin.stability.interpolation import MatrixSeries
+from casadi_skin.stability.tongues.interpolation import MatrixSeries
+from casadi_skin.zero.problem import Array
 
 COMBINATIONS = 4  # random ones, that couple what any of the matrices couples
 EQUAL = 1e-7  # distance of eigenvalues that are one, relative to the largest

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Problem
-from casadi_skin.bvp.symmetry import symmetry_class
-from casadi_skin.integrators.cvodes import CvodesError, CvodesOptions, run_cvodes
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.model.cvodes import CvodesError, CvodesOptions, run_cvodes
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.symmetry import symmetry_class
 from casadi_skin.stability.flow import FlowError, OrbitState, Transition, duration
+from casadi_skin.zero.problem import Array, Problem
 
 TIGHTEST = 1e-13
 MAX_STEPS = 100_000

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Problem
+from casadi_skin.zero.problem import Array, Problem
 
 
 @dataclass(frozen=True)

@@ -15,17 +15,17 @@ from functools import cached_property
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.stated_problem import BoundaryProblem
-from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.integrators.cvodes import CvodesError, CvodesOptions, run_cvodes
-from casadi_skin.integrators.trajectory import IntegrationError, Trajectory
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.model.cvodes import CvodesError, CvodesOptions, run_cvodes
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.symmetry import SymmetryClass
+from casadi_skin.model.trajectory import IntegrationError, Trajectory
 from casadi_skin.stability.closed_maps import MapsAlong, Multipliers, multipliers_along
 from casadi_skin.stability.interval_maps import Parts, interval_maps, stage_jacobians
 from casadi_skin.stability.judging import judged
 from casadi_skin.stability.result import FullPeriodFloquet
 from casadi_skin.stability.trivial import Trivial, trivial_along, units_of
+from casadi_skin.zero.problem import Array
+from casadi_skin.zero.stated_problem import BoundaryProblem
 
 LOCAL = 1e-3  # of the tolerance, for one step of CVODES
 TIGHTEST = 1e-12

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_skin.bvp.butcher import gauss_table
-from casadi_skin.bvp.problem import Array
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.stepping import StepMap, SteppedFlow
+from casadi_skin.zero.butcher import gauss_table
+from casadi_skin.zero.problem import Array
 
 STEPS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
 DEGREE = 4

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
-from casadi_skin.result import Result
+from casadi_skin.model.result import Result
 from casadi_skin.stability.flow import Transition
 from casadi_skin.stability.multipliers import trivial_pair
+from casadi_skin.zero.problem import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.stability.reduction import half_cosine_errors, half_cosines
+from casadi_skin.zero.problem import Array
 
 
 def reduced_matrices(

@@ -13,9 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from casadi_skin.bvp.butcher import CollocationTable
-from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.stated_problem import BoundaryProblem
+from casadi_skin.zero.butcher import CollocationTable
+from casadi_skin.zero.problem import Array
+from casadi_skin.zero.stated_problem import BoundaryProblem
 
 RESOLVED = 2.0  # logarithm of the factor that a perturbation may change by in an interval
 WITHIN_PART = 1.0  # the same in a part

@@ -9,11 +9,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array, Indices, Problem
-from casadi_skin.models.expressions import Expression
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.models.polynomial import Monomials, NotPolynomialError, polynomial_terms
+from casadi_skin.model.expressions import Expression
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.polynomial import Monomials, NotPolynomialError, polynomial_terms
 from casadi_skin.native.jacobian import JacobianKernel, Orbits, jacobian_kernel
+from casadi_skin.zero.problem import Array, Indices, Problem
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.stability.closed_maps import Multipliers
 from casadi_skin.stability.product_spectrum import Spectrum
 from casadi_skin.stability.result import LARGEST_LOGARITHM, FullPeriodFloquet
+from casadi_skin.zero.problem import Array
 
 SAFETY = 2.0  # distances to the better solution are the error up to the error of that
 DRIFT = 100.0  # tolerances by which the trivial multiplier may be off, times the size of the balanced monodromy matrix

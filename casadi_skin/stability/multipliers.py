@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
 from casadi_skin.stability.perturbation import eigenvalue_errors
 from casadi_skin.stability.reduction import (
@@ -35,6 +34,7 @@ from casadi_skin.stability.reduction import (
 )
 from casadi_skin.stability.relative import complement
 from casadi_skin.stability.result import ReversibleFloquet
+from casadi_skin.zero.problem import Array
 
 ORBIT_SAFETY = 2.0
 ROUND_OFF = 4e-16  # of a transition matrix, relative to its norm, as it shows in mu

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.stability.reduction import Eigensystems
+from casadi_skin.zero.problem import Array
 
 Booleans = NDArray[np.bool_]
 LARGE = 128  # eigenvalues from which on only those that are close are coupled

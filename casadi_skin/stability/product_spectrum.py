@@ -17,9 +17,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import LARGEST_LOGARITHM
+from casadi_skin.zero.problem import Array
 
 SMALL = 0.5  # modulus above which no eigenvalue has lost digits in a product with entries near 1
 EXTREME = float(np.log(1e14))  # of the condition of a product: beyond it eigenvalues in the middle have lost digits

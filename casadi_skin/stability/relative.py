@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array, Problem
 from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
+from casadi_skin.zero.problem import Array, Problem
 
 
 def complement(directions: Array) -> Array:

@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array
-from casadi_skin.result import Result
+from casadi_skin.model.result import Result
 from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.zero.problem import Array
 
 LARGEST_LOGARITHM = float(np.log(np.finfo(float).max))
 DIRECTIONS = np.exp(0.25j * np.pi * np.arange(8))  # in which a mu off the real axis may be wrong

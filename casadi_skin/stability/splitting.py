@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array
-from casadi_skin.integrators.srkn import KicksAndDrifts
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.model.ode import OdeModel
 from casadi_skin.native.splitting import COLUMNS, Sequences, flows_kernel, splitting_kernel
 from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.jacobian import JacobianAlong, repeated
+from casadi_skin.stability.srkn import KicksAndDrifts
 from casadi_skin.stability.stepping import SteppedFlow
+from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -11,12 +11,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array, Problem
-from casadi_skin.bvp.symmetry import symmetry_class
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.symmetry import symmetry_class
 from casadi_skin.stability.flow import FlowError, OrbitState, Transition, duration
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.reduction import frobenius_norms
+from casadi_skin.zero.problem import Array, Problem
 
 ROUND_OFF = 2e-14
 SAFETY = 2.0  # the difference that another extrapolation makes is asymptotically the error itself

@@ -15,10 +15,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.models.conserved import directions, is_odd, quantities
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.model.conserved import directions, is_odd, quantities
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.symmetry import SymmetryClass
+from casadi_skin.zero.problem import Array
 
 SLOWEST = 1e-6  # of the fastest motion along an orbit: slower, its direction is not known well
 DEPENDENT = 1e3  # tolerances: directions of norm 1 that differ by less are the same, and cosines below are 0

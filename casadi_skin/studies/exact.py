@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.orbits.orbit import Orbit
 
 Array = NDArray[np.float64]
 Exact = NDArray[Any]  # of long doubles or of decimals

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.studies.exact import ExactOrbit
 

@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 from rich.table import Table
 
-from casadi_skin.figures.style import save
-from casadi_skin.files import replacing
+from casadi_skin.model.files import replacing
 from casadi_skin.results.dataset import Cell, write_csv
+from casadi_skin.results.figures.style import save
 
 Case = TypeVar("Case")
 Rows = tuple[Sequence[str], Sequence[Mapping[str, object]]]

@@ -23,9 +23,9 @@ from scipy.integrate import solve_bvp
 from stopwatch import seconds
 
 from casadi_skin import BoundaryValueProblem
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.boundary_space import BoundaryError
-from casadi_skin.orbits.find_orbit import find_orbit
+from casadi_skin.follow.boundary_space import BoundaryError
+from casadi_skin.follow.find_orbit import find_orbit
+from casadi_skin.model.ode import OdeModel
 
 pytestmark = pytest.mark.benchmark
 

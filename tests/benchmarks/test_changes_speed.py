@@ -12,10 +12,10 @@ from collections.abc import Callable
 import pytest
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.family_tongues import family_tongues
-from casadi_skin.solvers.bordered import BorderedSolver
-from casadi_skin.stability.tongues import StabilityDiagram
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.family_tongues import family_tongues
+from casadi_skin.solve.bordered import BorderedSolver
+from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.studies.paper.paper_data import MODES
 
 pytestmark = pytest.mark.benchmark

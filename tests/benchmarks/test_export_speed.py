@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain, Orbit, export_c, follow_family
-from casadi_skin.bvp.cosines import second_derivative_matrix
 from casadi_skin.export.codegen import c_source
-from casadi_skin.integrators.srkn import srkn_coefficients
-from casadi_skin.solvers.newton import NewtonCorrector
+from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.splitting import SplittingMap
+from casadi_skin.stability.srkn import srkn_coefficients
+from casadi_skin.zero.cosines import second_derivative_matrix
 
 pytestmark = [
     pytest.mark.benchmark,

@@ -17,17 +17,17 @@ import pytest
 from stopwatch import seconds
 
 from casadi_skin import Chain
-from casadi_skin.bvp.recursion import TaylorRecursion
-from casadi_skin.bvp.trigonometric import TrigonometricProblem
-from casadi_skin.orbits import family_stability
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.following import Following
-from casadi_skin.orbits.request import family_request
-from casadi_skin.solvers.bordered import BorderedSolver
-from casadi_skin.solvers.confirmed import ConfirmedCorrector
-from casadi_skin.solvers.levels import Levels
-from casadi_skin.solvers.stacked import StackedSolver
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.following import Following
+from casadi_skin.solve.bordered import BorderedSolver
+from casadi_skin.solve.confirmed import ConfirmedCorrector
+from casadi_skin.solve.levels import Levels
+from casadi_skin.solve.stacked import StackedSolver
+from casadi_skin.stability import family_stability
 from casadi_skin.studies.paper.paper_data import MODES
+from casadi_skin.zero.recursion import TaylorRecursion
+from casadi_skin.zero.request import family_request
+from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 pytestmark = pytest.mark.benchmark
 
@@ -155,9 +155,9 @@ def test_localised_multipliers_of_one_orbit(record: Record, sites: float) -> Non
 LONG_CHAIN = """
 import resource, time
 from casadi_skin import Chain
-from casadi_skin.orbits.following import Following
-from casadi_skin.orbits.request import family_request
-from casadi_skin.orbits.family import Family
+from casadi_skin.follow.following import Following
+from casadi_skin.zero.request import family_request
+from casadi_skin.follow.family import Family
 chain = Chain({sites}, 1.0, 0.25, 1.0)
 tools = Family(family_request(chain, {sites}, 3.0, at=(3.0,), tolerance=1e-9, corrector="{corrector}"))
 started = time.perf_counter()
@@ -185,6 +185,6 @@ def test_import_and_help() -> None:
     for code in ("import casadi", "import casadi_skin", "from casadi_skin import follow_family"):
         value = seconds(lambda c=code: subprocess.run([sys.executable, "-c", c], check=True), 5)  # type: ignore[misc]
         print(f"\n{code:<40} {value:.2f} s")
-    command = [sys.executable, "-m", "casadi_skin.cli", "--help"]
+    command = [sys.executable, "-m", "casadi_skin.runs.program", "--help"]
     print(f"casadi-skin --help: {seconds(lambda: subprocess.run(command, check=True, capture_output=True), 5):.2f} s")
     print(f"peak memory of this process {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")

@@ -11,7 +11,7 @@ import pytest
 from scipy.special import ellipk
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.cli import main
+from casadi_skin.runs.program import main
 
 pytestmark = pytest.mark.usefixtures("pictures")
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.special import ellipk
 
-from casadi_skin.cli import main
-from casadi_skin.progress import Progress
+from casadi_skin.runs.program import main
+from casadi_skin.runs.progress import Progress
 
 ROOT = Path(__file__).parents[2]
 

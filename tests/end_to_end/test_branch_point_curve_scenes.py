@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from casadi_skin.cli import main
+from casadi_skin.runs.program import main
 
 MODELS = """
 import casadi as ca

@@ -5,7 +5,7 @@ import sys
 import pytest
 from outputs import read_rows
 
-from casadi_skin.cli import main
+from casadi_skin.runs.program import main
 
 pytest.importorskip("flint")
 pytestmark = pytest.mark.usefixtures("blank")

@@ -9,7 +9,7 @@ import pytest
 from apart import modules_of
 
 from casadi_skin import Chain, __version__
-from casadi_skin.cli import main
+from casadi_skin.runs.program import main
 
 pytestmark = pytest.mark.usefixtures("blank")
 

@@ -14,8 +14,8 @@ import pytest
 from outputs import EXAMPLES, load, module_at
 
 import casadi_skin
-from casadi_skin.cli import main
-from casadi_skin.scene import parse_scene
+from casadi_skin.runs.program import main
+from casadi_skin.runs.reading import parse_scene
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = {path.stem: path for path in (*sorted(DOCS.glob("*.md")), DOCS.parent / "README.md")}

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import OdeModel, find_orbit, simulate
-from casadi_skin.cli import main
+from casadi_skin.runs.program import main
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
@@ -89,7 +89,7 @@ def test_the_example_of_prey_and_predators(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_an_interrupted_diagram_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from casadi_skin.progress import Progress
+    from casadi_skin.runs.progress import Progress
 
     scene, whole, part = EXAMPLES / "prey_and_predators.toml", tmp_path / "whole", tmp_path / "part"
     assert main(["run", str(scene), "--out", str(whole), "--quiet"]) == 0

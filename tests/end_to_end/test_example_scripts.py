@@ -11,8 +11,8 @@ from outputs import EXAMPLES, drawn, load, read_rows
 from scipy.integrate import solve_ivp
 
 from casadi_skin import Orbit
-from casadi_skin.cli import main
 from casadi_skin.dynamics import distance_from_orbit, evolve
+from casadi_skin.runs.program import main
 
 PICTURES = Path(__file__).parents[2] / "docs" / "pictures"
 

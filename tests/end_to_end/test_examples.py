@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from casadi_skin.cli import main
+from casadi_skin.runs.program import main
 
 ROOT = Path(__file__).parents[2]
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.cli import main
 from casadi_skin.export.compiler import build_c
+from casadi_skin.runs.program import main
 
 pytestmark = pytest.mark.usefixtures("blank")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from outputs import read_rows
 
-from casadi_skin.cli import main
+from casadi_skin.runs.program import main
 from casadi_skin.studies.stress import physical
 from casadi_skin.studies.stress import study as study_module
 from casadi_skin.studies.stress.case import Case, Finding, Outcome, measure

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.cli import main
-from casadi_skin.orbits.special_points import SpecialPoint
+from casadi_skin.follow.special_points import SpecialPoint
+from casadi_skin.runs.program import main
 
 SCENE = """
 [chain]

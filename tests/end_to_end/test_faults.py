@@ -16,10 +16,10 @@ from typing import Any
 import pytest
 from apart import BLANK
 
-from casadi_skin.cli import main
 from casadi_skin.results.journal import Journal
 from casadi_skin.runs import writing
 from casadi_skin.runs.directory import MADE
+from casadi_skin.runs.program import main
 
 SCENE = """[chain]
 sites = 4
@@ -46,7 +46,9 @@ def scene(tmp_path: Path) -> Path:
 
 def run(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
     """casadi-skin with these words, in a process of its own; its pictures stay blank."""
-    code = f"{BLANK}from casadi_skin.cli import main\nraise SystemExit(main({[str(word) for word in words]!r}))"
+    code = (
+        f"{BLANK}from casadi_skin.runs.program import main\nraise SystemExit(main({[str(word) for word in words]!r}))"
+    )
     streams: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | options
     folder = Path(__file__).parents[1]
     return subprocess.run([sys.executable, "-c", code], cwd=folder, text=True, check=False, timeout=60, **streams)

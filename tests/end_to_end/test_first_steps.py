@@ -12,8 +12,9 @@ import pytest
 from drawing import blank_pictures
 from outputs import EXAMPLES, read_rows
 
-from casadi_skin.cli import _parser, main
-from casadi_skin.scene import SceneError, parse_scene, scene_schema
+from casadi_skin.runs.faults import SceneError
+from casadi_skin.runs.program import _parser, main
+from casadi_skin.runs.reading import parse_scene, scene_schema
 
 CHAIN = "[chain]\nsites = 3\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
 FAMILY = "[family]\nmode = 1\namplitude_max = 0.1\n"

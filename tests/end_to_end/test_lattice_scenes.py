@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import Bond, Lattice, Site, follow_family
-from casadi_skin.cli import main
+from casadi_skin.runs.program import main
 
 CHAIN = """
 [lattice]

@@ -12,7 +12,7 @@ from outputs import read_rows
 from scipy.io import netcdf_file
 
 from casadi_skin import Chain
-from casadi_skin.cli import main
+from casadi_skin.runs.program import main
 
 pytestmark = pytest.mark.usefixtures("blank")
 

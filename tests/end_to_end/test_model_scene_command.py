@@ -13,8 +13,8 @@ from apart import undrawn
 from outputs import read_rows
 
 from casadi_skin import save_model
-from casadi_skin.cli import main
-from casadi_skin.models.loading import run_file
+from casadi_skin.model.loading import run_file
+from casadi_skin.runs.program import main
 
 pytestmark = pytest.mark.usefixtures("blank")
 

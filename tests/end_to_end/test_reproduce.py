@@ -9,12 +9,12 @@ import pytest
 from outputs import read_rows
 
 from casadi_skin import Chain
-from casadi_skin.cli import main
+from casadi_skin.dynamics import multiple_scales
+from casadi_skin.runs.program import main
 from casadi_skin.studies.paper import paper_data
 from casadi_skin.studies.paper.figures_families import sensitivity_figure
 from casadi_skin.studies.paper.paper_data import PaperData
 from casadi_skin.studies.paper.reproduce import FIGURES, PaperReproduction
-from casadi_skin.theory import multiple_scales
 
 
 def column(rows: list[dict[str, str]], name: str) -> np.ndarray:

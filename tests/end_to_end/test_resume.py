@@ -17,11 +17,11 @@ import pytest
 from apart import ended, killed
 from drawing import blank_pictures
 
-from casadi_skin.cli import main
-from casadi_skin.continuation.point_solver import PointSolver
+from casadi_skin.follow.point_solver import PointSolver
 from casadi_skin.results.branch_records import BranchRecord, CycleRecord, PointRecord
 from casadi_skin.results.journal import FORMAT, HEADER, MARK, Journal, read_records
 from casadi_skin.runs import first_solution, writing
+from casadi_skin.runs.program import main
 from casadi_skin.runs.run import Run
 
 pytestmark = pytest.mark.usefixtures("blank", "interruptible")

@@ -17,7 +17,7 @@ import pytest
 from apart import ended, killed
 from outputs import read_rows
 
-from casadi_skin.cli import main
+from casadi_skin.runs.program import main
 
 pytestmark = pytest.mark.usefixtures("blank")
 
@@ -178,7 +178,7 @@ LONG = {"sites": 60, "mode": "[1, 2, 60]", "end": 3.0, "at": "[0.5, 2.0, 3.0]"}
 
 
 def start(scene: Path, out: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "casadi_skin.cli", "run", str(scene), "--out", str(out)]
+    command = [sys.executable, "-m", "casadi_skin.runs.program", "run", str(scene), "--out", str(out)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 

@@ -17,9 +17,9 @@ from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.cli import main
-from casadi_skin.models.loading import run_file
+from casadi_skin.model.loading import run_file
 from casadi_skin.results.journal import Journal
+from casadi_skin.runs.program import main
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MODELS = """

@@ -13,7 +13,7 @@ import pytest
 from outputs import read_rows
 from scipy.io import netcdf_file
 
-from casadi_skin.cli import main
+from casadi_skin.runs.program import main
 
 pytestmark = pytest.mark.usefixtures("blank")
 
@@ -127,7 +127,7 @@ def test_a_search_stands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_an_interrupted_search_keeps_its_best_and_resumes(workers: str, tmp_path: Path) -> None:
     scene, out = write(tmp_path / "s.toml", starts="60", workers=workers), tmp_path / "out"
-    command = [sys.executable, "-m", "casadi_skin.cli", "run", str(scene), "--out", str(out)]
+    command = [sys.executable, "-m", "casadi_skin.runs.program", "run", str(scene), "--out", str(out)]
     journal = out / "journal.msgpack"
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 50

@@ -14,8 +14,8 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from casadi_skin import BoundaryValueProblem
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.find_orbit import find_orbit
+from casadi_skin.follow.find_orbit import find_orbit
+from casadi_skin.model.ode import OdeModel
 
 few = examples(25, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

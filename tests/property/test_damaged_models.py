@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import OdeModel
-from casadi_skin.models.saved import checksum, dumps, loads
+from casadi_skin.model.saved import checksum, dumps, loads
 
 LONGEST = 5.0  # seconds that reading may take
 POINT = 0.37

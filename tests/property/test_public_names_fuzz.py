@@ -45,8 +45,8 @@ from casadi_skin import (
     simulate,
     smallest_kick,
 )
-from casadi_skin.optimise.kick.search import KickError
-from casadi_skin.orbits.refined import BoundaryError
+from casadi_skin.optimise.kick_search import KickError
+from casadi_skin.solve.refined import BoundaryError
 from casadi_skin.stability.flow import FlowError
 
 LONGEST = 20  # seconds that a call may take; what takes longer has started work, and is stopped

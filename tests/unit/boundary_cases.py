@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from casadi_skin import BoundaryValueProblem
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.solution import Solution
+from casadi_skin.follow.solution import Solution
+from casadi_skin.model.ode import OdeModel
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import expm
 
-from casadi_skin.stability.interpolation import OrbitNotFoundError, Samples
+from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError, Samples
 
 Array = np.ndarray
 Entries = Callable[[float], Array]

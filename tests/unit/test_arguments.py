@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from casadi_skin.arguments import LONGEST, check_name, cut, nearest, short_repr
+from casadi_skin.model.arguments import LONGEST, check_name, cut, nearest, short_repr
 
 NAMES = ("Omega", "S", "gamma", "participation")
 

@@ -23,8 +23,8 @@ from casadi_skin import (
     search_orbit,
     smallest_kick,
 )
-from casadi_skin.arguments import short_repr
-from casadi_skin.arrays import real_array, site_numbers
+from casadi_skin.model.arguments import short_repr
+from casadi_skin.model.arrays import real_array, site_numbers
 
 X, Y, MU, T = (ca.SX.sym(name) for name in ("x", "y", "mu", "t"))
 RHS = ca.vertcat(Y, MU * (1 - X**2) * Y - X)
@@ -176,7 +176,7 @@ def test_a_guess_in_the_layout_of_scipy() -> None:
     np.testing.assert_array_equal(ours, scipys)
     np.testing.assert_array_equal(WANTED.solve([list(t), rows.T.tolist()]).states, ours)
     two = np.array([[0.0, 2.0], [3.0, 5.0]])  # as many times as states: rows are times, as the documentation has it
-    from casadi_skin.orbits.guesses import sampled
+    from casadi_skin.solve.guesses import sampled
 
     np.testing.assert_array_equal(sampled(WANTED, ([0.0, 1.0], two), np.array([0.0, 1.0])), two)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from casadi_skin.stability import chebyshev
-from casadi_skin.stability.blocks import blocks_of, comes_apart
-from casadi_skin.stability.decoupling import DEGREE, PROBES, contracts
-from casadi_skin.stability.groups import DISAGREEMENT, groups_of
-from casadi_skin.stability.small_blocks import Segment, SingleBlock, single_functions
+from casadi_skin.stability.tongues import chebyshev
+from casadi_skin.stability.tongues.blocks import blocks_of, comes_apart
+from casadi_skin.stability.tongues.decoupling import DEGREE, PROBES, contracts
+from casadi_skin.stability.tongues.groups import DISAGREEMENT, groups_of
+from casadi_skin.stability.tongues.small_blocks import Segment, SingleBlock, single_functions
 
 Array = np.ndarray
 ALONE = np.eye(3, dtype=bool)[None]

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
 from casadi_skin import BoundaryValueProblem, Branch, OdeModel
-from casadi_skin.orbits.special_points import SpecialPoint
+from casadi_skin.follow.special_points import SpecialPoint
 
 SLOPE = 0.013  # on which the walker starts
 

@@ -15,8 +15,8 @@ from scipy.optimize import brentq
 from scipy.special import ellipk, mathieu_a
 
 from casadi_skin import BoundaryValueProblem
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.solution import Solution
+from casadi_skin.follow.solution import Solution
+from casadi_skin.model.ode import OdeModel
 
 
 def second_order(name: str, rhs: Any, *parameters: ca.SX, time: ca.SX | None = None) -> tuple[OdeModel, ca.SX, ca.SX]:
@@ -205,7 +205,7 @@ def test_carriers_problem_has_the_spikes_that_shooting_confirms() -> None:
 )
 def test_ends_of_intervals_converge_with_the_order_of_the_method(transcription: str, degree: int, order: int) -> None:
     """2d at Gauss points, 2d - 1 at Radau's (Hairer and Wanner 1996, section IV.5): u' at 0 of Bratu's problem."""
-    from casadi_skin.orbits.solve import packed, space_of
+    from casadi_skin.solve.solve import packed, space_of
 
     problem, theta = bratu(), bratu_angles(1.0)[0]
     slope = theta * np.tanh(theta / 4.0)
@@ -255,7 +255,7 @@ def test_every_kind_of_guess_leads_to_the_solution(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["function", "samples", "by name", "evaluated", "numbers", "solution"])
 def test_guesses_are_what_they_say_at_every_time(kind: str) -> None:
-    from casadi_skin.orbits.guesses import sampled
+    from casadi_skin.solve.guesses import sampled
 
     t = np.linspace(0.0, 1.0, 33)
     lifted, fine = Lifted(), np.linspace(0.0, 1.0, 65)
@@ -272,7 +272,7 @@ def test_guesses_are_what_they_say_at_every_time(kind: str) -> None:
 
 
 def test_samples_beyond_their_times_keep_the_last_value() -> None:
-    from casadi_skin.orbits.guesses import sampled
+    from casadi_skin.solve.guesses import sampled
 
     found = sampled(bratu(), ([0.25, 0.75], [[1.0, 2.0], [3.0, 4.0]]), np.array([0.0, 0.5, 1.0]))
     np.testing.assert_allclose(found, [[1.0, 2.0], [2.0, 3.0], [3.0, 4.0]])

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from casadi_skin import BoundaryValueProblem, Branch, Orbit, find_orbit
-from casadi_skin.continuation.points import End
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.boundary_space import BoundarySpace
-from casadi_skin.orbits.follow import following_space
-from casadi_skin.orbits.following import Following
-from casadi_skin.orbits.solution import Solution
+from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.follow import following_space
+from casadi_skin.follow.following import Following
+from casadi_skin.follow.settings import End
+from casadi_skin.follow.solution import Solution
+from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.branch_reading import known_of
 from casadi_skin.results.branch_records import BranchRecord, point_record, stability_record
 

@@ -11,9 +11,9 @@ from equilibrium_models import symbols
 from scipy.optimize import fsolve
 
 from casadi_skin import BoundaryValueProblem, Branch, OdeModel, read_result, save_result
-from casadi_skin.continuation.points import End
-from casadi_skin.equilibria.curve import UnfoldingError
-from casadi_skin.orbits.special_points import SpecialPoint
+from casadi_skin.follow.rest_curve import UnfoldingError
+from casadi_skin.follow.settings import End
+from casadi_skin.follow.special_points import SpecialPoint
 
 BRATU = 3.513830719125161  # 8 (z^2 - 1) where z tanh z = 1
 

@@ -20,7 +20,7 @@ from casadi_skin.optimise.nlp import Solution
 from casadi_skin.optimise.orbit_search import compared
 from casadi_skin.optimise.search import same_optimum
 from casadi_skin.optimise.search_problem import Ending, Outcome, Start
-from casadi_skin.orbits.refined import BoundaryError
+from casadi_skin.solve.refined import BoundaryError
 
 X, Y, Z, MU = (ca.SX.sym(name) for name in ("x", "y", "z", "mu"))
 

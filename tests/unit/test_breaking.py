@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from casadi_skin import Bond, Branch, Chain, Lattice, Orbit, Site, follow_family
-from casadi_skin.cli import main
-from casadi_skin.orbits import at_edges
-from casadi_skin.stability.tongues import StabilityEdge
+from casadi_skin.points import at_edges
+from casadi_skin.runs.program import main
+from casadi_skin.stability.tongues.diagram import StabilityEdge
 
 CHAIN = Chain(sites=3, alpha=1.0, gamma=0.25, g=-1.0)
 

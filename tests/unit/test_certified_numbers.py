@@ -9,7 +9,7 @@ import mpmath as mp
 import pytest
 
 from casadi_skin import Bond, Chain, Lattice, OdeModel, Site, follow_family
-from casadi_skin.cli import main
+from casadi_skin.runs.program import main
 
 pytest.importorskip("flint")
 

@@ -7,14 +7,14 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.continuation.point_solver import PointSolver
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.section_orbits import SectionOrbit, find_all, find_one
-from casadi_skin.stability import chebyshev
-from casadi_skin.stability.decoupling import DEGREE
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.section_orbits import SectionOrbit, find_all, find_one
 from casadi_skin.stability.flow import OrbitState
-from casadi_skin.stability.rotation import _to_the_nearest
-from casadi_skin.stability.zeros import Function
+from casadi_skin.stability.tongues import chebyshev
+from casadi_skin.stability.tongues.decoupling import DEGREE
+from casadi_skin.stability.tongues.rotation import _to_the_nearest
+from casadi_skin.stability.tongues.zeros import Function
 
 
 @pytest.fixture(scope="module")

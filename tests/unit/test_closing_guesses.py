@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.optimize import root
 
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.find_orbit import find_orbit
-from casadi_skin.orbits.guesses import over_its_own_period
+from casadi_skin.follow.find_orbit import find_orbit
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.solve.guesses import over_its_own_period
 
 TWO_PI, ZERO = 2.0 * np.pi, np.zeros(2)
 NAMES = ("x", "y")

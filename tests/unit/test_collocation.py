@@ -13,19 +13,19 @@ from numpy.typing import NDArray
 from orbit_problems import check_jacobian, check_table, gauss_problem, radau_problem, solved
 
 from casadi_skin import Branch, Chain, Orbit
-from casadi_skin.bvp.butcher import gauss_table, radau_table
-from casadi_skin.bvp.orbit_collocation import CollocationProblem
-from casadi_skin.bvp.orbit_problem import OrbitProblem
-from casadi_skin.bvp.problem import Scalar
-from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.following import Following
-from casadi_skin.orbits.request import family_request
+from casadi_skin.dynamics.duffing import duffing_frequency
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.following import Following
+from casadi_skin.model.symmetry import SymmetryClass
 from casadi_skin.results.branch_reading import known_of
 from casadi_skin.results.branch_records import PointRecord, point_record
-from casadi_skin.solvers.ipopt import IpoptCorrector
-from casadi_skin.solvers.newton import NewtonCorrector
-from casadi_skin.theory.duffing import duffing_frequency
+from casadi_skin.solve.ipopt import IpoptCorrector
+from casadi_skin.solve.newton import NewtonCorrector
+from casadi_skin.zero.butcher import gauss_table, radau_table
+from casadi_skin.zero.orbit_collocation import CollocationProblem
+from casadi_skin.zero.orbit_problem import OrbitProblem
+from casadi_skin.zero.problem import Scalar
+from casadi_skin.zero.request import family_request
 
 Array = NDArray[np.float64]
 QUARTER, FULL = SymmetryClass.QUARTER, SymmetryClass.FULL

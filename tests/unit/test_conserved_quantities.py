@@ -10,8 +10,8 @@ import pytest
 from scipy.special import ellipk
 
 from casadi_skin import Bond, Lattice, OdeModel, Site, find_orbit, follow_family
-from casadi_skin.models.conserved import directions
-from casadi_skin.models.saved import dumps, loads
+from casadi_skin.model.conserved import directions
+from casadi_skin.model.saved import dumps, loads
 
 PI_MODE = 2.3840110145512  # FPUT-beta, periodic, beta = 1, amplitude 1/2: 4 K(m)/sqrt(4 + 16 a^2)
 

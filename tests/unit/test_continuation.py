@@ -12,17 +12,17 @@ import pytest
 from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit, SymmetryClass, follow_family
-from casadi_skin.continuation.arclength import ArclengthContinuation
-from casadi_skin.continuation.hermite import LocalCurve, predictor
-from casadi_skin.continuation.point_solver import PointSolver
-from casadi_skin.continuation.points import End, Point
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.following import Following
-from casadi_skin.orbits.request import family_request
-from casadi_skin.solvers.confirmed import ConfirmedCorrector
-from casadi_skin.solvers.corrector import Correction, HeldState, Status
-from casadi_skin.solvers.newton import NewtonCorrector
-from casadi_skin.theory.duffing import duffing_displacement, duffing_frequency
+from casadi_skin.dynamics.duffing import duffing_displacement, duffing_frequency
+from casadi_skin.follow.arclength import ArclengthContinuation
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.following import Following
+from casadi_skin.follow.hermite import LocalCurve, predictor
+from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.settings import End, Point
+from casadi_skin.solve.confirmed import ConfirmedCorrector
+from casadi_skin.solve.corrector import Correction, HeldState, Status
+from casadi_skin.solve.newton import NewtonCorrector
+from casadi_skin.zero.request import family_request
 
 Array = NDArray[np.float64]
 ROUND_OFF = 5e-15  # of Omega: some units in the last place, which no estimate resolves

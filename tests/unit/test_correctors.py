@@ -11,20 +11,20 @@ import pytest
 from numpy.typing import NDArray
 from orbit_problems import gauss_problem
 
-from casadi_skin.bvp.orbit_problem import OrbitProblem
-from casadi_skin.bvp.problem import SingularError, Solve
-from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.bvp.trigonometric import TrigonometricProblem
+from casadi_skin.dynamics.duffing import duffing_frequency
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
-from casadi_skin.solvers.bordered import BandLayout, BorderedSolver
-from casadi_skin.solvers.confirmed import ConfirmedCorrector
-from casadi_skin.solvers.corrector import Corrector, Status
-from casadi_skin.solvers.ipopt import IpoptCorrector
-from casadi_skin.solvers.newton import NewtonCorrector
-from casadi_skin.theory.duffing import duffing_frequency
+from casadi_skin.model.symmetry import SymmetryClass
+from casadi_skin.solve.bordered import BandLayout, BorderedSolver
+from casadi_skin.solve.confirmed import ConfirmedCorrector
+from casadi_skin.solve.corrector import Corrector, Status
+from casadi_skin.solve.ipopt import IpoptCorrector
+from casadi_skin.solve.newton import NewtonCorrector
+from casadi_skin.zero.orbit_problem import OrbitProblem
+from casadi_skin.zero.problem import SingularError, Solve
+from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 Array = NDArray[np.float64]
 Make = Callable[[OrbitProblem], Corrector]

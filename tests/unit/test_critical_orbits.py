@@ -14,10 +14,10 @@ from scipy.optimize import brentq, minimize_scalar
 from test_orbit_bifurcations import _cycle
 
 from casadi_skin import Branch, Chain, OdeModel, find_equilibrium, find_orbit, follow_family, read_result, save_result
-from casadi_skin.continuation.points import End
-from casadi_skin.equilibria.leaving_orbits import _perturbation
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.special_points import SpecialPoint
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.settings import End
+from casadi_skin.follow.special_points import SpecialPoint
+from casadi_skin.points.leaving_orbits import _perturbation
 
 
 def circle(t: float) -> list[float]:

@@ -9,8 +9,8 @@ from numpy.polynomial.chebyshev import chebroots
 
 from casadi_skin.native.decoupling import decoupling_kernel
 from casadi_skin.native.library import without
-from casadi_skin.stability import blocks, chebyshev, decoupling
-from casadi_skin.stability.decoupling import DEGREE
+from casadi_skin.stability.tongues import blocks, chebyshev, decoupling
+from casadi_skin.stability.tongues.decoupling import DEGREE
 
 needs_compiler = pytest.mark.skipif(without() is not None, reason="no C compiler here")
 Array = np.ndarray

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from casadi_skin import BoundaryValueProblem, OdeModel
-from casadi_skin.bvp.butcher import gauss_table, radau_table
-from casadi_skin.bvp.defect import defect_table
-from casadi_skin.orbits.solution import Solution
-from casadi_skin.solvers.bordered import BorderedSolver
+from casadi_skin.follow.solution import Solution
+from casadi_skin.solve.bordered import BorderedSolver
+from casadi_skin.zero.butcher import gauss_table, radau_table
+from casadi_skin.zero.defect import defect_table
 
 t, x, y, p = (ca.SX.sym(name) for name in ("t", "x", "y", "p"))
 

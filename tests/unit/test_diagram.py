@@ -11,7 +11,7 @@ from critical_models import cycles_with_fold
 from equilibrium_models import rosenzweig_macarthur, symbols
 
 from casadi_skin import OdeModel, find_equilibrium, find_orbit, simulate
-from casadi_skin.cli import main
+from casadi_skin.runs.program import main
 
 
 def _from_zero(rhs: ca.SX, x: ca.SX, p: ca.SX) -> object:

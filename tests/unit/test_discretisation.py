@@ -12,20 +12,21 @@ from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
 from casadi_skin import BoundaryValueProblem
-from casadi_skin.bvp import butcher
-from casadi_skin.bvp.butcher import CollocationTable
-from casadi_skin.bvp.problem import Problem
-from casadi_skin.bvp.stated_problem import BoundaryProblem
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.boundary_space import BoundaryError
-from casadi_skin.orbits.find_orbit import find_orbit
-from casadi_skin.orbits.solve import packed, space_of
-from casadi_skin.solvers import ipopt, watch
-from casadi_skin.solvers.arbitrated import SHRINK, ArbitratedCorrector
-from casadi_skin.solvers.bordered import BorderedSolver
-from casadi_skin.solvers.corrector import Correction, Status
-from casadi_skin.solvers.ipopt import IpoptCorrector
-from casadi_skin.solvers.newton import NewtonCorrector
+from casadi_skin.follow.boundary_space import BoundaryError
+from casadi_skin.follow.find_orbit import find_orbit
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.solve import ipopt
+from casadi_skin.solve import time_limit as watch
+from casadi_skin.solve.arbitrated import SHRINK, ArbitratedCorrector
+from casadi_skin.solve.bordered import BorderedSolver
+from casadi_skin.solve.corrector import Correction, Status
+from casadi_skin.solve.ipopt import IpoptCorrector
+from casadi_skin.solve.newton import NewtonCorrector
+from casadi_skin.solve.solve import packed, space_of
+from casadi_skin.zero import butcher
+from casadi_skin.zero.butcher import CollocationTable
+from casadi_skin.zero.problem import Problem
+from casadi_skin.zero.stated_problem import BoundaryProblem
 
 
 def oscillator() -> BoundaryValueProblem:

@@ -10,18 +10,12 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from casadi_skin import Chain, Orbit, follow_family
-from casadi_skin.dynamics import (
-    EvolutionError,
-    distance_from_orbit,
-    evolve,
-    perturbed,
-    simulate_orbit,
-)
+from casadi_skin.dynamics import EvolutionError, distance_from_orbit, evolve, perturbed, simulate_orbit
+from casadi_skin.dynamics.duffing import duffing_displacement
 from casadi_skin.dynamics.equations import LONGEST_ENVELOPE
-from casadi_skin.methods import INTEGRATORS
-from casadi_skin.scene import task_checks
-from casadi_skin.theory.duffing import duffing_displacement
-from casadi_skin.theory.linear import Array
+from casadi_skin.lattice.uniform_chain import Array
+from casadi_skin.model.methods import INTEGRATORS
+from casadi_skin.runs import task_checks
 
 KICK = 0.005  # the paper's delta
 METHODS = tuple(INTEGRATORS)

@@ -17,7 +17,7 @@ from casadi_skin.dynamics import (
     perturbed,
     simulate_orbit,
 )
-from casadi_skin.methods import INTEGRATORS
+from casadi_skin.model.methods import INTEGRATORS
 
 METHODS = tuple(INTEGRATORS)
 

@@ -11,13 +11,13 @@ from lattices import plane
 from small_models import pendulums
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.bvp.problem import Problem
-from casadi_skin.bvp.trigonometric import TrigonometricProblem
-from casadi_skin.models.ode import OdeModel
+from casadi_skin.model.ode import OdeModel
 from casadi_skin.native.equations import OPERATIONS
 from casadi_skin.native.library import without
-from casadi_skin.orbits.request import family_request
-from casadi_skin.solvers import ipopt
+from casadi_skin.solve import ipopt
+from casadi_skin.zero.problem import Problem
+from casadi_skin.zero.request import family_request
+from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 needs_compiler = pytest.mark.skipif(without() is not None, reason="no C compiler here")
 

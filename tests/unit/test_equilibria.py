@@ -8,9 +8,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from casadi_skin import OdeModel, find_orbit, simulate
-from casadi_skin.bvp.statement import Statement
-from casadi_skin.orbits import find_orbit as finding
-from casadi_skin.orbits.refined import BoundaryError
+from casadi_skin.follow import find_orbit as finding
+from casadi_skin.solve.refined import BoundaryError
+from casadi_skin.zero.statement import Statement
 
 SHRUNK = r"this is an equilibrium: the orbit has shrunk to it \(x = .*, y = .*, at mu = 0.3\)"
 SINGULAR = "repeat or contradict each other"

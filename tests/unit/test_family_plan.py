@@ -9,7 +9,7 @@ import pytest
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.family_plan import chain_lines
 from casadi_skin.runs.plan import plan_lines
-from casadi_skin.scene import parse_scene
+from casadi_skin.runs.reading import parse_scene
 
 FAMILY = """
 [chain]
@@ -57,7 +57,7 @@ def test_no_numerics_are_loaded(command: str, tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(FAMILY, encoding="utf-8")
     code = f"""
 import sys
-from casadi_skin.cli import main
+from casadi_skin.runs.program import main
 try:
     status = main([{command!r}, "scene.toml"])
 except SystemExit as end:

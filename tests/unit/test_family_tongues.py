@@ -13,11 +13,11 @@ from scipy.optimize import brentq
 from small_models import fput, pendulums
 
 from casadi_skin import Branch, Chain, OdeModel, follow_family
-from casadi_skin.orbits import family_tongues
-from casadi_skin.orbits.family import Family
-from casadi_skin.stability import interpolation
-from casadi_skin.stability.find_changes import find_changes
-from casadi_skin.stability.tongues import StabilityDiagram
+from casadi_skin.follow import family_tongues
+from casadi_skin.follow.family import Family
+from casadi_skin.stability.tongues import interpolation
+from casadi_skin.stability.tongues.diagram import StabilityDiagram
+from casadi_skin.stability.tongues.find_changes import find_changes
 
 
 def slow(*values: Any) -> Any:

@@ -16,9 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from casadi_skin import Branch, Chain, follow_family
-from casadi_skin.figures import frequency_figure, multiplier_figure, profile_figure, save, spectrum_figure
-from casadi_skin.figures.style import blank, finished, style
-from casadi_skin.theory import multiple_scales
+from casadi_skin.dynamics import multiple_scales
+from casadi_skin.results.figures import frequency_figure, multiplier_figure, profile_figure, save, spectrum_figure
+from casadi_skin.results.figures.style import blank, finished, style
 
 pytestmark = pytest.mark.usefixtures("pictures")
 
@@ -343,7 +343,7 @@ def test_a_failed_write_leaves_the_old_files_and_nothing_else(tmp_path: Path, mo
         path.write_bytes(b"half")
         raise OSError("no space left")
 
-    monkeypatch.setattr("casadi_skin.figures.style._write", fail)
+    monkeypatch.setattr("casadi_skin.results.figures.style._write", fail)
     with pytest.raises(OSError, match="no space"):
         save(Figure(), tmp_path / "f")
     assert [path.name for path in tmp_path.iterdir()] == ["f.png"]
@@ -351,7 +351,7 @@ def test_a_failed_write_leaves_the_old_files_and_nothing_else(tmp_path: Path, mo
 
 
 def test_import_is_cheap() -> None:
-    code = "import sys, casadi_skin.figures; sys.exit('matplotlib' in sys.modules)"
+    code = "import sys, casadi_skin.results.figures; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

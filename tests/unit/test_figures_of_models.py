@@ -18,9 +18,11 @@ from PIL import Image
 from small_models import forced_orbit, fput, limit_cycle, pendulums, two_wells, van_der_pol
 
 from casadi_skin import Bond, BoundaryValueProblem, Branch, Chain, Lattice, OdeModel, Site, find_orbit, follow_family
-from casadi_skin.animation import animate
 from casadi_skin.dynamics import simulate_orbit
-from casadi_skin.figures import (
+from casadi_skin.follow.closed_curve import cosine_curve
+from casadi_skin.follow.solution import Solution
+from casadi_skin.results.extremes import extremes
+from casadi_skin.results.figures import (
     branch_figure,
     frequency_figure,
     multiplier_figure,
@@ -28,13 +30,11 @@ from casadi_skin.figures import (
     profile_figure,
     spectrum_figure,
 )
-from casadi_skin.figures.branch_lines import smooth
-from casadi_skin.figures.portrait import portrait_figure
-from casadi_skin.figures.spacetime import spacetime_figure
-from casadi_skin.orbits.closed_curve import cosine_curve
-from casadi_skin.orbits.solution import Solution
-from casadi_skin.progress import Progress
-from casadi_skin.results.extremes import extremes
+from casadi_skin.results.figures.animation import animate
+from casadi_skin.results.figures.branch_lines import smooth
+from casadi_skin.results.figures.portrait import portrait_figure
+from casadi_skin.results.figures.spacetime import spacetime_figure
+from casadi_skin.runs.progress import Progress
 
 pytestmark = pytest.mark.usefixtures("pictures")
 

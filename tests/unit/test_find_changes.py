@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from symplectic_families import Entries, ReversibleFamily, SymplecticFamily, cluster, collision, cubic, passage, real
 
-from casadi_skin.stability import crossings
 from casadi_skin.stability.account import Entry
-from casadi_skin.stability.find_changes import find_changes
 from casadi_skin.stability.flow import FlowError
-from casadi_skin.stability.interpolation import Interpolated, MatrixSeries, Samples, interpolate
-from casadi_skin.stability.tongues import StabilityDiagram
+from casadi_skin.stability.tongues import crossings
+from casadi_skin.stability.tongues.diagram import StabilityDiagram
+from casadi_skin.stability.tongues.find_changes import find_changes
+from casadi_skin.stability.tongues.interpolation import Interpolated, MatrixSeries, Samples, interpolate
 
 Array = np.ndarray
 FAR = collision(cubic(3.0), 0.1, square=4.0)  # two modes that never meet

@@ -16,13 +16,11 @@ from scipy.linalg import expm
 from scipy.optimize import linear_sum_assignment
 
 from casadi_skin import Branch, Chain, OdeModel, Orbit, follow_family
-from casadi_skin.continuation.points import End, Point
-from casadi_skin.orbits import family_stability
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.following import Following
-from casadi_skin.orbits.request import family_request
-from casadi_skin.solvers.newton import NewtonCorrector
-from casadi_skin.stability import splitting
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.following import Following
+from casadi_skin.follow.settings import End, Point
+from casadi_skin.solve.newton import NewtonCorrector
+from casadi_skin.stability import family_stability, splitting
 from casadi_skin.stability.banded import rows_of
 from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.flow import FlowError, OrbitState, Transition
@@ -35,6 +33,7 @@ from casadi_skin.stability.result import Floquet, ReversibleFloquet
 from casadi_skin.stability.rk4 import RungeKuttaFlow, RungeKuttaMap
 from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
 from casadi_skin.stability.stepping import SteppedFlow, extrapolation
+from casadi_skin.zero.request import family_request
 
 Array = NDArray[np.float64]
 

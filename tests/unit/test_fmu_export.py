@@ -23,8 +23,8 @@ from scipy.integrate import solve_ivp
 from casadi_skin import Chain, OdeModel, find_orbit, follow_family
 from casadi_skin.dynamics import evolve
 from casadi_skin.export import compiler as compilers
-from casadi_skin.export.fmu import export_fmu
-from casadi_skin.export.fmu.initial_value_problem import chain_with_outputs
+from casadi_skin.fmu.archive import export_fmu
+from casadi_skin.fmu.initial_value_problem import chain_with_outputs
 
 CHAIN = Chain(sites=5, alpha=0.8, gamma=0.3, g=1.0)
 START = (0.4, -0.2, 0.3, 0.1, 0.6)
@@ -112,7 +112,7 @@ def test_a_chain_of_one_way_has_no_energy(gamma: float, tmp_path: Path) -> None:
 
 
 def test_license_inside_is_that_of_the_project() -> None:
-    inside = resources.files("casadi_skin.export.fmu").joinpath("sources", "license.txt").read_text(encoding="utf-8")
+    inside = resources.files("casadi_skin.fmu").joinpath("sources", "license.txt").read_text(encoding="utf-8")
     assert inside == (Path(__file__).parents[2] / "LICENSE").read_text(encoding="utf-8")
 
 
@@ -401,7 +401,7 @@ def test_solution_that_runs_away_is_discarded_and_the_state_kept(chain_fmu: Path
 
 
 def test_coefficients_of_the_solver_meet_the_conditions_of_order_eight() -> None:
-    header = resources.files("casadi_skin.export.fmu").joinpath("sources", "dop853.h").read_text(encoding="utf-8")
+    header = resources.files("casadi_skin.fmu").joinpath("sources", "dop853.h").read_text(encoding="utf-8")
 
     def table(name: str) -> Array:
         return np.array([float(word) for word in header.split(f" {name}[")[1].split("{")[1].split("}")[0].split(",")])

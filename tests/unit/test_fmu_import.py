@@ -33,10 +33,10 @@ from casadi_skin import (
     simulate,
 )
 from casadi_skin.dynamics import evolve
-from casadi_skin.export.fmu import export_fmu
-from casadi_skin.integrators.cvodes import cvodes
-from casadi_skin.integrators.dop853 import dop853
-from casadi_skin.models.fmu import FmuModel
+from casadi_skin.fmu.archive import export_fmu
+from casadi_skin.fmu.fmu import FmuModel
+from casadi_skin.model.cvodes import cvodes
+from casadi_skin.model.dop853 import dop853
 
 Array = NDArray[np.float64]
 CHAIN = Chain(sites=4, alpha=0.8, gamma=0.3, g=1.0)
@@ -364,7 +364,7 @@ def test_bombs_are_refused(
     assert path.stat().st_size < 200_000
     assert refusal(path).endswith("134217728 bytes when unpacked; accepted: up to 67108864")
     for module, name, most in (("unzip", "MOST_FILES", 50), ("unzip", "LONGEST_DIRECTORY", 1000)):
-        monkeypatch.setattr(f"casadi_skin.models.{module}.{name}", most)
+        monkeypatch.setattr(f"casadi_skin.model.{module}.{name}", most)
         path = archive_of(tmp_path / "many.fmu", **{f"resources/{i}": b"" for i in range(60)})
         assert f"accepted: up to {most}" in refusal(path)
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from casadi_skin.formula import DEEPEST, FUNCTIONS, LONGEST, FormulaError, parse_formula
-from casadi_skin.lattice.expressions import antiderivative, expression
+from casadi_skin.model.array_expressions import antiderivative, expression
+from casadi_skin.model.formula import DEEPEST, FUNCTIONS, LONGEST, FormulaError, parse_formula
 
 NAMES = {"y": 0.7, "alpha": 1.5, "g": -0.4}
 

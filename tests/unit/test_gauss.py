@@ -23,13 +23,13 @@ from orbit_problems import (
 )
 from scipy.integrate import quad, solve_ivp
 
-from casadi_skin.bvp.butcher import gauss_table
-from casadi_skin.bvp.symmetry import SymmetryClass, pinned_components, symmetry_class
-from casadi_skin.bvp.trigonometric import TrigonometricProblem
+from casadi_skin.dynamics.duffing import duffing_frequency
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.solvers.newton import NewtonCorrector
-from casadi_skin.theory.duffing import duffing_frequency
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.symmetry import SymmetryClass, pinned_components, symmetry_class
+from casadi_skin.solve.newton import NewtonCorrector
+from casadi_skin.zero.butcher import gauss_table
+from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 Array = NDArray[np.float64]
 QUARTER, HALF, FULL = SymmetryClass.QUARTER, SymmetryClass.HALF, SymmetryClass.FULL

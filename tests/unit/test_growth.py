@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from casadi_skin import Chain, Orbit, follow_family
-from casadi_skin.bvp.problem import Array
+from casadi_skin.zero.problem import Array
 
 
 def stable_orbit(sites: int, gamma: float, flow: str = "splitting") -> Orbit:

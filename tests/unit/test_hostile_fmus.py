@@ -20,8 +20,8 @@ import pytest
 from foreign_fmus import recompiled
 
 from casadi_skin import Chain, import_fmu
-from casadi_skin.export.fmu import export_fmu
-from casadi_skin.models import fmu_trial, unzip
+from casadi_skin.fmu import fmu_trial, unzip
+from casadi_skin.fmu.archive import export_fmu
 
 UNZIP = Path(unzip.__file__)
 HERE = sys.executable

@@ -11,7 +11,7 @@ from lattices import GAINS
 from scipy.optimize import brentq
 
 from casadi_skin import Bond, Chain, Lattice, OdeModel, Site, follow_family
-from casadi_skin.cli import main
+from casadi_skin.runs.program import main
 
 RESONANT = Chain(10, 0.3502681971412418, 0.2, 1)  # 3 omega_1 = omega_10
 

@@ -6,7 +6,7 @@ import pytest
 from scipy.linalg import expm
 
 from casadi_skin import BoundaryValueProblem, OdeModel, find_equilibrium, find_orbit, follow_family, simulate
-from casadi_skin.cli import main
+from casadi_skin.runs.program import main
 
 TWO_PI = 2.0 * np.pi
 x, v, t, p = (ca.SX.sym(name) for name in "xvtp")

@@ -19,13 +19,13 @@ from scipy.optimize import brentq
 
 from casadi_skin import Chain, Orbit, follow_family, smallest_kick
 from casadi_skin.dynamics import distance_from_orbit, evolve
+from casadi_skin.lattice.uniform_chain import Array
 from casadi_skin.optimise.cosine_orbit import CosineOrbit
-from casadi_skin.optimise.kick.flow import KickedFlow, Loop
-from casadi_skin.optimise.kick.search import KickSearch, KickStart, distinct, verified
-from casadi_skin.optimise.kick.smallest_kick import SmallestKick, kick_norm, size_to_escape
-from casadi_skin.optimise.kick.verify import Escape, escape
-from casadi_skin.optimise.processes import SearchProgress, unpickled
-from casadi_skin.theory.linear import Array
+from casadi_skin.optimise.kick_flow import KickedFlow, Loop
+from casadi_skin.optimise.kick_search import KickSearch, KickStart, distinct, verified
+from casadi_skin.optimise.kick_verify import Escape, escape
+from casadi_skin.optimise.smallest_kick import SmallestKick, kick_norm, size_to_escape
+from casadi_skin.runs.processes import SearchProgress, unpickled
 
 
 @cache
@@ -213,7 +213,7 @@ def test_interruption_of_the_comparison_with_cvodes_keeps_the_best(monkeypatch: 
         os.kill(os.getpid(), signal.SIGINT)
         return escape(*arguments)
 
-    monkeypatch.setattr("casadi_skin.optimise.kick.search.escape", interrupted_escape)
+    monkeypatch.setattr("casadi_skin.optimise.kick_search.escape", interrupted_escape)
     kick = smallest_kick(breather(), 2.0 * breather().period, starts=1)
     assert kick.interrupted
     assert math.isnan(kick.reached)
@@ -228,7 +228,7 @@ def test_interruption_of_the_comparison_with_the_far_end_keeps_the_best(monkeypa
         os.kill(os.getpid(), signal.SIGINT)
         return size_to_escape(*arguments)
 
-    monkeypatch.setattr("casadi_skin.optimise.kick.smallest_kick.size_to_escape", interrupted_size)
+    monkeypatch.setattr("casadi_skin.optimise.smallest_kick.size_to_escape", interrupted_size)
     kick = smallest_kick(breather(), 2.0 * breather().period, starts=1)
     assert kick.interrupted
     assert abs(kick.reached - 0.5) < 1e-6
@@ -325,7 +325,7 @@ def test_what_the_progress_callback_raises_arrives() -> None:
 
 def test_without_an_optimum_the_best_start_is_kept_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
     least = found(2.0, starts=1).norm
-    monkeypatch.setattr("casadi_skin.optimise.kick.nlp.ITERATIONS", 2)
+    monkeypatch.setattr("casadi_skin.optimise.kick_nlp.ITERATIONS", 2)
     kick = smallest_kick(breather(), 2.0 * breather().period, starts=2)
     assert not kick.converged
     assert "no optimum (Ipopt: the iteration did not converge in the steps allowed)" in kick.status

@@ -7,11 +7,11 @@ import pytest
 from lattices import GAINS, chain, dimer, fput, plane
 
 from casadi_skin import Bond, Chain, Lattice, Site, follow_family
-from casadi_skin.figures.bands import band_figure
-from casadi_skin.figures.plane import plane_figure
-from casadi_skin.figures.skin import skin_figure
 from casadi_skin.lattice.linear import bands, lattice_modes
 from casadi_skin.lattice.skin import brillouin_zone, winding_numbers
+from casadi_skin.results.figures.bands import band_figure
+from casadi_skin.results.figures.plane import plane_figure
+from casadi_skin.results.figures.skin import skin_figure
 from casadi_skin.runs.lattice_lines import lattice_lines
 
 

@@ -14,20 +14,20 @@ import pytest
 from numpy.typing import NDArray
 
 from casadi_skin import Bond, Branch, Chain, LongLattice, Site, follow_family, read_result
-from casadi_skin.cli import main
+from casadi_skin.follow.family import Family
 from casadi_skin.native import elimination
 from casadi_skin.native.library import without
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.family_localised import EdgeOrbits, localised_changes
+from casadi_skin.runs.program import main
 from casadi_skin.stability.continuous import ContinuousSpectrum
-from casadi_skin.stability.gaps import Layout, crossings
-from casadi_skin.stability.hill import Hill, Parity
-from casadi_skin.stability.interpolation import OrbitNotFoundError
 from casadi_skin.stability.localised import LocalisedFloquet
-from casadi_skin.stability.localised_changes import find_localised_changes
-from casadi_skin.stability.localised_counts import count, zeros_in
-from casadi_skin.stability.localised_diagram import LocalisedDiagram
-from casadi_skin.stability.waves import Medium
+from casadi_skin.stability.tongues.family_localised import EdgeOrbits, localised_changes
+from casadi_skin.stability.tongues.gaps import Layout, crossings
+from casadi_skin.stability.tongues.hill import Hill, Parity
+from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
+from casadi_skin.stability.tongues.localised_changes import find_localised_changes
+from casadi_skin.stability.tongues.localised_counts import count, zeros_in
+from casadi_skin.stability.tongues.localised_diagram import LocalisedDiagram
+from casadi_skin.stability.tongues.waves import Medium
 
 Array = NDArray[np.float64]
 

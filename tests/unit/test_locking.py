@@ -14,9 +14,9 @@ import pytest
 from maps import TINY, write
 
 from casadi_skin import run_map
-from casadi_skin.cli import main
 from casadi_skin.runs.directory import DirectoryError
 from casadi_skin.runs.locking import in_use
+from casadi_skin.runs.program import main
 
 HOLD = """
 import os, sys, time

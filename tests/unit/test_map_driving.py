@@ -14,18 +14,19 @@ import numpy as np
 import pytest
 from maps import TINY, of_models
 
-from casadi_skin.cli import main
-from casadi_skin.maps import drive as driving
-from casadi_skin.maps.cell import Job
-from casadi_skin.maps.drive import Drive
-from casadi_skin.maps.engines import Engine
-from casadi_skin.maps.grid import Grid, Task, plain
-from casadi_skin.maps.records import FAILED, LATE, Result, Row
-from casadi_skin.maps.run_map import Mapped
-from casadi_skin.maps.store import Store
-from casadi_skin.maps.workers import Worker
-from casadi_skin.progress import Progress
-from casadi_skin.scene import Scene, parse_scene
+from casadi_skin.runs import map_drive as driving
+from casadi_skin.runs.engines import Engine
+from casadi_skin.runs.map_cell import Job
+from casadi_skin.runs.map_drive import Drive
+from casadi_skin.runs.map_grid import Grid, Task, plain
+from casadi_skin.runs.map_records import FAILED, LATE, Result, Row
+from casadi_skin.runs.map_store import Store
+from casadi_skin.runs.program import main
+from casadi_skin.runs.progress import Progress
+from casadi_skin.runs.reading import parse_scene
+from casadi_skin.runs.run_map import Mapped
+from casadi_skin.runs.scene import Scene
+from casadi_skin.runs.workers import Worker
 
 EQUILIBRIUM = """[model]
 file = "models.py"

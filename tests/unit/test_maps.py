@@ -19,22 +19,23 @@ from outputs import drawn, read_rows
 from scipy.io import netcdf_file
 
 from casadi_skin import Chain, follow_family, read_map, run_map
-from casadi_skin.cli import main
-from casadi_skin.figures.map import COLOURS, MapAxis, Panel, map_figure
-from casadi_skin.maps.boundary import OF_BOUNDARY, boundaries, check_boundary, read_boundary, write_boundary
-from casadi_skin.maps.cell import Computer, Job
-from casadi_skin.maps.columns import Columns
-from casadi_skin.maps.grid import Axis, Grid, plain, scene_at
-from casadi_skin.maps.names import SUFFIX, known_names
-from casadi_skin.maps.records import Result, Row
-from casadi_skin.maps.refine import UNKNOWN, needed
-from casadi_skin.maps.result import Map
-from casadi_skin.maps.store import UNKNOWN as NOT_COMPUTED
-from casadi_skin.maps.store import Store
-from casadi_skin.maps.tongue_lines import Entry, checked, lowest
+from casadi_skin.results.figures.map import COLOURS, MapAxis, Panel, map_figure
 from casadi_skin.runs.binding import bind
-from casadi_skin.scene import SceneError, parse_scene
-from casadi_skin.scene.map_reading import values_of
+from casadi_skin.runs.faults import SceneError
+from casadi_skin.runs.map_boundary import OF_BOUNDARY, boundaries, check_boundary, read_boundary, write_boundary
+from casadi_skin.runs.map_cell import Computer, Job
+from casadi_skin.runs.map_columns import Columns
+from casadi_skin.runs.map_grid import Axis, Grid, plain, scene_at
+from casadi_skin.runs.map_names import SUFFIX, known_names
+from casadi_skin.runs.map_reading import values_of
+from casadi_skin.runs.map_records import Result, Row
+from casadi_skin.runs.map_refine import UNKNOWN, needed
+from casadi_skin.runs.map_result import Map
+from casadi_skin.runs.map_store import UNKNOWN as NOT_COMPUTED
+from casadi_skin.runs.map_store import Store
+from casadi_skin.runs.program import main
+from casadi_skin.runs.reading import parse_scene
+from casadi_skin.runs.tongue_lines import Entry, checked, lowest
 
 BASE, _, AXES = TINY.partition("[map]\n")
 REFUSED = {
@@ -328,9 +329,9 @@ import sys, threading, time
 from concurrent.futures import Executor, Future
 from pathlib import Path
 import msgspec
-from casadi_skin.maps.grid import Task
-from casadi_skin.maps.records import Result, Row
-from casadi_skin.maps.run_map import run_map
+from casadi_skin.runs.map_grid import Task
+from casadi_skin.runs.map_records import Result, Row
+from casadi_skin.runs.run_map import run_map
 from casadi_skin.results.journal import os
 
 words = {f"quantity_{k}": float(k) for k in range(30)}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from casadi_skin.bvp import mesh
+from casadi_skin.zero import mesh
 
 Array = NDArray[np.float64]
 

@@ -10,14 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from casadi_skin.models.loading import ModelFileError, named, read_source, run_file
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.models.saved import save_model
+from casadi_skin.model.loading import ModelFileError, named, read_source, run_file
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.saved import save_model
 from casadi_skin.results.extremes import extremes
 from casadi_skin.results.quantity import Place
 from casadi_skin.runs.binding import bind
+from casadi_skin.runs.faults import SceneError
 from casadi_skin.runs.first_solution import cycle, first_solution
-from casadi_skin.scene import Scene, SceneError, parse_scene, scene_schema
+from casadi_skin.runs.reading import parse_scene, scene_schema
+from casadi_skin.runs.scene import Scene
 
 MODEL = '[model]\nfile = "models.py"\nname = "{name}"\n'
 MODELS = """
@@ -222,7 +224,7 @@ def test_the_schema_has_one_scene_of_a_chain_or_a_model() -> None:
 
 def test_reading_a_scene_of_a_model_loads_no_numerics() -> None:
     code = (
-        "import sys; from casadi_skin.scene import parse_scene; "
+        "import sys; from casadi_skin.runs.reading import parse_scene; "
         f"parse_scene({scene_of('a', ORBIT)!r}); "
         "assert not {'casadi', 'numpy', 'scipy'} & set(sys.modules)"
     )

@@ -18,12 +18,12 @@ from scipy.special import ellipk
 
 from casadi_skin import Chain, OdeModel, find_orbit, search_orbit
 from casadi_skin.optimise.pareto import pareto_front
-from casadi_skin.optimise.processes import SearchProgress
 from casadi_skin.optimise.result import SearchResult, SearchStatus
 from casadi_skin.optimise.search import search as run_search
 from casadi_skin.optimise.search_orbit import stated_search
 from casadi_skin.optimise.search_problem import Ending, Outcome, solve_start
-from casadi_skin.results.search import outcome_record, restored, write_search
+from casadi_skin.results.search_records import outcome_record, restored, write_search
+from casadi_skin.runs.processes import SearchProgress
 
 Q, V, OMEGA, T = (ca.SX.sym(name) for name in ("q", "v", "omega", "t"))
 FIELD = ca.vertcat(V, -Q - Q**3 - 0.2 * V + 0.1 * ca.cos(OMEGA * T))
@@ -224,7 +224,7 @@ def test_a_model_that_was_pickled_is_the_same_model() -> None:
 def test_what_cannot_be_meant_is_refused_before_any_solve(
     changes: dict[str, Any], words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("casadi_skin.orbits.find_orbit.solve", lambda *_, **__: pytest.fail("solved"))
+    monkeypatch.setattr("casadi_skin.follow.find_orbit.solve", lambda *_, **__: pytest.fail("solved"))
     with pytest.raises((ValueError, TypeError), match=words) as caught:
         search(**changes)
     assert len(str(caught.value).splitlines()) == 1

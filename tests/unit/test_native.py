@@ -15,11 +15,8 @@ from lattices import plane
 from small_models import pendulums
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.bvp import recursion, trigonometric
-from casadi_skin.bvp.recursion import PolynomialForm, TaylorRecursion
-from casadi_skin.bvp.trigonometric import TrigonometricProblem
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.models.polynomial import Monomials
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.polynomial import Monomials
 from casadi_skin.native import bordered, elimination, tail, taylor
 from casadi_skin.native import jacobian as native_jacobian
 from casadi_skin.native import library as native
@@ -28,14 +25,17 @@ from casadi_skin.native.forms import forms_kernel
 from casadi_skin.native.graph import graph_kernel
 from casadi_skin.native.library import KernelWarning, cache_folder, library, without
 from casadi_skin.native.splitting import splitting_kernel
-from casadi_skin.orbits.request import family_request
-from casadi_skin.solvers.bordered import BorderedSolver
-from casadi_skin.solvers.factors import CompiledFactors
+from casadi_skin.solve.bordered import BorderedSolver
+from casadi_skin.solve.factors import CompiledFactors
 from casadi_skin.stability import splitting
 from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
 from casadi_skin.stability.stepping import SteppedFlow
+from casadi_skin.zero import recursion, trigonometric
+from casadi_skin.zero.recursion import PolynomialForm, TaylorRecursion
+from casadi_skin.zero.request import family_request
+from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 needs_compiler = pytest.mark.skipif(without() is not None, reason="no C compiler here")
 

@@ -11,9 +11,9 @@ from maps import TINY, write
 from scipy.io import netcdf_file
 
 from casadi_skin import run_map
-from casadi_skin.cli import main
 from casadi_skin.results.dataset import Dataset, Variable, write_netcdf
 from casadi_skin.results.netcdf import EMPTY, read_name
+from casadi_skin.runs.program import main
 
 
 def test_attributes_keep_their_digits_and_letters(tmp_path: Path) -> None:

@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.models.saved import read_model, save_model
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.saved import read_model, save_model
 
 Make = Callable[..., OdeModel]
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.cli import main
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.passed_resonances import PassedResonance, _Blocks, _counted, passed_resonances
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.passed_resonances import PassedResonance, _Blocks, _counted, passed_resonances
-from casadi_skin.orbits.request import family_request
+from casadi_skin.runs.program import main
+from casadi_skin.zero.request import family_request
 
 
 def test_positive_eigenvalues_of_bands_are_those_of_the_matrices() -> None:
@@ -101,7 +101,7 @@ def test_a_run_names_resonances_that_were_passed_over(
     header = "mode,S_before,S_after,Omega_before,Omega_after,changes,meetings"
     assert (tmp_path / "none/passed_resonances.csv").read_text(encoding="utf-8").splitlines() == [header]
     one = PassedResonance((0.25, 0.5), (1.5, 1.25), 1, ((7, 23), (3, 2)))
-    monkeypatch.setattr("casadi_skin.orbits.branch.passed_resonances", lambda *_: (one,))
+    monkeypatch.setattr("casadi_skin.follow.branch.passed_resonances", lambda *_: (one,))
     assert main(["run", str(scene), "--out", str(tmp_path / "one")]) == 0
     line = (
         "mode 1: a narrow resonance is passed over between S = 0.25 and 0.5 (7 Omega with mode 23, 3 Omega with mode 2)"

@@ -13,12 +13,12 @@ from scipy.optimize import brentq
 from scipy.special import erf
 
 from casadi_skin import Bond, BoundaryValueProblem, Chain, Lattice, OdeModel, Site, follow_family
-from casadi_skin.bvp.stated_problem import BoundaryProblem
 from casadi_skin.dynamics import evolve
 from casadi_skin.lattice.spreading import spreading
 from casadi_skin.optimise.pareto import _front
-from casadi_skin.orbits.solve import packed, space_of
-from casadi_skin.solvers.newton import NewtonCorrector
+from casadi_skin.solve.newton import NewtonCorrector
+from casadi_skin.solve.solve import packed, space_of
+from casadi_skin.zero.stated_problem import BoundaryProblem
 
 flint = pytest.importorskip("flint")
 

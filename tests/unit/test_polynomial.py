@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from casadi_skin import Chain
-from casadi_skin.models.polynomial import (
+from casadi_skin.model.polynomial import (
     Monomials,
     NotPolynomialError,
     exact_terms,

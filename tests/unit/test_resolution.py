@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from casadi_skin import Branch, Chain, follow_family
-from casadi_skin.continuation.point_solver import PointSolver
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.following import Following
-from casadi_skin.orbits.request import family_request
-from casadi_skin.theory.duffing import duffing_frequency
+from casadi_skin.dynamics.duffing import duffing_frequency
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.following import Following
+from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.zero.request import family_request
 
 
 @cache

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 
 from casadi_skin import OdeModel
-from casadi_skin.models.loading import MODULE, run_file
-from casadi_skin.models.operations import CODES, MOST_DEPTH, MOST_OPERATIONS, ONE_ARGUMENT, from_operations
-from casadi_skin.models.saved import checksum, dumps, loads
+from casadi_skin.model.loading import MODULE, run_file
+from casadi_skin.model.operations import CODES, MOST_DEPTH, MOST_OPERATIONS, ONE_ARGUMENT, from_operations
+from casadi_skin.model.saved import checksum, dumps, loads
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted([*EXAMPLES.glob("*.py"), *EXAMPLES.glob("models/*.py")])

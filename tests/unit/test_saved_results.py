@@ -33,9 +33,9 @@ from casadi_skin import (
     simulate,
     smallest_kick,
 )
-from casadi_skin.models.ode import OdeModel as Model
+from casadi_skin.certify.certificate import ProvedStability
+from casadi_skin.model.ode import OdeModel as Model
 from casadi_skin.optimise.search_problem import solve_start
-from casadi_skin.orbits.certificate import ProvedStability
 from casadi_skin.results.journal import framed
 from casadi_skin.results.saving import FORMAT
 

@@ -9,21 +9,19 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from casadi_skin.scene import (
+from casadi_skin.runs.faults import SceneError
+from casadi_skin.runs.reading import parse_scene, read_scene, scene_schema
+from casadi_skin.runs.scene_tables import (
     PRESET_TOLERANCES,
     PRESETS,
     AccuracyTable,
     ChainTable,
-    DynamicsTable,
     FamilyTable,
     MethodTable,
-    SceneError,
     SpectrumTable,
     StabilityTable,
-    parse_scene,
-    read_scene,
-    scene_schema,
 )
+from casadi_skin.runs.task_tables import DynamicsTable
 
 CHAIN = "[chain]\nsites = 24\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
 FAMILY = "[family]\nmode = 1\namplitude_max = 3.0\n"
@@ -686,6 +684,6 @@ def test_tables_can_be_made_in_python() -> None:
 
 
 def test_reading_a_scene_loads_no_numerics() -> None:
-    code = "import sys, casadi_skin.scene; print([m for m in ('casadi', 'numpy', 'scipy') if m in sys.modules])"
+    code = "import sys, casadi_skin.runs.reading; print([m for m in ('casadi', 'numpy', 'scipy') if m in sys.modules])"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"

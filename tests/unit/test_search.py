@@ -12,6 +12,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from casadi_skin import Chain, follow_family, search_orbit
+from casadi_skin.dynamics.duffing import duffing_frequency
 from casadi_skin.optimise.chain_family import ChainFamily
 from casadi_skin.optimise.family_nlp import FamilyNlp
 from casadi_skin.optimise.family_search import FamilySearch
@@ -19,10 +20,9 @@ from casadi_skin.optimise.names import NAMED
 from casadi_skin.optimise.observables import Observables
 from casadi_skin.optimise.optimality import optimality
 from casadi_skin.optimise.pareto import pareto_front
-from casadi_skin.optimise.processes import SearchProgress
 from casadi_skin.optimise.result import SearchResult, SearchStatus
 from casadi_skin.optimise.search_problem import Ending
-from casadi_skin.theory.duffing import duffing_frequency
+from casadi_skin.runs.processes import SearchProgress
 
 SHORT = Chain(sites=6, alpha=1.0, gamma=0.3, g=1.0)
 
@@ -336,7 +336,7 @@ def test_what_cannot_be_meant_is_refused_before_any_solve(
     def refuse(*_: object) -> None:
         raise AssertionError("something was solved")
 
-    monkeypatch.setattr("casadi_skin.optimise.processes.Runner.run", refuse)
+    monkeypatch.setattr("casadi_skin.runs.processes.Runner.run", refuse)
     monkeypatch.setattr("casadi_skin.optimise.family_search.FamilySearch.members", refuse)
     with pytest.raises(kind, match=words) as caught:
         search(**changes)

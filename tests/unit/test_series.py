@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 from casadi_skin import Branch, Chain, Orbit, follow_family
-from casadi_skin.bvp import recursion
-from casadi_skin.bvp.problem import SingularError
-from casadi_skin.bvp.recursion import PolynomialForm, TaylorRecursion
-from casadi_skin.bvp.trigonometric import TrigonometricProblem
-from casadi_skin.continuation.point_solver import PointSolver
-from casadi_skin.continuation.points import End, Point
-from casadi_skin.continuation.series import SeriesContinuation
-from casadi_skin.continuation.taylor import Stretch
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.following import Following
-from casadi_skin.orbits.request import family_request
-from casadi_skin.theory.duffing import duffing_frequency
+from casadi_skin.dynamics.duffing import duffing_frequency
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.following import Following
+from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.series import SeriesContinuation
+from casadi_skin.follow.settings import End, Point
+from casadi_skin.follow.taylor import Stretch
+from casadi_skin.zero import recursion
+from casadi_skin.zero.problem import SingularError
+from casadi_skin.zero.recursion import PolynomialForm, TaylorRecursion
+from casadi_skin.zero.request import family_request
+from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 SOFTENING_END = {0.2: 1.036393147166972, 1.0: 1.018532435491958, 3.0: 0.765958900020734}  # N = 24, j = 1, g = -1
 
@@ -90,7 +90,7 @@ def test_terms_in_no_order_are_gathered(way: None) -> None:
     """Couplings between sites that are not neighbours, and powers of the parameter, take the general way."""
     import casadi as ca
 
-    from casadi_skin.models.ode import OdeModel
+    from casadi_skin.model.ode import OdeModel
 
     q, v, p = ca.SX.sym("q", 4), ca.SX.sym("v", 4), ca.SX.sym("p")
     stiff = ca.DM([1.0, 1.7, 2.9, 4.1])

@@ -25,22 +25,22 @@ from orbit_problems import (
 )
 from scipy.integrate import solve_ivp
 
-from casadi_skin.bvp.problem import SingularError
-from casadi_skin.bvp.shooting import ShootingError, ShootingProblem
-from casadi_skin.bvp.symmetry import SymmetryClass, symmetry_class
-from casadi_skin.bvp.trigonometric import TrigonometricProblem
-from casadi_skin.continuation.points import End
+from casadi_skin.dynamics.duffing import duffing_displacement, duffing_frequency
+from casadi_skin.follow.family import DIGITS, Family
+from casadi_skin.follow.follow import follow_family
+from casadi_skin.follow.following import Following
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.settings import End
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.family import DIGITS, Family
-from casadi_skin.orbits.follow import follow_family
-from casadi_skin.orbits.following import Following
-from casadi_skin.orbits.orbit import Orbit
-from casadi_skin.orbits.request import family_request
-from casadi_skin.solvers.corrector import Status
-from casadi_skin.solvers.levels import Levels
-from casadi_skin.solvers.newton import NewtonCorrector
-from casadi_skin.theory.duffing import duffing_displacement, duffing_frequency
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.symmetry import SymmetryClass, symmetry_class
+from casadi_skin.solve.corrector import Status
+from casadi_skin.solve.levels import Levels
+from casadi_skin.solve.newton import NewtonCorrector
+from casadi_skin.zero.problem import SingularError
+from casadi_skin.zero.request import family_request
+from casadi_skin.zero.shooting import ShootingError, ShootingProblem
+from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 Array = NDArray[np.float64]
 QUARTER, HALF, FULL = SymmetryClass.QUARTER, SymmetryClass.HALF, SymmetryClass.FULL

@@ -14,18 +14,18 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import linear_sum_assignment
 
 from casadi_skin import Branch, Chain, OdeModel, Orbit, SymmetryClass, follow_family
-from casadi_skin.bvp.trigonometric import TrigonometricProblem
-from casadi_skin.continuation.points import End
-from casadi_skin.integrators.srkn import srkn_coefficients
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.request import family_request
-from casadi_skin.solvers.newton import NewtonCorrector
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.settings import End
+from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.flow import FlowError, FlowMap, OrbitState, Transition
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.multipliers import floquet
 from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
+from casadi_skin.stability.srkn import srkn_coefficients
+from casadi_skin.zero.request import family_request
+from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.bvp.problem import Array
-from casadi_skin.bvp.trigonometric import TrigonometricProblem
-from casadi_skin.continuation.taylor import Stretch
-from casadi_skin.solvers.bordered import BandLayout
-from casadi_skin.solvers.stacked import StackedSolver
+from casadi_skin.follow.taylor import Stretch
+from casadi_skin.solve.bordered import BandLayout
+from casadi_skin.solve.stacked import StackedSolver
+from casadi_skin.zero.problem import Array
+from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 
 def dense(problem: TrigonometricProblem, nonzeros: Array, row: Array) -> Array:
@@ -77,8 +77,8 @@ def test_one_state_that_cannot_be_solved_leaves_all_to_the_solver_of_one(
     elif fault == "not a number":
         nonzeros[1, 7] = np.nan
     else:
-        monkeypatch.setattr("casadi_skin.solvers.stacked.ACCURATE", 0.0)
-        monkeypatch.setattr("casadi_skin.solvers.bordered.ACCURATE", 0.0)
+        monkeypatch.setattr("casadi_skin.solve.stacked.ACCURATE", 0.0)
+        monkeypatch.setattr("casadi_skin.solve.bordered.ACCURATE", 0.0)
     assert solver_of(problem).steps(z, residuals, nonzeros, rows) is None
 
 
@@ -112,7 +112,7 @@ def test_a_family_is_the_same_where_its_places_are_polished_one_by_one(monkeypat
     def without(problem: TrigonometricProblem) -> None:
         calls.append(problem)
 
-    monkeypatch.setattr("casadi_skin.continuation.polishing.StackedSolver.of", without)
+    monkeypatch.setattr("casadi_skin.follow.polishing.StackedSolver.of", without)
     one_by_one = follow_family(chain, 1, 3.0, at=(0.2, 1.0), corrector="newton")
     assert calls
     assert at_once.complete

@@ -11,15 +11,15 @@ import pytest
 from scipy.optimize import fsolve
 
 from casadi_skin import Branch, Chain, follow_family
-from casadi_skin.bvp.recursion import PolynomialForm
-from casadi_skin.continuation.taylor import Stretch
+from casadi_skin.dynamics.threshold import threshold
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.taylor import Stretch
 from casadi_skin.lattice import tail_recursion
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
-from casadi_skin.lattice.threshold import threshold
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.request import family_request
+from casadi_skin.zero.recursion import PolynomialForm
+from casadi_skin.zero.request import family_request
 
 GAP = math.sqrt(1.0 - 0.25**2)  # the coupling s at gamma = 0.25
 AMPLITUDES = (1e-9, 0.2, 1.0, 3.0)

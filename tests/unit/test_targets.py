@@ -13,21 +13,21 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit, follow_family
-from casadi_skin.bvp.orbit_problem import OrbitProblem
-from casadi_skin.bvp.problem import Scalar, Solve
-from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.continuation.arclength import ArclengthContinuation
-from casadi_skin.continuation.point_solver import PointSolver
-from casadi_skin.continuation.points import ContinuationSettings, End, Point, Target
-from casadi_skin.continuation.series import SeriesContinuation
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.following import Following
-from casadi_skin.orbits.request import family_request
+from casadi_skin.follow.arclength import ArclengthContinuation
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.following import Following
+from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.series import SeriesContinuation
+from casadi_skin.follow.settings import ContinuationSettings, End, Point, Target
+from casadi_skin.model.symmetry import SymmetryClass
 from casadi_skin.results.branch_reading import known_of
 from casadi_skin.results.branch_records import EndRecord, point_record
-from casadi_skin.solvers.estimates import ErrorEstimate
-from casadi_skin.solvers.levels import Levels
-from casadi_skin.solvers.newton import NewtonCorrector
+from casadi_skin.solve.estimates import ErrorEstimate
+from casadi_skin.solve.levels import Levels
+from casadi_skin.solve.newton import NewtonCorrector
+from casadi_skin.zero.orbit_problem import OrbitProblem
+from casadi_skin.zero.problem import Scalar, Solve
+from casadi_skin.zero.request import family_request
 
 Array = NDArray[np.float64]
 

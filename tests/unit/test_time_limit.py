@@ -10,10 +10,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-import casadi_skin.orbits.following as following
+import casadi_skin.follow.following as following
 from casadi_skin import Branch, Chain, OdeModel, find_orbit, follow_family
-from casadi_skin.continuation.points import End
-from casadi_skin.solvers.watch import TimeLimitError, watched
+from casadi_skin.follow.settings import End
+from casadi_skin.solve.time_limit import TimeLimitError, watched
 
 CHAIN = Chain(3, 1.0, 0.3, -1.0)
 

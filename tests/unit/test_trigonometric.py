@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from orbit_problems import check_jacobian, linear_mode, solved
 from scipy.integrate import solve_ivp
 
-from casadi_skin.bvp.cosines import cosine_matrix, second_derivative_matrix
-from casadi_skin.bvp.symmetry import SymmetryClass
-from casadi_skin.bvp.trigonometric import TrigonometricProblem
+from casadi_skin.dynamics.duffing import duffing_displacement, duffing_frequency
+from casadi_skin.follow.family import Family
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.models.lifted import lifted
-from casadi_skin.models.ode import OdeModel
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.request import family_request
-from casadi_skin.theory.duffing import duffing_displacement, duffing_frequency
+from casadi_skin.model.lifted import lifted
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.symmetry import SymmetryClass
+from casadi_skin.zero.cosines import cosine_matrix, second_derivative_matrix
+from casadi_skin.zero.request import family_request
+from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 Array = NDArray[np.float64]
 

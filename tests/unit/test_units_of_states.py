@@ -8,7 +8,7 @@ import pytest
 from equilibrium_models import symbols
 
 from casadi_skin import OdeModel, find_equilibrium
-from casadi_skin.orbits.branch import Branch
+from casadi_skin.follow.branch import Branch
 
 
 def hodgkin_huxley(unit: float, shift: float) -> OdeModel:

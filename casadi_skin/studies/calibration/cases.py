@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from casadi_skin.follow.follow import follow_family
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.orbits.follow import follow_family
-from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.studies.exact import LONG_DOUBLES, ExactOrbit, exact_orbit
 from casadi_skin.studies.exact_multipliers import Complex, exact_mu, paired, reduced

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from casadi_skin.figures.style import blank, finished, style
+from casadi_skin.results.figures.style import blank, finished, style
 from casadi_skin.studies.calibration.cases import Case, Outcome, Quantity, draw, measure
 from casadi_skin.studies.study import Study, letter, text_table
 

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from casadi_skin.orbits.branch import Branch
+from casadi_skin.dynamics import multiple_scales
+from casadi_skin.follow.branch import Branch
+from casadi_skin.lattice import uniform_chain as linear
 from casadi_skin.studies.paper.claim import Claim, Verdict, claim, rounds_to
 from casadi_skin.studies.paper.paper_data import (
     ALPHA,
@@ -23,7 +25,6 @@ from casadi_skin.studies.paper.paper_data import (
     PaperData,
     analytical_sensitivity,
 )
-from casadi_skin.theory import linear, multiple_scales
 
 EXCELLENT = 0.05  # relative error of the shift up to which theory is called in excellent agreement here
 

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.studies.paper.claim import Claim, Verdict, claim, rounds_to
 from casadi_skin.studies.paper.paper_data import ALPHA, GAMMA, SITES, PaperData
+from casadi_skin.zero.problem import Array
 
 ROUND_OFF = 1e-12
 

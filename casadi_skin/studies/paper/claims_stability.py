@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from casadi_skin.dynamics import distance_from_orbit
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.studies.integration import monodromy_eigenvalues
 from casadi_skin.studies.paper.claim import Claim, Verdict, claim
 from casadi_skin.studies.paper.paper_data import GAMMA, KICK, SITES, TOLERANCE, PaperData

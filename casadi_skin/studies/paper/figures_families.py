@@ -10,14 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
-from casadi_skin.bvp.problem import Array
-from casadi_skin.dynamics import Evolution
-from casadi_skin.figures.frequencies import draw_band, family_path, family_pieces, label_ends
-from casadi_skin.figures.profiles import LINES, MARKERS
-from casadi_skin.figures.spacetime import draw_spacetime
-from casadi_skin.figures.style import AMPLITUDE, blank, colours, finished, number, number_sites, style, title
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.dynamics import Evolution, multiple_scales
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.results.figures.frequencies import draw_band, family_path, family_pieces, label_ends
+from casadi_skin.results.figures.profiles import LINES, MARKERS
+from casadi_skin.results.figures.spacetime import draw_spacetime
+from casadi_skin.results.figures.style import AMPLITUDE, blank, colours, finished, number, number_sites, style, title
 from casadi_skin.results.quantities import csv_row, places_of, quantities_of
 from casadi_skin.results.stability_tables import EVENT_COLUMNS, event_rows
 from casadi_skin.studies.paper.paper_data import (
@@ -31,7 +30,7 @@ from casadi_skin.studies.paper.paper_data import (
     analytical_sensitivity,
 )
 from casadi_skin.studies.study import Rows, letter, stacked, table
-from casadi_skin.theory import multiple_scales
+from casadi_skin.zero.problem import Array
 
 Drawn = tuple[Figure, dict[str, Rows]]
 DASHED = (0, (3.0, 1.6))  # unstable

@@ -9,13 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from casadi_skin.bvp.problem import Array
 from casadi_skin.dynamics import Evolution, simulate_orbit
-from casadi_skin.figures.multipliers import MODULUS, draw_plane
-from casadi_skin.figures.style import AMPLITUDE, blank, finished, number, style, title
-from casadi_skin.figures.tongues import moduli as moduli_line
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.results.figures.multipliers import MODULUS, draw_plane
+from casadi_skin.results.figures.style import AMPLITUDE, blank, finished, number, style, title
+from casadi_skin.results.figures.tongues import moduli as moduli_line
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.studies.paper.figures_families import (
     Drawn,
@@ -26,6 +25,7 @@ from casadi_skin.studies.paper.figures_families import (
 )
 from casadi_skin.studies.paper.paper_data import KICK, KICK_TIME, SITES, PaperData
 from casadi_skin.studies.study import Rows, letter, stacked, table
+from casadi_skin.zero.problem import Array
 
 DENSE = 400  # places along the family of which all multipliers are drawn
 MARKED = (1.0, 3.0)  # S of panels (b) and (c) of figure 5

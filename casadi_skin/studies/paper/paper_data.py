@@ -8,15 +8,14 @@ from functools import cached_property
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
-from casadi_skin.dynamics import Evolution, simulate_orbit
+from casadi_skin.dynamics import Evolution, multiple_scales, simulate_orbit
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.follow import follow_family
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.follow import follow_family
-from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.stability.growth import TransientGrowth
 from casadi_skin.studies.study import Rows, table
-from casadi_skin.theory import multiple_scales
+from casadi_skin.zero.problem import Array
 
 SITES, ALPHA, GAMMA = 24, 1.0, 0.25
 MODES = (1, 6, 10, 14, 18, 24)

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
 from types import MappingProxyType
 
-from casadi_skin.arguments import check_name
+from casadi_skin.model.arguments import check_name
 from casadi_skin.studies.paper.claim import COLUMNS, Claim
 from casadi_skin.studies.paper.claims_families import family_claims, sensitivity_claims
 from casadi_skin.studies.paper.claims_linear import linear_claims

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.bvp.problem import Array
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.harmonics import third_harmonic_leads
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.harmonics import third_harmonic_leads
 from casadi_skin.studies.exact import exact_orbit
 from casadi_skin.studies.stress import checks
 from casadi_skin.studies.stress.case import Case, Finding, RefusedError, relative
 from casadi_skin.studies.stress.checks import TOLERANCE, Check, Setup, against_digits
+from casadi_skin.zero.problem import Array
 
 GAMMA, SIZE, ALPHA, MODES = "gamma", "number of sites", "alpha", "modes that nearly meet"
 SMALL, LARGE, SIZE_OF_G, RESONANCE = "tiny S", "large S", "size of g", "internal resonance"

@@ -9,18 +9,18 @@ from types import MappingProxyType
 
 import numpy as np
 
+from casadi_skin.dynamics.duffing import duffing_frequency
+from casadi_skin.dynamics.multiple_scales import frequency_slope
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.follow import follow_family
+from casadi_skin.follow.harmonics import harmonic_shares
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.follow import follow_family
-from casadi_skin.orbits.harmonics import harmonic_shares
-from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.studies.calibration.cases import reference_of
 from casadi_skin.studies.exact import exact_linear_frequency, exact_orbit, many_digits
 from casadi_skin.studies.exact_multipliers import exact_mu, paired, reduced
 from casadi_skin.studies.integration import physical_multipliers, return_error
 from casadi_skin.studies.stress.case import Finding, RefusedError, relative
-from casadi_skin.theory.duffing import duffing_frequency
-from casadi_skin.theory.multiple_scales import frequency_slope
 
 TOLERANCE = 1e-12
 SHIFT_ALLOWED = 1e-6

@@ -13,10 +13,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from casadi_skin.figures.style import blank, colours, finished, style
+from casadi_skin.follow.follow import follow_family
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.orbits.follow import follow_family
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.results.figures.style import blank, colours, finished, style
 from casadi_skin.studies.exact import DOUBLES, Array, CosineEquations, NotSolvedError
 from casadi_skin.studies.integration import couplings, monodromy_eigenvalues
 from casadi_skin.studies.study import letter

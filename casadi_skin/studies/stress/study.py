@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from casadi_skin.figures.style import blank, finished, style
+from casadi_skin.dynamics.threshold import threshold
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.threshold import threshold
+from casadi_skin.results.figures.style import blank, finished, style
 from casadi_skin.studies.stress import physical
 from casadi_skin.studies.stress.case import MOST_DIGITS, Case, Outcome, measure
 from casadi_skin.studies.stress.cases import all_cases

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.family import Family
-from casadi_skin.orbits.following import Following, run_following
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.following import Following, run_following
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.multipliers import floquets
 from casadi_skin.stability.result import ReversibleFloquet

@@ -20,10 +20,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.follow import follow_family
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.orbits.branch import Branch
-from casadi_skin.orbits.follow import follow_family
-from casadi_skin.orbits.orbit import Orbit
 from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.studies.exact_multipliers import reduced
 from casadi_skin.studies.work_precision.computing import Computation, requested_orbits

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from casadi_skin.orbits.orbit import Orbit
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.studies.exact import LONG_DOUBLES, exact_orbit
 from casadi_skin.studies.exact_multipliers import exact_mu, paired

@@ -9,9 +9,9 @@ from math import nan
 from typing import Any
 
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.methods import CONTINUATIONS, CORRECTORS, FLOWS, SHOOTING, TRANSCRIPTIONS, TRIGONOMETRIC
-from casadi_skin.orbits.request import FamilyRequest, family_request
-from casadi_skin.scene import PRESET_TOLERANCES
+from casadi_skin.model.methods import CONTINUATIONS, CORRECTORS, FLOWS, SHOOTING, TRANSCRIPTIONS, TRIGONOMETRIC
+from casadi_skin.runs.scene_tables import PRESET_TOLERANCES
+from casadi_skin.zero.request import FamilyRequest, family_request
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 QUICK_TOLERANCES = (1e-4, 1e-8, 1e-12)

@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from casadi_skin.figures.style import blank, colours, finished, style, title
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.methods import FLOWS, TRANSCRIPTIONS
+from casadi_skin.model.methods import FLOWS, TRANSCRIPTIONS
+from casadi_skin.results.figures.style import blank, colours, finished, style, title
 from casadi_skin.studies.study import Study, letter
 from casadi_skin.studies.work_precision.measuring import measure, memory_of
 from casadi_skin.studies.work_precision.reference import REFERENCE_COLUMNS, Errors, Reference

@@ -1,1 +1,0 @@
-"""Boundary-value problems of periodic orbits: symmetry classes, transcriptions, the orbit."""

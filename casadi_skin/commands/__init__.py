@@ -1,1 +1,0 @@
-"""The commands, one function each: parsed words in, exit status out."""

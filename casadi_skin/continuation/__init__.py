@@ -1,1 +1,0 @@
-"""Continuation of any problem with one more unknown than equations."""

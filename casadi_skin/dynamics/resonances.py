@@ -1,0 +1,211 @@
+"""Driven and damped lattices beside their conservative families: energy balance, and where responses cross these.
+
+With weak damping and drive a response lies near an orbit of the conservative lattice on which the drive, at its best
+phase, gives as much energy in a period as the damping takes. Where the most that it can give crosses what is lost,
+drive and velocity are in quadrature (phase resonance): a curve of responses passes there. The second, third, ...
+crossing of one family may lie on closed curves apart from the others, isolas, which no frequency sweep meets
+(Hill, Neild and Cammarano 2016; Cenedese and Haller 2020).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.follow.find_orbit import find_orbit
+from casadi_skin.follow.follow import follow_family
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.lattice.declaration import Array
+from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.lattice.linear import ComplexArray
+from casadi_skin.model.arguments import check_name
+
+SAMPLES = 512  # a period
+HARMONICS = 48  # of a guess
+WITHIN = 1e-10  # relative accuracy of S at a crossing
+
+
+@dataclass(frozen=True)
+class EnergyBalance:
+    """Energy that a period brings, with the weights of the gauge where there is one: `work` of drives minus `loss`.
+
+    In a periodic response of a lattice with a gauge both are equal.
+    """
+
+    work: float
+    loss: float
+
+
+@dataclass(frozen=True, eq=False)
+class Resonance:
+    """An orbit of the conservative lattice on which the drive can just make up for the damping.
+
+    Attributes:
+        lattice: the damped and driven lattice.
+        parameters: values of its parameters, the frequency's among them.
+        S, Omega: of the conservative orbit.
+        orbit: the conservative orbit.
+        delay: time by which it comes after the phase at which the drive gives most.
+        rising: whether the drive's best gains on the loss as S grows.
+    """
+
+    lattice: Lattice
+    parameters: dict[str, float]
+    S: float
+    Omega: float
+    orbit: Orbit
+    delay: float
+    rising: bool
+
+    def guess(self, t: float) -> Array:
+        """State at a time, positions and velocities, shape (components,): a guess for `find_orbit`."""
+        waves = np.exp(1j * self.Omega * np.arange(len(self._series)) * (t - self.delay))
+        rates = 1j * self.Omega * np.arange(len(self._series))
+        return np.concatenate([(waves @ self._series).real, ((waves * rates) @ self._series).real])
+
+    @cached_property
+    def _series(self) -> ComplexArray:
+        """Fourier coefficients of the positions, shape (harmonics, sites)."""
+        return np.asarray(_series(self.orbit)[:HARMONICS])
+
+    def response(self, **options: Any) -> Orbit:
+        """The response of the damped and driven lattice near the conservative orbit; options as for `find_orbit`."""
+        return find_orbit(self.lattice, self.guess, parameters=self.parameters, **options)
+
+
+def conservative_part(lattice: Lattice) -> Lattice:
+    """The same lattice without damping and drives."""
+    declared = lattice.declaration
+    sites = [replace(site, damping="0", drive="0") for site in declared.sites]
+    return Lattice(declared.cells, sites, declared.bonds, declared.boundary, declared.parameters, lattice.name)
+
+
+def energy_balance(lattice: Lattice, orbit: Orbit) -> EnergyBalance:
+    """Energy that drives supply and damping takes in one period.
+
+    Arguments:
+        lattice: damped and driven.
+        orbit: a response of it, or an orbit of its conservative part.
+
+    Returns:
+        Work and loss.
+
+    Raises:
+        ValueError: the model of the orbit has other components.
+    """
+    times = orbit.period * np.arange(SAMPLES) / SAMPLES
+    y, v = _motion(orbit, times, lattice.declaration.size)
+    drive, damping = _forces(lattice)
+    values = np.array([{**_values(lattice), **orbit.parameters}[name] for name in lattice.declaration.scalars])
+    given, taken = drive(times, values), damping(y, v, values)
+    weights = _weights(lattice)
+    power = [float(np.mean((weights * force * v).sum(axis=1))) for force in (given, taken)]
+    return EnergyBalance(orbit.period * power[0], orbit.period * power[1])
+
+
+def resonances(
+    lattice: Lattice, mode: int | str, amplitude_max: float, frequency: str, **options: Any
+) -> tuple[Resonance, ...]:
+    """Orbits of a conservative family that curves of responses cross; later ones may lie on isolas.
+
+    Arguments:
+        lattice: damped and driven.
+        mode: linear mode of its conservative part, by ascending frequency.
+        amplitude_max: largest S of the family.
+        frequency: name of the parameter that is the frequency of the drives.
+        options: as for `follow_family`.
+
+    Returns:
+        The crossings in the order of the family.
+
+    Raises:
+        ValueError: the lattice has no drive or no damping, or its conservative part no such family.
+    """
+    check_name("frequency", frequency, tuple(lattice.declaration.scalars))
+    if not (lattice.equations.damped and lattice.equations.driven):
+        raise ValueError("lattice: given one without damping or without a drive; accepted: with both")
+    branch = follow_family(conservative_part(lattice), mode=mode, amplitude_max=amplitude_max, **options)
+    known = [_excess(lattice, frequency, orbit) for orbit in branch.orbits]
+    found = []
+    for k in range(1, len(known)):
+        if known[k - 1][0] * known[k][0] < 0.0:
+            low, high = branch.S[k - 1], branch.S[k]
+
+            def excess(S: float) -> float:
+                return _excess(lattice, frequency, branch.at(S=S))[0]
+
+            from scipy.optimize import brentq
+
+            S = float(brentq(excess, low, high, rtol=WITHIN)) if low != high else float(low)
+            orbit = branch.at(S=S)
+            parameters = {**_values(lattice), frequency: orbit.Omega}
+            delay = _excess(lattice, frequency, orbit)[1]
+            found.append(Resonance(lattice, parameters, S, orbit.Omega, orbit, delay, known[k][0] > known[k - 1][0]))
+    return tuple(found)
+
+
+def _values(lattice: Lattice) -> dict[str, float]:
+    return dict(lattice.declaration.scalars)
+
+
+def _weights(lattice: Lattice) -> Array:
+    """Weights of the gauge, 1 without one."""
+    logs = lattice.structure.log_weights
+    return np.ones(lattice.declaration.size) if logs is None else np.exp(logs)
+
+
+def _motion(orbit: Orbit, times: Array, sites: int) -> tuple[Array, Array]:
+    """Positions and velocities at times, shape (times, sites) each."""
+    states = np.atleast_2d(orbit.evaluate(times))
+    if states.shape[1] == 2 * sites:
+        return states[:, :sites], states[:, sites:]
+    if states.shape[1] != sites:
+        raise ValueError(f"orbit: given one of {states.shape[1]} components; accepted: {sites} or {2 * sites}")
+    series = _series(orbit)
+    rates = 1j * orbit.Omega * np.arange(len(series))
+    return states, (np.exp(np.outer(times, rates)) @ (rates[:, None] * series)).real
+
+
+def _series(orbit: Orbit) -> ComplexArray:
+    """Coefficients of e^(i k Omega t), k >= 0, of which the real part is the positions, shape (harmonics, sites)."""
+    series = np.fft.rfft(orbit.evaluate(orbit.period * np.arange(SAMPLES) / SAMPLES), axis=0) / SAMPLES
+    return np.asarray(np.where(np.arange(len(series))[:, None] == 0, 1.0, 2.0) * series)
+
+
+def _forces(lattice: Lattice) -> tuple[Callable[..., Array], Callable[..., Array]]:
+    """Functions (times, parameters) of the drives and (positions, velocities, parameters) of the damping forces."""
+    equations = lattice.equations
+    drive = ca.Function("f", [equations.t, equations.parameters], [ca.densify(equations.of_sites("drive"))])
+    forces = ca.densify(equations.of_sites("damping") * equations.v)
+    damping = ca.Function("c", [equations.y, equations.v, equations.parameters], [forces])
+
+    def drives(times: Array, values: Array) -> Array:
+        return np.array(drive.map(len(times))(times[None], np.tile(values[:, None], len(times)))).T
+
+    def dampings(y: Array, v: Array, values: Array) -> Array:
+        return np.array(damping.map(len(y))(y.T, v.T, np.tile(values[:, None], len(y)))).T
+
+    return drives, dampings
+
+
+def _excess(lattice: Lattice, frequency: str, orbit: Orbit) -> tuple[float, float]:
+    """The most that the drives can give in a period minus the loss, over the loss; and the delay of the orbit there."""
+    times = orbit.period * np.arange(SAMPLES) / SAMPLES
+    y, v = _motion(orbit, times, lattice.declaration.size)
+    values = np.array(list({**_values(lattice), frequency: orbit.Omega}.values()))
+    drive, damping = _forces(lattice)
+    weights = _weights(lattice)
+    loss = float(np.mean((weights * damping(y, v, values) * v).sum(axis=1)))
+    spectra = np.fft.fft(drive(times, values), axis=0), np.fft.fft(v, axis=0)
+    work = np.fft.ifft((weights * spectra[0] * spectra[1].conj()).sum(axis=1)).real / SAMPLES  # by delay
+    best = int(np.argmax(work))
+    before, here, after = work[best - 1], work[best], work[(best + 1) % SAMPLES]
+    bend = before - 2.0 * here + after
+    shift = 0.5 * (before - after) / bend if bend else 0.0
+    most = here - 0.25 * (before - after) * shift
+    return (most - loss) / abs(loss), (best + shift) * orbit.period / SAMPLES

@@ -1,1 +1,0 @@
-"""Equilibria of any model: solved, followed in a parameter, with special points and the branches that leave there."""

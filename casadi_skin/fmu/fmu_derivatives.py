@@ -1,0 +1,234 @@
+"""Jacobians of an FMU's right-hand side: by its directional derivatives where they are right, else by differences.
+
+Columns that share no row are taken together, by the FMU's ModelStructure (Curtis, Powell and Reid 1974).
+Derivatives of the FMU are compared with differences along random directions before they are used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.fmu.fmu_component import Buffer
+from casadi_skin.fmu.fmu_instance import FmuInstance
+from casadi_skin.fmu.fmu_variables import Array, Element, Group, Pattern
+
+Indices = NDArray[np.int64]
+Point = tuple[float, Array, Array]
+
+# With steps h, 2h, 4h extrapolated: the error h^4 that the estimate sees and round-off eps/h are in balance there.
+STEP = float(np.finfo(float).eps ** 0.2)
+FACTORS = np.array([1.0, -1.0, 2.0, -2.0, 4.0, -4.0])  # of the step, where the function is evaluated
+# The derivative times h to order h^6; and the difference of two of order h^4, a fifteenth of which is the error where
+# truncation is all, not with round-off.
+EXTRAPOLATED = np.repeat([[256.0 / 360.0, -40.0 / 360.0, 1.0 / 360.0], [16.0 / 24.0, -10.0 / 24.0, 1.0 / 24.0]], 2, 1)
+EXTRAPOLATED *= np.sign(FACTORS)
+AGREEMENT = 1e-5  # of the largest entry, between differences and the FMU's own derivatives
+DIRECTIONS = 2
+TRIAL = 0.1  # of a state's nominal value, where that is compared
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """A pattern of non-zeros, by columns, and the group of each column: columns of a group share no row in it."""
+
+    pattern: Pattern
+    group: Indices
+    rows: Indices
+    columns: Indices
+
+    @classmethod
+    def of(cls, pattern: Pattern) -> Columns:
+        """The groups by CasADi's colouring."""
+        colours = ca.sparsify(ca.DM(pattern.astype(float))).sparsity().uni_coloring()
+        group, starts = np.zeros(pattern.shape[1], dtype=int), colours.colind()
+        for k in range(colours.size2()):
+            group[colours.row()[starts[k] : starts[k + 1]]] = k
+        columns, rows = np.nonzero(pattern.T)
+        return cls(pattern, group, rows, columns)
+
+    @cached_property
+    def seeds(self) -> Array:
+        """1 in the columns of each group, shape (groups, columns)."""
+        return np.eye(int(self.group.max(initial=0)) + 1)[:, self.group].copy()
+
+    @cached_property
+    def owners(self) -> Indices:
+        """The group of each non-zero."""
+        return self.group[self.columns]
+
+    def nonzeros(self, sums: Array) -> Array:
+        """Entries of the pattern by columns from the sums of each group's columns, shape (groups, rows)."""
+        return np.asarray(sums[self.owners, self.rows])
+
+    def dense(self, nonzeros: Array) -> Array:
+        """The matrix with these entries."""
+        matrix = np.zeros(self.pattern.shape)
+        matrix[self.rows, self.columns] = nonzeros
+        return matrix
+
+
+@dataclass(eq=False)
+class Differences:
+    """Derivatives by central differences with three steps, each with an estimate of its error.
+
+    `largest_error` is the largest estimate so far, relative to the largest entry of its Jacobian.
+    """
+
+    largest_error: float = 0.0
+
+    def moved(self, at: Array, scale: Array, columns: Columns) -> tuple[Array, Array]:
+        """Where a function is evaluated, one row a point; and the step of each component, which changes by `scale`."""
+        # Steps are powers of 2 times the same number for all of a group, so that quotients are exact.
+        steps = np.exp2(np.round(np.log2(STEP * np.maximum(np.abs(at), scale))))
+        along = columns.seeds * steps
+        return (at + FACTORS[:, None] * along[:, None, :]).reshape(-1, at.size), steps
+
+    def quotients(self, values: Array, steps: Array, columns: Columns) -> Array:
+        """Non-zeros by columns from the values there."""
+        sums = EXTRAPOLATED @ values.reshape(len(columns.seeds), FACTORS.size, -1)
+        both = sums[columns.owners, :, columns.rows] / steps[columns.columns, None]
+        largest, error = np.abs(both).max(axis=0, initial=0.0).tolist()
+        if 0.0 < largest < np.inf:
+            self.largest_error = max(self.largest_error, error / largest)
+        return np.asarray(both[:, 0])
+
+
+@dataclass(eq=False)
+class Derivatives:
+    """Values of some of an FMU's numbers, `unknowns` (its derivatives where that is None), and their Jacobians.
+
+    `by_states` and `by_parameters` name how Jacobians are computed: "directional" or "differences". `difference` holds
+    the error estimate of the latter.
+    """
+
+    instance: FmuInstance
+    unknowns: tuple[Element, ...] | None
+    offered: bool
+    difference: Differences = field(default_factory=Differences)
+
+    def __post_init__(self) -> None:
+        variables, given = self.instance.variables, self.instance.given
+        elements = variables.derivatives if self.unknowns is None else self.unknowns
+        self.size = len(elements)
+        self.scale = np.array([state.size for state in variables.states])
+        self._given_scale = np.where(self.instance.start_given != 0.0, np.abs(self.instance.start_given), 1.0)
+        self._declared = variables.declared(elements)
+        self._wanted = None if self.unknowns is None else Group.of(elements)
+        self._rates, self._states = Group.of(elements), Group.of(variables.states)
+        self._known = Group.of((*variables.states, *given))
+        self._given_seeds = _buffer(
+            self._known.spread(np.eye(len(given), len(given) + self.scale.size, self.scale.size))
+        )
+        self._everything = Columns.of(np.ones((self.size, len(given)), dtype=bool))
+        self._along_time = Columns.of(np.ones((self.size, 1), dtype=bool))
+        self._seeds: dict[Columns, Buffer] = {}
+        self._shifted: tuple[bytes | None, Array, Array] = (None, np.empty(0), np.empty(0))
+        self._by_states, self.by_states = self._chosen()
+        self.by_parameters = self._chosen_for_parameters() if given else "directional"
+
+    @property
+    def pattern(self) -> Pattern:
+        """Which entries of the Jacobian by the states may be non-zero."""
+        return self._by_states.pattern
+
+    def value(self, t: float, x: Array, p: Array) -> Array:
+        """The numbers at a point."""
+        return np.asarray(self.instance.at(self._wanted, (t,), x[None], p[None])[0])
+
+    def states_jacobian(self, t: float, x: Array, p: Array) -> Array:
+        """Non-zeros by columns of d value/d x."""
+        return self._states_jacobian(self.by_states, self._by_states, t, x, p)
+
+    def parameters_jacobian(self, t: float, x: Array, p: Array) -> Array:
+        """Entries by columns of d value/d p."""
+        return self._parameters_jacobian(self.by_parameters, t, x, p)
+
+    def time_derivative(self, t: float, x: Array, p: Array) -> Array:
+        """d value/d t by differences."""
+        times, steps = self.difference.moved(np.array([t]), np.ones(1), self._along_time)
+        values = self.instance.at(self._wanted, times[:, 0].tolist(), x[None], _rows(p, len(times)))
+        return self.difference.quotients(values, steps, self._along_time)
+
+    def _states_jacobian(self, how: str, columns: Columns, t: float, x: Array, p: Array) -> Array:
+        if how == "differences":
+            points, steps = self.difference.moved(x, self.scale, columns)
+            values = self.instance.at(self._wanted, (t,) * len(points), points, _rows(p, len(points)))
+            return self.difference.quotients(values, steps, columns)
+        if columns not in self._seeds:
+            self._seeds[columns] = _buffer(self._states.spread(columns.seeds))
+        return columns.nonzeros(self.instance.directional(self._rates, self._states, self._seeds[columns], t, x, p))
+
+    def _parameters_jacobian(self, how: str, t: float, x: Array, p: Array) -> Array:
+        if how == "differences":
+            key = p.tobytes()
+            if self._shifted[0] != key:  # the same at all nodes
+                self._shifted = key, *self.difference.moved(p, self._given_scale, self._everything)
+            _, points, steps = self._shifted
+            values = self.instance.at(self._wanted, (t,) * len(points), x[None], points)
+            return self.difference.quotients(values, steps, self._everything)
+        return self.instance.directional(self._rates, self._known, self._given_seeds, t, x, p).ravel()
+
+    # Checks -----------------------------------------------------------------------------------------------------------
+
+    def _trials(self) -> Iterator[Point]:
+        """Points where the FMU's derivatives are compared: beside its start, where it can be evaluated."""
+        generator, start = np.random.default_rng(0), self.instance.start
+        p = self.instance.start_given
+        for size in (TRIAL, TRIAL, 0.0):
+            x = start + size * self.scale * generator.uniform(0.5, 1.0, start.size)
+            if np.all(np.isfinite(self.value(0.0, x, p))):
+                yield 0.0, x, p
+
+    def _chosen(self) -> tuple[Columns, str]:
+        directions = np.random.default_rng(1).uniform(0.5, 1.0, (DIRECTIONS, self.scale.size)) * self.scale
+        trials = [(at, self._along(at, directions)) for at in self._trials()]
+        for how in ("directional", "differences") if self.offered else ("differences",):
+            for pattern in (self._declared, np.ones_like(self._declared)):
+                columns = Columns.of(pattern)
+                found = [
+                    (columns.dense(self._states_jacobian(how, columns, *at)) @ directions.T, known)
+                    for at, known in trials
+                ]
+                if all(_agree(given, known) for given, known in found):
+                    self.difference.largest_error = 0.0
+                    return columns, how
+        return columns, "differences"  # all entries
+
+    def _along(self, at: Point, directions: Array) -> Array:
+        """Derivatives along directions by differences, one column each: an entry left out anywhere shows in its row."""
+        (t, x, p), differences = at, Differences()
+        distances, steps = differences.moved(np.zeros(1), np.ones(1), self._along_time)
+        count = len(distances)
+        found = (self.instance.at(self._wanted, (t,) * count, x + distances * d, _rows(p, count)) for d in directions)
+        return np.array([differences.quotients(values, steps, self._along_time) for values in found]).T
+
+    def _chosen_for_parameters(self) -> str:
+        if not (self.by_states == "directional" and all(element.tunable for element in self.instance.given)):
+            return "differences"
+        for at in self._trials():
+            known = self._parameters_jacobian("differences", *at)
+            if not _agree(self._parameters_jacobian("directional", *at), known):
+                return "differences"
+        self.difference.largest_error = 0.0
+        return "directional"
+
+
+def _buffer(rows: Array) -> Buffer:
+    buffer = Buffer(*rows.shape)
+    buffer.array[:] = rows
+    return buffer
+
+
+def _rows(values: Array, count: int) -> Array:
+    """The same values in each of several rows."""
+    return np.repeat(values[None], count, axis=0)
+
+
+def _agree(given: Array, known: Array) -> bool:
+    return bool(np.all(np.abs(given - known) <= AGREEMENT * np.abs(known).max(initial=0.0)))

@@ -1,0 +1,200 @@
+"""An FMU at any time, state, parameters and inputs: several instances of it, one for each set of parameters in use.
+
+To go from one set of parameters to another and back, as differences do at every node, then costs no initialisation.
+"""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from casadi_skin.fmu.fmu_archive import Unpacked
+from casadi_skin.fmu.fmu_component import Buffer, CallError, Component, Loaded, Values, complain, refused
+from casadi_skin.fmu.fmu_variables import Array, Group, Variables
+
+SHIFTED = 6  # sets of values that differences with three steps take for each parameter
+MOST_COMPONENTS = 64
+
+
+class FmuInstance:
+    """The FMU in its temporary folder, which is removed with it.
+
+    `given` are the variables that get values, in the order of `p` of its methods; states are in the FMU's order.
+    `complaints` are the last messages. Raises ValueError, in one line, where it cannot be loaded or initialised, or has
+    events.
+    """
+
+    def __init__(self, unpacked: Unpacked, variables: Variables) -> None:
+        self.path, self.folder, self.variables = unpacked.path, unpacked.folder, variables
+        self.digest = unpacked.digest
+        self.given = variables.given
+        self._lock = threading.Lock()  # two threads of a map must not set the one state
+        self._loaded = Loaded.of(unpacked)
+        self.complaints = self._loaded.complaints
+        self._moved = np.array([k for k, e in enumerate(self.given) if e.is_input], dtype=int)
+        self._held = np.array([k for k, e in enumerate(self.given) if not e.is_input], dtype=int)
+        once = unpacked.description.modelExchange.canBeInstantiatedOnlyOncePerProcess
+        self._most = 1 if once else min(MOST_COMPONENTS, SHIFTED * self._held.size + 2)
+        self._components: dict[bytes, Component] = {}  # by their parameters
+        self._finalizer = weakref.finalize(self, _close, self._components, self._loaded, unpacked.remove)
+        self._requests: dict[Group, Values] = {}
+        self._buffers: dict[tuple[str, int, int], Buffer] = {}
+        self._packed: tuple[tuple[int, bytes], list[bytes]] = ((0, b""), [])  # rows of parameters, and their key
+        self.start_given = np.array([element.start for element in self.given])
+        try:
+            component = self._instantiated()
+        except Exception as error:
+            raise refused(self.path, "it cannot be instantiated", error, self.complaints) from error
+        held = self.start_given[self._held]
+        self._components[held.tobytes()] = component
+        try:
+            component.restart(held)
+            self.start = component.states()
+        except Exception as error:
+            raise refused(self.path, "it cannot be initialised", error, self.complaints) from error
+
+    def close(self) -> None:
+        """Free the instances and remove the folder; done when nothing refers to it any more, or at the end."""
+        self._finalizer()
+
+    # Values -----------------------------------------------------------------------------------------------------------
+
+    def at(self, wanted: Group | None, t: Sequence[float], x: Array, p: Array) -> Array:
+        """x', or values of variables, at several points; NaN where the FMU cannot compute them.
+
+        There is a row for each point in `p`, and in `x` too unless it is the same for all.
+        """
+        with self._lock:
+            request = None if wanted is None else self._request(wanted)
+            rows, same = len(p), len(x) == 1
+            points = self._buffer("points", len(x), x.shape[1])
+            result = self._buffer("result", rows, x.shape[1] if request is None else request.size)
+            points.array[:] = x
+            keys, inputs = self._keys(p), p[:, self._moved] if self._moved.size else None
+            here, there = points.address, result.address
+            for k in range(rows):
+                component = self._components.get(keys[k]) or self._at(keys[k], p[k])
+                try:
+                    if component is None:
+                        result.array[k] = np.nan
+                    else:
+                        component.place(t[k], here, None if inputs is None else inputs[k])
+                        if request is None:
+                            component.rates(there)
+                        else:
+                            component.values(request, there)
+                except CallError as error:
+                    assert component is not None
+                    result.array[k] = np.nan
+                    self._failed(component, error)
+                here, there = here if same else here + points.stride, there + result.stride
+            return result.array.copy() if request is None else result.array[:, request.places]
+
+    def directional(self, unknowns: Group, knowns: Group, seeds: Buffer, t: float, x: Array, p: Array) -> Array:
+        """Directional derivatives of unknowns along the rows of `seeds`, shape (seeds, unknowns); NaN where none.
+
+        A seed has a number for each entry of the knowns' variables: all are given in each call, most with seed 0, as
+        some FMUs go on with seeds of the call before.
+        """
+        with self._lock:
+            wanted, known, count = self._request(unknowns), self._request(knowns), len(seeds.array)
+            point, result = self._buffer("points", 1, x.size), self._buffer("result", count, wanted.size)
+            point.array[:] = x
+            key = self._keys(p[None])[0]
+            component = self._components.get(key) or self._at(key, p)
+            if component is None:
+                return np.full((count, unknowns.places.size), np.nan)
+            try:
+                component.place(t, point.address, p[self._moved] if self._moved.size else None)
+                for k in range(count):
+                    places = seeds.address + k * seeds.stride, result.address + k * result.stride
+                    component.directional(wanted, known, *places)
+            except CallError as error:
+                result.array[:] = np.nan
+                self._failed(component, error)
+            return result.array[:, wanted.places]
+
+    def _buffer(self, name: str, rows: int, columns: int) -> Buffer:
+        """Rows that C and numpy share, made once for each size."""
+        found = self._buffers.get((name, rows, columns))
+        if found is None:
+            found = self._buffers[name, rows, columns] = Buffer(rows, columns)
+        return found
+
+    def _request(self, group: Group) -> Values:
+        """Arrays of C for one set of variables, made once."""
+        if group not in self._requests:
+            self._requests[group] = Values.of(group)
+        return self._requests[group]
+
+    def _keys(self, p: Array) -> list[bytes]:
+        """A key of the parameters of the rows of p; the same rows often come again."""
+        packed = len(p), p.tobytes()
+        if self._packed[0] != packed:
+            self._packed = packed, [row.tobytes() for row in p[:, self._held]]
+        return self._packed[1]
+
+    # Instances --------------------------------------------------------------------------------------------------------
+
+    def _instantiated(self) -> Component:
+        held, moved = (tuple(self.given[k] for k in places) for places in (self._held, self._moved))
+        return Component(self._loaded, len(self.variables.states), held, moved)
+
+    def _at(self, key: bytes, p: Array) -> Component | None:
+        """An instance that gets the parameters of this key; None where the FMU refuses them.
+
+        Raises ValueError after `close`: what would be called is no longer there.
+        """
+        if not self._finalizer.alive:
+            raise ValueError(f"{self.path}: closed; accepted: calls before that")
+        component, fresh = self._spare()
+        try:
+            (component.restart if fresh else component.change)(p[self._held])
+        except CallError as error:
+            self._failed(component, error)
+            return None
+        self._components[key] = component
+        return component
+
+    def _spare(self) -> tuple[Component, bool]:
+        """An instance that is new, or the one that has had its parameters longest; and whether it is new."""
+        if len(self._components) < self._most:
+            try:
+                return self._instantiated(), True
+            except Exception as error:  # fmpy raises a bare one; the instances that there are do as well
+                if not self._components:
+                    raise refused(self.path, "it cannot be instantiated", error, self.complaints) from error
+                self._most = len(self._components)
+        return self._components.pop(next(iter(self._components))), False
+
+    def _failed(self, component: Component, error: CallError) -> None:
+        """Keep the message; initialise the instance anew unless the FMU only discards values."""
+        complain(self.complaints, str(error))
+        known = next((key for key, other in self._components.items() if other is component), None)
+        if error.discarded and known is not None:
+            return
+        if known is not None:
+            del self._components[known]
+        held = self.start_given[self._held]
+        if held.tobytes() in self._components:
+            component.free()
+            return
+        try:
+            component.restart(held)
+        except CallError as again:
+            component.free()
+            raise refused(self.path, "it cannot be initialised again", again, self.complaints) from again
+        self._components[held.tobytes()] = component
+
+
+def _close(components: dict[bytes, Component], loaded: Loaded, remove: Callable[[], object]) -> None:
+    from fmpy import freeLibrary
+
+    for component in components.values():
+        component.free()
+    components.clear()
+    freeLibrary(loaded.fmu.dll._handle)
+    remove()

@@ -1,0 +1,254 @@
+"""Variables in an FMU's description of which a model is made: states, parameters, inputs and outputs.
+
+Arrays of FMI 3.0 are taken number by number: the entry in row 1 and column 2 of A is A[1,2].
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.fmu.fmu_archive import MOST_STATES, MOST_VARIABLES
+from casadi_skin.model.arguments import nearest, short_repr
+
+Array = NDArray[np.float64]
+Pattern = NDArray[np.bool_]
+_REAL = ("Real", "Float64")
+
+
+@dataclass(frozen=True)
+class FmuChoices:
+    """Choices of a script for an FMU, by name: the order of its states, and the variables that get values."""
+
+    states: tuple[str, ...] | None = None
+    parameters: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
+    forcing_period: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Element:
+    """One number of fmpy's `variable`: all of a scalar, or the entry of an array at a `place`, row after row."""
+
+    name: str
+    variable: Any
+    place: int
+    start: float
+
+    @property
+    def is_input(self) -> bool:
+        """Whether it may change at any time; a parameter is the same for an instance until it is initialised."""
+        return bool(self.variable.causality == "input")
+
+    @property
+    def tunable(self) -> bool:
+        """Whether it may be given a value after the initialisation."""
+        return self.is_input or bool(self.variable.variability == "tunable")
+
+    @property
+    def size(self) -> float:
+        """Usual size: the nominal value where there is one that can be."""
+        nominal = abs(float(self.variable.nominal or 0.0))
+        return nominal if 0.0 < nominal < np.inf else max(1.0, abs(self.start))
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Numbers as FMI's functions take them: whole variables by their references, and the `places` of the numbers.
+
+    `starts` are the start values of all entries of these variables.
+    """
+
+    references: tuple[int, ...]
+    places: NDArray[np.int64]
+    starts: Array
+
+    @classmethod
+    def of(cls, elements: Iterable[Element]) -> Group:
+        """The variables of some numbers, each once."""
+        given = list(elements)
+        variables = {int(element.variable.valueReference): element.variable for element in given}
+        whole = {reference: _elements(variable) for reference, variable in variables.items()}
+        first = dict(zip(whole, itertools.accumulate([0, *map(len, whole.values())]), strict=False))
+        places = [first[int(e.variable.valueReference)] + e.place for e in given]
+        starts = [element.start for entries in whole.values() for element in entries]
+        return cls(tuple(whole), np.array(places, dtype=np.int64), np.array(starts, dtype=float))
+
+    def spread(self, numbers: Array) -> Array:
+        """Rows of numbers as rows of all entries of the variables, with 0 for all others."""
+        entries = np.zeros((len(numbers), self.starts.size))
+        entries[:, self.places] = numbers
+        return entries
+
+
+@dataclass(frozen=True, eq=False)
+class Variables:
+    """The numbers of an FMU that a model is made of; `description` is fmpy's.
+
+    Raises ValueError for a description that no model can be made of, and for names that it does not have.
+    """
+
+    path: Path
+    description: Any
+    choices: FmuChoices
+
+    def __post_init__(self) -> None:
+        _check_description(self.path, self.description)
+        _ = self.given
+        names = [state.name for state in self.states]
+        if self.choices.states is not None:
+            _check_order(self.choices.states, names)
+
+    @cached_property
+    def states(self) -> tuple[Element, ...]:
+        """Continuous states in the FMU's order."""
+        return tuple(e for u in self.description.derivatives for e in _elements(u.variable.derivative))
+
+    @cached_property
+    def derivatives(self) -> tuple[Element, ...]:
+        """Their derivatives."""
+        return tuple(e for u in self.description.derivatives for e in _elements(u.variable))
+
+    @cached_property
+    def outputs(self) -> tuple[Element, ...]:
+        """Real outputs that are neither states nor given."""
+        taken = {element.name for element in (*self.states, *self.given)}
+        variables = [u.variable for u in self.description.outputs if u.variable.type in _REAL]
+        return tuple(e for variable in variables for e in _elements(variable) if e.name not in taken)
+
+    @cached_property
+    def given(self) -> tuple[Element, ...]:
+        """Variables that get values: parameters of the model, then inputs that have a value or a signal."""
+        variables = [v for v in self.description.modelVariables if v.type in _REAL]
+        found: list[Element] = []
+        for label, names, kinds in (
+            ("parameters", self.choices.parameters, ("parameter", "input")),
+            ("inputs", self.choices.inputs, ("input",)),
+        ):
+            found += _chosen(label, names, [v for v in variables if v.causality in kinds])
+        for name in self.choices.inputs:
+            if name in self.choices.parameters:
+                raise ValueError(f"inputs: given {name!r}, which is among parameters; accepted: one of them")
+        return tuple(found)
+
+    @cached_property
+    def order(self) -> list[int]:
+        """Places of the states in the requested order."""
+        names = [state.name for state in self.states]
+        return list(range(len(names))) if self.choices.states is None else [names.index(n) for n in self.choices.states]
+
+    def declared(self, unknowns: Sequence[Element]) -> Pattern:
+        """Which unknowns depend on which states as ModelStructure says; on all where it says nothing."""
+        listed = {u.variable.name: u for u in (*self.description.derivatives, *self.description.outputs)}
+        pattern = np.zeros((len(unknowns), len(self.states)), dtype=bool)
+        places: dict[str, list[int]] = {}
+        for k, state in enumerate(self.states):
+            places.setdefault(state.variable.name, []).append(k)
+        for row, element in enumerate(unknowns):
+            dependencies = listed[element.variable.name].dependencies
+            if dependencies is None:
+                pattern[row] = True
+            else:
+                pattern[row, [k for v in dependencies for k in places.get(v.name, ())]] = True
+        return pattern
+
+
+def _elements(variable: Any) -> list[Element]:
+    """The numbers of one variable; a start value that is missing is 0."""
+    shape = tuple(variable.shape or ())
+    starts = [float(word) for word in str(variable.start or "").split()]
+    count = math.prod(shape)
+    starts = starts * count if len(starts) == 1 else starts
+    if len(starts) != count:
+        starts = [0.0] * count
+    if not shape:
+        return [Element(variable.name, variable, 0, starts[0])]
+    indices = itertools.product(*(range(1, length + 1) for length in shape))
+    names = (f"{variable.name}[{','.join(map(str, index))}]" for index in indices)
+    return [Element(name, variable, k, starts[k]) for k, name in enumerate(names)]
+
+
+# Refusals -------------------------------------------------------------------------------------------------------------
+
+
+def _chosen(label: str, names: Sequence[str], variables: Sequence[Any]) -> list[Element]:
+    """The numbers of these names; raises ValueError for one that is not there, with the nearest."""
+    known: Mapping[str, Element] = {e.name: e for v in variables for e in _elements(v)}
+    arrays = {v.name for v in variables if v.shape}
+    for name in names:
+        if name in arrays:
+            entries = [other for other in known if other.startswith(f"{name}[")]
+            raise ValueError(f"{label}: {name!r} is an array; accepted: its entries, such as {entries[0]}")
+        if name not in known:
+            raise ValueError(f"{label}: given {name!r}; accepted: {_nearest(name, list(known))}")
+    if len(set(names)) < len(names):
+        raise ValueError(f"{label}: given {', '.join(names)}; accepted: each one once")
+    return [known[name] for name in names]
+
+
+def _check_description(path: Path, description: Any) -> None:
+    """Raises ValueError for a model without states, with too many, or with events."""
+    strange = [entry.variable.name for entry in description.derivatives if entry.variable.derivative is None]
+    if strange:
+        raise ValueError(f"{path}: {strange[0]} is listed as a derivative, but of no state; accepted: derivatives")
+    if not description.derivatives:
+        raise ValueError(f"{path}: no continuous states; accepted: a model with some")
+    for variable in description.modelVariables:
+        _check_numbers(path, variable)
+    entries = sum(math.prod(v.shape or ()) for v in description.modelVariables if v.type in _REAL)
+    if entries > MOST_VARIABLES:
+        raise ValueError(f"{path}: {entries} real numbers; accepted: up to {MOST_VARIABLES}")
+    states = sum(math.prod(entry.variable.derivative.shape or ()) for entry in description.derivatives)
+    if not 0 < states <= MOST_STATES:
+        raise ValueError(f"{path}: {states} states; accepted: 1 to {MOST_STATES}")
+    for entry in description.derivatives:
+        if entry.variable.shape != entry.variable.derivative.shape:
+            raise ValueError(f"{path}: {entry.variable.name} and its state have other sizes; accepted: the same")
+    indicators = max(int(description.numberOfEventIndicators or 0), len(description.eventIndicators or ()))
+    if indicators:
+        raise ValueError(f"{path}: event indicators, {indicators} of them; accepted: a model without events")
+
+
+def _check_numbers(path: Path, variable: Any) -> None:
+    """Raises ValueError where the start or the nominal value of a real variable is no number, or it has too many."""
+    if variable.type not in _REAL:
+        return
+    count = math.prod(variable.shape or ())
+    if not 0 <= count <= MOST_VARIABLES:
+        raise ValueError(f"{path}: {variable.name} has {count} entries; accepted: 0 to {MOST_VARIABLES}")
+    for label, text in (("start", variable.start), ("nominal", variable.nominal)):
+        try:
+            words = [float(word) for word in str(text or "0").split()]
+        except ValueError:
+            words = []
+        if not words or (label == "start" and len(words) not in (1, count)):
+            given = f"{label} value {short_repr(text)} of {variable.name}"
+            accepted = "a number" if count == 1 else f"{count} numbers"
+            raise ValueError(f"{path}: {given}; accepted: {accepted}")
+
+
+def _check_order(given: Sequence[str], names: Sequence[str]) -> None:
+    for name in given:
+        if name not in names:
+            raise ValueError(f"states: given {name!r}; accepted: {_nearest(name, names)}")
+    missing = [name for name in names if name not in given]
+    if missing or len(set(given)) < len(given):
+        words = ", ".join(missing or sorted({name for name in given if list(given).count(name) > 1}))
+        raise ValueError(f"states: {'left out' if missing else 'twice'}: {words}; accepted: each of the FMU's once")
+
+
+def _nearest(name: str, names: Sequence[str]) -> str:
+    """The names that there are, the nearest first, few of many."""
+    if not names:
+        return "none, the FMU has no such variables"
+    near = nearest(name, names)
+    listed = sorted(names, key=lambda other: other != near)
+    return ", ".join(listed[:8]) + (f" and {len(listed) - 8} more" if len(listed) > 8 else "")

@@ -1,0 +1,1 @@
+"""Continuation: points, events, the ledger, branches and their solutions."""

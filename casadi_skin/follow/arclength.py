@@ -1,0 +1,198 @@
+"""Pseudo-arclength continuation (Keller 1977) in the relative metric, with a guard against landing elsewhere.
+
+A converged corrector is no proof of being on the same branch: families lie close when a chain is long. A step is
+refused when the corrected point is farther from the predicted one than a fraction of the step, or when the tangent
+turns too far; so the step shortens before another family can be taken for this one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casadi_skin.follow.corners import Corner, Side, point_before, shifts, side_of, turned
+from casadi_skin.follow.hermite import HISTORY, predicting, predictor
+from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.settings import End, Point, Target, known_end
+from casadi_skin.solve.corrector import Correction
+from casadi_skin.zero.problem import Array, Problem, Scalar, SingularError
+
+START_FRACTION = 1e-3  # of the first point walked: where the family's first point, of tiny amplitude, is placed
+
+
+@dataclass(frozen=True)
+class _Departure:
+    """A point to step from, in the unknowns of the problem to be solved: its tangent t, the metric, the way on."""
+
+    problem: Problem
+    z: Array
+    t: Array
+    weights: Array
+    row: Array
+    curve: Callable[[float], Array]
+    side: Side | None
+
+    def angle(self, tangent: Array) -> float:
+        """Angle in degrees between t and another tangent, in the metric at z."""
+        cosine = np.sum(self.row * tangent) / np.sqrt(np.sum(self.weights * tangent**2))
+        return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+class ArclengthContinuation:
+    """A walk by predictor and corrector for any problem (see `Continuation`); `rejected` counts steps refused."""
+
+    def __init__(self, point_solver: PointSolver, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> None:
+        self.point_solver, self.settings = point_solver, point_solver.settings
+        self.history, self._reported = history[-HISTORY:], reported
+        self.end: End | None = None
+        self.detail = ""
+        self.rejected = 0
+        self.missed: list[Target] = []
+        self.beyond: Point | None = None
+        self._last_side: Side | None = None
+
+    def __iter__(self) -> Iterator[Point]:
+        sign = float(np.sign(self.settings.parameter_max))
+        known = known_end(self.settings, (*self.history, *self._reported))
+        if known is not None:
+            self.end = known
+            return
+        for _ in range(self.settings.max_points):
+            current = self.history[-1]
+            following = self._advance(current)
+            if following is None:
+                return
+            yield from self._requested(current, following)
+            if self.end is End.REACHED:
+                return
+            self.history = (*self.history, following)[-HISTORY:]
+            yield following.snapped(self.settings.at)
+            if sign * following.parameter <= self.settings.lowest * abs(self.settings.parameter_max):
+                self.end = End.RETURNED if self.settings.parameter_min == 0.0 else End.AWAY
+                return
+        self.end, self.detail = End.POINTS, f"{self.settings.max_points} points"
+
+    def _advance(self, current: Point) -> Point | None:
+        """The next point of the walk; None with `end` set where there is none."""
+        lighter = self.point_solver.lighter(current)
+        departure = self._departure(current, lighter)
+        coarser = lighter is not current.problem and self.settings.rounds_corners
+        if coarser and shifts(self.point_solver, current, departure.side, current.step):
+            departure = self._departure(current, current.problem)
+        step = min(current.step, self._longest_step(current))
+        while step >= self.settings.min_step:
+            try:
+                point = self._stepped(departure, step)
+                if point is not None or self.end is not None:
+                    return point
+            except SingularError as error:
+                self.detail = str(error)
+            self.rejected += 1
+            if departure.problem is current.problem:
+                step *= 0.5
+            else:  # perhaps for the error of the coarser level
+                departure = self._departure(current, current.problem)
+        self.end, advice = End.NO_STEP, "try another transcription or a larger tolerance"
+        self.detail = f"{self.detail or self.point_solver.failure}; {advice}".removeprefix("; ")
+        return None
+
+    def _departure(self, current: Point, problem: Problem) -> _Departure:
+        """The current point and the way on from it in the unknowns of `problem`."""
+        z, t = (current.problem.prolong(v, problem) for v in (current.z, current.tangent))
+        weights = self.point_solver.metric(problem, z)
+        if problem is not current.problem:
+            t = t / np.sqrt(np.sum(weights * t**2))
+        row = weights * t
+        before = [
+            (past.problem.prolong(past.z, problem), past.problem.prolong(past.tangent, problem))
+            for past in self.history[-2::-1]
+        ]
+        curve = predictor(z, t, predicting(z, before, row, weights), row)
+        return _Departure(problem, z, t, weights, row, curve, self._side_of(current, problem))
+
+    def _side_of(self, current: Point, problem: Problem) -> Side | None:
+        """The side of a corner that the current point is on; None where corners are not sought."""
+        if not self.settings.rounds_corners:
+            return None
+        if self._last_side is None or self._last_side.problem is not problem or self._last_side.z is not current.z:
+            self._last_side = side_of(self.point_solver, problem, current)
+        return self._last_side
+
+    def _stepped(self, departure: _Departure, step: float) -> Point | None:
+        """The point a step away; None where the guard refuses it, or, with `end` set, where no level is fine enough."""
+        problem, row = departure.problem, departure.row
+        guess = departure.curve(step)
+        correction = self.point_solver.correct(problem, guess, row, float(row @ departure.z) + step, step)
+        if correction is None:
+            return None
+        solve = self.point_solver.factor(problem, correction.z, row)
+        tangent = self.point_solver.tangent(problem, correction.z, solve)
+        angle = departure.angle(tangent)
+        if angle > self.settings.guard_angle:
+            return None
+        if departure.side is not None:
+            there = Side(problem, correction.z, tangent, solve.orientation)
+            found = turned(self.point_solver, departure.side, there)
+            if found is not None:
+                return self._before(departure, found)
+        point = self.point_solver.near(problem, correction, tangent, row)
+        if point is None:
+            self.end = End.RESOLUTION
+            return None
+        if departure.side is not None:
+            if point.problem is not problem and shifts(self.point_solver, there, point, step):
+                there = side_of(self.point_solver, point.problem, point) or there
+                found = turned(self.point_solver, departure.side, there)
+                if found is not None:
+                    return self._before(departure, found)
+            self._last_side = there
+        return replace(point, step=self._next_step(problem, guess, correction, step, angle))
+
+    def _before(self, departure: _Departure, found: Corner) -> Point | None:
+        """The point before a corner, from which it is walked round; None where the departure is as near to it."""
+        problem = found.before.problem
+        start = departure.problem.prolong(departure.z, problem)
+        near = self.point_solver.distance(problem, start, found.before.z) <= found.length
+        return None if near else point_before(self.point_solver, found)
+
+    def _next_step(self, problem: Problem, guess: Array, correction: Correction, step: float, angle: float) -> float:
+        """Step that would turn by the angle aimed for, and miss by a quarter of what the guard allows."""
+        weights = self.point_solver.metric(problem, correction.z)
+        missed = float(np.sqrt(np.sum(weights * (correction.z - guess) ** 2))) / step
+        by_angle = self.settings.aim_angle / max(angle, 1e-3)
+        by_distance = (0.25 * self.settings.guard_distance / max(missed, 1e-12)) ** (1.0 / 3.0)
+        return min(step * float(np.clip(min(by_angle, by_distance), 0.4, 1.8)), self.settings.max_step)
+
+    def _longest_step(self, current: Point) -> float:
+        """The step that changes the parameter, to first order, by the most allowed."""
+        slope = abs(float(current.tangent[current.problem.parameter_index]))
+        allowed = self.settings.max_parameter_step * abs(self.settings.parameter_max)
+        return allowed / slope if slope > 0 else np.inf
+
+    def _requested(self, current: Point, following: Point) -> Iterator[Point]:
+        """Requested points between two points of the continuation, its end among them, in arclength order.
+
+        Sets `end` where the stretch passes the walk's end, also where it folds back before it closes.
+        """
+        ends, wanted = self.settings.ends, self.settings.wanted
+        if current.parameter == 0.0 and self.settings.tiny_first:
+            wanted.setdefault(Target(Scalar.PARAMETER, START_FRACTION * following.parameter), False)
+        inside = tuple(target for target in wanted if not (target.meets(current) or target.meets(following)))
+        passed, self._reported = max((point.along for point in self._reported), default=0.0), ()
+        for target, point in self.point_solver.between(current, following, inside, passed):
+            self.beyond = following if target in ends else None
+            if point is None:
+                self.missed.append(target)
+                self.detail = self.point_solver.failure
+            else:
+                yield replace(point, requested=wanted[target])
+            if target in ends:
+                self.end = End.REACHED
+                return
+        reached = tuple(target for target in ends if target.meets(following))
+        if reached:  # the step itself ended there
+            self.end = End.REACHED
+            end = following.snapped((*reached, *self.settings.at))
+            yield replace(end, requested=any(t.meets(end) for t in self.settings.at), walked=False)

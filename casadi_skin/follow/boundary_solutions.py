@@ -1,0 +1,271 @@
+"""Solutions of one boundary-value problem, orbits among them: how unknowns are read, and multipliers."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.follow.settings import Point
+from casadi_skin.model import methods
+from casadi_skin.model.arguments import check_name
+from casadi_skin.model.jumps import STATE, TIME, JumpError
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.result import NoQuantityError
+from casadi_skin.model.symmetry import SymmetryClass, unfolded_phases
+from casadi_skin.model.trajectory import IntegrationError
+from casadi_skin.solve.arbitrated import ArbitratedCorrector
+from casadi_skin.solve.corrector import Corrector
+from casadi_skin.solve.estimates import Refinement
+from casadi_skin.solve.levels import Levels
+from casadi_skin.solve.rounding import RoundedCorrector
+from casadi_skin.stability.flow import FlowError
+from casadi_skin.stability.full_period import Closed
+from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
+from casadi_skin.zero import mesh
+from casadi_skin.zero.boundary_choices import Periodic, Sizes
+from casadi_skin.zero.closure import Closure, closure_of
+from casadi_skin.zero.coordinates import numbered
+from casadi_skin.zero.method import Method
+from casadi_skin.zero.problem import Array, Indices, Problem, SingularError
+from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.zero.statement import Statement
+
+OFF_EDGE = 1e-10  # of the interval: distance of a jump in time from an edge of the mesh that counts
+PER_STAGE = 2  # places a stage at which a solution is looked at for jumps
+ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
+
+
+@dataclass(frozen=True, eq=False)
+class BoundarySolutions(ABC):
+    """Solutions of a statement by their unknowns.
+
+    Attributes:
+        statement: the problem; values of its parameters are those at the start of a branch.
+        tolerance: relative error of states and free parameters.
+        method: how, with every choice made.
+        sizes: least sizes by which states and free parameters are measured.
+        periodic: conditions that make the solutions orbits; None where they are none.
+    """
+
+    statement: Statement
+    tolerance: float
+    method: Method
+    sizes: Sizes
+    periodic: Periodic | None = None
+
+    @property
+    def model(self) -> OdeModel:
+        """The model that the solutions belong to, of first order; of an orbit without the added parameters."""
+        return self.statement.model if self.periodic is None else self.periodic.model
+
+    @property
+    def stability_included(self) -> bool:
+        """Whether stability is computed with every solution."""
+        return False
+
+    @property
+    def free(self) -> Sequence[str]:
+        """Parameters that are found with the states."""
+        return self.statement.free
+
+    def _corrector(self, problem: Problem) -> Corrector:
+        """The corrector, for a hundredth of the tolerance where rounding allows it; every orbit is put to Ipopt."""
+        tolerance = float(np.clip(1e-2 * self.tolerance, 1e-12, 1e-6))
+        name = self.method.corrector
+        more: dict[str, Any] = {"always": self.statement.always_confirmed} if name == "ipopt" else {}
+        make: Any = ArbitratedCorrector if name == "ipopt" else methods.CORRECTORS[name].load()
+        return RoundedCorrector(make(problem, tolerance, ITERATIONS, **more))
+
+    @property
+    @abstractmethod
+    def levels(self) -> Levels:
+        """Discretisations from coarse to fine."""
+
+    # Values ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return self.statement.model.state_names
+
+    @property
+    def output_sites(self) -> Indices:
+        """Numbers of the states, from 1."""
+        return np.arange(1, len(self.state_names) + 1)
+
+    def parameters(self, point: Point) -> dict[str, float]:
+        problem = point.problem
+        assert isinstance(problem, BoundaryProblem)
+        return dict(zip(self.statement.model.parameter_names, map(float, problem.parameters(point.z)), strict=True))
+
+    def interval(self, point: Point) -> tuple[float, float]:
+        """Start and end; of an orbit 0 and its period."""
+        start, end = self.span(point)
+        return (start, end) if self.periodic is None else (0.0, (end - start) / self.periodic.symmetry.value)
+
+    def span(self, point: Point) -> tuple[float, float]:
+        """Start and end of the part that is unknown."""
+        return self.statement.span(np.array(list(self.parameters(point).values())))
+
+    def jump(self, point: Point) -> str:
+        """That the equations jump along a solution, with the equation; empty where they do not.
+
+        A jump in time alone counts where no edge of the mesh is at it: between edges its error shows nowhere.
+        """
+        jumps, problem = self.model.jumps, point.problem
+        if not jumps.found:
+            return ""
+        assert isinstance(problem, BoundaryProblem)
+        (start, end), values = self.span(point), BoundarySolutions.parameters(self, point)  # added ones too
+        model = jumps.model  # without parameters that are added to make its orbits isolated
+        p = np.array([values[name] for name in model.parameter_names])
+
+        def words(fractions: Array, by: int) -> str:
+            states = problem.sample(point.z, fractions)[:, : model.full_size]
+            return jumps.along(start + fractions * (end - start), states, p, by)
+
+        places, edges = problem._fractions(), mesh.edges(problem.constants)
+        at = np.arange(PER_STAGE * (places.size - 1) + 1) / PER_STAGE
+        found = words(np.interp(at, np.arange(places.size), places), STATE)
+        off = [t for t in jumps.times(start, end, p) if np.min(np.abs(edges - t)) > OFF_EDGE]
+        moved = (words(np.array([t - OFF_EDGE, t + OFF_EDGE]), TIME) for t in off)
+        return found or next((f"{w}, in time beside the edges of the mesh" for w in moved if w), "")
+
+    # Orbits ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def symmetry(self) -> SymmetryClass:
+        """Which part of the period was unknown."""
+        return self._orbit_of().symmetry
+
+    @property
+    def given(self) -> OdeModel:
+        """The model as it was given, of first or second order."""
+        return self._orbit_of().given
+
+    @property
+    def positions(self) -> int:
+        """Number of positions of the model as it was given; 0 for one of first order."""
+        return self.given.size if self.given.order == 2 else 0
+
+    def states_at(self, point: Point, theta: Array, sites: Indices | None) -> Array:
+        """States at phases, shape (len(theta), components)."""
+        periodic = self._orbit_of()
+        fractions, signs = unfolded_phases(periodic.model, periodic.symmetry, theta)
+        states = signs * point.problem.sample(point.z, fractions)[:, : signs.shape[1]]
+        if any(periodic.turns):
+            states = states + periodic.rotated(theta)
+        return np.asarray(states[:, numbered(sites, states.shape[1])])
+
+    def energy(self, point: Point) -> float:
+        """The conserved quantity at phase zero; raises ValueError where none is declared."""
+        model = self._orbit_of().model
+        if model.hamiltonian is None:
+            raise NoQuantityError(f"energy: {model.name} declares no hamiltonian")
+        values = self.parameters(point)
+        p = [values[name] for name in model.parameter_names]
+        start = self.states_at(point, np.zeros(1), None)[0]
+        return float(model.function("H", ca.densify(model.hamiltonian))(0.0, start, p))
+
+    @property
+    def stability_batch(self) -> int:
+        return 1
+
+    def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
+        """Multipliers of orbits over the full period.
+
+        Of a solution that its conditions close too. Raises ValueError for others and for an unknown flow, FlowError
+        where CVODES fails.
+        """
+        name = str(self.method.flow) if by is None else by
+        check_name("by", name, methods.FULL_PERIOD_FLOWS)
+        for words in filter(None, map(self.jump, points)):
+            raise JumpError(
+                self.model.name, f"{words}, along the orbit, where linearised equations have no multipliers"
+            )
+        if self.closure is not None and by not in (None, "collocation"):
+            raise ValueError(f"by: given {by!r} with a boundary-value problem; accepted: collocation")
+        try:
+            return [self._floquet(point, name) for point in points]
+        except IntegrationError as error:
+            raise FlowError(f"{error}{self._beyond_doubles(points)}") from error
+
+    def _beyond_doubles(self, points: Sequence[Point]) -> str:
+        """That sensitivities overflow along orbits with multipliers that no double holds, in words; empty elsewhere."""
+        largest = max(float(np.max(self._floquet(p, "collocation").log10_abs_multipliers)) for p in points)
+        if largest < LARGEST_LOGARITHM / math.log(10.0):
+            return ""
+        return f"; a multiplier of 1e{largest:+.0f} exceeds the largest double; accepted: by = 'collocation'"
+
+    @cached_property
+    def closure(self) -> Closure | None:
+        """How conditions close solutions that are not stated as orbits; None where they do not."""
+        return closure_of(self.statement) if self.periodic is None else None
+
+    @property
+    def closes(self) -> bool:
+        """Whether solutions are orbits, or are closed by their conditions, so that they have multipliers."""
+        return self.periodic is not None or self.closure is not None
+
+    def moves_freely(self, point: Point) -> bool:
+        """Whether a solution that closes does so from any phase: its velocity has the multiplier 1."""
+        assert isinstance(point.problem, BoundaryProblem)
+        if self.closure is not None:
+            return self.closure.moves_freely(point.problem, point.z)
+        return PERIOD in self.statement.free
+
+    def _better(self, point: Point) -> Refinement | None:
+        """The solution of a point on a finer mesh; None where the equations are singular there, or no mesh is finer."""
+        problem, known = point.problem, point.better
+        if known is not None and known.problem.resolution > problem.resolution:
+            return known
+        moves = problem.own_tangent is None and bool(np.any(point.tangent))
+        try:
+            return self.levels.refined(problem, point.z, point.tangent if moves else None)[1]
+        except SingularError:
+            return None
+
+    def multipliers_alone(self, point: Point) -> Floquet:
+        """Multipliers from the mesh of a point alone, without their errors."""
+        return self._floquet(point, "collocation", with_errors=False)
+
+    def _floquet(self, point: Point, by: str, with_errors: bool = True) -> Floquet:
+        better = self._better(point) if with_errors else None
+        if self.closure is not None:
+            assert isinstance(point.problem, BoundaryProblem)
+            return self.closure.multipliers(point.problem, point.z, better, self.tolerance)
+        periodic = self._orbit_of()
+        compute = methods.FULL_PERIOD_FLOWS[by].load()
+
+        def closed(problem: Problem, z: Array) -> Closed:
+            assert isinstance(problem, BoundaryProblem)
+            period = self.interval(replace(point, problem=problem, z=z))[1]
+            return Closed(problem, z, periodic.model, periodic.symmetry, period)
+
+        found: Floquet = compute(
+            closed(point.problem, point.z), None if better is None else closed(better.problem, better.z), self.tolerance
+        )
+        return found
+
+    def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
+        """Eigenvectors of the monodromy matrix in the order of the multipliers, largest entry 1."""
+        from scipy.optimize import linear_sum_assignment
+
+        values, vectors = np.linalg.eig(np.asarray(floquet.monodromy).astype(complex))
+        _, order = linear_sum_assignment(np.abs(floquet.multipliers[:, None] - values))
+        vectors = vectors[:, order]
+        return np.asarray(vectors / np.max(np.abs(vectors), axis=0))
+
+    def _orbit_of(self) -> Periodic:
+        if self.periodic is None:
+            accepted = "accepted: an orbit, or conditions x(end) = S x(start)"
+            words = f"a solution of a boundary-value problem that is no orbit has no stability; {accepted}"
+            raise NoQuantityError(words)
+        return self.periodic

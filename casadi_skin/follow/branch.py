@@ -1,0 +1,428 @@
+"""A branch as computed: solutions in the order of arclength, special points, changes of stability, why it ended."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.certify.certificate import ProvedStretch
+from casadi_skin.follow.ending import Ending
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.ledger import StabilityChange
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.passages import held_passage, passage
+from casadi_skin.follow.passed_resonances import PassedResonance, passed_resonances
+from casadi_skin.follow.settings import End, Point
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.special_of_families import edges_left_at, folds_of_family, special_point
+from casadi_skin.follow.special_points import EDGE, FOLD, SpecialPoint
+from casadi_skin.follow.unresolved import STABILITY, Unresolved, count_in_words
+from casadi_skin.model import methods
+from casadi_skin.model.arguments import cut, number, whole
+from casadi_skin.model.result import Result
+from casadi_skin.points.at_edges import orbit_at_edge
+from casadi_skin.solve.time_limit import Budget, TimeLimitError
+from casadi_skin.stability.tongues.diagram import Place, StabilityDiagram, StabilityEdge
+from casadi_skin.stability.tongues.localised_diagram import LocalisedChange, LocalisedDiagram
+from casadi_skin.zero.problem import Array
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Branch(Result):
+    """Solutions of one branch in the order of arclength.
+
+    Attributes:
+        space: the solution space: equations and discretisations.
+        solutions: orbits, equilibria or solutions of a boundary-value problem; special points located on the way among
+            them.
+        located: changes of stability between neighbouring solutions of a branch other than a family.
+        with_stability: whether stability was computed with the solutions.
+        end: reason for the end; None after an interruption.
+        detail: details of the end, in words.
+        misses: requested values at which no solution was found, by the name of the quantity.
+        stopped: whether the condition `until` ended the branch.
+        with_events: whether changes of stability are sought.
+        passed_over: stretches that could not be resolved while the branch was followed.
+        time_left: seconds that are left of the time limit, for what is computed on first use.
+    """
+
+    space: SolutionSpace
+    solutions: tuple[Solution, ...]
+    located: tuple[StabilityChange, ...] = ()
+    with_stability: bool = False
+    end: End | None = None
+    detail: str = ""
+    misses: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    stopped: bool = False
+    with_events: bool = False
+    passed_over: tuple[Unresolved, ...] = ()
+    time_left: float = math.inf
+
+    def __len__(self) -> int:
+        return len(self.solutions)
+
+    def __iter__(self) -> Iterator[Any]:
+        """The orbits, equilibria or solutions in their order."""
+        return iter(self.solutions)
+
+    def __repr__(self) -> str:
+        values = self.values
+        words = f" from {values[0]:.6g} to {values[-1]:.6g}" if values.size else ""
+        known = self.with_events and self.changes_known
+        sought = known and self.with_stability and not self.space.stability_included
+        count = count_in_words(len(self.changes), self.unresolved) if sought else ""
+        changes = f", {count} changes of stability" if sought else ""
+        kinds = [point.kind for point in self.special_points] if self.space.locates_folds else []
+        special = "".join(f", {kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+        left = len(self.known_unresolved)
+        gaps = f", unresolved: {left} stretch{'es' * (left > 1)}" if left else ""
+        return f"<Branch: {len(self)} points, {self.parameter}{words}{changes}{special}{gaps}; {cut(self.reason)}>"
+
+    @property
+    def parameter(self) -> str:
+        """Name of the continuation parameter: S of a family."""
+        return self.space.parameter
+
+    @property
+    def orbits(self) -> tuple[Orbit, ...]:
+        """The solutions of a branch of orbits."""
+        return cast(tuple[Orbit, ...], self.solutions)
+
+    @property
+    def start(self) -> Point:
+        """The point where the branch starts: of a family its linear mode at S = 0, which is not among the orbits."""
+        return self.space.start
+
+    # Arrays -----------------------------------------------------------------------------------------------------------
+
+    def __getitem__(self, name: str) -> Array:
+        """Values of a quantity along the branch, shape (solutions,) but where the quantity has dimensions of its own.
+
+        Parameters, and all quantities of the table that files and data frames are made from, by the same names; a
+        parameter comes before a quantity of its name. Raises KeyError, naming all, for other names.
+        """
+        if name == self.parameter:
+            return self.values
+        if all(name in solution.parameters for solution in self.solutions[:1]):
+            return np.array([solution.parameters[name] for solution in self.solutions])
+        found: Array = methods.TASKS["along"].load()(self, name)
+        return found
+
+    @property
+    def values(self) -> Array:
+        """Values of the continuation parameter, shape (solutions,)."""
+        return np.array([solution.value(self.parameter) for solution in self.solutions])
+
+    @property
+    def parameters(self) -> Mapping[str, Array]:
+        """Values of all parameters along the branch by name, each of shape (solutions,)."""
+        names = self.solutions[0].parameters if self.solutions else ()
+        return {name: self[name] for name in names}
+
+    @property
+    def S(self) -> Array:
+        """Total amplitudes, shape (orbits,)."""
+        return np.array([orbit.S for orbit in self.orbits])
+
+    @property
+    def Omega(self) -> Array:
+        """Frequencies, shape (orbits,)."""
+        return np.array([orbit.Omega for orbit in self.orbits])
+
+    @property
+    def period(self) -> Array:
+        """Periods, shape (orbits,)."""
+        return np.array([orbit.period for orbit in self.orbits])
+
+    @property
+    def energy(self) -> Array:
+        """Energies, shape (orbits,)."""
+        return np.array([orbit.energy for orbit in self.orbits])
+
+    @property
+    def stable(self) -> NDArray[np.bool_]:
+        """Whether each solution is stable, shape (solutions,); computed now where it is missing."""
+        return np.array([solution.stable for solution in self.solutions], dtype=bool)
+
+    @property
+    def max_abs_multiplier(self) -> Array:
+        """Largest modulus of a multiplier of each orbit, shape (orbits,); computed now where it is missing."""
+        return np.array([orbit.floquet().max_abs_multiplier for orbit in self.orbits])
+
+    @property
+    def multiplier_error(self) -> Array:
+        """Estimated absolute error of the multipliers of each orbit, shape (orbits,); see `Orbit.multiplier_error`."""
+        return np.array([orbit.multiplier_error for orbit in self.orbits])
+
+    # Changes of stability ---------------------------------------------------------------------------------------------
+
+    @cached_property
+    def stability_diagram(self) -> StabilityDiagram | None:
+        """Every tongue of instability of a family; None where changes of stability are not sought, or without a family.
+
+        Computed on first use, from the course of the family and not from its points.
+        """
+        if not (self._seeks_changes and isinstance(self.space, Family)) or self.space.coordinates.localised is not None:
+            return None
+        from casadi_skin.follow.family_tongues import family_tongues
+
+        family, points = self.space, (self.start, *(solution.point for solution in self.solutions))
+        stability = (None, *(orbit.known_floquet for orbit in self.orbits))
+        return self._within_time(STABILITY, lambda: family_tongues(family, points, stability=stability))
+
+    @property
+    def changes_known(self) -> bool:
+        """Whether changes of stability need no computation now: those of a family are sought on first use."""
+        cut = STABILITY in self._cut
+        return (
+            cut
+            or not isinstance(self.space, Family)
+            or not {"stability_diagram", "localised_diagram"}.isdisjoint(
+                name for name, value in vars(self).items() if value is not None
+            )
+        )
+
+    @cached_property
+    def localised_diagram(self) -> LocalisedDiagram | None:
+        """Every change of localised multipliers of a family whose linear tail is endless, or cut; None of others.
+
+        Computed on first use. Weak instabilities of waves in the tail depend on its length, and are not among them.
+        """
+        if not (self._seeks_changes and isinstance(self.space, Family)) or self.space.coordinates.localised is None:
+            return None
+        from casadi_skin.stability.tongues.family_localised import localised_changes
+
+        family, points = self.space, [solution.point for solution in self.solutions]
+        return self._within_time(STABILITY, lambda: localised_changes(family, points))
+
+    @property
+    def _seeks_changes(self) -> bool:
+        return bool(self.with_stability and self.with_events and self.solutions)
+
+    @property
+    def diagram_of_changes(self) -> StabilityDiagram | LocalisedDiagram | None:
+        """Changes of stability of a family: `stability_diagram`, or `localised_diagram` of one with an endless tail."""
+        return self.localised_diagram if self.stability_diagram is None else self.stability_diagram
+
+    @property
+    def changes(self) -> tuple[StabilityChange | StabilityEdge | LocalisedChange, ...]:
+        """Changes of stability in order: every one of a family, of other branches those between two solutions.
+
+        Empty where stability was not computed: `with_stability` says whether it was; and where they are not sought.
+        """
+        return self.located if self.diagram_of_changes is None else self.diagram_of_changes.changes
+
+    @property
+    def unresolved(self) -> tuple[Unresolved, ...]:
+        """Stretches on which special points or changes of stability may be missing, with the reason.
+
+        () says that none is: of a branch of equilibria for its special points, of others where stability was computed
+        and changes of it are sought.
+        """
+        diagram = self.diagram_of_changes
+        return (*self.passed_over, *(() if diagram is None else diagram.unresolved), *self._cut.values())
+
+    @cached_property
+    def _budget(self) -> Budget:
+        return Budget(self.time_left, self.time_left)
+
+    @cached_property
+    def _cut(self) -> dict[str, Unresolved]:
+        """What the time limit ended, by kind."""
+        return {}
+
+    def _within_time(self, kind: str, compute: Callable[[], T]) -> T | None:
+        """What is computed within the time that is left; None where that is not enough, which is `unresolved` then."""
+        try:
+            with self._budget.spent():
+                return compute()
+        except TimeLimitError as error:
+            start, end = float(self.values[0]), float(self.values[-1])
+            self._cut[kind] = Unresolved(start, end, str(error), kind, self.parameter)
+            return None
+
+    @property
+    def known_unresolved(self) -> tuple[Unresolved, ...]:
+        """Those of `unresolved` that are known without a search for changes of stability now."""
+        return self.unresolved if self.changes_known else self.passed_over
+
+    @cached_property
+    def passed_resonances(self) -> tuple[PassedResonance, ...] | None:
+        """Stretches of a family that may have gone past an internal resonance too narrow to be resolved.
+
+        Two runs of other tolerances may have other folds there and nowhere else. Computed on first use; None where it
+        is not sought: without odd cosines, or where the Jacobian is not symmetric; and where the time limit ends the
+        search.
+        """
+        if not isinstance(self.space, Family):
+            return None
+        family, points = self.space, [solution.point for solution in self.solutions]
+        return self._within_time(
+            "internal resonance",
+            lambda: passed_resonances(family.point_solver, points, lambda point: family.value("S", point)),
+        )
+
+    def first_instability(self, growth: float = 0.0) -> Place | None:
+        """The place where a family first becomes unstable, with the error of S.
+
+        Arguments:
+            growth: depth of a tongue, log |multiplier| over a period, from which on it counts.
+
+        Returns:
+            The start of the first tongue that is as deep; None where there is none. One may be missing where
+            `unresolved` names a stretch before it.
+
+        Raises:
+            ValueError: changes of stability were not sought, or the branch is not a family.
+        """
+        if self.localised_diagram is not None:
+            if growth:
+                raise ValueError("first_instability: given growth with an endless tail; accepted: without")
+            change = self.localised_diagram.first_instability()
+            return None if change is None else change.place
+        if self.stability_diagram is None:
+            cut = f"; {self._cut[STABILITY]}" if STABILITY in self._cut else ""
+            raise ValueError(f"first_instability: accepted: a family followed with stability=True, events=True{cut}")
+        tongue = self.stability_diagram.first_instability(growth)
+        return None if tongue is None else tongue.start
+
+    def edge(self, number: int = 0, further: bool = False) -> SpecialPoint:
+        """The edge of a tongue of a family as a special point, to be followed in a second parameter.
+
+        Arguments:
+            number: place of the edge among `changes`, from 0.
+            further: whether it is the place in `stability_diagram.further`, where orbits are unstable on both sides.
+
+        Returns:
+            The point; its `curve` follows the edge with S free.
+
+        Raises:
+            ValueError: the branch is not a family, or has no such edge.
+        """
+        listed = self.changes
+        if further:
+            listed = () if self.stability_diagram is None else self.stability_diagram.further
+        edges = [edge for edge in listed if isinstance(edge, StabilityEdge)]
+        if str(number) not in map(str, range(len(edges))):
+            where = "further edges" if further else "changes"
+            accepted = f"0 to {len(edges) - 1}, the places in {where}" if edges else f"none: no {where} of a family"
+            accepted += "; those of localised multipliers are not followed" if self.localised_diagram else ""
+            raise ValueError(f"number: given {number!r}; accepted: {accepted}")
+        orbit = orbit_at_edge(self, edges[number])
+        values = {**orbit.parameters, self.parameter: edges[number].value}
+        return SpecialPoint(EDGE, self.parameter, values, edges[number].error, orbit)
+
+    # Special points ---------------------------------------------------------------------------------------------------
+
+    @property
+    def special_points(self) -> tuple[SpecialPoint, ...]:
+        """Special points, in order along the branch.
+
+        Those of a family are located on first use: folds, then, where its changes of stability are sought, the
+        points at which orbits of less symmetry leave it.
+        """
+        return tuple(point for point in self._sought if isinstance(point, SpecialPoint))
+
+    @property
+    def not_located(self) -> tuple[Unresolved, ...]:
+        """Special points that a family passes and that are not among `special_points`, with the reason."""
+        return tuple(point for point in self._sought if isinstance(point, Unresolved))
+
+    @cached_property
+    def _sought(self) -> tuple[SpecialPoint | Unresolved, ...]:
+        if self.space.locates_folds:
+            special = (solution for solution in self.solutions if solution.point.special)
+            return tuple(special_point(self.space, solution) for solution in special)
+        diagram, localised = self.stability_diagram, self.localised_diagram
+        leaving = self._within_time(EDGE, lambda: tuple(edges_left_at(self, diagram, localised)))
+        return (*self._folds, *(leaving or ()), *self._cut.values())
+
+    @cached_property
+    def _folds(self) -> tuple[SpecialPoint | Unresolved, ...]:
+        """Folds of a family: no changes of stability are sought for them."""
+        found = self._within_time(FOLD, lambda: tuple(folds_of_family(self.space, self.solutions)))
+        return found or ()
+
+    def follow_all(self, **options: Any) -> Any:
+        """A `Diagram` of all branches that leave this one or each other; see `casadi_skin.points.diagram`."""
+        return methods.TASKS["follow_all"].load()(self, **options)
+
+    @property
+    def folds(self) -> tuple[Solution, ...]:
+        """Solutions at which the continuation parameter turns back."""
+        points = self.special_points if self.space.locates_folds else self._folds
+        return tuple(p.solution for p in points if isinstance(p, SpecialPoint) and p.kind == FOLD)
+
+    @cached_property
+    def threshold(self) -> float | None:
+        """S at which the end breather of the infinite chain is born; None where no tail is eliminated."""
+        coordinates = getattr(self.space, "coordinates", None)
+        value: float | None = getattr(coordinates, "threshold", None)
+        return value
+
+    # The end ----------------------------------------------------------------------------------------------------------
+
+    @property
+    def missed(self) -> tuple[float, ...]:
+        """Requested values of the continuation parameter at which no solution was found."""
+        return self.misses.get(self.parameter, ())
+
+    @property
+    def complete(self) -> bool:
+        """Whether the branch reached its requested end and no requested point is missing."""
+        return (self.stopped or self.end in (End.REACHED, End.CLOSED)) and not any(self.misses.values())
+
+    @property
+    def reason(self) -> str:
+        """The end of the branch, in a sentence."""
+        return Ending(self.space, self.solutions, self.end, self.detail, self.misses, self.stopped).reason
+
+    # At any value -----------------------------------------------------------------------------------------------------
+
+    def at(self, value: float | None = None, which: int = 0, **named: float) -> Any:
+        """The solution corrected exactly at a value of the continuation parameter, or of another quantity.
+
+        Arguments:
+            value: of the continuation parameter.
+            which: counts the passages of the value along the branch, from 0.
+            named: one value by name in place of `value`: of any number that `branch[name]` gives, as energy=0.3. S,
+                Omega or the period of a family, the parameter followed, and Omega or an unknown period are held by
+                the equations, others sought along the branch.
+
+        Returns:
+            The orbit or solution there.
+
+        Raises:
+            ValueError, TypeError: not exactly one number, or the branch does not pass it that often.
+            ArithmeticError: no solution is found there.
+        """
+        given = {name: v for name, v in {self.parameter: value, **named}.items() if v is not None}
+        if len(given) != 1 or (value is not None and named):
+            accepted = f"one of {', '.join(self.space.held_names)}, or another quantity of the branch"
+            raise ValueError(f"at: given {' and '.join(given) or 'nothing'}; accepted: {accepted}")
+        ((name, wanted),) = given.items()
+        whole("which", which, 0)
+        wanted = number(f"at, {name}", wanted)
+        if name in self.space.held_names:
+            return held_passage(self.space, self.solutions, name, wanted, which)
+        of = methods.TASKS["sought"].load()(self, name)
+        return passage(self.space, self.solutions, of, (name, wanted), which)
+
+    def certify(self, start: float, end: float) -> ProvedStretch:
+        """A proof that the family is one curve of orbits from S = `start` to `end`, by `certify_branch`."""
+        stretch: ProvedStretch = methods.TASKS["certify_branch"].load()(self, start, end)
+        return stretch
+
+    def certify_change(self, change: StabilityEdge) -> tuple[float, float] | None:
+        """S on both sides of a change of stability, between which it is proved, by `certify_change`; None without."""
+        ends: tuple[float, float] | None = methods.TASKS["certify_change"].load()(self, change)
+        return ends

@@ -1,0 +1,267 @@
+"""Folds, period doublings and tori of orbits followed in a second parameter, by the problems that they solve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any, cast
+
+import numpy as np
+
+from casadi_skin.follow import rest_curve as of_equilibria
+from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.codimension_two import ENDS, special_on_curve
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.follow import following_settings
+from casadi_skin.follow.following import Following, run_following
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.settings import ContinuationSettings, End, Point
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS, SpecialPoint, check_second
+from casadi_skin.follow.unresolved import Unresolved
+from casadi_skin.model.arguments import check_name
+from casadi_skin.points.breaking import turns_of
+from casadi_skin.points.edge_crossing import CrossingWalk
+from casadi_skin.points.edge_curve import EdgeWalk, edge_curve
+from casadi_skin.points.edge_orbits import parameters_of
+from casadi_skin.points.edges import EdgeCurve
+from casadi_skin.solve.refined import BoundaryError
+from casadi_skin.stability.result import Floquet
+from casadi_skin.zero.closure import Closure
+from casadi_skin.zero.linearised import Linearised
+from casadi_skin.zero.location import LocatedOrbit, extended_space, locate
+from casadi_skin.zero.normal_forms import on_circle
+from casadi_skin.zero.problem import Array
+from casadi_skin.zero.stated_problem import PERIOD
+from casadi_skin.zero.systems import KAPPA, PUSH, Critical, CriticalProblem
+
+KINDS = (FOLD, DOUBLING, TORUS, BRANCH_POINT)
+UNFOLDS = 1e-7  # of a step: a push that grows along a curve of branch points
+
+
+@dataclass(frozen=True, eq=False)
+class OrbitCurveSpace(BoundarySpace):
+    """Special orbits of one kind in two parameters, of which one is followed and the other one free.
+
+    Attributes:
+        kind: "fold", "period doubling", "torus" or "branch point".
+        critical: the extended problem that they solve.
+        orbits: the space of the branch on which the first was found.
+        repeats: whether solutions of a stated problem go on after its interval as they close, so that they have normal
+            forms.
+    """
+
+    kind: str = FOLD
+    critical: Critical | None = None
+    orbits: BoundarySpace | None = None
+    repeats: bool = False
+    problem_class = CriticalProblem
+
+    @property
+    def stability_included(self) -> bool:
+        """Where solutions have multipliers, which are needed for the special points."""
+        return self.periodic is not None or self.repeats
+
+    @cached_property
+    def closure(self) -> Closure | None:
+        """How conditions close the solutions themselves, without their linearisation."""
+        return self.orbits.closure if self.repeats and self.orbits is not None else None
+
+    @property
+    def _critical(self) -> Critical:
+        assert self.critical is not None
+        return self.critical
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The parameter that is solved for with the orbit, and those that every orbit has free."""
+        return (self._critical.first, *self._critical.orbit.free)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return self._critical.orbit.model.state_names
+
+    def parameters(self, point: Point) -> dict[str, float]:
+        known, names = super().parameters(point), self._critical.orbit.model.parameter_names
+        return {name: known[name] for name in names}
+
+    def kappa(self, point: Point) -> float:
+        """The cosine of the angle of a torus's multipliers; beyond 1 and -1 these are real with product 1."""
+        return super().parameters(point)[KAPPA]
+
+    def span(self, point: Point) -> tuple[float, float]:
+        return self._critical.orbit.span(np.array(list(self.parameters(point).values())))
+
+    def linearised(self, point: Point) -> Linearised:
+        """The equations of the orbit of a point around it."""
+        return Linearised(cast(Any, point.problem), point.z, self._critical.orbit)
+
+    def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
+        """Points of codimension two on the stretch between two points, in order, and parts that are not resolved."""
+        yield from special_on_curve(self, before, after)
+
+    def stop(self, point: Point) -> tuple[End | None, str]:
+        """Beyond the resonances 1:1 and 1:2 there are no tori, and beyond amplitude zero the curve comes back."""
+        end = ENDS.get((self.kind, point.special))
+        return (end, "") if end is not None else super().stop(point)
+
+    def following(
+        self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
+    ) -> BoundarySpace:
+        """The space of the orbits through one of these in one parameter."""
+        assert self.orbits is not None
+        linear, point = self.linearised(solution.point), solution.point
+        states = point.z[: linear.problem.states].reshape(linear.problem.columns, -1)[:, : linear.components]
+        free = [solution.parameters[name] for name in self.orbits.statement.free]
+        first = replace(point, z=np.concatenate([states.ravel(), free, [0.0]]), special="")
+        statement = self.orbits.statement.with_parameters(**solution.parameters)
+        return replace(
+            self.orbits, statement=statement, parameter=parameter, to=to, at=at, first=first, settings=settings,
+            leaves=False,
+        )  # fmt: skip
+
+    def shrinks(self, before: Point, after: Point) -> bool:
+        """Whether the orbit passes through amplitude zero: its variation changes sign."""
+        if PERIOD not in self.statement.free:
+            return False
+        one, other = (self._variation(point) for point in (before, after))
+        return bool(np.sum(one * other) < -0.5 * np.linalg.norm(one) * np.linalg.norm(other))
+
+    def amplitude(self, point: Point) -> float:
+        """How far the orbit goes from its mean, in the sizes of its states."""
+        return float(np.max(np.abs(self._variation(point))))
+
+    def _variation(self, point: Point) -> Array:
+        states = self.states_at(point, np.linspace(0.0, 2.0 * np.pi, 65)[:-1], None)
+        return np.asarray((states - states.mean(axis=0)) / self._critical.sizes)
+
+    def floquet(self, point: Point) -> Floquet:
+        """Multipliers, computed once for the last few points."""
+        for known, found in self._known:
+            if known is point:
+                return found
+        found = self.floquets([point])[0]
+        self._known[:] = [*self._known[-7:], (point, found)]
+        return found
+
+    @cached_property
+    def coefficients(self) -> list[tuple[Point, float]]:
+        """Coefficients of the normal form at the last few points."""
+        return []
+
+    @cached_property
+    def _known(self) -> list[tuple[Point, Floquet]]:
+        return []
+
+
+def curve(
+    point: SpecialPoint,
+    parameter: str,
+    to: float,
+    *,
+    at: Sequence[float] = (),
+    max_points: int = 500,
+    max_step: float = 0.2,
+    back_to: float | None = None,
+    until: Callable[[Any], bool] | None = None,
+    progress: Callable[[Any], None] | None = None,
+) -> Branch | EdgeCurve:
+    """A special point followed in a second parameter, with that in which it was found free.
+
+    Arguments:
+        point: a fold, a Hopf point or, where something keeps it, a branch point of equilibria; of orbits a fold, a
+            period doubling, a torus or, where something keeps it, a branch point; of a family the edge of a tongue
+            (`Branch.edge`), with S free.
+        parameter: name of the second parameter.
+        to: its value at which the curve ends.
+        at, max_points, max_step, back_to, until, progress: as in `follow`.
+
+    Returns:
+        The curve as a branch, of edges as an `EdgeCurve`; its special points are those of codimension two: of
+        equilibria "cusp", "bogdanov-takens", "zero-hopf", "generalized hopf", "hopf-hopf"; of branch points
+        "degenerate pitchfork", "degenerate transcritical", "double branch point"; of orbits "cusp of cycles",
+        "generalized period doubling", "chenciner", "1:1 resonance" to "1:4 resonance", "fold-flip", "fold-torus",
+        "flip-torus", "torus-torus". It also ends where it comes back to the value that it started from, Hopf points at
+        a Bogdanov-Takens point, tori at the resonances 1:1 and 1:2, and orbits where they shrink to an equilibrium.
+
+    Raises:
+        ValueError: an argument is out of range, or the point is of another kind.
+        EquilibriumError, BoundaryError: the curve cannot be started.
+    """
+    if point.kind == EDGE:
+        return _curve_of_edges(point, parameter, to, at, max_points, max_step, back_to, until, progress)
+    space = curve_space(point, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to)
+    return run_following(Following(space, until=until), progress)
+
+
+def _curve_of_edges(
+    point: SpecialPoint, parameter: str, to: float, at: Sequence[float], max_points: int, max_step: float,
+    back_to: float | None, until: Callable[[Any], bool] | None, progress: Callable[[Any], None] | None,
+) -> EdgeCurve:  # fmt: skip
+    """The edge of a tongue of a family in a parameter of the model; raises ValueError as `curve` does."""
+    orbit = cast(Orbit, point.solution)
+    check_name("parameter", parameter, parameters_of(cast(Family, orbit.space)))
+    settings = following_settings(
+        orbit, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
+    )
+    S = point.parameters[point.parameter]
+    kind = EdgeWalk if turns_of(orbit) == 1 else CrossingWalk
+    return edge_curve(orbit, S, parameter, to, at, settings, until, progress, back_to, kind)
+
+
+def curve_space(
+    point: SpecialPoint, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float,
+    back_to: float | None = None,
+) -> SolutionSpace:  # fmt: skip
+    """The space of the curve of a special point in a second parameter; raises ValueError as `curve` does."""
+    options: dict[str, Any] = {"at": at, "max_points": max_points, "max_step": max_step, "back_to": back_to}
+    solution = point.solution
+    stated = type(solution.space) is BoundarySpace
+    if not (stated and point.kind in KINDS):
+        if isinstance(solution, Orbit):
+            raise ValueError(f"curve: given a {point.kind} of orbits; accepted: {', '.join(KINDS)} of a branch")
+        return of_equilibria.curve_space(point, parameter, to, **options)
+    check_second(point, parameter)
+    settings = following_settings(solution, parameter, to, **options)
+    angle = np.pi
+    if point.kind == TORUS:
+        angle = abs(float(np.angle(on_circle(solution))))
+    orbits = cast(BoundarySpace, solution.space)
+    located = locate(orbits, point.kind, solution.point, angle)
+    if located is None:
+        why = "its extended equations are not solved, or the model has no second derivatives"
+        raise BoundaryError(f"{orbits.model.name}: the {point.kind} cannot be followed: {why}")
+    unit = abs(orbits.to - orbits.statement.values[point.parameter])
+    space = _space(orbits, located, unit, solution.parameters, parameter, to, at, settings)
+    if orbits.closure is not None:
+        space = replace(space, repeats=orbits.closure.goes_on(solution.problem, solution.point.z))
+    if point.kind == BRANCH_POINT:
+        _check_kept(space)
+    return space
+
+
+def _check_kept(space: OrbitCurveSpace) -> None:
+    """Raise UnfoldingError where branch points of orbits are none at other values of the second parameter."""
+    start = space.start
+    push = start.problem.states + list(space.statement.free).index(PUSH)
+    if abs(float(start.tangent[push])) > UNFOLDS:
+        why = "no symmetry, and nothing else, keeps both branches together"
+        raise of_equilibria.UnfoldingError(
+            f"{space.model.name}: the branch point is none at other values of {space.parameter}: {why}"
+        )
+
+
+def _space(
+    orbits: BoundarySpace, located: LocatedOrbit, unit: float, parameters: Mapping[str, float], parameter: str,
+    to: float, at: Sequence[float], settings: ContinuationSettings,
+) -> OrbitCurveSpace:  # fmt: skip
+    """The space of the curve through a located orbit, at the parameters of the branch that it was found on."""
+    critical = located.critical
+    held = {name: parameters[name] for name in orbits.statement.model.parameter_names}
+    extended = extended_space(critical, orbits, {**held, critical.first: located.value}, unit, parameter, float(to))
+    given = {f.name: getattr(extended, f.name) for f in fields(BoundarySpace) if f.init}
+    given |= {"periodic": orbits.periodic, "at": tuple(map(float, at)), "first": located.point, "settings": settings}
+    return OrbitCurveSpace(**given, kind=critical.kind, critical=critical, orbits=orbits)

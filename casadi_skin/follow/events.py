@@ -1,0 +1,392 @@
+"""Events of a branch of orbits: where multipliers cross the unit circle, with the account of their number outside.
+
+Between two orbits of a branch the multipliers are samples of `orbits.exponents`; the stretch is divided until each
+quantity has no root on it, or one simple root within the bounds of its errors (see `continuation.stretch`). The orbit
+at a root is the solution of the extended equations of its kind, or, where there are none, the root of the quantity.
+The events account for the change in the number n_u of multipliers outside the circle,
+
+    n_u(after) = n_u(before) + sum of the jumps of all events between,
+
+and changes of stability are the events at which n_u becomes 0 or leaves it. A stretch on which the account does not
+balance, or that cannot be divided until it is resolved, is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.exponents import Exponents, is_real
+from casadi_skin.follow.making import solution_at
+from casadi_skin.follow.sample import Sample
+from casadi_skin.follow.settings import Point
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, TORUS
+from casadi_skin.follow.stretch import Stretch, height
+from casadi_skin.follow.stretch_points import snapped, target_of
+from casadi_skin.follow.stretch_search import StretchSearch
+from casadi_skin.follow.unresolved import Unresolved
+from casadi_skin.model import methods
+from casadi_skin.model.symmetry import SymmetryClass
+from casadi_skin.stability.reduction import ComplexArray
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BPoly
+
+KREIN = "krein collision"
+ROOT_XTOL = 1e-10  # of a stretch, of roots of quantities where no extended equations are solved
+OUTSIDE_STRETCH = 1e-3  # of a stretch: a special orbit farther out is another one
+SAME_EVENT = 1e-8  # of a stretch: events of one kind that near are one, of multipliers that a symmetry keeps together
+ASIDE = (0.0, 0.03, 0.2)  # of a stretch, from a root: at a branch point itself no orbit is found
+CRITICAL = 1e-4  # log |multiplier| of one that is on the unit circle at a requested value
+SAME_MEETING = 1e-3  # of a stretch between two orbits: meetings of two pairs that near are looked at once
+MEETINGS = 3  # places near a meeting at which it is looked whether the pairs have left the circle
+KREIN_DEPTH = 3  # divisions before a collision is located by its discriminant
+
+
+class Event(NamedTuple):
+    """An orbit at which multipliers cross the unit circle, its place on a stretch, and by how many n_u grows there."""
+
+    place: float
+    solution: Solution
+    kind: str
+    angle: float
+    jump: int
+
+
+class Crossing(NamedTuple):
+    """A quantity of a stretch that changes its sign: the event that it means."""
+
+    quantity: int
+    kind: str
+    angle: float
+    jump: int
+
+
+def at_requested_value(solution: Solution) -> Solution:
+    """A solution at a requested value; where one of its multipliers crosses there, the special orbit in its place."""
+    space, point = solution.space, solution.point
+    if type(space) is not BoundarySpace or point.walked or point.special or not solution.floquet().others.size:
+        return solution
+    others = solution.floquet().others
+    nearest = complex(others[np.argmin(np.abs(Exponents.from_floquet(solution.floquet()).values.real))])
+    if abs(np.log(abs(nearest))) > CRITICAL:
+        return solution
+    kind = TORUS if nearest.imag else DOUBLING if nearest.real < 0.0 else BRANCH_POINT
+    found: Point | None = methods.TASKS["special_orbit"].load()(space, kind, point, abs(float(np.angle(nearest))))
+    target = None if found is None else target_of(space, found)
+    if found is None or target is None or target.value != point.parameter:
+        return solution
+    there = replace(snapped(found, target, requested=True), along=point.along)
+    return solution_at(space, there, space.floquets([there])[0])
+
+
+def events_between(space: BoundarySpace, before: Solution, after: Solution) -> Iterator[Event | Unresolved]:
+    """Events between two orbits of a branch, neither of them special, in order, and stretches not resolved."""
+    first, last = (Exponents.from_floquet(end.floquet()) for end in (before, after))
+    if not first.values.size:
+        return
+    kind = _Free if first.pairs is None or last.pairs is None else _Paired
+    found = list(kind(space, before, after).on_stretch())
+    merged: list[Event | Unresolved] = []
+    for one in sorted(found, key=lambda item: item.place if isinstance(item, Event) else -1.0):
+        last_one = merged[-1] if merged else None
+        if isinstance(one, Event) and isinstance(last_one, Event) and _is_same(one, last_one):
+            merged[-1] = last_one._replace(jump=last_one.jump + one.jump)
+        elif isinstance(one, Unresolved) and isinstance(last_one, Unresolved) and last_one.end == one.start:
+            merged[-1] = replace(last_one, end=one.end)
+        else:
+            merged.append(one)
+    yield from merged
+
+
+def _is_same(one: Event, other: Event) -> bool:
+    return one.kind == other.kind != KREIN and abs(one.place - other.place) <= SAME_EVENT and one.angle == other.angle
+
+
+class _OrbitSearch(StretchSearch[Event | Unresolved]):
+    """The search on one stretch between two orbits."""
+
+    def __init__(self, space: BoundarySpace, before: Solution, after: Solution) -> None:
+        exponents = [Exponents.from_floquet(end.floquet()) for end in (before, after)]
+        super().__init__(space.point_solver, before.point, after.point, space.multipliers_alone, exponents)
+        self.space = space
+
+    def on_stretch(self) -> Iterator[Event | Unresolved]:
+        """Events on the stretch, and parts that are not resolved."""
+        yield from self.between(self.first, self.last)
+
+    def passes(self, stretch: Stretch) -> bool:
+        return super().passes(stretch) and self.balanced(stretch)
+
+    def balanced(self, stretch: Stretch, jumps: int = 0) -> bool:
+        """Whether jumps account for the change in the number of multipliers outside the circle."""
+        (start, open_at_start), (end, open_at_end) = (self.outside(end.point) for end in (stretch.first, stretch.last))
+        return abs(end - start - jumps) <= min(open_at_start, open_at_end)
+
+    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Event | Unresolved] | None:
+        if not any(self.is_clear(sample.point) for sample in stretch.samples):
+            return list(self.unresolved(stretch))
+        if not np.all(stretch.settled):
+            return None
+        crossings = list(self.crossings(stretch))
+        if not self.balanced(stretch, sum(crossing.jump for crossing in crossings)):
+            return self.collision(stretch, crossings) if depth >= KREIN_DEPTH else None
+        if not (last or self.is_simple(stretch)):
+            return None
+        located = (self.located(stretch, crossing) for crossing in crossings)
+        known: list[Event] = sorted((event for event in located if event is not None), key=lambda event: event.place)
+        return known if len(known) == len(crossings) else None
+
+    def is_simple(self, stretch: Stretch) -> bool:
+        """Whether nothing happens on a stretch but what its quantities show."""
+        return True
+
+    def crossings(self, stretch: Stretch) -> Iterator[Crossing]:
+        """Quantities that change their sign on a stretch that is resolved."""
+        raise NotImplementedError
+
+    def collision(self, stretch: Stretch, crossings: Sequence[Crossing]) -> Sequence[Event] | None:
+        """The event that is none of a single quantity; None where there is none."""
+        return None
+
+    def unresolved(self, stretch: Stretch) -> Iterator[Unresolved]:
+        start, end = (self.space.value(self.space.parameter, s.point) for s in (stretch.first, stretch.last))
+        (before, _), (after, unclear) = (self.outside(end.point) for end in (stretch.first, stretch.last))
+        words = f"from {before} to {after} multipliers outside the unit circle"
+        why = f"; {unclear} on it within their errors" if unclear else ""
+        yield Unresolved(start, end, words + why, parameter=self.space.parameter)
+
+    # Locating ---------------------------------------------------------------------------------------------------------
+
+    def value(self, stretch: Stretch, crossing: Crossing, point: Point, fraction: float) -> float:
+        """The quantity of a crossing at a point on a stretch."""
+        sample, k = self.sample(point), crossing.quantity
+        first, last = stretch.first.values[k], stretch.last.values[stretch.order[k]]
+        expected = first + fraction * _way(stretch.first, first, last)
+        return float(sample.values[int(np.argmin(stretch.first.apart(np.array([expected]), sample.values)))].real)
+
+    def located(self, stretch: Stretch, crossing: Crossing) -> Event | None:
+        """The orbit at a crossing."""
+        if self.space.periodic is None or self.space.symmetry.value == 1.0:
+            root = stretch.root(stretch.leading + crossing.quantity) / stretch.length
+            for aside in ASIDE:
+                fraction = root + (aside if root < 0.5 else -aside)
+                near = self.solver.along(stretch.first.point, stretch.last.point, fraction)
+                if near is None:  # beside a branch point rounding decides; the extended equations are regular there
+                    near = replace(self.last, z=stretch.curve.at(fraction * stretch.length), better=None, special="")
+                event = self.solved(stretch, crossing, near)
+                if event is not None:
+                    return event
+        return self.by_root(stretch, crossing)
+
+    def solved(self, stretch: Stretch, crossing: Crossing, near: Point) -> Event | None:
+        """The orbit at a crossing as a solution of its extended equations; None where they have none there."""
+        special_orbit = methods.TASKS["special_orbit"].load()
+        point: Point | None = special_orbit(self.space, crossing.kind, near, crossing.angle)
+        place = None if point is None else self.place(stretch, point)
+        return None if point is None or place is None else self.event(place, point, crossing)
+
+    def place(self, stretch: Stretch, point: Point) -> float | None:
+        """The place of a point on the whole stretch by its length; None where it is outside the part of it."""
+        low, high, at = (self.sigma(one) for one in (stretch.first.point, stretch.last.point, point))
+        slack = OUTSIDE_STRETCH * (high - low)
+        return at / self.length if low - slack <= at <= high + slack else None
+
+    def event(self, place: float, point: Point, crossing: Crossing) -> Event:
+        solution = solution_at(self.space, point, self.space.floquets([point])[0])
+        return Event(place, solution, crossing.kind, crossing.angle, crossing.jump)
+
+    def by_root(self, stretch: Stretch, crossing: Crossing) -> Event | None:
+        """The orbit at a root of the quantity itself, with the error of the parameter by that of the quantity."""
+
+        def value(point: Point, fraction: float) -> float:
+            return self.value(stretch, crossing, point, fraction)
+
+        noise = float(max(s.noise[k] for s, k in zip(
+            (stretch.first, stretch.last), (crossing.quantity, stretch.order[crossing.quantity]), strict=True
+        )))  # fmt: skip
+        point = self.root_of(stretch, value, noise, crossing.kind)
+        place = None if point is None else self.place(stretch, point)
+        return None if point is None or place is None else self.event(place, point, crossing)
+
+    def root_of(
+        self, stretch: Stretch, value: Callable[[Point, float], float], noise: float, kind: str
+    ) -> Point | None:
+        """The point of a stretch at which a value vanishes; at a branch point, where none is alone, the nearest one."""
+        from scipy.optimize import brentq
+
+        before, after = stretch.first.point, stretch.last.point
+        known = {0.0: (before, value(before, 0.0)), 1.0: (after, value(after, 1.0))}
+        if not known[0.0][1] * known[1.0][1] < 0.0:
+            return None
+
+        def at(fraction: float) -> float:
+            if fraction not in known:
+                point = self.solver.along(before, after, fraction) or self.solver.coarse_along(before, after, fraction)
+                if point is None:
+                    raise ArithmeticError(self.solver.failure)
+                known[fraction] = point, value(point, fraction)
+            return known[fraction][1]
+
+        with suppress(ArithmeticError):
+            brentq(at, 0.0, 1.0, xtol=ROOT_XTOL)
+        inner = sorted((f for f in known if 0.0 < f < 1.0), key=lambda f: abs(known[f][1]))
+        if not inner:
+            return None
+        root, left = known[inner[0]]
+        beside = min((f for f in known if f != inner[0]), key=lambda f: abs(f - inner[0]))
+        moved = abs(known[beside][0].parameter - root.parameter)
+        slope = abs(known[beside][1] - left)
+        size = root.problem.parameter_size(root.z)
+        error = float((abs(left) + noise) * moved / max(slope, 1e-300) / size + root.error.relative(1.0))
+        return replace(
+            root, error=replace(root.error, parameter=error), special=kind, walked=False, requested=False
+        )  # fmt: skip
+
+
+class _Free(_OrbitSearch):
+    """Multipliers that move freely: each crosses the circle by itself, or with its complex conjugate."""
+
+    def sample(self, point: Point) -> Sample:
+        return self.sampler.free(self.own(point), point)
+
+    def crossings(self, stretch: Stretch) -> Iterator[Crossing]:
+        for k in np.flatnonzero(stretch.changed):
+            first, last = stretch.first.values[k], stretch.last.values[stretch.order[k]]
+            sign = 1 if last.real > first.real else -1
+            if is_real(first) and is_real(last):
+                negative = abs(first.imag) > 1.0
+                yield Crossing(int(k), DOUBLING if negative else BRANCH_POINT, np.pi if negative else 0.0, sign)
+            elif (angle := height(first, last)) > 0.0:
+                yield Crossing(int(k), TORUS, float(angle), 2 * sign)
+
+
+class _Paired(_OrbitSearch):
+    """Multipliers in pairs mu, 1/mu: pairs leave the circle through 1 and -1, or two of them where they collide."""
+
+    def __init__(self, space: BoundarySpace, before: Solution, after: Solution) -> None:
+        super().__init__(space, before, after)
+        self.signs, self._tried = "real", list[float]()
+        # The multipliers of an orbit that is odd are squares, which touch -1 and do not pass it.
+        odd = space.periodic is not None and space.symmetry is SymmetryClass.QUARTER
+        self.passed = (1.0,) if odd else (1.0, -1.0)
+
+    def sample(self, point: Point) -> Sample:
+        samples = [self.sampler.paired(self.own(point), point, passed) for passed in self.passed]
+        parts = zip(*((s.values, s.rates, s.noise) for s in samples), strict=True)
+        values, rates, noise = (np.concatenate(part) for part in parts)
+        groups = np.repeat(np.arange(len(samples)), samples[0].values.size)
+        return replace(samples[0], values=values, rates=rates, noise=noise, groups=groups)
+
+    def passes(self, stretch: Stretch) -> bool:
+        return super().passes(stretch) and self.meeting(stretch) is None
+
+    def is_simple(self, stretch: Stretch) -> bool:
+        return self.meeting(stretch) is None
+
+    def suspected(self, stretch: Stretch) -> float | None:
+        return self.meeting(stretch) or super().suspected(stretch)
+
+    def meeting(self, stretch: Stretch) -> float | None:
+        """A place at which two pairs that pass one another on the circle have left it; None where none have."""
+        from scipy.interpolate import BPoly
+        from scipy.optimize import linear_sum_assignment
+
+        half, length = stretch.first.values.size // len(self.passed), stretch.length
+        ends = (stretch.first, stretch.last)
+        tau = np.array([2.0 + np.sinh(sample.values[:half]) for sample in ends])
+        rates = np.array([sample.along(self.row)[0] * sample.rates[:half] for sample in ends]) * length
+        rates = (rates * np.sqrt(1.0 + (tau - 2.0) ** 2)).real
+        expected, back = tau[0] + 0.5 * rates[0], tau[1] - 0.5 * rates[1]  # those that meet go on as their rates say
+        order = linear_sum_assignment(np.abs(expected[:, None] - back))[1]
+        tau[1], rates[1] = tau[1, order], rates[1, order]
+        on_circle = np.flatnonzero(np.all((tau.imag == 0.0) & (np.abs(tau.real) < 2.0), axis=0))
+        for n, k in enumerate(on_circle):
+            for m in on_circle[:n]:
+                gap, slope = (tau[:, k] - tau[:, m]).real, rates[:, k] - rates[:, m]
+                if gap[0] * gap[1] < 0.0:
+                    place = self._left_at(stretch, BPoly.from_derivatives([0.0, 1.0], np.column_stack([gap, slope])))
+                    if place is not None:
+                        return place
+        return None
+
+    def _left_at(self, stretch: Stretch, gap: BPoly) -> float | None:
+        """The place near the root of a gap between two traces at which they are a complex pair; None where none is."""
+        from scipy.optimize import brentq
+
+        root = float(brentq(lambda place: float(gap(place)), 0.0, 1.0))
+        sigma = self.sigma(stretch.first.point) + root * stretch.length
+        if any(abs(sigma - known) <= SAME_MEETING * self.length for known in self._tried):
+            return None
+        self._tried.append(sigma)
+        centre, expected = None, max(self.outside(end.point)[0] for end in (stretch.first, stretch.last))
+        for _ in range(MEETINGS):
+            point = self.along(stretch.first.point, stretch.last.point, root)
+            if point is None:
+                return None
+            if self.outside(point)[0] > expected:
+                self._tried.pop()
+                return root
+            tau = np.sort(self.traces(point).real)
+            centre = tau[int(np.argmin(np.diff(tau)))] if centre is None else centre
+            near = int(np.argmin(np.abs(tau[:-1] - centre) + np.diff(tau)))
+            off = float(np.diff(tau)[near] / abs(gap.derivative()(root)))
+            root = float(np.clip(root + (off if gap(min(root + off, 1.0)) * gap(root) <= 0.0 else -off), 0.0, 1.0))
+        return None
+
+    def crossings(self, stretch: Stretch) -> Iterator[Crossing]:
+        g, groups = stretch.quantities[0], stretch.first.groups
+        assert groups is not None
+        for k in np.flatnonzero(stretch.changed):
+            passed = self.passed[groups[k]]
+            jump = 1 if (g[-1, k] > 0.0) == (passed > 0.0) else -1
+            kind, angle = (BRANCH_POINT, 0.0) if passed > 0.0 else (DOUBLING, np.pi)
+            yield Crossing(int(k), kind, angle, jump)
+
+    def traces(self, point: Point) -> ComplexArray:
+        here = self.sampler.exponents(self.own(point))[0]
+        pairs = here.pairs
+        return np.empty(0, complex) if pairs is None else np.asarray(here.traces(pairs)[0], dtype=complex)
+
+    def collision(self, stretch: Stretch, crossings: Sequence[Crossing]) -> Sequence[Event] | None:
+        """A Krein collision: two pairs leave the circle where they meet, or come back: a root of (tau_k - tau_l)^2."""
+        before, after = (self.traces(end.point) for end in (stretch.first, stretch.last))
+        off = [np.flatnonzero(tau.imag > 0.0) for tau in (before, after)]
+        if crossings or abs(off[1].size - off[0].size) != 1:
+            return None
+        leaves = off[1].size > off[0].size
+        there, here = (after, before) if leaves else (before, after)
+        alone = off[int(leaves)]
+        if alone.size > 1:  # the one that has no partner at the other end
+            others = here[off[1 - int(leaves)]]
+            apart = np.abs(there[alone][:, None] - others)
+            alone = alone[[int(np.argmax(np.min(apart, axis=1)))]] if others.size else alone[:1]
+        centre = float(there[alone[0]].real)
+        near = np.sort(here.real[np.argsort(np.abs(here - centre))[:2]])
+        other_centre = float(np.mean(near))
+
+        def discriminant(point: Point, fraction: float) -> float:
+            share = fraction if leaves else 1.0 - fraction
+            tau = self.traces(point)
+            two = tau[np.argsort(np.abs(tau - (other_centre + share * (centre - other_centre))))[:2]]
+            return float(((two[0] - two[1]) ** 2).real)
+
+        noise = max(float(np.max(s.noise)) for s in (stretch.first, stretch.last)) ** 2
+        point = self.root_of(stretch, discriminant, noise, KREIN)
+        place = None if point is None else self.place(stretch, point)
+        if point is None or place is None:
+            return None
+        angle = float(np.arccos(np.clip(0.5 * centre, -1.0, 1.0)))
+        return [self.event(place, point, Crossing(0, KREIN, angle, 2 if leaves else -2))]
+
+
+def _way(sample: Sample, first: complex, last: complex) -> complex:
+    """The way from one value to another, by the shorter way round where they turn."""
+    way = last - first
+    return way - 1j * sample.turn * np.round(way.imag / sample.turn) if np.isfinite(sample.turn) else way

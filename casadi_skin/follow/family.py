@@ -1,0 +1,256 @@
+"""One family as a space of solutions, each part built on first use: equations by resolution, start, branch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.series import TOGETHER
+from casadi_skin.follow.settings import Continuation, End, Point, Target
+from casadi_skin.follow.small_components import with_small_components
+from casadi_skin.follow.special_points import folds_between
+from casadi_skin.model import methods
+from casadi_skin.model.arrays import site_numbers
+from casadi_skin.model.symmetry import SymmetryClass, symmetry_class
+from casadi_skin.solve.confirmed import ConfirmedCorrector
+from casadi_skin.solve.corrector import Corrector
+from casadi_skin.solve.levels import Levels
+from casadi_skin.stability.family_stability import FamilyStability
+from casadi_skin.zero.method import TWO_PI
+from casadi_skin.zero.orbit_collocation import CollocationProblem
+from casadi_skin.zero.problem import Array, Indices, Problem, Scalar
+from casadi_skin.zero.request import FamilyRequest
+from casadi_skin.zero.shooting import ShootingProblem
+from casadi_skin.zero.trigonometric import TrigonometricProblem
+
+if TYPE_CHECKING:
+    from casadi_skin.zero.recursion import PolynomialForm, Recursion
+
+HARMONICS = (methods.FEWEST_COSINES, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 96, 128, 160, 192, 256)
+MANY_HARMONICS = (320, 384, 512)  # where few sites make them cheap
+INTERVALS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
+DIGITS = (8, 10, 12, 14, 15)  # of CVODES' local tolerance: fewer cost as much, and their noise refuses more steps
+SHOOTING_SHARE = 0.03  # of the tolerance, local: an orbit's error is 10 to 1000 local tolerances
+SHOOTING_NOISE = 10.0  # local tolerances, which a corrector of shooting may leave
+ROUND_OFF = 2e-15  # of a residual relative to the state, per square of the resolution
+LARGEST = 10_000_000  # positions times harmonics squared: about a gigabyte
+SMALL = 1000  # unknowns up to which the cost of a call of Ipopt does not depend on their number
+CHEAP = 1_000_000  # the same for systems solved in a fraction of a second
+SERIES_PRECISION = 1e-6  # of a residual before Newton's step
+SERIES_ORDERS = 24  # cost of a step over its length is flat between 20 and 35
+PHASES = np.linspace(0.0, TWO_PI, 401)  # at which an orbit is looked at for jumps
+SLOW = 3.0  # times the period of the linear mode
+UNCHANGED = 1e-13  # a relative change of S, per that of Omega, that no longer shows
+
+
+class Family(FamilyStability):
+    """The equations of one family and how their unknowns are read (see `orbits.space.SolutionSpace`).
+
+    Each part is built on first use; one object serves any number of continuations of the same request.
+    """
+
+    parameter = "S"
+    start_is_limit = True  # the linear mode at S = 0 is not an orbit of the family
+    free: Sequence[str] = ()
+    stability_included = False
+    locates_folds = False  # while the family is followed; `Branch.special_points` locates them on first use
+
+    def __init__(self, request: FamilyRequest) -> None:
+        super().__init__(request)
+        self._recursions: dict[int, Recursion] = {}
+
+    # Equations ------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def symmetry(self) -> SymmetryClass:
+        """Part of the period that is unknown."""
+        return self.request.method.symmetry or symmetry_class(self.coordinates.scaled)
+
+    @cached_property
+    def levels(self) -> Levels:
+        """Discretisations from coarse to fine with their correctors."""
+        transcription = self.request.method.transcription
+        if transcription == methods.SHOOTING:
+            useful = [d for d in DIGITS[:-2] if 10.0**-d <= SHOOTING_SHARE * self.tolerance]
+            return Levels(self._problem, self._corrector, (*useful, *DIGITS[-2:]))
+        if transcription in methods.COLLOCATION_TABLES:
+            return Levels(self._problem, self._corrector, INTERVALS)
+        positions = self.coordinates.mode.size
+        fits = [H for H in HARMONICS if positions * H**2 <= LARGEST]
+        fits += [H for H in MANY_HARMONICS if positions * H**2 <= CHEAP]
+        return Levels(self._problem, self._corrector, tuple(fits or HARMONICS[:2]))
+
+    def _problem(self, resolution: int) -> Problem:
+        own = self.coordinates.transcription(resolution)
+        if own is not None:
+            return own
+        scaled, transcription = self.coordinates.solved, str(self.request.method.transcription)
+        if transcription == methods.TRIGONOMETRIC:
+            return TrigonometricProblem(scaled, resolution)
+        if transcription == methods.SHOOTING:
+            return ShootingProblem(scaled, resolution, self.symmetry)
+        table = methods.COLLOCATION_TABLES[transcription].load()(self.request.degree)
+        return CollocationProblem(scaled, resolution, self.symmetry, table)
+
+    @property
+    def corrector_tolerance(self) -> float:
+        """Residual that a corrector may leave, relative to the state, where round-off allows it."""
+        return float(np.clip(1e-2 * self.tolerance, 1e-12, 1e-6))
+
+    def _corrector(self, problem: Problem) -> Corrector:
+        tolerance, name = self.corrector_tolerance, self.request.method.corrector
+        if isinstance(problem, ShootingProblem):
+            tolerance = max(tolerance, SHOOTING_NOISE * 10.0**-problem.resolution)
+        if name == "ipopt":
+            tolerance = max(tolerance, ROUND_OFF * problem.resolution**2)
+        if name == "ipopt" and not isinstance(problem, ShootingProblem):
+            series = self.request.method.walker == "series"
+            return ConfirmedCorrector(problem, tolerance, TOGETHER if series and problem.size <= SMALL else 1)
+        corrector: Corrector = methods.CORRECTORS[name].load()(problem, tolerance)
+        return corrector
+
+    # The branch -----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def point_solver(self) -> PointSolver:
+        """The solver of points of the family at its tolerance."""
+        return PointSolver(self.levels, self.request.continuation_settings())
+
+    @cached_property
+    def start(self) -> Point:
+        """The linear mode at S = 0 with the tangent of the family."""
+        return self.point_solver.start(self.coordinates.mode, self.coordinates.start_unknown)
+
+    def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
+        """The continuation from its last points, the start among them, and from points reported after these."""
+        kind = methods.CONTINUATIONS[str(self.request.method.walker)].load()
+        if self.request.method.walker != "series":
+            found: Continuation = kind(self.point_solver, history, reported)
+            return found
+
+        tolerance = self.corrector_tolerance
+
+        def precision(problem: Problem) -> float:
+            allowed = max(tolerance, ROUND_OFF * problem.resolution**2)
+            return min(0.1 * math.sqrt(allowed), SERIES_PRECISION)  # Newton's step squares it
+
+        series: Continuation = kind(self.point_solver, history, self._recursion, precision, reported)
+        return series
+
+    def _recursion(self, problem: Problem) -> Recursion:
+        """Power series at one resolution, made once."""
+        assert isinstance(problem, TrigonometricProblem)
+        if problem.resolution not in self._recursions:
+            self._recursions[problem.resolution] = problem.recursion(self._polynomial_form, SERIES_ORDERS)
+        return self._recursions[problem.resolution]
+
+    @cached_property
+    def _polynomial_form(self) -> PolynomialForm:
+        from casadi_skin.zero.recursion import PolynomialForm
+
+        return PolynomialForm.of(self.coordinates.scaled)
+
+    @property
+    def held_names(self) -> tuple[str, ...]:
+        """Names of the quantities that `target` accepts."""
+        return "S", "Omega", "period"
+
+    def target(self, name: str, value: float) -> Target:
+        """Condition that S, Omega or the period has a value; raises ValueError for other names."""
+        if name == "S":
+            return Target(Scalar.PARAMETER, self.coordinates.parameter_of(value))
+        if name not in self.held_names:
+            raise ValueError(f"at: given {name}; accepted: {', '.join(self.held_names)}")
+        if not 0 < value < math.inf:
+            raise ValueError(f"at: given {name} = {value!r}; accepted: a finite number > 0")
+        return Target(Scalar.OMEGA, value if name == "Omega" else TWO_PI / value)
+
+    @property
+    def to(self) -> float:
+        """S at which the family ends."""
+        return self.request.amplitude_max
+
+    def requested_values(self) -> dict[str, Sequence[float]]:
+        """Values at which orbits are wanted, by name."""
+        targets = self.request.targets
+        return {"S": targets.at, "Omega": targets.at_Omega, "period": targets.at_period}
+
+    def value(self, name: str, point: Point) -> float:
+        """S, Omega or the period of a point; exactly the requested value at a requested point."""
+        if name == "S":
+            return self.request.S_of(point.parameter)
+        return point.Omega if name == "Omega" else self.request.period_of(point.Omega)
+
+    def singular_near(self, guess: Point) -> None:
+        """None: special points of a family are sought on first use."""
+
+    def special_between(self, before: Point, after: Point) -> Iterator[Point]:
+        """Folds on the stretch between two points, where S turns back."""
+        yield from folds_between(self.point_solver, before, after)
+
+    def parameter_error(self, point: Point) -> float:
+        """Estimated error of S at a special point."""
+        relative = point.error.parameter or point.error.relative(point.Omega)
+        return relative * self.coordinates.S_rate * self.value("S", point)
+
+    def stop(self, point: Point) -> tuple[End | None, str]:
+        """LIMIT where the only requests left are values of S that the family does not reach; JUMP where forces do."""
+        jumps = self.coordinates.jump(lambda: math.sqrt(self.value("S", point)) * self.positions(point, PHASES))
+        if jumps:
+            return End.JUMP, jumps
+        targets = self.request.targets
+        if SLOW * point.Omega > self.start.Omega or targets.period_max is not None:
+            return None, ""
+        slowest = min((*targets.at_Omega, *(TWO_PI / period for period in targets.at_period)), default=np.inf)
+        at_limit = point.Omega < slowest and point.parameter_rate <= UNCHANGED
+        return (End.LIMIT if at_limit else None), ""
+
+    # Values ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the positions at `output_sites`."""
+        return self.coordinates.position_names
+
+    @property
+    def output_sites(self) -> Indices:
+        """Numbers of the positions in files and pictures."""
+        return self.coordinates.output_sites
+
+    @property
+    def S_rate(self) -> float:
+        """Relative change of S per that of the free parameter."""
+        return self.coordinates.S_rate
+
+    def parameters(self, point: Point) -> dict[str, float]:
+        """Values of the parameters of the model by name."""
+        return dict(self.coordinates.parameters)
+
+    def interval(self, point: Point) -> tuple[float, float]:
+        """From phase zero over the period."""
+        return 0.0, self.value("period", point)
+
+    def span(self, point: Point) -> tuple[float, float]:
+        """From phase zero over the part of the period that the symmetry leaves."""
+        return 0.0, self.symmetry.value * self.value("period", point)
+
+    def energy(self, point: Point) -> float:
+        """The conserved quantity; raises ValueError where the model declares none."""
+        return self.value("S", point) * self.coordinates.energy(point.problem, point.z)
+
+    def positions(self, point: Point, theta: Array, sites: Indices | None = None) -> Array:
+        """Positions over sqrt(S) at phases theta, shape (len(theta), sites)."""
+        return self.coordinates.displacements(point.problem, point.z, theta, sites)
+
+    def log_displacements(self, point: Point, sites: ArrayLike | None) -> tuple[Array, Array]:
+        """Natural logarithms of |y_n(0)| over sqrt(S), and signs, also far below the smallest double."""
+        z, smallest = with_small_components(self.point_solver, point)
+        coordinates = self.coordinates
+        solved = coordinates.log_solved(point, z, smallest)
+        return coordinates.log_displacements(point, solved, site_numbers(sites))

@@ -1,0 +1,213 @@
+"""Following a family from a linear mode, or the branch through a solution: arguments checked, then continuation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.following import Following, run_following
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.settings import ContinuationSettings, Target
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.special_points import BRANCH_POINT, FOLD
+from casadi_skin.model.arguments import check_name, check_options, duration, function_of, number, numbers, truth, whole
+from casadi_skin.model.forcing import check_forcing_period
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.zero.method import MAX_POINTS, Method
+from casadi_skin.zero.problem import Scalar
+from casadi_skin.zero.request import FamilyModel, family_request
+
+
+@runtime_checkable
+class Follows(Protocol):
+    """A space whose solutions can be followed in a parameter."""
+
+    def following(
+        self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
+    ) -> SolutionSpace:
+        """The space of the branch through one of its solutions; raises ValueError where there is none."""
+        ...
+
+
+def follow_family(
+    model: FamilyModel | OdeModel,
+    mode: int | str,
+    amplitude_max: float,
+    *,
+    at: Sequence[float] = (),
+    at_Omega: Sequence[float] = (),
+    at_period: Sequence[float] = (),
+    period_max: float | None = None,
+    max_points: int = MAX_POINTS,
+    time_limit: float | None = None,
+    until: Callable[[Orbit], bool] | None = None,
+    stability: bool = False,
+    events: bool = True,
+    tolerance: float = 1e-8,
+    parameters: Mapping[str, float] | None = None,
+    progress: Callable[[Orbit], None] | None = None,
+    **method: Any,
+) -> Branch:
+    """Follow the family of nonlinear modes that grows from a linear mode; dimensionless, or in the model's units.
+
+    Arguments:
+        model: a `Chain`, or an `OdeModel` of second order with a declared reversal and an equilibrium at 0.
+        mode: the linear mode by ascending frequency from 1, "first" or "last".
+        amplitude_max: S at which the family ends: the sum of squares of the positions at the phase where all velocities
+            vanish, or the S of the model's normalisation.
+        at: values of S at which orbits are wanted exactly, as often as the family passes them.
+        at_Omega: frequencies, likewise.
+        at_period: periods, likewise.
+        period_max: period at which the family ends where that comes before `amplitude_max`.
+        max_points: number of orbits after which it ends wherever it is.
+        time_limit: seconds after which it ends likewise, with what was computed; what is sought later, as changes of
+            stability, has the seconds that are left.
+        until: ends the family at the first orbit for which it is true.
+        stability: whether multipliers are computed for each orbit.
+        events: whether every change of stability is sought.
+        tolerance: bounds the relative error of Omega, profile and multipliers.
+        parameters: values of the parameters of an `OdeModel` by name, where they are not its nominal ones.
+        progress: called with each orbit.
+        method: fields of `Method`: transcription, degree, corrector, walker, flow, tail, symmetry,
+            stability_sites.
+
+    Returns:
+        The branch; one that ended early has `complete` False and a `reason`.
+
+    Raises:
+        ValueError, TypeError: an argument is out of range; the message names it.
+
+    Collocation and pseudo-arclength continuation in scaled coordinates (paper, Sec. II; Keller 1977).
+    """
+    _check_choices(stability, events, until, progress)
+    check_options("follow_family", method, follow_family, Method)
+    seconds = duration("time_limit", time_limit)
+    request = family_request(
+        model, mode, amplitude_max, at=at, at_Omega=at_Omega, at_period=at_period, period_max=period_max,
+        max_points=max_points, tolerance=tolerance, parameters=parameters, **method,
+    )  # fmt: skip
+    request = request.for_stability(method.get("walker")) if stability else request
+    return run_following(Following(Family(request), stability, events, until=until, time_limit=seconds), progress)
+
+
+def _check_choices(stability: object, events: object, until: object, progress: object) -> None:
+    """Raises TypeError for flags that are no choice, and for callbacks that are neither a function nor None."""
+    truth("stability", stability)
+    truth("events", events)
+    for name, function in (("until", until), ("progress", progress)):
+        function_of(name, function, "a solution")
+
+
+def follow(
+    solution: Solution,
+    parameter: str,
+    to: float,
+    *,
+    at: Sequence[float] = (),
+    max_points: int = MAX_POINTS,
+    max_step: float = 0.2,
+    back_to: float | None = None,
+    time_limit: float | None = None,
+    until: Callable[[Any], bool] | None = None,
+    stability: bool = False,
+    events: bool = True,
+    progress: Callable[[Any], None] | None = None,
+) -> Branch:
+    """The branch through a solution in the direction of `to`, by pseudo-arclength continuation (Keller 1977).
+
+    Arguments:
+        solution: an equilibrium, an orbit or a solution of a boundary-value problem without objective; an orbit of a
+            family is first solved again as a boundary-value problem at its S.
+        parameter: name of the parameter to follow; the others keep their values.
+        to: where the branch ends; it goes round folds on its way.
+        at: values at which solutions are wanted exactly, as often as the branch passes them.
+        max_points: number of points after which the branch ends.
+        max_step: longest step, 1 being a change of the states by their own size.
+        back_to: a value on the other side of the start, where a branch that comes back ends; left out, it ends at the
+            value that it started from, and one of equilibria or of a forced model goes on to see whether it closes.
+        time_limit: seconds after which the branch ends, with what was computed.
+        until: ends the branch at the first solution for which it is true.
+        stability: whether multipliers are computed for each orbit; equilibria have their eigenvalues always.
+        events: whether changes of stability are located.
+        progress: called with each solution.
+
+    Returns:
+        The branch. One that is a closed curve is followed once, and its end is named so.
+
+    Raises:
+        ValueError: an argument is out of range.
+        BoundaryError, EquilibriumError: the start cannot be solved.
+    """
+    _check_choices(stability, events, until, progress)
+    seconds = duration("time_limit", time_limit)
+    space = following_space(solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to)
+    if stability and isinstance(space, BoundarySpace) and not space.closes:
+        accepted = "for orbits, and for conditions x(end) = S x(start)"
+        raise ValueError(f"stability: given for solutions that are no orbits; accepted: {accepted}")
+    return run_following(Following(space, stability, events, until=until, time_limit=seconds), progress)
+
+
+def following_space(
+    solution: Solution, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float,
+    back_to: float | None = None,
+) -> SolutionSpace:  # fmt: skip
+    """The space of the branch through a solution in a parameter; raises ValueError as `follow` does."""
+    if isinstance(solution, Orbit) and isinstance(solution.space, Family):
+        from casadi_skin.zero.restating import restated
+
+        solution = restated(solution, parameter)
+    space = solution.space
+    if isinstance(space, BoundarySpace) and space.statement.optimises:
+        raise ValueError("follow: given a solution with an objective; accepted: one without")
+    settings = following_settings(
+        solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
+    )
+    _check_regular(solution, parameter)
+    assert isinstance(space, Follows)
+    return space.following(solution, parameter, float(to), tuple(float(np.float64(v)) for v in at), settings)
+
+
+def _check_regular(solution: Solution, parameter: str) -> None:
+    """Raises ValueError for a fold or a branch point, where equations at a held parameter are singular."""
+    kind = getattr(solution.space, "kind", "") or solution.point.special
+    if kind in (FOLD, BRANCH_POINT):
+        why = f"where the equations at a held {parameter} are singular"
+        accepted = f"a solution beside it, or `curve` of the {kind} itself"
+        raise ValueError(f"follow: given a {kind}, {why}; accepted: {accepted}")
+
+
+def following_settings(
+    solution: Solution, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float,
+    back_to: float | None = None,
+) -> ContinuationSettings:  # fmt: skip
+    """Settings of a branch from a solution in a parameter, checked; raises ValueError as `follow` does."""
+    check_name("parameter", parameter, [name for name in solution.parameters if name not in solution.space.free])
+    start, end = solution.parameters[parameter], number("to", to)
+    if end == start:
+        raise ValueError(f"to: given {end!r}, where the branch starts; accepted: another value")
+    back = start if back_to is None else number("back_to", back_to)
+    if back_to is not None and not (back - start) * (end - start) < 0.0:
+        side = "below" if end > start else "above"
+        raise ValueError(f"back_to: given {back:g}; accepted: a number {side} {start:g}, where the branch starts")
+    for value in numbers("at", at):
+        if not min(back, end) <= value <= max(back, end):
+            raise ValueError(f"at: given {value:g}; accepted: values from {back:g} to {end:g}")
+    whole("max_points", max_points, 2)
+    if not number("max_step", max_step) > 0.0:
+        raise ValueError(f"max_step: given {max_step!r}; accepted: a number > 0")
+    wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in at)
+    model = solution.model
+    forced = isinstance(model, OdeModel) and model.forced
+    if isinstance(solution, Orbit) and isinstance(model, OdeModel) and forced:
+        check_forcing_period(model, solution, solution.period, {**solution.parameters, parameter: end})
+    return ContinuationSettings(
+        1.0, solution.space.tolerance, wanted, max_step=float(max_step), max_points=max_points, tiny_first=False,
+        max_parameter_step=0.2, parameter_min=(back - start) / (end - start),
+        closing=back_to is None and (solution.space.stability_included or forced),  # an isola of responses
+    )  # fmt: skip

@@ -1,0 +1,393 @@
+"""Corrected points of a branch: near a guess, at a value of the parameter or Omega, between two other points.
+
+The corrector has the last word on every point, and the point is refined until its estimated error meets the tolerance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import groupby
+
+import numpy as np
+
+from casadi_skin.follow.hermite import LocalCurve
+from casadi_skin.follow.settings import ContinuationSettings, Point, Target
+from casadi_skin.solve.corrector import Correction, confirmations
+from casadi_skin.solve.estimates import ErrorEstimate, Measured, step_error
+from casadi_skin.solve.levels import Levels
+from casadi_skin.zero.orbit_problem import OrbitProblem
+from casadi_skin.zero.problem import Array, Problem, Scalar, SingularError, Solve
+
+ROUND_OFF = 1e-7  # an estimate below this that a finer level does not halve
+COARSEN = 0.25  # of the tolerance: the error expected of a coarser level; less than 1, or it is left again at once
+START_ERROR = 1e-4  # of the linear mode where a walk starts
+PATIENCE = 4  # resolutions that may fail to halve, all together, an estimate that is small enough to mean something
+MEANINGFUL = 1e-3
+ASYMPTOTIC = 1e-2  # relative error below which the gain of finer levels is foreseen
+TURNED = 1e-2  # that a tangent may differ from the one computed again: a Newton step and a finer level lie between
+BESIDE = 1e-3  # reach of a correction to a target that the point meets but for round-off
+
+
+class PointSolver:
+    """Makes points of one branch on a levels of resolutions, to the tolerance of the settings."""
+
+    def __init__(self, levels: Levels, settings: ContinuationSettings) -> None:
+        self.levels, self.settings = levels, settings
+        self.failure = ""  # why the last correction came to nothing, in words
+
+    # Geometry -------------------------------------------------------------------------------------------------------
+
+    def metric(self, problem: Problem, z: Array) -> Array:
+        return problem.metric(z, abs(self.settings.parameter_max))
+
+    def metrics(self, problem: Problem, z: Array) -> Array:
+        """The metric at several states, shape (states, unknowns)."""
+        return problem.metrics(z, abs(self.settings.parameter_max))
+
+    def distance(self, problem: Problem, z: Array, other: Array) -> float:
+        """Distance of two states in the metric at the first one."""
+        return float(np.sqrt(np.sum(self.metric(problem, z) * (other - z) ** 2)))
+
+    def factor(self, problem: Problem, z: Array, row: Array) -> Solve:
+        """Solver of the Jacobian at z closed by `row`; raises SingularError."""
+        return self.levels.solver(problem).factor(z, problem.evaluate(z)[1], row)
+
+    def tangent(self, problem: Problem, z: Array, solve: Solve) -> Array:
+        """Unit tangent at z with row . t > 0, by the solver closed by that row."""
+        unit = np.zeros(problem.size)
+        unit[-1] = 1.0
+        t = solve(unit)
+        return np.asarray(t / np.sqrt(np.sum(self.metric(problem, z) * t**2)))
+
+    def start(self, positions: Array, Omega: float) -> Point:
+        """The linear mode at zero amplitude with the tangent of its family; not walked.
+
+        On the coarsest level whose own linear mode is this one, but for an error that the guard does not see.
+        """
+        direction = float(np.sign(self.settings.parameter_max))
+        for resolution in self.levels.resolutions:
+            problem = self.levels.problem(resolution)
+            assert isinstance(problem, OrbitProblem)
+            z = problem.pack(positions, Omega, 0.0)
+            solve = self.factor(problem, z, direction * problem.parameter_row())
+            own = step_error(problem, z, solve(np.append(problem.evaluate(z)[0], 0.0)))
+            enough = min(self.settings.tolerance, START_ERROR)
+            if problem.holds_linear_modes or own.relative(problem.frequency(z)) <= enough:
+                break
+        tangent = self.tangent(problem, z, solve)
+        return Point(problem, z, tangent, ErrorEstimate(0.0, 0.0), self.settings.first_step, 0)
+
+    def fault(self, point: Point) -> str:
+        """Why a point from elsewhere is none of the branch, in words; empty where it is.
+
+        The residual and the tangent are computed anew: a Newton step may move the point by its own error, or by the
+        tolerance, and no more.
+        """
+        problem, z, error = point.problem, point.z, point.error
+        sizes = (point.step, point.along, error.Omega, error.profile, error.parameter)
+        if not all(np.all(np.isfinite(values)) for values in (z, point.tangent, problem.constants, sizes)):
+            return "a value that is not finite"
+        if not (problem.frequency(z) > 0 and point.step > 0):
+            return "a frequency or a step that is not positive"
+        row = self.metric(problem, z) * point.tangent
+        try:
+            with np.errstate(all="ignore"):
+                solve = self.factor(problem, z, row)
+                left_over, tangent = solve(np.append(problem.evaluate(z)[0], 0.0)), self.tangent(problem, z, solve)
+                moved = step_error(problem, z, left_over).relative(problem.frequency(z))
+        except (SingularError, RuntimeError):
+            return "a point at which the equations are singular"
+        if not moved <= 2.0 * max(self.settings.tolerance, error.relative(problem.frequency(z))):
+            return f"a point that does not solve the equations (a Newton step moves it by {moved:.1e})"
+        turned = float(np.sqrt(np.sum(self.metric(problem, z) * (tangent - point.tangent) ** 2)))
+        return "" if turned <= TURNED else f"a tangent that is none (off by {turned:.1e})"
+
+    # Correcting -----------------------------------------------------------------------------------------------------
+
+    def correct(self, problem: Problem, guess: Array, row: Array, value: float, reach: float) -> Correction | None:
+        """Corrected point within the guard's fraction of `reach` of the guess, or None."""
+        correction = self.levels.corrector(problem).correct(guess, row, value)
+        if not correction.converged or problem.frequency(correction.z) <= 0:
+            self.failure = f"{correction.status.value}: {correction.message}".rstrip(": ")
+            return None
+        distance = self.distance(problem, guess, correction.z)
+        allowed = self.settings.guard_distance * reach
+        if distance <= allowed:
+            return correction
+        if reach <= 0.0:
+            self.failure = f"the next point lies behind the one before it ({problem.whereabouts(guess)})"
+            return None
+        apart = f"the corrected point is {distance:.1e} from the predicted one, more than {allowed:.1e}"
+        self.failure = f"{apart} ({problem.whereabouts(guess)})"
+        return None
+
+    def refined(
+        self,
+        problem: Problem,
+        correction: Correction,
+        row: Array,
+        held: Scalar | None = None,
+        known: tuple[Point, float] | None = None,
+    ) -> Point | None:
+        """The point on the coarsest level from `problem` up that meets the tolerance; None at the top of the levels.
+
+        `held` names what `row` holds, None where it is a row of its own. Where most of the error is what the corrector
+        left over, a Newton step and the corrector once more take it away; what stays after that, or what a finer level
+        does not lessen, is round-off, and the point is kept with its estimate. `known` is the correction's point and
+        relative error, where these have been found. Raises SingularError.
+        """
+        climbed = self._climbed(problem, correction, row, held, known)
+        if climbed is None:
+            return None
+        (point,) = self.confirmed([(climbed, held)])
+        if isinstance(point, SingularError):
+            raise point
+        return point
+
+    def confirmed(self, points: Sequence[tuple[Point, Scalar | None]]) -> list[Point | SingularError | None]:
+        """Points as the corrector confirms them, each with its held value; an error where it refuses one."""
+        found: list[Point | SingularError | None] = []
+        for problem, these in groupby(points, key=lambda item: item[0].problem):
+            some = list(these)
+            rows = self._rows(problem, some)
+            held_states = [(point.z, row, float(row @ point.z)) for (point, _), row in zip(some, rows, strict=True)]
+            corrections = confirmations(self.levels.corrector(problem), held_states)
+            for (point, held), row, correction in zip(some, rows, corrections, strict=True):
+                found.append(self._last_word(point, held, row, correction))
+        return found
+
+    def _rows(self, problem: Problem, points: Sequence[tuple[Point, Scalar | None]]) -> Array:
+        """The rows of the held values, or of the places along the tangents."""
+        rows = self.metrics(problem, np.stack([point.z for point, _ in points]))
+        rows *= np.stack([point.tangent for point, _ in points])
+        for row, (_, held) in zip(rows, points, strict=True):
+            if held is not None:
+                row[:] = problem.row_of(held)
+        return rows
+
+    def _last_word(
+        self, point: Point, held: Scalar | None, row: Array, correction: Correction
+    ) -> Point | SingularError | None:
+        """A point with the corrector's last word on it: measured anew where that moves it."""
+        if correction.converged and correction.z is point.z:
+            return point
+        if not correction.converged:
+            return SingularError(f"{correction.status.value} {correction.message}".strip())
+        try:
+            return self._climbed(point.problem, correction, row, held, None)
+        except SingularError as error:
+            return error
+
+    def _climbed(
+        self,
+        problem: Problem,
+        correction: Correction,
+        row: Array,
+        held: Scalar | None,
+        known: tuple[Point, float] | None,
+    ) -> Point | None:
+        """As `refined`, before the last word."""
+        z, iterations, polished, placed = correction.z, correction.iterations, False, False
+        coarser: tuple[float, Point] | None = None  # the same point one level below, with its error
+        climbed: list[tuple[int, float]] = []
+        while True:
+            if known is not None and self._is_finished(*known):
+                return known[0]
+            tangent, solve = problem.own_tangent, correction.solve
+            if tangent is None:
+                solve = self.factor(problem, z, row)
+                tangent = self.tangent(problem, z, solve) if known is None else known[0].tangent
+            if known is None:
+                known = self._measured(problem, replace(correction, z=z, iterations=iterations), tangent, held)
+            point, relative = known
+            if self._is_finished(point, relative):
+                return point
+            left_over = (solve or self.factor(problem, z, row))(np.append(problem.evaluate(z)[0], 0.0))
+            algebraic = step_error(problem, z, left_over, held is Scalar.OMEGA).relative(point.Omega)
+            if polished and algebraic > 0.25 * relative:
+                return replace(point, at_round_off=True)
+            if coarser is not None and 0.5 * coarser[0] < relative < ROUND_OFF:
+                return replace(coarser[1], at_round_off=True)  # its finer level has more round-off, not less error
+            if algebraic > 0.25 * relative:
+                polished, target, guess = True, problem, z - left_over
+            elif not placed and problem.expected_error(z, relative, problem) <= self.settings.tolerance:
+                polished, placed, target = False, True, problem.placed(z, problem)
+                guess = problem.prolong(z, target)
+            else:
+                climbed.append((problem.resolution, relative))
+                _check_gain(climbed, point)
+                excess = relative / self.settings.tolerance if relative < ASYMPTOTIC else 1.0
+                finer = self.levels.finer(problem, z, excess)
+                if finer is None or self.levels.finer(finer) is None:
+                    return None
+                polished, placed, target, coarser = False, False, finer, (relative, point)
+                guess = problem.prolong(z, target)
+            row = self._closing(problem, target, guess, row, point.tangent, held)
+            correction = self.levels.corrector(target).correct(guess, row, float(row @ guess))
+            if not correction.converged:
+                raise SingularError(f"{correction.status.value} {correction.message}".strip())
+            problem, z, iterations, known = target, correction.z, iterations + correction.iterations, None
+
+    def near(
+        self, problem: Problem, correction: Correction, tangent: Array, row: Array, held: Scalar | None = None
+    ) -> Point | None:
+        """As `refined`, with the tangent known: a point that meets the tolerance costs one factorisation less."""
+        known = self._measured(problem, correction, tangent, held)
+        return self.refined(problem, correction, row, held, known)
+
+    def unconfirmed(
+        self,
+        problem: Problem,
+        correction: Correction,
+        tangent: Array,
+        row: Array,
+        held: Scalar | None = None,
+        measured: Measured | None = None,
+    ) -> Point | None:
+        """As `near`, before the corrector's last word (see `confirmed`), and with its error where that is known."""
+        known = self._measured(problem, correction, tangent, held, measured)
+        return self._climbed(problem, correction, row, held, known)
+
+    def _is_finished(self, point: Point, relative: float) -> bool:
+        """Whether nothing is to be done about an error."""
+        return point.at_round_off or relative <= self.settings.tolerance
+
+    def _measured(
+        self,
+        problem: Problem,
+        correction: Correction,
+        tangent: Array,
+        held: Scalar | None,
+        measured: Measured | None = None,
+    ) -> tuple[Point, float]:
+        """The point of a correction with its estimated error; and that relative, the larger of both."""
+        if measured is None and held is Scalar.PARAMETER and problem.own_tangent is not None:
+            measured = self.levels.near(problem, correction.z, self.settings.tolerance, correction.solve)
+        error, better = measured or self.levels.refined(problem, correction.z, tangent, held)
+        relative = error.relative(problem.frequency(correction.z))
+        at_round_off = self.settings.tolerance < relative <= error.round_off
+        step, iterations = self.settings.first_step, correction.iterations
+        point = Point(problem, correction.z, tangent, error, step, iterations, better=better, at_round_off=at_round_off)
+        return point, relative
+
+    def _closing(
+        self, problem: Problem, target: Problem, guess: Array, row: Array, tangent: Array, held: Scalar | None
+    ) -> Array:
+        """The row that closes the equations of `target` as `row` closed those of `problem`."""
+        if target is problem:
+            return row
+        if held is not None:
+            return np.asarray(target.row_of(held) * row[problem.index_of(held)])
+        return np.asarray(self.metric(target, guess) * problem.prolong(tangent, target))
+
+    def lighter(self, point: Point) -> Problem:
+        """The problem of the next step from a point: on a coarser level where that is expected to suffice."""
+        allowed = COARSEN * self.settings.tolerance
+        return self.levels.lighter(point.problem, point.z, point.error.relative(point.Omega), allowed)
+
+    # At a value of the parameter or of Omega, between two points -----------------------------------------------------
+
+    def between(
+        self, current: Point, following: Point, targets: tuple[Target, ...], passed: float = 0.0
+    ) -> Iterator[tuple[Target, Point | None]]:
+        """Points at any of `targets` between two points of the branch, in arclength order, beyond the place `passed`.
+
+        Yields (target, point), and (target, None) where the corrector does not find the point that the branch passes.
+        """
+        curve, length = self.curve(current, following)
+        problem = following.problem
+        places = [(sigma, target) for target in targets for sigma in curve.crossings(*target.unknown(problem), length)]
+        for sigma, target in sorted(places, key=lambda place: place[0]):
+            if sigma > passed:
+                point = self._exactly(problem, curve, sigma, target, length)
+                yield target, None if point is None else replace(point, along=sigma)
+
+    def beside(self, point: Point, target: Target) -> Point | None:
+        """The point at a target that `point` meets but for round-off; None where none is found."""
+        return self._exactly(point.problem, LocalCurve.line(point.z, point.tangent), 0.0, target, BESIDE)
+
+    def curve(self, current: Point, following: Point) -> tuple[LocalCurve, float]:
+        """The local cubic from one point to the next, in the unknowns of the second, and its length in sigma."""
+        problem = following.problem
+        z, t = (current.problem.prolong(v, problem) for v in (current.z, current.tangent))
+        row = self.metric(problem, z) * t
+        curve = LocalCurve.through(z, t, following.z, following.tangent, row)
+        return curve, float(row @ (following.z - z))
+
+    def along(self, current: Point, following: Point, fraction: float) -> Point | None:
+        """A corrected point at a fraction of the way between two points of the branch, or None."""
+        correction, row = self._corrected_along(current, following, fraction)
+        try:
+            point = None if correction is None else self.refined(following.problem, correction, row)
+        except SingularError as error:
+            self.failure = str(error)
+            return None
+        return None if point is None else replace(point, walked=False)
+
+    def coarse_along(self, current: Point, following: Point, fraction: float) -> Point | None:
+        """As `along`, on the level of the second point whatever its error: crossing branches amplify rounding."""
+        correction, tangent = self.corrected_along(current, following, fraction)
+        if correction is None or tangent is None:
+            return None
+        try:
+            point = self._measured(following.problem, correction, tangent, None)[0]
+        except SingularError:
+            return None
+        return replace(point, walked=False, at_round_off=True)
+
+    def tangent_along(self, current: Point, following: Point, fraction: float) -> Array | None:
+        """The tangent at a fraction of the way between two points, on the level of the second alone, or None."""
+        return self.corrected_along(current, following, fraction)[1]
+
+    def corrected_along(
+        self, current: Point, following: Point, fraction: float
+    ) -> tuple[Correction | None, Array | None]:
+        """The correction and the tangent at a fraction of the way, on the level of the second point alone, or None."""
+        correction, row = self._corrected_along(current, following, fraction)
+        if correction is None:
+            return None, None
+        try:
+            problem = following.problem
+            return correction, self.tangent(problem, correction.z, self.factor(problem, correction.z, row))
+        except SingularError as error:
+            self.failure = str(error)
+            return correction, None
+
+    def _corrected_along(self, current: Point, following: Point, fraction: float) -> tuple[Correction | None, Array]:
+        """The correction at a fraction of the way between two points on the level of the second, and its row."""
+        problem = following.problem
+        curve, length = self.curve(current, following)
+        guess, slope = curve.at(fraction * length), curve.slope(fraction * length)
+        row = self.metric(problem, guess) * slope
+        return self.correct(problem, guess, row, float(row @ guess), length), row
+
+    def _exactly(
+        self, problem: Problem, curve: LocalCurve, sigma: float, target: Target, length: float
+    ) -> Point | None:
+        """The point at a target near curve(sigma); None where none is found there."""
+        guess = curve.at(sigma)
+        index, value = target.unknown(problem)
+        direction = float(np.sign(curve.slope(sigma)[index]))
+        row = problem.row_of(target.held) * direction
+        correction = self.correct(problem, guess, row, value * direction, length)
+        if correction is None:
+            return None
+        correction.z[index] = value  # equal but for round-off of the held row
+        try:
+            point = self.refined(problem, correction, row, target.held)
+        except SingularError:
+            return None
+        return None if point is None else replace(point, walked=False)
+
+
+def _check_gain(climbed: list[tuple[int, float]], point: Point) -> None:
+    """Raises SingularError where finer resolutions do not lessen the error: rounding is amplified there."""
+    if len(climbed) <= PATIENCE:
+        return
+    (coarse, before), (fine, now) = climbed[-1 - PATIENCE], climbed[-1]
+    if 0.5 * before < now < MEANINGFUL:
+        raise SingularError(
+            f"resolutions {coarse} to {fine} leave an error of {now:.1e} at parameter {point.parameter:.6g}, Omega = "
+            f"{point.Omega:.10g}: rounding is amplified there; try a tolerance above {now:.0e}"
+        )

@@ -1,0 +1,236 @@
+"""Equilibria of one model as the solutions that a branch connects (see `orbits.space.SolutionSpace`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NoReturn
+
+import numpy as np
+
+from casadi_skin.follow.arclength import ArclengthContinuation
+from casadi_skin.follow.detection import special_between
+from casadi_skin.follow.equilibrium import Equilibrium
+from casadi_skin.follow.settings import Continuation, ContinuationSettings, End, Point, Target
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.unresolved import Unresolved
+from casadi_skin.model.jumps import PARAMETER, STATE
+from casadi_skin.model.result import NoQuantityError
+from casadi_skin.solve.corrector import Correction
+from casadi_skin.solve.estimates import ErrorEstimate
+from casadi_skin.stability.result import Floquet
+from casadi_skin.zero.equations import EquilibriumEquations
+from casadi_skin.zero.problem import Array, Indices, Scalar, SingularError
+from casadi_skin.zero.rest_problem import AlgebraicProblem, Course, sizes_at
+from casadi_skin.zero.statics import Spectrum, Statics
+
+NO_ORBIT = "an equilibrium is no orbit: it has eigenvalues in place of multipliers, and no period"
+AT_JUMP = 1e-6  # of the sizes of states: distance of an equilibrium from a jump at which it counts as on it
+BESIDE = 0.01  # of a step from a special point: where the search for other ones starts
+
+
+class EquilibriumError(ArithmeticError):
+    """No equilibrium was found: the message names the equation and the place in one line."""
+
+
+@dataclass(frozen=True, eq=False)
+class EquilibriumSpace(EquilibriumEquations):
+    """Equilibria of a model; where `parameter` is named they are followed in it from a start.
+
+    Attributes:
+        at: values of the parameter at which equilibria are wanted.
+        first: the start of the branch.
+        leaves: whether `first` is a special point that the branch leaves along the tangent of `first`.
+    """
+
+    at: tuple[float, ...] = ()
+    first: Point | None = None
+    leaves: bool = False
+    start_is_limit: bool = field(default=False, init=False)
+    locates_folds: bool = field(default=True, init=False)
+    S_rate: float = field(default=1.0, init=False)
+
+    def refined(self, correction: Correction) -> Point:
+        """The equilibrium of a correction with u held; raises EquilibriumError where it is not regular."""
+        problem, name = self.problem, self.model.name
+        deficiency = problem.deficiency(correction.z)
+        if deficiency:
+            why = "the equilibrium is not alone there, as with a conserved quantity, or lies at a fold"
+            raise EquilibriumError(f"{name}: {deficiency}: {why}")
+        try:
+            point = self.point_solver.refined(problem, correction, problem.parameter_row(), Scalar.PARAMETER)
+        except SingularError as error:
+            raise EquilibriumError(f"{name}: the equilibrium cannot be refined: {error}") from error
+        if point is None:
+            raise EquilibriumError(f"{name}: the equilibrium cannot be refined to the tolerance; try a larger one")
+        return point
+
+    # The branch -----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def start(self) -> Point:
+        """The first equilibrium as a point of the branch; raises EquilibriumError where it cannot be solved again."""
+        first = self.first
+        assert first is not None
+        step = self.point_solver.settings.first_step
+        if self.leaves:
+            return replace(first, step=step)
+        z = first.z.copy()
+        z[-1] = 0.0
+        correction = self.levels.corrector(self.problem).correct(z, self.problem.parameter_row(), 0.0)
+        if not correction.converged:
+            why = f"{correction.status.value}; {self.problem.worst(correction.z)}"
+            raise EquilibriumError(f"the start of the branch: {why}")
+        return replace(self.refined(correction), step=step)
+
+    def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
+        """Pseudo-arclength continuation from the last points of it, and those reported after these."""
+        return ArclengthContinuation(self.point_solver, history, reported)
+
+    def following(
+        self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
+    ) -> EquilibriumSpace:
+        """The space of the branch through one of these equilibria in a parameter."""
+        assert isinstance(solution.point.problem, AlgebraicProblem)
+        x = solution.point.problem.state(solution.point.z)
+        statics = Statics(self.model, solution.parameters)
+        sizes = sizes_at(statics, x, (Course(parameter, solution.parameters[parameter], to),), self.sizes)
+        z = np.append(x / sizes, 0.0)
+        first = replace(solution.point, z=z)
+        return EquilibriumSpace(statics, self.tolerance, self.corrector, sizes, parameter, to, settings, at, first)
+
+    def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
+        """Special points on the stretch between two points, in order, and parts of it that are not resolved."""
+        for place, point in ((BESIDE, before), (1.0 - BESIDE, after)):
+            if self.leaves and not np.any(point.z != self.start.z):  # a special point itself, which is known
+                beside = self.point_solver.along(before, after, place)
+                if beside is None:
+                    return
+                before, after = (beside, after) if point is before else (before, beside)
+        yield from special_between(self, before, after)
+
+    def singular_near(self, guess: Point) -> None:
+        """None: all special points are sought on every stretch."""
+
+    @property
+    def held_names(self) -> tuple[str, ...]:
+        """Names of the quantities that `target` accepts."""
+        return (self.parameter,)
+
+    def target(self, name: str, value: float) -> Target:
+        """Condition that the continuation parameter has a value."""
+        if name != self.parameter or self.course is None:
+            raise ValueError(f"at: given {name}; accepted: {self.parameter}")
+        return Target(Scalar.PARAMETER, self.course.fraction(value))
+
+    def requested_values(self) -> Mapping[str, Sequence[float]]:
+        return {self.parameter: self.at}
+
+    def value(self, name: str, point: Point) -> float:
+        assert self.course is not None
+        requested = {self.course.fraction(value): value for value in (*self.at, self.to)}
+        u = point.parameter
+        return requested[u] if u in requested else float(self.course.at(u))
+
+    def stop(self, point: Point) -> tuple[End | None, str]:
+        """JUMP where the equations jump at the point, or between the start of the branch and the point."""
+        jumps = self.model.jumps
+        if not jumps.found:
+            return None, ""
+        (x, p), (y, q) = map(self._place, (self.start, point))
+        words = self.jump(point) or jumps.along(np.zeros(2), np.array([x, y]), np.array([p, q]), STATE | PARAMETER)
+        return (End.JUMP if words else None), words
+
+    def jump(self, point: Point) -> str:
+        """That the equations jump at an equilibrium, with the equation; empty where they do not."""
+        x, p = self._place(point)
+        sizes = np.resize(self.sizes, x.size)  # those of velocities are not known: the positions' stand for them
+        return self.model.jumps.beside(x, p, AT_JUMP * np.maximum(np.abs(x), sizes))
+
+    def _place(self, point: Point) -> tuple[Array, Array]:
+        """The state of first order and the parameters of a point."""
+        assert isinstance(point.problem, AlgebraicProblem)
+        y = point.problem.state(point.z)
+        return np.concatenate([y, np.zeros(self.model.full_size - y.size)]), point.problem.parameters(point.z)
+
+    # Values ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return self.statics.names
+
+    @property
+    def output_sites(self) -> Indices:
+        """Numbers of the unknowns, from 1."""
+        return np.arange(1, self.statics.size + 1)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Parameters that are solved for with the state: none here."""
+        return ()
+
+    def parameters(self, point: Point) -> dict[str, float]:
+        assert isinstance(point.problem, AlgebraicProblem)
+        return point.problem.named(point.z)
+
+    def interval(self, point: Point) -> tuple[float, float]:
+        """An equilibrium needs no time."""
+        return 0.0, 0.0
+
+    def span(self, point: Point) -> tuple[float, float]:
+        return 0.0, 0.0
+
+    def solution(self, point: Point, exact: Mapping[str, float] | None) -> Solution:
+        """The equilibrium of a point."""
+        if exact is None:
+            exact = {self.parameter: self.value(self.parameter, point)} if self.parameter else {}
+        return Equilibrium(self, point, exact)
+
+    def parameter_error(self, point: Point) -> float:
+        """Estimated absolute error of the parameter followed at a special point."""
+        return abs(point.error.parameter * (self.to - self.statics.values[self.parameter])) if self.parameter else 0.0
+
+    # Stability ------------------------------------------------------------------------------------------------------
+
+    @property
+    def stability_included(self) -> bool:
+        """Whether stability is computed with every solution."""
+        return True
+
+    @property
+    def stability_batch(self) -> int:
+        return 1
+
+    def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
+        raise NoQuantityError(NO_ORBIT)
+
+    def floquet_vectors(self, point: Point, floquet: Floquet) -> NoReturn:
+        raise NoQuantityError(NO_ORBIT)
+
+    def energy(self, point: Point) -> float:
+        raise NoQuantityError(NO_ORBIT)
+
+    @property
+    def symmetry(self) -> NoReturn:
+        raise NoQuantityError(NO_ORBIT)
+
+    def spectrum(self, point: Point) -> Spectrum:
+        """Eigenvalues at a point, computed once for the last few points."""
+        for known, found in self._spectra:
+            if known is point:
+                return found
+        assert isinstance(point.problem, AlgebraicProblem)
+        z = point.z
+        moved = self.sizes * np.maximum(np.abs(z[: self.statics.size]), 1e-3) * _finite(point.error)
+        found = self.statics.spectrum(point.problem.state(z), point.problem.parameters(z), moved)
+        self._spectra[:] = [*self._spectra[-7:], (point, found)]
+        return found
+
+    @cached_property
+    def _spectra(self) -> list[tuple[Point, Spectrum]]:
+        return []
+
+
+def _finite(error: ErrorEstimate) -> float:
+    return error.profile if np.isfinite(error.profile) else 0.0

@@ -1,0 +1,217 @@
+"""Special points of a branch: folds, at which the continuation parameter turns back, and others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.settings import Point
+from casadi_skin.follow.turns import rate, turning
+from casadi_skin.model import methods
+from casadi_skin.model.arguments import check_options
+from casadi_skin.model.result import Result
+
+if TYPE_CHECKING:
+    from casadi_skin.follow.solution import Solution
+
+FOLD, HOPF, BRANCH_POINT, DOUBLING, TORUS = "fold", "hopf", "branch point", "period doubling", "torus"
+HOMOCLINIC, HETEROCLINIC = "homoclinic", "heteroclinic"
+BOUND = "bound"  # on a state or a free parameter, which a branch comes to
+EDGE = "edge of a tongue"  # of instability of a family
+FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
+FINE = 1e-11  # of a step, to which a zero of a test is found
+
+
+class NotLocatedError(ArithmeticError):
+    """A special point that the branch passes cannot be located; the message gives the reason."""
+
+
+@dataclass(frozen=True, eq=False)
+class SpecialPoint(Result):
+    """A special point of a branch, with the coefficient of its normal form.
+
+    Attributes:
+        kind: "fold"; of equilibria also "branch point" and "hopf"; of boundary-value problems "branch point"; of orbits
+            whose stability was computed "period doubling", "torus" and "branch point", the first two also of problems
+            whose conditions close their solutions; where they end "hopf", or "homoclinic" or "heteroclinic" where their
+            period grows without bound, or "bound" where a bound of the problem is met.
+        parameter: name of the continuation parameter.
+        parameters: values of all parameters by name, and of the continuation parameter.
+        error: estimated error of the continuation parameter.
+        solution: the solution there.
+        mu: value of mu, 0 or -1, at which another branch leaves a family.
+    """
+
+    kind: str
+    parameter: str
+    parameters: Mapping[str, float]
+    error: float
+    solution: Solution
+    mu: float | None = None
+
+    def __repr__(self) -> str:
+        words = f", {self.criticality}" if self.has_criticality else ""
+        words += "".join(f", loses its {what}" for what in self.lost)
+        name = self.parameter
+        return f"<{self.kind} at {name} = {self.parameters[name]:.12g} +- {self.error:.1e}{words}>"
+
+    def __str__(self) -> str:
+        """One line, as `repr`, also within other words."""
+        return repr(self)
+
+    @property
+    def has_criticality(self) -> bool:
+        """Whether the normal form is known and decides on which side the new branch is."""
+        if self.kind not in (HOPF, DOUBLING, TORUS) or self.mu is not None:
+            return False
+        space: Any = self.solution.space
+        if getattr(space, "periodic", self) is not None:
+            return True
+        closure, point = space.closure, self.solution.point
+        return closure is not None and bool(closure.goes_on(point.problem, point.z))
+
+    @cached_property
+    def _critical(self) -> Any:
+        return methods.TASKS["critical"].load()(self)
+
+    @property
+    def vector(self) -> Any:
+        """Critical eigenvector, of orbits Floquet vector at phase zero, shape (components of the state,).
+
+        Raises ValueError where none is defined.
+        """
+        return self._critical.vector
+
+    @cached_property
+    def lost(self) -> tuple[str, ...]:
+        """Symmetries that orbits of the branch that leaves at a branch point lack, in words."""
+        if self.mu is not None:
+            lost: tuple[str, ...] = methods.TASKS["breaking"].load()(self.solution, self.mu).lost
+            return lost
+        if self.kind != BRANCH_POINT or getattr(self.solution.space, "periodic", None) is None:
+            return ()
+        found: tuple[str, ...] = methods.TASKS["lost"].load()(self.solution)
+        return found
+
+    @property
+    def frequency(self) -> float:
+        """Imaginary part of the critical eigenvalues or Floquet exponents; raises ValueError where none is defined."""
+        return float(self._critical.frequency)
+
+    @property
+    def coefficient(self) -> float:
+        """Coefficient of the normal form.
+
+        Of a Hopf point the first Lyapunov coefficient, of a fold the quadratic one, of a period doubling or a torus the
+        cubic one (see `critical_orbits.normal_forms`). NaN where none is defined or known, as at a homoclinic end.
+        """
+        try:
+            return float(self._critical.coefficient)
+        except ValueError:  # of a kind without a normal form
+            return math.nan
+
+    @property
+    def criticality(self) -> str:
+        """Meaning of the coefficient: "supercritical", "subcritical" or "degenerate"; of a fold "quadratic".
+
+        Empty where no normal form is known.
+        """
+        try:
+            return str(self._critical.words)
+        except ValueError:
+            return ""
+
+    def follow(self, parameter: str, to: float, **options: Any) -> Any:
+        """The `Branch` that leaves here, by `casadi_skin.points.switch.switch`."""
+        switch = methods.TASKS["switch"].load()
+        check_options("follow", options, switch)
+        return switch(self, parameter, to, **options)
+
+    def curve(self, parameter: str, to: float, **options: Any) -> Any:
+        """This point followed in a second parameter, by `casadi_skin.follow.curve.curve`."""
+        return methods.TASKS["curve"].load()(self, parameter, to, **options)
+
+
+def check_second(point: SpecialPoint, parameter: str) -> None:
+    """Raise ValueError where a special point is to be followed in the parameter that it was found in."""
+    if parameter == point.parameter:
+        solution = point.solution
+        names = (name for name in solution.parameters if name not in (parameter, *solution.space.free))
+        accepted = ", ".join(names) or "none"
+        raise ValueError(f"parameter: given {parameter!r}, in which the {point.kind} was found; accepted: {accepted}")
+
+
+def turns_between(before: Point, after: Point) -> bool:
+    """Whether the continuation parameter turns back between two points."""
+    return rate(before) * rate(after) < 0.0
+
+
+def folds_between(point_solver: PointSolver, before: Point, after: Point) -> Iterator[Point]:
+    """The points between two at which the continuation parameter turns back, in order; raises NotLocatedError."""
+    yield from (fold_between(point_solver, *part) for part in turning(point_solver, before, after))
+
+
+def fold_between(point_solver: PointSolver, before: Point, after: Point) -> Point:
+    """The point between two at which the free parameter is stationary; raises NotLocatedError where none is found.
+
+    It is located on one level of resolution: the errors of orbits at a held parameter, by which others are
+    refined, are of no use beside a fold.
+    """
+    from scipy.optimize import brentq
+
+    def rate_at(fraction: float) -> float:
+        if fraction in (0.0, 1.0):
+            return rate(after if fraction else before)
+        tangent = point_solver.tangent_along(before, after, fraction)
+        if tangent is None:
+            raise _not_located(point_solver)
+        return float(tangent[after.problem.parameter_index])
+
+    root = float(brentq(rate_at, 0.0, 1.0, xtol=FOLD_TOLERANCE))
+    point = point_solver.along(before, after, root) or point_solver.coarse_along(before, after, root)
+    if point is None:
+        raise _not_located(point_solver)
+    return replace(point, special=FOLD)
+
+
+class Place(NamedTuple):
+    """A corrected point on the way between two, at a fraction of it, and the value of a test there."""
+
+    fraction: float
+    point: Point
+    value: float
+
+
+def zero_between(
+    point_solver: PointSolver, before: Point, after: Point, test: Callable[[Point], float], kind: str
+) -> tuple[Place, Place, float]:
+    """The zero of a test that changes its sign between two points, the place beside it, and its size at both ends.
+
+    Raises NotLocatedError.
+    """
+    from scipy.optimize import brentq
+
+    known = {0.0: Place(0.0, before, test(before)), 1.0: Place(1.0, after, test(after))}
+    size = max(abs(end.value) for end in known.values())
+
+    def value(fraction: float) -> float:
+        if fraction not in known:
+            point = point_solver.along(before, after, fraction)
+            if point is None:
+                raise NotLocatedError(f"a point of kind {kind} cannot be located: {point_solver.failure}")
+            known[fraction] = Place(fraction, point, test(point))
+        return known[fraction].value
+
+    root = float(brentq(value, 0.0, 1.0, xtol=FINE))
+    value(root)
+    zero, beside = sorted(known.values(), key=lambda place: abs(place.fraction - root))[:2]
+    return zero, beside, size
+
+
+def _not_located(point_solver: PointSolver) -> NotLocatedError:
+    why = point_solver.failure or "the equations are singular beside it"
+    return NotLocatedError(f"the parameter turns back at a point that cannot be located: {why}")

@@ -1,0 +1,1 @@
+"""Models as data: `OdeModel`, formulas, symmetries, models in files."""

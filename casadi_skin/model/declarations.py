@@ -1,0 +1,231 @@
+"""Declarations of a model, taken in the forms that scripts use, and checked: a fault is reported in one line."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.model.arguments import number, numbers, short_repr, truth
+from casadi_skin.model.equations import Equations
+from casadi_skin.model.expressions import Expression, expression_of, symbols_of
+
+NAMES = "names in one line"
+
+
+def declarations(model: Equations) -> dict[str, Any]:
+    """The fields of a model that are given as lists, functions or numbers, as symbols, expressions and tuples.
+
+    Raises TypeError and ValueError, naming the model and the field, for what has no such meaning.
+    """
+    if not is_name(model.name):
+        raise TypeError(f"name: given {short_repr(model.name)}; accepted: a name in one line")
+    try:
+        if isinstance(model.order, bool) or not isinstance(model.order, int) or model.order not in (1, 2):
+            raise ValueError(f"order: given {short_repr(model.order)}; accepted: 1 or 2")
+        truth("checked", model.checked)
+        found = _symbols(model)
+        return found | _expressions(model, found) | _lists(model, found["state"].numel() * model.order)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{model.name}: {error}") from error
+
+
+def _symbols(model: Equations) -> dict[str, Expression]:
+    state = symbols_of("state", model.state)
+    kind = type(state)
+    found = {"state": state}
+    for label in ("velocity", "time"):
+        if (given := getattr(model, label)) is not None:
+            found[label] = symbols_of(label, given)
+    given = model.parameters
+    empty = given is None or (isinstance(given, list | tuple) and not given) or _empty(given)
+    found["parameters"] = _no_parameters(kind) if empty else symbols_of("parameters", given)
+    for label, symbol in found.items():
+        if type(symbol) is not kind:
+            raise TypeError(f"{label}: given a symbol of kind {type(symbol).__name__}; accepted: {kind.__name__}")
+    if "time" in found and found["time"].numel() != 1:
+        raise ValueError(f"time: given {found['time'].numel()} symbols; accepted: one")
+    return found
+
+
+def _empty(given: Any) -> bool:
+    return isinstance(given, ca.SX | ca.MX) and given.numel() == 0
+
+
+def _no_parameters(kind: type[Expression]) -> Expression:
+    return ca.MX.sym("p", 0) if kind is ca.MX else ca.SX(0, 1)
+
+
+def _expressions(model: Equations, found: Mapping[str, Expression]) -> dict[str, Any]:
+    state = found["state"]
+    symbols = [found.get("time", type(state).sym("t")), state, found["parameters"]]
+    made: dict[str, Any] = {"rhs": expression_of("rhs", model.rhs, symbols)}
+    for label in ("normalisation", "hamiltonian"):
+        if (given := getattr(model, label)) is not None:
+            made[label] = _scalar(label, expression_of(label, given, symbols))
+    if not isinstance(model.outputs, Mapping) or not all(map(is_name, model.outputs)):
+        raise TypeError(f"outputs: given {short_repr(model.outputs)}; accepted: expressions by name, {NAMES}")
+    made["outputs"] = {name: expression_of(f"output {name}", e, symbols) for name, e in model.outputs.items()}
+    made["conserved"] = _named("conserved", model.conserved, symbols)
+    made["symmetries"] = _named("symmetries", model.symmetries, symbols)
+    period = model.forcing_period
+    if isinstance(period, ca.SX | ca.MX | ca.DM):
+        made["forcing_period"] = _scalar("forcing_period", expression_of("forcing_period", period, symbols))
+    elif period is not None and number("forcing_period", period, "a number > 0, or an expression in parameters") <= 0:
+        raise ValueError(f"forcing_period: given {period!r}; accepted: a number > 0, or an expression in parameters")
+    return made
+
+
+def _named(label: str, given: Any, symbols: list[Expression]) -> dict[str, Expression]:
+    if not isinstance(given, Mapping) or not all(map(is_name, given)):
+        raise TypeError(f"{label}: given {short_repr(given)}; accepted: expressions by name, {NAMES}")
+    return {name: expression_of(f"{label} {name}", e, symbols) for name, e in given.items()}
+
+
+def _scalar(label: str, expression: Expression) -> Expression:
+    if expression.numel() != 1:
+        raise ValueError(f"{label}: given shape {expression.shape}; accepted: a scalar expression")
+    return expression
+
+
+def _lists(model: Equations, size: int) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for label in ("output_scale", "nominal"):
+        if (given := getattr(model, label)) is not None:
+            found[label] = numbers(label, given)
+    for label in ("reversal", "half_period"):
+        if (given := getattr(model, label)) is not None:
+            found[label] = _signs(label, given, size)
+    for label in ("state_labels", "parameter_labels"):
+        if (given := getattr(model, label)) is not None:
+            if isinstance(given, str | bytes) or not np.iterable(given) or not all(map(is_name, given)):
+                raise TypeError(f"{label}: given {short_repr(given)}; accepted: a list of {NAMES}")
+            found[label] = tuple(given)
+    return found
+
+
+def _signs(label: str, given: Any, size: int) -> tuple[int, ...]:
+    values = list(given) if np.iterable(given) and not isinstance(given, str | bytes) else [0]
+    if not all(isinstance(v, int | float | np.integer) and v in (1, -1) for v in values):
+        raise ValueError(f"{label} needs {size} signs, each +1 or -1; given {short_repr(given)}")
+    return tuple(int(v) for v in values)
+
+
+def is_name(given: object) -> bool:
+    """Whether this is text that a message can show in its line."""
+    return isinstance(given, str) and bool(given) and given.isprintable()
+
+
+# Shapes and symbols ---------------------------------------------------------------------------------------------------
+
+
+def check_declarations(model: Equations) -> None:
+    """Raises ValueError, naming the model, where shapes, names or symbols do not fit each other."""
+    for fault in _faults(model):
+        raise ValueError(f"{model.name}: {fault}")
+
+
+def _faults(model: Equations) -> Iterator[str]:
+    if model.rhs.shape != model.state.shape:
+        yield f"rhs: given shape {model.rhs.shape}; accepted: {model.state.shape}, that of the state"
+    if (model.velocity is None) != (model.order == 1):
+        yield "a velocity symbol belongs to a model of second order, and only there"
+    if model.velocity is not None and model.velocity.shape != model.state.shape:
+        yield f"velocity: given shape {model.velocity.shape}; accepted: {model.state.shape}, that of the state"
+    if model.order == 2 and isinstance(model.state, ca.MX):
+        yield "of second order in MX; accepted: SX, or a model of first order"
+    yield from _numbers(model)
+    symbols = [model.full_state, model.parameters, *([] if model.time is None else [model.time])]
+    twice = sorted(name for name, count in Counter(_entries(symbols)).items() if count > 1)
+    if twice:
+        yield f"the symbol {twice[0][1]} twice among state, velocity, parameters and time; accepted: different symbols"
+        return
+    if not all(_plain(symbol) for symbol in symbols):
+        yield "state, velocity, parameters or time with expressions among them; accepted: symbols"
+    yield from _names(model)
+    yield from _strangers(model, symbols)
+    if model.velocity is not None and ca.depends_on(model.rhs, model.velocity):
+        yield "a second-order right-hand side that depends on velocity; write first order"
+    if model.hamiltonian is not None and model.forced:
+        yield "a hamiltonian in a model that is forced; accepted: without time, where it is conserved"
+    if model.conserved and model.forced:
+        yield "conserved quantities in a model that is forced; accepted: without time"
+    yield from _conserved(model)
+    if model.forced and model.forcing_period is None:
+        yield "time without forcing_period; accepted: the forcing's period, a number or an expression in parameters"
+    for label, signs in (("reversal", model.reversal), ("half_period", model.half_period)):
+        if signs is not None and len(signs) != model.full_size:
+            yield f"{label} needs {model.full_size} signs, each +1 or -1; given {len(signs)}"
+
+
+def _conserved(model: Equations) -> Iterator[str]:
+    for name, quantity in model.conserved.items():
+        if quantity.numel() != 1:
+            yield f"conserved {name} of shape {quantity.shape}; accepted: a scalar expression"
+    for name, direction in model.symmetries.items():
+        if name not in model.conserved:
+            yield f"symmetries {name}: {name} is not among conserved; accepted: {', '.join(model.conserved) or 'none'}"
+        elif direction.numel() != model.full_size:
+            yield f"symmetries {name} of shape {direction.shape}; accepted: {model.full_size} components"
+
+
+def _entries(symbols: list[Expression]) -> Iterator[tuple[int, str]]:
+    """Keys of symbols, with their names; expressions among them are left out."""
+    for symbol in symbols:
+        for entry in symbol.elements() if isinstance(symbol, ca.SX) else [symbol]:
+            if entry.numel() and entry.is_symbolic():
+                yield (entry.element_hash() if isinstance(entry, ca.SX) else hash(entry)), entry.name()
+
+
+def _plain(symbol: Expression) -> bool:
+    """Whether this is a symbol, or in SX several; in MX several are an expression, which has no name."""
+    if isinstance(symbol, ca.MX):
+        return bool(symbol.is_symbolic()) or symbol.numel() == 0
+    return bool(symbol.is_valid_input())
+
+
+def _numbers(model: Equations) -> Iterator[str]:
+    """Faults of the fields with one entry a component."""
+    parameters = int(model.parameters.numel())
+    for label, given, count, entries in (
+        ("output_scale", model.output_scale, model.size, "factors"),
+        ("nominal", model.nominal, parameters, "values"),
+        ("state_labels", model.state_labels, model.full_size, "names"),
+        ("parameter_labels", model.parameter_labels, parameters, "names"),
+    ):
+        if given is not None and len(given) != count:
+            yield f"{label} needs {count} {entries}, given {len(given)}"
+    if any(output.numel() != 1 for output in model.outputs.values()):
+        yield "outputs with several components; accepted: one scalar expression a name"
+
+
+def _names(model: Equations) -> Iterator[str]:
+    names = [*model.state_names, *model.parameter_names, *model.outputs]
+    strange = [name for name in names if not is_name(name)]
+    if strange:
+        yield f"{short_repr(strange[0])} as the name of a state or parameter; accepted: {NAMES}"
+    twice = sorted(name for name, count in Counter(names).items() if count > 1)
+    if twice:
+        yield f"{', '.join(twice)} named more than once among states, parameters and outputs; accepted: different names"
+
+
+def _strangers(model: Equations, symbols: list[Expression]) -> Iterator[str]:
+    """Expressions that depend on undeclared symbols."""
+    named: dict[str, object] = {label: getattr(model, label) for label in ("rhs", "normalisation", "hamiltonian")}
+    for label, group in (("output", model.outputs), ("conserved", model.conserved), ("symmetries", model.symmetries)):
+        named |= {f"{label} {name}": expression for name, expression in group.items()}
+    given = {label: expression for label, expression in named.items() if expression is not None}
+    if not ca.Function("f", symbols, list(given.values()), {"allow_free": True}).get_free():
+        given = {}
+    for label, expression in given.items():
+        unknown = ca.Function("f", symbols, [expression], {"allow_free": True}).get_free()
+        if unknown:
+            declared = ", ".join(name for _, name in _entries(symbols))
+            yield f"{label}: depends on {', '.join(unknown)}, not declared; accepted: {declared}"
+    if isinstance(model.forcing_period, ca.SX | ca.MX):
+        period = ca.Function("T", [model.parameters], [model.forcing_period], {"allow_free": True})
+        if period.get_free():
+            yield f"forcing_period depends on {', '.join(period.get_free())}; accepted: parameters"

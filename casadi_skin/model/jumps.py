@@ -1,0 +1,301 @@
+"""Where equations jump: operations such as sign, comparisons and floor, in the expressions, tried along a path.
+
+Along an orbit that crosses a place where f jumps, f- before it and f+ behind, a small difference of states is
+multiplied by I + (f+ - f-) n / (n f-), n the normal of that place, in no time (Aizerman and Gantmacher 1958):
+linearised equations alone miss it. Where the place is a time, n = 0, and nothing is missed.
+
+An operation alone does not decide: |x|, max(x, 0) and x sign(x) are continuous. So a path is followed to two
+neighbouring doubles between which the operation switches, and the right-hand sides there are compared with those
+somewhat apart: the difference across a jump is as large, that across a kink far smaller, that across a pole far larger.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, reduce
+from operator import or_
+from typing import TYPE_CHECKING, TypeAlias
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.model.arguments import cut
+from casadi_skin.model.equations import Array
+
+if TYPE_CHECKING:
+    from casadi_skin.model.ode import OdeModel
+
+Values: TypeAlias = Callable[[Array], Array]  # at places, one a row
+TIME, STATE, PARAMETER, INPUT = 1, 2, 4, 8  # by what an operation switches, as bits
+HALVINGS = 200  # of a stretch of a path until its ends are neighbouring doubles
+CROSSINGS = 64  # of one operation along a path that are tried
+TIMES = 4001  # places of an interval of time at which operations are looked at
+END = 1e-12  # of an interval of time: as near to its ends, or to another time, a switch is there
+APART = 1e-6  # of a stretch: where right-hand sides are compared with those at neighbouring doubles
+SIMILAR = (0.3, 3.0)  # ratio of the two differences across a jump; half is that of a value on it, as sign(0)
+SMALLEST_JUMP = 1e-9  # of the largest rate of a state along the path; rounding of few operations is 1e-15
+LONGEST_TEXT = 60
+ACCEPTED = (
+    "continuous equations (with kinks, as of fabs, fmax, or if_else of branches that agree) and jumps at fixed times; "
+    "simulate takes all"
+)
+
+COMPARISON = "a comparison"
+COMPARISONS = {"LT": "<", "LE": "<=", "EQ": "==", "NE": "!="}
+NAMES = {
+    **dict.fromkeys((*COMPARISONS, "NOT", "AND", "OR"), COMPARISON),
+    "IF_ELSE_ZERO": "if_else", "SIGN": "sign", "FLOOR": "floor", "CEIL": "ceil", "FMOD": "fmod",
+    "REMAINDER": "remainder", "COPYSIGN": "copysign",
+}  # fmt: skip
+JUMPING = {int(getattr(ca, f"OP_{code}")): code for code in NAMES}
+SINGULAR = {int(getattr(ca, f"OP_{code}")): code for code in ("DIV", "INV", "FABS", "ATAN2", "TAN")}  # as in x/|x|
+
+
+class JumpError(ValueError):
+    """The equations jump along a solution: one line with the equation, the operation and the accepted ones."""
+
+    def __init__(self, name: str, words: str) -> None:
+        super().__init__(f"{name}: {words}; accepted: {ACCEPTED}")
+
+
+@dataclass(frozen=True, eq=False)
+class Switch:
+    """An operation that switches, with its arguments, a value that is constant but where it does, and by what it does.
+
+    `code` is CasADi's name, `by` are bits.
+    """
+
+    code: str
+    arguments: tuple[ca.SX, ...]
+    value: ca.SX
+    by: int
+
+    @property
+    def name(self) -> str:
+        """Its name for users."""
+        return NAMES.get(self.code, self.code.lower())
+
+    @property
+    def text(self) -> str:
+        """The operation as it is written in a message."""
+        texts = [cut(str(entry), LONGEST_TEXT) for entry in self.arguments]
+        if self.code in COMPARISONS:
+            return f"{texts[0]} {COMPARISONS[self.code]} {texts[1]}"
+        if self.code in ("DIV", "INV"):
+            return f"the division by {texts[-1]}"
+        if self.code in ("AND", "OR", "NOT", "IF_ELSE_ZERO"):
+            return f"if_else of {texts[0]}"
+        return f"{self.name}({', '.join(texts)})"
+
+
+def switches(
+    function: ca.Function, names: Sequence[Sequence[str]], source: Callable[[int, int], int]
+) -> tuple[list[ca.SX], list[Switch]]:
+    """The operations of a function that may jump, with the symbols of its arguments.
+
+    Arguments:
+        function: of columns; one that is a program has none that are seen.
+        names: of the entries of each argument.
+        source: the bit of an entry of an argument, 0 for one that never changes.
+    """
+    codes = JUMPING | SINGULAR
+    if not any(_codes(part) & codes.keys() for part in (function, *function.find_functions())):
+        return [], []
+    try:
+        scalar = function.expand()
+    except RuntimeError:  # a program, whose operations nobody sees
+        return [], []
+    inputs = [ca.vertcat(ca.SX(0, 1), *map(ca.SX.sym, group)) for group in names]
+    by: dict[int, int] = {}  # a place of work: bits of what changes it
+    found: list[tuple[int, int]] = []
+    for k in range(scalar.n_instructions()):
+        code, given, to = scalar.instruction_id(k), scalar.instruction_input(k), scalar.instruction_output(k)
+        if code == ca.OP_INPUT:
+            by[to[0]] = source(given[0], given[1])
+        elif code == ca.OP_CONST:
+            by[to[0]] = 0
+        elif code != ca.OP_OUTPUT:
+            deciding = _together(by[i] for i in _deciding(code, given))
+            if code in codes and deciding:
+                found.append((k, deciding))
+            by[to[0]] = _together(by[i] for i in given)
+    return inputs, list(_described(scalar, inputs, dict(found))) if found else []
+
+
+def _codes(function: ca.Function) -> set[int]:
+    """The operations of a function, without those of the functions that it calls; none of a program."""
+    made_of_operations = function.is_a("SXFunction") or function.is_a("MXFunction")
+    return {function.instruction_id(k) for k in range(function.n_instructions())} if made_of_operations else set()
+
+
+def _together(bits: Iterable[int]) -> int:
+    return reduce(or_, bits, 0)
+
+
+def _deciding(code: int, given: Sequence[int]) -> Sequence[int]:
+    """The arguments of an operation by which it switches."""
+    if code == ca.OP_IF_ELSE_ZERO:
+        return given[:1]
+    return given[1:] if code in (ca.OP_COPYSIGN, ca.OP_DIV) else given
+
+
+def _described(scalar: ca.Function, inputs: list[ca.SX], found: dict[int, int]) -> Iterator[Switch]:
+    """The operations with numbers `found`, as expressions in symbols."""
+    work: dict[int, ca.SX] = {}
+    for k in range(scalar.n_instructions()):
+        code, given, to = scalar.instruction_id(k), scalar.instruction_input(k), scalar.instruction_output(k)
+        if code == ca.OP_INPUT:
+            work[to[0]] = inputs[given[0]][given[1]]
+        elif code == ca.OP_CONST:
+            work[to[0]] = ca.SX(scalar.instruction_constant(k))
+        elif code != ca.OP_OUTPUT:
+            a = [work[i] for i in given]
+            result = ca.SX.unary(code, a[0]) if len(a) == 1 else ca.SX.binary(code, a[0], a[1])
+            if k in found:
+                yield Switch((JUMPING | SINGULAR)[code], tuple(a), _value(code, a, result), found[k])
+            work[to[0]] = result
+
+
+def _value(code: int, a: list[ca.SX], result: ca.SX) -> ca.SX:
+    """A value that is constant between the places where the operation jumps, and differs beyond each."""
+    whole: dict[int, Callable[[], ca.SX]] = {
+        ca.OP_IF_ELSE_ZERO: lambda: a[0] != 0,
+        ca.OP_FMOD: lambda: ca.sign(a[0] / a[1]) * ca.floor(ca.fabs(a[0] / a[1])),
+        ca.OP_REMAINDER: lambda: ca.floor(a[0] / a[1] + 0.5),
+        ca.OP_COPYSIGN: lambda: a[1] >= 0,
+        ca.OP_DIV: lambda: ca.sign(a[1]),
+        ca.OP_INV: lambda: ca.sign(a[0]),
+        ca.OP_FABS: lambda: ca.sign(a[0]),
+        ca.OP_ATAN2: lambda: ca.logic_and(a[0] < 0, a[1] < 0),
+        ca.OP_TAN: lambda: ca.floor(a[0] / np.pi + 0.5),
+    }
+    return whole[code]() if code in whole else result
+
+
+# Jumps of a model -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Jumps:
+    """The operations of a model's right-hand side that may jump."""
+
+    model: OdeModel
+
+    @cached_property
+    def _found(self) -> tuple[list[ca.SX], list[Switch]]:
+        names = ["t"], self.model.state_names, self.model.parameter_names
+        return switches(self.model.vector_field, names, lambda argument, _: (TIME, STATE, PARAMETER)[argument])
+
+    @property
+    def found(self) -> list[Switch]:
+        """The operations, in the order of their evaluation; most models have none."""
+        return self._found[1]
+
+    @property
+    def by_name(self) -> bool:
+        """Whether one of them is no division, fabs, atan2 or tan, which jump in some formulas only."""
+        return any(switch.by & STATE and switch.name in NAMES.values() for switch in self.found)
+
+    def times(self, start: float, end: float, parameters: Array) -> Array:
+        """Fractions of an interval of time at which operations switch that no state decides, in ascending order."""
+        tried = [switch for switch in self.found if switch.by & TIME and not switch.by & STATE]
+        if not tried:
+            return np.empty(0)
+        value = self._values(tried)
+        fractions = np.linspace(0.0, 1.0, TIMES)
+        places = np.column_stack([
+            start + fractions * (end - start), np.zeros((TIMES, self.model.full_size)), np.tile(parameters, (TIMES, 1)),
+        ])  # fmt: skip
+        classes, crossed = value(places), set[float]()
+        for k in np.flatnonzero(np.any(np.diff(classes, axis=0) != 0.0, axis=1)):
+            for j in np.flatnonzero(classes[k] != classes[k + 1]).tolist():
+                after = _neighbours(value, j, places[k], places[k + 1])[1]
+                crossed.add(float((after[0] - start) / (end - start)))
+        inside = sorted(fraction for fraction in crossed if END < fraction < 1.0 - END)
+        return np.array([f for f, last in zip(inside, [0.0, *inside], strict=False) if f - last > END])
+
+    def along(self, times: Array, states: Array, parameters: Array, by: int = STATE) -> str:
+        """That the equations jump along a path, with the equation and the operation; empty where they do not.
+
+        Arguments:
+            times: shape (places,).
+            states: of first order, at these times, shape (places, states).
+            parameters: shape (parameters,), or one row a place, shape (places, parameters).
+            by: bits, of which one at least decides the operations that are tried. Those that time alone decides are not
+                among them: multipliers do not miss them.
+        """
+        tried = [switch for switch in self.found if switch.by & by]
+        if not tried:
+            return ""
+        rows = np.broadcast_to(parameters, (len(times), np.shape(parameters)[-1]))
+        places, value, field = np.column_stack([times, states, rows]), self._values(tried), self._field
+        switched = np.diff(value(places), axis=0) != 0.0
+        if not switched.any():
+            return ""
+        rates = np.abs(field(places))
+        scale = np.max(np.where(np.isfinite(rates), rates, 0.0), axis=0, initial=0.0)
+        for j, switch in enumerate(tried):
+            changes = np.flatnonzero(switched[:, j])
+            for k in changes[:: max(1, len(changes) // CROSSINGS)]:
+                ends = places[k], places[k + 1]
+                between = _neighbours(value, j, *ends)
+                row = _jumping_row(field, *ends, *between, scale)
+                if row is not None:
+                    return f"the equation of {self.model.state_names[row]} jumps, by {switch.text}"
+        return ""
+
+    def beside(self, state: Array, parameters: Array, distances: Array) -> str:
+        """That the equations jump within distances of a state along each of its components, shapes (states,)."""
+        moves = np.concatenate([[-d, d] for d in np.diag(distances)])
+        return self.along(np.zeros(len(moves)), state + moves, parameters) if self.found else ""
+
+    @property
+    def _field(self) -> Values:
+        return _on_rows(self.model.vector_field, self.model.full_size)
+
+    def _values(self, tried: Sequence[Switch]) -> Values:
+        key = tuple(map(id, tried))
+        if key not in self._functions:
+            entries = ca.vertcat(*(switch.value for switch in tried))
+            self._functions[key] = ca.Function("switches", self._found[0], [entries])
+        return _on_rows(self._functions[key], self.model.full_size)
+
+    @cached_property
+    def _functions(self) -> dict[tuple[int, ...], ca.Function]:
+        return {}
+
+
+def _neighbours(value: Values, entry: int, before: Array, after: Array) -> tuple[Array, Array]:
+    """Neighbouring doubles between two places at which an entry of a value differs, at which it differs as well."""
+    first = value(before[None])[0, entry]
+    for _ in range(HALVINGS):
+        middle = 0.5 * (before + after)
+        if np.all((middle == before) | (middle == after)):
+            break
+        before, after = (middle, after) if value(middle[None])[0, entry] == first else (before, middle)
+    return before, after
+
+
+def _jumping_row(field: Values, start: Array, end: Array, before: Array, after: Array, scale: Array) -> int | None:
+    """The row of the field that jumps between two neighbours on a stretch; None where none does."""
+    way = APART * (end - start)
+    near, apart = (np.abs(np.diff(field(np.array(pair)), axis=0)[0])
+                   for pair in ((before, after), (before - way, after + way)))  # fmt: skip
+    low, high = SIMILAR
+    with np.errstate(invalid="ignore"):
+        jumps = (near > SMALLEST_JUMP * scale) & (near > low * apart) & (near < high * apart)
+    return int(np.argmax(jumps)) if jumps.any() else None
+
+
+def _on_rows(function: ca.Function, states: int) -> Values:
+    """A function (t, x, p) at places (t, x, p), one a row."""
+
+    def values(places: Array) -> Array:
+        columns = places.T
+        t, x, p = columns[:1], columns[1 : 1 + states], columns[1 + states :]
+        if len(places) == 1:
+            return np.array(function(t, x, p)).reshape(1, -1)
+        return np.array(function.map(len(places))(t, x, p)).T
+
+    return values

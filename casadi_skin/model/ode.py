@@ -1,0 +1,150 @@
+"""A model for the toolkit: states, parameters, right-hand side and declared symmetries."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+
+from casadi_skin.model.declarations import check_declarations, declarations
+from casadi_skin.model.equations import Equations
+from casadi_skin.model.expressions import Expression
+from casadi_skin.model.jumps import Jumps
+from casadi_skin.model.symmetries import check_symmetries
+
+EPSILON = sys.float_info.epsilon
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OdeModel(Equations):
+    """An ODE in CasADi symbols, of first order x' = f(t, x, p) or second order q'' = f(t, q, p).
+
+    `state` is x or q, `velocity` the symbol of q' (second order only), `parameters` p (none by default), `time` the
+    symbol t of a model that is forced, with `forcing_period`, a number or an expression in p. `outputs` are named
+    expressions in all of these. `reversal` and `half_period` are the signs R and P, one for each component of the full
+    state (x, or q then q'), of a time reversal x(-t) = R x(t) and of x(t + T/2) = P x(t). `hamiltonian` is conserved.
+    `conserved` are further conserved quantities by name, as a momentum; `symmetries` the directions in which continuous
+    symmetries move the full state, by the names of what they conserve: from a canonical `hamiltonian` where left
+    out.
+    `normalisation` is an expression that vanishes at phase zero of the wanted orbits of a family: it fixes their
+    amplitude (and, where no reversal does, their phase: it is stationary there). `output_scale` are factors, one a
+    component of `state`, for the values that users see: errors are measured there too. `nominal` are usual values
+    of the parameters; components are called as their symbols unless labels are given. Where `checked`, the declared
+    symmetries and the conserved quantity are evaluated at random points.
+
+    MX expressions are accepted in models of first order whose state and parameters are one symbol each.
+
+    Symbols may be given as a list of scalars, expressions as lists, numbers or functions f(t, x, p) of the symbols.
+
+    Raises ValueError when the shapes, the symbols or the declarations do not fit, TypeError for other kinds of objects.
+    """
+
+    def __post_init__(self) -> None:
+        for label, value in declarations(self).items():
+            object.__setattr__(self, label, value)
+        check_declarations(self)
+        if self.checked:
+            self.check_symmetries()
+
+    def __repr__(self) -> str:
+        """Without the expressions: CasADi writes them by recursion, and deep ones end the process."""
+        parameters = ", ".join(self.parameter_names) or "none"
+        return f"{type(self).__name__}({self.name!r}: {self.full_size} states; parameters {parameters})"
+
+    @property
+    def rounding(self) -> float:
+        """Relative error of the right-hand side's values: that of doubles, unless a model declares a larger one."""
+        return EPSILON
+
+    @cached_property
+    def vector_field(self) -> ca.Function:
+        """Function (t, x, p) -> dense time derivative of the first-order state x."""
+        return self.function("field", ca.densify(self.full_rhs))
+
+    @cached_property
+    def jumps(self) -> Jumps:
+        """Where the right-hand side jumps."""
+        return Jumps(self)
+
+    def field_at(self, time: Any, state: Any, parameters: Any) -> Expression:
+        """The vector field at expressions, written out: derivatives that are not used do not enter a program."""
+        return self.vector_field.call([time, state, parameters], True, False)[0]
+
+    @cached_property
+    def ends(self) -> tuple[Expression, Expression]:
+        """Symbols of the first-order state at the start and at the end of an interval."""
+        if isinstance(self.state, ca.MX):
+            return ca.MX.sym("start", self.full_size), ca.MX.sym("end", self.full_size)
+        at = ("start", "end")
+        first, last = (ca.vertcat(*(ca.SX.sym(f"{name}({end})") for name in self.state_names)) for end in at)
+        return first, last
+
+    def start(self, expression: Expression) -> Expression:
+        """An expression in the state, taken at the start of the interval of a boundary-value problem."""
+        return self._at_end(0, expression)
+
+    def end(self, expression: Expression) -> Expression:
+        """An expression in the state, taken at the end of the interval of a boundary-value problem."""
+        return self._at_end(1, expression)
+
+    def _at_end(self, which: int, expression: Expression) -> Expression:
+        if isinstance(expression, ca.SX) and expression.is_scalar() and expression.is_symbolic():  # as most are
+            return self._at_ends.get(expression.element_hash(), (expression, expression))[which]
+        return ca.substitute(expression, self.full_state, self.ends[which])
+
+    @cached_property
+    def _at_ends(self) -> dict[int, tuple[ca.SX, ca.SX]]:
+        """Symbols of each component of the state at the start and at the end, by the key of its own."""
+        keys = (entry.element_hash() for entry in self.full_state.elements())
+        return dict(zip(keys, zip(*(end.elements() for end in self.ends), strict=True), strict=True))
+
+    def rhs_and_jacobian(self) -> ca.Function:
+        """Function (state, parameters) -> (rhs, sparse d rhs/d state, d rhs/d parameters)."""
+        arguments = [self.state, self.parameters]
+        results = [self.rhs, ca.jacobian(self.rhs, self.state), ca.densify(ca.jacobian(self.rhs, self.parameters))]
+        return ca.Function("rhs", arguments, results, ["state", "p"], ["f", "df_dstate", "df_dp"])
+
+    def first_order(self) -> OdeModel:
+        """The same model with positions and velocities as one state of first order."""
+        if self.order == 1:
+            return self
+        return OdeModel(
+            name=self.name,
+            state=self.full_state,
+            rhs=self.full_rhs,
+            parameters=self.parameters,
+            reversal=self.reversal,
+            half_period=self.half_period,
+            normalisation=self.normalisation,
+            hamiltonian=self.hamiltonian,
+            conserved=self.conserved,
+            symmetries=self.symmetries,
+            time=self.time,
+            forcing_period=self.forcing_period,
+            outputs=self.outputs,
+            nominal=self.nominal,
+            state_labels=self.state_labels,
+            parameter_labels=self.parameter_labels,
+            checked=False,  # these are the same declarations
+        )
+
+    def check_symmetries(self, trials: int = 5, seed: int = 0) -> None:
+        """Evaluate the declared symmetries and the conserved quantity at random points.
+
+        Raises ValueError naming the first declaration that does not hold.
+        """
+        check_symmetries(self, trials, seed)
+
+    def with_nominal(self, nominal: tuple[float, ...]) -> OdeModel:
+        """The equations and declarations with other usual values of the parameters, not checked again."""
+        own = {entry.name: getattr(self, entry.name) for entry in fields(OdeModel)}
+        return OdeModel(**own | {"nominal": nominal, "checked": False})
+
+    def __reduce__(self) -> str | tuple[Any, ...]:
+        """Pickled as `save_model` writes it, subclasses too, so that processes can share it."""
+        from casadi_skin.model.saved import reduced
+
+        return reduced(self)

@@ -1,1 +1,0 @@
-"""The smallest kick that takes a breather away."""

@@ -1,0 +1,1 @@
+"""What leaves special points, the ends of branches, edges of tongues, bifurcation diagrams."""

@@ -1,0 +1,280 @@
+"""A whole diagram: all branches that leave a branch at its special points, and those that leave these, each once."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
+
+import numpy as np
+
+from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.equilibrium import Equilibrium
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.following import Following, run_following
+from casadi_skin.follow.rest_space import EquilibriumSpace
+from casadi_skin.follow.settings import End, Point
+from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, HOPF, SpecialPoint
+from casadi_skin.model.arguments import whole
+from casadi_skin.model.result import Result
+from casadi_skin.points.cycles import TOLERANCE
+from casadi_skin.points.switch import leaving_space
+from casadi_skin.zero.problem import Array
+from casadi_skin.zero.stated_problem import PERIOD
+
+LEAVING = (HOPF, BRANCH_POINT, DOUBLING)
+SAME = 1e-6  # relative distance of special points that are one
+SAMPLES = 257  # of an orbit, whose extrema distinguish it
+SAMPLED = 1e-3  # relative error of such an extremum
+
+
+@dataclass(frozen=True, eq=False)
+class Diagram(Result):
+    """Branches in one parameter that are connected by special points.
+
+    Attributes:
+        branches: the first one, and all that leave it or each other, in the order of their computation.
+        origins: for each branch the special point at which it leaves; None for the first one.
+        names: for each branch the path to it: numbers of special points, from 1; "b" marks the second half.
+        failures: reasons why a branch that leaves could not be started, in a line each.
+        complete: whether no branch was left out because of the limit on their number.
+    """
+
+    branches: tuple[Branch, ...]
+    origins: tuple[SpecialPoint | None, ...]
+    names: tuple[str, ...]
+    failures: tuple[str, ...]
+    complete: bool
+
+    def __len__(self) -> int:
+        return len(self.branches)
+
+    def __iter__(self) -> Iterator[Branch]:
+        return iter(self.branches)
+
+    def __repr__(self) -> str:
+        points = self.special_points
+        kinds = [point.kind for point in points]
+        special = "".join(f", {kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+        return f"<Diagram: {len(self)} branches in {self.branches[0].parameter}{special}>"
+
+    @property
+    def special_points(self) -> tuple[SpecialPoint, ...]:
+        """Special points of all branches, each once."""
+        found = list[SpecialPoint]()
+        for point in (point for branch in self.branches for point in points_of(branch)):
+            if not any(is_same(point, other) for other in found):
+                found.append(point)
+        return tuple(found)
+
+
+def follow_all(
+    branch: Branch,
+    *,
+    depth: int = 3,
+    limit: int = 30,
+    stability: bool = True,
+    max_points: int = 500,
+    max_step: float = 0.2,
+    tolerance: float = TOLERANCE,
+) -> Diagram:
+    """Follow all branches that leave a branch of equilibria, orbits or solutions, and those that leave these.
+
+    Cycles at Hopf points of equilibria, and equilibria where cycles shrink to one; both halves of the other branch at
+    branch points, orbits of twice the period at period doublings, within the values of the parameter that the branch
+    was followed in. No branch is followed twice.
+
+    Arguments:
+        branch: where the diagram starts.
+        depth: largest number of special points between the branch and another one.
+        limit: largest number of branches, the first one among them.
+        stability: whether multipliers of orbits are computed; without them no branch is found that leaves orbits.
+        max_points, max_step: of each branch, as in `follow`.
+        tolerance: of cycles, as in `find_orbit`.
+
+    Returns:
+        The diagram.
+
+    Raises:
+        ValueError: an argument is out of range, or the branch is a family or a curve in two parameters.
+    """
+    whole("depth", depth, 0)
+    whole("limit", limit, 1)
+    if isinstance(branch.space, Family) or not branch.parameter or hasattr(branch.space, "kind"):
+        what = "a family" if isinstance(branch.space, Family) else "another one"
+        raise ValueError(f"follow_all: given {what}; accepted: a branch in one parameter")
+    further = Further(branch, LEAVING, depth, {"max_points": max_points, "max_step": max_step, "tolerance": tolerance})
+    names, origins, complete = [""], list[SpecialPoint | None]([None]), True
+    for name, point, space in further:
+        if len(names) == limit:
+            complete = False
+            break
+        closes = not isinstance(space, BoundarySpace) or space.closes
+        with_stability = stability and closes and not space.stability_included
+        further.add(run_following(Following(space, with_stability), None), space, point)
+        names.append(name)
+        origins.append(point)
+    return Diagram(tuple(further.branches), tuple(origins), tuple(names), tuple(further.failures), complete)
+
+
+@dataclass(eq=False)
+class _Met:
+    """A special point with the directions followed from it, and whether the branches that leave it were followed.
+
+    `shrunk` is whether cycles that were followed shrink to an equilibrium there.
+    """
+
+    point: SpecialPoint
+    shrunk: bool = False
+    directions: list[Array] = field(default_factory=list)
+    left: bool = False
+
+
+class Further:
+    """Iterates over the branches that leave a branch, and over those that leave these: name, special point, space.
+
+    Each branch that was followed for them is passed to `add` before the next step of the iteration.
+
+    Attributes:
+        branches: all branches, the first one among them.
+        reached: the special points that were met, each once, with the numbers that lead to them.
+        failures: reasons why a branch could not be started, in a line each.
+    """
+
+    def __init__(
+        self, branch: Branch, kinds: Collection[str], depth: float, options: dict[str, Any], halves: int = 2
+    ) -> None:
+        self.branches, self.failures = [branch], list[str]()
+        self.reached = list[tuple[str, SpecialPoint]]()
+        self._kinds, self._depth, self._options, self._halves = kinds, depth, options, halves
+        self._met = list[_Met]()
+        self._meet(branch)
+
+    def __iter__(self) -> Iterator[tuple[str, SpecialPoint, SolutionSpace]]:
+        waiting = [("", self.branches[0], 0)]
+        while waiting:
+            prefix, branch, depth = waiting.pop(0)
+            for number, point in enumerate(points_of(branch), start=1):
+                met = self._of(point)
+                if met.left:
+                    continue
+                met.left = True
+                self.reached.append((f"{prefix}_{number}", point))
+                if point.kind not in self._kinds or depth >= self._depth:
+                    continue
+                for suffix, space in zip(("", "b"), self._leaving(point, met), strict=False):
+                    name = f"{prefix}_{number}{suffix}"
+                    yield name, point, space
+                    waiting.append((name, self.branches[-1], depth + 1))
+
+    def add(self, branch: Branch, space: SolutionSpace, point: SpecialPoint) -> None:
+        """Keep a branch that leaves at a special point."""
+        self.branches.append(branch)
+        if isinstance(space, EquilibriumSpace) and space.first is not None:
+            direction = _direction(space, space.first)
+            closed = branch.end is End.CLOSED
+            self._of(point).directions += [direction, -direction] if closed else [direction]
+        if branch.end is End.REJOINED:
+            self._reach(point.kind, branch)
+        self._meet(branch)
+
+    def _reach(self, kind: str, branch: Branch) -> None:
+        """Close a special point at which a branch has come back to the orbits that it left: no other leaves there."""
+        end = replace(branch.special_points[-1], kind=kind)
+        for met in self._met:
+            met.left = met.left or is_same(met.point, end)
+
+    def _meet(self, branch: Branch) -> None:
+        """Record the special points that a branch passes, and its directions there."""
+        for point in points_of(branch):
+            met = self._of(point)
+            if isinstance(point.solution, Equilibrium):
+                along = _direction(cast(EquilibriumSpace, branch.space), point.solution.point)
+                met.directions += [along, -along]
+            else:
+                met.shrunk = met.shrunk or point.kind == HOPF
+
+    def _of(self, point: SpecialPoint) -> _Met:
+        known = next((met for met in self._met if is_same(met.point, point)), None)
+        if known is None:
+            known = _Met(point)
+            self._met.append(known)
+        return known
+
+    def _leaving(self, point: SpecialPoint, met: _Met) -> Iterator[SolutionSpace]:
+        """Branches that leave at a special point in directions that were not followed before."""
+        of_equilibria = isinstance(point.solution, Equilibrium)
+        if point.kind == HOPF and (met.shrunk if of_equilibria else met.directions):  # followed before
+            return
+        first = self.branches[0]
+        course = (first.solutions[0].parameters[first.parameter], first.space.to)
+        reasons, started, here = list[str](), 0, met.point.parameters[first.parameter]
+        sides = (1,) if point.kind in (HOPF, DOUBLING) else (1, -1)
+        ends: list[tuple[float, float | None]]
+        ends = [(to, back) for back, to in (course, course[::-1]) if (to - here) * (back - here) < 0.0]
+        ends = ends or [(to, None) for to in course[::-1] if to != here]
+        done = list[Array]()
+        for to, back in ends if of_equilibria != (point.kind == HOPF) else ends[:1]:
+            for side in sides:
+                if started == self._halves:
+                    return
+                try:
+                    space = leaving_space(point, first.parameter, to, side=side, at=(), back_to=back, **self._options)
+                except (ValueError, ArithmeticError) as error:
+                    reasons.append(str(error))
+                    continue
+                if isinstance(space, EquilibriumSpace) and space.leaves and space.first is not None:
+                    direction = _direction(space, space.first)
+                    along = _direction(cast(EquilibriumSpace, point.solution.space), point.solution.point)
+                    if any(_is_along(known, direction, along) for known in (*met.directions, *done)):
+                        started += not done  # followed before
+                        continue
+                    done.append(direction)
+                started += 1
+                yield space
+        if not started:
+            self.failures.append(f"{point.kind} at {first.parameter} = {here:.8g}: {reasons[0]}")
+
+
+def points_of(branch: Branch) -> tuple[SpecialPoint, ...]:
+    """Special points of a branch, but for its end where it has come back to a solution that it left."""
+    return branch.special_points[: -1 if branch.end is End.REJOINED else None]
+
+
+def _direction(space: EquilibriumSpace, point: Point) -> Array:
+    """The tangent at a point of equilibria in the units of the model, of norm 1 over the sizes of the state."""
+    course, n = space.course, space.statics.size
+    assert course is not None
+    return np.append(space.sizes * point.tangent[:n], point.tangent[-1] * (course.to - course.start))
+
+
+def _is_along(known: Array, direction: Array, other: Array) -> bool:
+    """Whether a direction agrees with this one of two that cross, and not with the other one or its opposite."""
+    size = np.maximum(np.maximum(np.abs(direction), np.abs(other)), 1e-300)
+    a, b, c = (vector / size / np.linalg.norm(vector / size) for vector in (known, direction, other))
+    return bool(abs(a @ b) > abs(a @ c) and a @ b > 0.0)
+
+
+def is_same(one: SpecialPoint, other: SpecialPoint) -> bool:
+    """Whether two special points are one, met on two branches."""
+    if one.kind != other.kind:
+        return False
+    (x, x_error), (y, y_error) = _extent(one), _extent(other)
+    p, q = (np.array([v for k, v in point.solution.parameters.items() if k != PERIOD]) for point in (one, other))
+    if x.shape != y.shape or p.shape != q.shape:
+        return False
+    error = max(x_error, y_error)
+    apart = np.max(np.abs(x - y)) <= error * max(1.0, float(np.max(np.abs(x))))
+    return bool(apart) and bool(np.all(np.abs(p - q) <= error * np.maximum(1.0, np.abs(p))))
+
+
+def _extent(point: SpecialPoint) -> tuple[Array, float]:
+    """Smallest and largest value of each component, and their relative error."""
+    solution = point.solution
+    if isinstance(solution, Equilibrium):
+        return np.concatenate([solution.positions, solution.positions]), SAME
+    states = solution.evaluate(np.linspace(*solution.interval, SAMPLES))
+    at_rest = point.kind == HOPF
+    return np.concatenate([states.min(axis=0), states.max(axis=0)]), SAME if at_rest else SAMPLED

@@ -1,0 +1,102 @@
+"""The place where orbits that left others, at a period doubling or where a symmetry is lost, rejoin them.
+
+The part that the others lack, x - S x(t + sT), changes its sign there: beyond it the same orbits come again,
+half a period later or as their mirror images. The others are the mean of both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.settings import Point
+from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING
+from casadi_skin.model import methods
+from casadi_skin.zero import mesh
+from casadi_skin.zero.problem import Array
+from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
+
+PLACES = 65  # along an orbit at which it is compared with its image
+NOTHING = 1e-9  # of the orbit: a difference that counts as zero
+OPPOSITE = -0.5  # cosine of the angle between differences, below which their sign has changed
+
+
+@dataclass(frozen=True, eq=False)
+class Left:
+    """The branch that a branch of orbits has left.
+
+    Attributes:
+        space: of the orbits that it left.
+        turns: 2 at a period doubling, otherwise 1.
+        signs: of the components of S.
+        shift: s, as a share of the period.
+    """
+
+    space: BoundarySpace
+    turns: int
+    signs: Array
+    shift: float
+
+    def rejoined(self, own: BoundarySpace, before: Point, after: Point) -> Point | None:
+        """The orbit of those that were left between two of the branch; None where there is none."""
+        one, other = (self._parts(own, point)[1] for point in (before, after))
+        norms = [float(np.linalg.norm(part)) for part in (one, other)]
+        size = float(np.linalg.norm(self._parts(own, before)[0]))
+        if min(norms) <= NOTHING * size or np.sum(one * other) >= OPPOSITE * norms[0] * norms[1]:
+            return None
+        return self._end(own, before if norms[0] < norms[1] else after)
+
+    def _parts(self, own: BoundarySpace, point: Point, fractions: Array | None = None) -> tuple[Array, Array]:
+        """Half the sum and half the difference of an orbit and its image, at fractions of the period."""
+        if fractions is None:
+            fractions = np.linspace(0.0, 1.0, PLACES) * (1.0 - self.shift)
+        x, later = (point.problem.sample(point.z, fractions + s) for s in (0.0, self.shift))
+        if own.periodic is not None and any(own.periodic.turns):
+            later = later - 2.0 * np.pi * self.shift * np.array(own.periodic.turns)
+        return 0.5 * (x + self.signs * later), 0.5 * (x - self.signs * later)
+
+    def _end(self, own: BoundarySpace, near: Point) -> Point | None:
+        """The special orbit of those that were left near an orbit, as one of the branch that comes back."""
+        kind = DOUBLING if self.turns == 2 else BRANCH_POINT
+        found = methods.TASKS["special_orbit"].load()(self.space, kind, self._mean(own, near))
+        if found is None:
+            return None
+        problem, z = near.problem, near.z.copy()
+        assert isinstance(problem, BoundaryProblem)
+        turned = self.turns * problem._fractions()
+        states = found.problem.sample(found.z, np.where(turned <= 1.0, turned, turned - 1.0))
+        if self.space.periodic is not None and any(self.space.periodic.turns):
+            states = states + 2.0 * np.pi * np.outer(turned > 1.0, self.space.periodic.turns)
+        z[: problem.states] = states.ravel()
+        values = self.space.parameters(found)
+        for place, name in enumerate(own.statement.free, start=problem.states):
+            z[place] = values[name] * (self.turns if name == PERIOD else 1)
+        z[-1] = own._fraction(values[own.parameter])
+        error = self.space.parameter_error(found) / abs(own.to - own.statement.values[own.parameter])
+        return replace(
+            near, z=z, error=replace(found.error, parameter=error / problem.parameter_size(z)), better=None,
+            walked=False, requested=False, special=BRANCH_POINT,
+        )  # fmt: skip
+
+    def _mean(self, own: BoundarySpace, near: Point) -> Point:
+        """Half the sum of an orbit and its image as a point of the branch that was left."""
+        space, old = self.space, near.problem
+        assert isinstance(old, BoundaryProblem)
+        parts = old.constants[: (old.constants.size + self.turns - 1) // self.turns]
+        fitting = [r for r in space.levels.resolutions if r >= parts.size]
+        resolution = fitting[0] if fitting else space.levels.resolutions[-1]
+        lengths = mesh.resampled(parts / np.sum(parts), resolution)
+        problem = space.levels.problem(resolution).with_constants(lengths)
+        assert isinstance(problem, BoundaryProblem)
+        places = problem._fractions() / self.turns
+        reached = np.minimum(places, 1.0 - self.shift)  # beyond half a period: the image of half a period before
+        states = self._parts(own, near, reached)[0]
+        if self.shift and self.turns == 1:
+            late = places > 1.0 - self.shift
+            states[late] = self.signs * self._parts(own, near, places[late] - self.shift)[0]
+        values = own.parameters(near)
+        free = [values[name] / (self.turns if name == PERIOD else 1) for name in space.statement.free]
+        z = np.concatenate([states.ravel(), free, [space._fraction(values[space.parameter])]])
+        return replace(near, problem=problem, z=z, tangent=np.zeros(problem.size), better=None, special="")

@@ -1,0 +1,245 @@
+"""Equilibria beside which an orbit stays: saddles and saddle-nodes, with coordinates in which it comes and goes.
+
+Beside a saddle the part of a state along the stable eigenspace decays and the one along the unstable eigenspace grows,
+each measured by a norm that is monotone along the linearised flow (Lyapunov's equation), relative to the extent of the
+orbit. Left invariant subspaces from Schur's form serve eigenvalues that are complex or defective.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.symmetry import SymmetryClass
+from casadi_skin.zero.method import TWO_PI
+from casadi_skin.zero.problem import Array
+from casadi_skin.zero.stated_problem import BoundaryProblem
+
+if TYPE_CHECKING:
+    from casadi_skin.follow.boundary_solutions import BoundarySolutions
+    from casadi_skin.follow.settings import Point
+
+PLACES = 2001  # along a period at which an orbit is looked at
+SLOW = 1e-2  # of the largest speed along the orbit: it passes an equilibrium there
+NEAR = 0.2  # of the orbit's extent: how far from its slowest place an equilibrium may be
+BESIDE = 0.05  # of the orbit's extent: where an orbit is beside an equilibrium, and nearly linear
+SAME = 1e-6  # of the orbit's extent: distance of two equilibria that are one
+STEPS, CONVERGED = 30, 1e-10  # of Newton's method for an equilibrium; its last step, relative
+ZERO = 1e-9  # of the largest eigenvalue: one without growth or decay
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """A saddle, or a saddle-node, which has a `centre`.
+
+    Attributes:
+        x: the equilibrium.
+        p: the parameters of the statement's model there: those of the orbit, but for the one followed at a saddle-node.
+        stable, unstable: coordinates in which orbits come and go, one a row.
+        centre: likewise, of the eigenvalue zero; no row at a saddle.
+        decay, growth: the slowest rates among these; infinite without any.
+        skew: the largest ratio by which the norms of both may differ from an exponential.
+    """
+
+    x: Array
+    p: Array
+    stable: Array
+    unstable: Array
+    centre: Array
+    decay: float
+    growth: float
+    skew: float
+
+    def norms(self, states: Array) -> tuple[Array, Array, Array]:
+        """Sizes of the stable, unstable and central parts of states, each of shape (states,)."""
+        away = states - self.x
+        stable, unstable, centre = (
+            np.linalg.norm(away @ rows.T, axis=1) for rows in (self.stable, self.unstable, self.centre)
+        )
+        return stable, unstable, centre
+
+
+@dataclass(frozen=True, eq=False)
+class Stay:
+    """A part of an orbit beside an equilibrium: when it comes and goes, its least speed and its least distance."""
+
+    rest: Rest
+    start: float
+    end: float
+    speed: float
+    nearest: float
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """States of an orbit along one period, their extent, and the parameters of the statement's model.
+
+    `turned` is what a period adds to the states.
+    """
+
+    times: Array
+    states: Array
+    extent: Array
+    turned: Array
+    period: float
+    p: Array
+
+    @classmethod
+    def of(cls, space: BoundarySolutions, orbit: Point) -> Course:
+        """Of an orbit of a space, at even times and on the mesh."""
+        problem, periodic = orbit.problem, space._orbit_of()
+        assert isinstance(problem, BoundaryProblem)
+        fractions = periodic.symmetry.value * problem._fractions()
+        turn = np.unique(np.concatenate([np.linspace(0.0, 1.0, PLACES)[:-1], fractions[fractions < 1.0]]))
+        states = space.states_at(orbit, TWO_PI * turn, None)
+        extent = np.ptp(states, axis=0)
+        turned = TWO_PI * np.array(periodic.turns or np.zeros(extent.size))
+        period = space.interval(orbit)[1]
+        extent = np.maximum(extent, SAME * np.max(extent))
+        return cls(period * turn, states, extent, turned, period, problem.parameters(orbit.z))
+
+    def longer(self) -> Course:
+        """From a period before phase zero to two periods after it."""
+        shifts = range(-1, 2)
+        times = np.concatenate([self.times + k * self.period for k in shifts])
+        return replace(self, times=times, states=np.concatenate([self.states + k * self.turned for k in shifts]))
+
+
+def stays(space: BoundarySolutions, orbit: Point, walking: int) -> tuple[Course, list[Stay]]:
+    """The course of an orbit over three periods and its complete stays beside saddles and saddle-nodes, in order.
+
+    None where it is slow beside equilibria of other kinds alone. `walking` is the place of the parameter that is
+    followed among those of the statement's model, by which a saddle-node is found.
+    """
+    course, model = Course.of(space, orbit), space.statement.model
+    one, count = course.states, len(course.times)
+    rates = np.array(model.vector_field.map(count)(0.0, one.T, np.tile(course.p[:, None], count))).T
+    speed = np.linalg.norm(rates / course.extent, axis=1)
+    least = (speed <= np.roll(speed, 1)) & (speed <= np.roll(speed, -1)) & (speed < SLOW * np.max(speed))
+    rests: list[Rest] = []
+    for place in np.flatnonzero(least):
+        if not any(np.all(np.abs(one[place] - rest.x) <= BESIDE * course.extent) for rest in rests):
+            rest = _rest_near(model, one[place], course, walking, float(np.max(speed)))
+            if rest is not None:
+                rests.append(rest)
+    course = course.longer()
+    shifts = (-1, 0, 1) if np.any(course.turned) else (0,)
+    images = [replace(rest, x=rest.x + k * course.turned) for rest in rests for k in shifts]
+    found = [stay for rest in images for stay in _stays_at(rest, course, np.tile(speed, 3))]
+    return course, sorted(found, key=lambda stay: stay.start)
+
+
+def _stays_at(rest: Rest, course: Course, speed: Array) -> list[Stay]:
+    """The complete stays beside one equilibrium."""
+    norms = rest.norms(course.states)
+    inside = np.all(np.array(norms) < BESIDE, axis=0)
+    edges = np.flatnonzero(np.diff(inside.astype(int)))
+    found = []
+    for first, last in zip(edges[:-1] + 1, edges[1:], strict=True):
+        if inside[first] and last > first:
+            part = slice(first, last + 1)
+            distance = np.linalg.norm((course.states[part] - rest.x) / course.extent, axis=1)
+            start, end = course.times[first], course.times[last]
+            found.append(Stay(rest, start, end, float(np.min(speed[part])), float(np.min(distance))))
+    return found
+
+
+def _rest_near(model: OdeModel, x: Array, course: Course, walking: int, fastest: float) -> Rest | None:
+    """The saddle or saddle-node near a state; None where there is another equilibrium or none."""
+    slope = model.function(
+        "slope",
+        ca.densify(model.vector_field(0.0, model.full_state, model.parameters)),
+        ca.densify(ca.jacobian(model.full_rhs, model.full_state)),
+    )
+    start, p = x, course.p
+    x, converged = _equilibrium(slope, x, p)
+    rest = _classified(slope, x, p, course.extent, fastest, saddle=True) if converged else None
+    if rest is None:
+        solved = _saddle_node(slope, start, p, walking)
+        rest = None if solved is None else _classified(slope, *solved, course.extent, fastest, saddle=False)
+    return None if rest is None or np.any(np.abs(rest.x - start) > NEAR * course.extent) else rest
+
+
+def _equilibrium(slope: ca.Function, x: Array, p: Array) -> tuple[Array, bool]:
+    """The equilibrium near a state by Newton's method, and whether that converges: beside a double one it does not."""
+    for _ in range(STEPS):
+        rate, jacobian = (np.array(value) for value in slope(0.0, x, p))
+        if not (np.all(np.isfinite(rate)) and np.all(np.isfinite(jacobian))):
+            return x, False
+        step = np.linalg.lstsq(jacobian, rate.ravel(), rcond=ZERO)[0]
+        x = x - step
+        if np.max(np.abs(step)) < CONVERGED * (np.max(np.abs(x)) + 1.0):
+            rate = np.array(slope(0.0, x, p)[0]).ravel()
+            return x, bool(np.max(np.abs(rate)) <= CONVERGED * np.max(np.abs(jacobian)) * (np.max(np.abs(x)) + 1.0))
+    return x, False
+
+
+def _saddle_node(slope: ca.Function, x: Array, p: Array, walking: int) -> tuple[Array, Array] | None:
+    """The equilibrium with an eigenvalue zero near a state, and the parameters with the one followed as it is there."""
+    n = x.size
+    near = np.linalg.svd(np.array(slope(0.0, x, p)[1]))[2][-1]
+    y = ca.MX.sym("y", 2 * n + 1)
+    values = ca.vertcat(*(y[2 * n] if i == walking else value for i, value in enumerate(p)))
+    rate, jacobian = slope(0.0, y[:n], values)
+    equations = ca.vertcat(rate, jacobian @ y[n : 2 * n], ca.dot(ca.DM(near), y[n : 2 * n]) - 1.0)
+    try:
+        solver = ca.rootfinder(
+            "saddle_node", "newton", {"x": y, "g": equations}, {"max_iter": STEPS, "print_time": False}
+        )
+        found = np.array(solver(x0=np.concatenate([x, near, p[walking : walking + 1]]))["x"]).ravel()
+    except RuntimeError:  # as CasADi says that Newton's method failed
+        return None
+    return found[:n], np.where(np.arange(p.size) == walking, found[-1], p)
+
+
+def _classified(slope: ca.Function, x: Array, p: Array, extent: Array, fastest: float, saddle: bool) -> Rest | None:
+    """The equilibrium with its coordinates; None where it is neither a saddle nor a saddle-node of two eigenvalues."""
+    scaled = np.array(slope(0.0, x, p)[1]) * extent / extent[:, None]
+    values = np.linalg.eigvals(scaled)
+    size = max(float(np.max(np.abs(values))), fastest)
+    limit = (ZERO if saddle else np.sqrt(ZERO)) * size
+    down, up = values.real < -limit, values.real > limit
+    central = values.size - int(np.sum(down)) - int(np.sum(up))
+    if central != (0 if saddle else 1) or (saddle and not (np.any(down) and np.any(up))):
+        return None
+    parts = [_coordinates(scaled, limit, sign) for sign in (-1.0, 1.0)]
+    centre = np.linalg.svd(scaled.T)[2][-1:] if central else np.zeros((0, x.size))
+    rates = [float(np.min(np.abs(values.real[which]), initial=np.inf)) for which in (down, up)]
+    (stable, one), (unstable, other) = parts
+    return Rest(x, p, stable / extent, unstable / extent, centre / extent, rates[0], rates[1], max(one, other))
+
+
+def _coordinates(jacobian: Array, limit: float, sign: float) -> tuple[Array, float]:
+    """Rows of coordinates along the eigenvalues whose real part has a sign, and how far their norm is from normal."""
+    from scipy.linalg import schur, solve_continuous_lyapunov
+
+    def belongs(real: complex, imaginary: float = 0.0) -> bool:
+        return bool(sign * np.real(real) > limit)
+
+    form, vectors, count = schur(jacobian.T, sort=belongs)
+    if not count:
+        return np.zeros((0, len(jacobian))), 1.0
+    weight = solve_continuous_lyapunov(form[:count, :count], sign * np.eye(count))
+    sizes = np.linalg.eigvalsh(weight)
+    rows = np.linalg.cholesky(weight / sizes[-1]).T @ vectors[:, :count].T
+    return rows, float(np.sqrt(sizes[-1] / sizes[0]))
+
+
+def in_a_period(course: Course, found: Sequence[Stay]) -> list[Stay]:
+    """The stays of one period, then the next one, which is the first of them again."""
+    if not found:
+        return []
+    first = next((stay for stay in found if stay.end > 0.0), found[-1])
+    end = first.start + course.period * (1.0 - SAME)
+    period = [stay for stay in found if first.start <= stay.start < end]
+    return [*period, *[stay for stay in found if stay.start >= end][:1]]
+
+
+def in_the_part(course: Course, found: Sequence[Stay], symmetry: SymmetryClass) -> list[Stay]:
+    """The stays that overlap the part of the period that a symmetric orbit is solved on."""
+    return [stay for stay in found if stay.end > 0.0 and stay.start < symmetry.value * course.period]

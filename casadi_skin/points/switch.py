@@ -1,0 +1,272 @@
+"""The branch that leaves at a special point: cycles at a Hopf point, the other branch at a branch point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.equilibrium import Equilibrium
+from casadi_skin.follow.find import find_equilibrium
+from casadi_skin.follow.follow import following_settings, following_space
+from casadi_skin.follow.following import Following, run_following
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
+from casadi_skin.follow.settings import ContinuationSettings, Point
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.special_points import DOUBLING, SpecialPoint
+from casadi_skin.model.arguments import duration
+from casadi_skin.points.breaking import breaking_space, start_of
+from casadi_skin.points.cycles import TOLERANCE, born_at
+from casadi_skin.points.leaving_orbits import leaving_orbits
+from casadi_skin.points.leaving_solutions import doubled_solutions, other_solutions
+from casadi_skin.zero.method import MAX_POINTS
+from casadi_skin.zero.problem import Array
+from casadi_skin.zero.rest_linearised import ROUNDED
+from casadi_skin.zero.rest_location import BRANCH_POINT, HOPF
+from casadi_skin.zero.rest_problem import AlgebraicProblem, Course, power_of_two, sizes_at
+from casadi_skin.zero.statics import Statics
+
+PROBE = 1e-2  # of the unit of length: a step along the branch that leaves, for the direction of its parameter
+SHORT = 1e-4  # of the range of the parameter: a step along the branch that leaves, for its units
+TRIES = 20  # of such steps
+FEW = 1e-6  # of the largest: components of a tangent that are rounding
+SAME = 1e-4  # of a direction: the difference that distinguishes two branches
+
+
+def switch(
+    point: SpecialPoint,
+    parameter: str,
+    to: float,
+    *,
+    side: int = 1,
+    at: Sequence[float] = (),
+    max_points: int = MAX_POINTS,
+    max_step: float = 0.2,
+    back_to: float | None = None,
+    time_limit: float | None = None,
+    until: Callable[[Any], bool] | None = None,
+    stability: bool = False,
+    events: bool = True,
+    tolerance: float = TOLERANCE,
+    progress: Callable[[Any], None] | None = None,
+) -> Branch:
+    """The branch that leaves at a special point.
+
+    At a Hopf point that of the cycles born there, from amplitude zero, or that of the equilibria to which orbits have
+    shrunk; at a branch point the other branch; at a period doubling the orbits of twice the period.
+
+    Arguments:
+        point: a Hopf point or a branch point of equilibria; of orbits the Hopf point at which they end, a period
+            doubling, or a branch point that the other branch leaves to both sides, as where a symmetry is lost; of a
+            family too, whose amplitude is then a parameter, "S"; of boundary-value problems a branch point or, where
+            solutions close, a period doubling.
+        parameter: name of the parameter to follow: at a branch point that in which it was found.
+        to: where the branch ends.
+        side: 1 or -1: which half of a branch whose halves leave towards the same parameters; that along which the
+            component that changes most grows is 1.
+        at, max_points, max_step, time_limit, until, events, progress: as in `follow`.
+        back_to: as in `follow`; left out, cycles and orbits end as far to the other side as `to` is to this side.
+        stability: whether multipliers are computed for each cycle.
+        tolerance: of cycles, as in `find_orbit`.
+
+    Returns:
+        The branch, whose first solution is the special point itself; a branch of cycles also ends where it has gone as
+        far to the other side as `to` is to this side.
+
+    Raises:
+        ValueError: an argument is out of range, or no branch leaves there towards `to`.
+        BoundaryError, EquilibriumError: the branch cannot be started.
+    """
+    seconds = duration("time_limit", time_limit)
+    space = leaving_space(
+        point, parameter, to, side=side, at=at, max_points=max_points, max_step=max_step, tolerance=tolerance,
+        back_to=back_to,
+    )  # fmt: skip
+    return run_following(Following(space, stability, events, until=until, time_limit=seconds), progress)
+
+
+def leaving_space(
+    point: SpecialPoint, parameter: str, to: float, *, side: int, at: Sequence[float], max_points: int,
+    max_step: float, tolerance: float, back_to: float | None = None,
+) -> SolutionSpace:  # fmt: skip
+    """The space of the branch that leaves at a special point; raises ValueError as `switch` does."""
+    solution = point.solution
+    if side not in (1, -1):
+        raise ValueError(f"side: given {side!r}; accepted: 1 or -1")
+    if point.mu is not None and isinstance(solution, Orbit):
+        start = start_of(solution)
+        chosen = following_settings(
+            start, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
+        )
+        both = replace(chosen, parameter_min=chosen.parameter_min or -1.0, closing=False)
+        return breaking_space(solution, point.mu, parameter, float(to), tuple(map(float, at)), both, side, start)
+    if point.kind == HOPF and isinstance(solution, Orbit):
+        return following_space(
+            _at_rest(solution), parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
+        )
+    of_equilibria = point.kind == HOPF and isinstance(solution, Equilibrium)
+    of_orbits = point.kind == DOUBLING and not isinstance(solution, Equilibrium)
+    if not (of_equilibria or of_orbits or point.kind == BRANCH_POINT):
+        accepted = "a Hopf point of equilibria, a period doubling, or a branch point"
+        raise ValueError(f"follow: given a {point.kind} of {_kind_of(solution)}; accepted: {accepted}")
+    settings = following_settings(
+        solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
+    )
+    values = tuple(float(value) for value in at)
+    both = replace(settings, parameter_min=settings.parameter_min or -1.0, closing=False)
+    if isinstance(solution, Orbit):
+        turns = 2 if point.kind == DOUBLING else 1
+        return leaving_orbits(solution, turns, parameter, float(to), values, both, side)
+    if point.kind == HOPF and isinstance(solution, Equilibrium):
+        space = cast(EquilibriumSpace, solution.space)
+        statics = Statics(space.model, solution.parameters)
+        x = solution.positions  # what rounding leaves of a component that is zero has no size
+        x = np.where(np.abs(x) > ROUNDED * space.sizes, x, 0.0)
+        return born_at(statics, x, parameter, float(to), values, both, tolerance)
+    if not isinstance(solution, Equilibrium):
+        leaving = doubled_solutions if point.kind == DOUBLING else other_solutions
+        return leaving(solution, parameter, float(to), values, both, side)
+    return other_branch(point, parameter, float(to), values, settings, side)
+
+
+def _at_rest(orbit: Orbit) -> Equilibrium:
+    """The equilibrium that an orbit of amplitude zero is."""
+    space = cast(BoundarySpace, orbit.space)
+    values = {name: orbit.parameters[name] for name in space.given.parameter_names}
+    return find_equilibrium(space.given, orbit.evaluate(0.0), parameters=values)
+
+
+def _kind_of(solution: Solution) -> str:
+    if isinstance(solution, Equilibrium):
+        return "equilibria"
+    return "orbits" if isinstance(solution, Orbit) else "a boundary-value problem"
+
+
+# The other branch at a branch point -----------------------------------------------------------------------------------
+
+
+def other_branch(
+    point: SpecialPoint, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings, side: int
+) -> EquilibriumSpace:
+    """The space of the other branch at a branch point of equilibria; raises ValueError where it goes elsewhere."""
+    solution = cast(Equilibrium, point.solution)
+    space = cast(EquilibriumSpace, solution.space)
+    if parameter != point.parameter:
+        raise ValueError(f"parameter: given {parameter!r}; accepted: {point.parameter}, in which the point was found")
+    direction = _other_direction(space, solution.point)
+    statics = Statics(space.model, solution.parameters)
+    old, value = space.course, solution.parameters[parameter]
+    assert old is not None
+    n, span, x = statics.size, to - value, solution.positions
+    sizes = sizes_at(statics, x, (Course(parameter, value, to),), space.sizes)
+    leaving, z, tangent = _towards(space, solution, direction, sizes, to, settings, at)
+    reach = _reach(leaving, z, tangent)
+    if reach is not None:  # in units of the branch that leaves, where those of the point say nothing
+        grown, silent = np.abs(tangent[:n]), np.abs(x) <= ROUNDED * sizes
+        sizes = power_of_two(np.where(silent & (grown > FEW * np.max(grown)), reach * grown * sizes, sizes))
+        leaving, z, tangent = _towards(space, solution, direction, sizes, to, settings, at)
+    for sign in (float(side), -float(side)) if abs(tangent[-1]) > SAME else (float(side),):
+        if _goes_on(leaving, z, sign * tangent):
+            first = replace(solution.point, problem=leaving.problem, z=z, tangent=sign * tangent, special="")
+            return replace(leaving, first=first)
+    elsewhere = "below" if span > 0 else "above"
+    raise ValueError(
+        f"to: given {to!r}; accepted: a value {elsewhere} {solution.parameters[parameter]:.10g}, to which the other "
+        "branch goes"
+    )
+
+
+def _towards(
+    space: EquilibriumSpace, solution: Equilibrium, direction: Array, sizes: Array, to: float,
+    settings: ContinuationSettings, at: tuple[float, ...],
+) -> tuple[EquilibriumSpace, Array, Array]:  # fmt: skip
+    """The space of a branch that leaves, with its start and its unit tangent there; the largest component grows."""
+    statics, old = Statics(space.model, solution.parameters), space.course
+    assert old is not None
+    n, span = statics.size, to - solution.parameters[space.parameter]
+    leaving = EquilibriumSpace(
+        statics, space.tolerance, space.corrector, sizes, space.parameter, to, settings, at, leaves=True
+    )
+    tangent = np.append(direction[:n] * space.sizes / sizes, direction[-1] * (old.to - old.start) / span)
+    z = np.append(solution.positions / sizes, 0.0)
+    weights = leaving.point_solver.metric(leaving.problem, z)
+    tangent = tangent / np.sqrt(np.sum(weights * tangent**2)) * np.sign(tangent[np.argmax(np.abs(tangent[:n]))])
+    return leaving, z, np.asarray(tangent)
+
+
+def _reach(space: EquilibriumSpace, z: Array, tangent: Array) -> float | None:
+    """How far along its tangent a branch has gone where the parameter has gone its range, to leading order.
+
+    None where no step shows it.
+    """
+    weights, step = space.point_solver.metric(space.problem, z), PROBE
+    row = weights * tangent
+    for _ in range(TRIES):
+        correction = space.levels.corrector(space.problem).correct(z + step * tangent, row, float(row @ z) + step)
+        gone = abs(float(correction.z[-1])) if correction.converged else np.inf
+        if SHORT / 30.0 <= gone <= SHORT * 30.0:
+            evenly = abs(float(tangent[-1])) * step > 0.5 * gone
+            return step / (gone if evenly else float(np.sqrt(gone)))
+        step *= float(np.clip(np.sqrt(SHORT / max(gone, 1e-300)), 1e-2, 1e2))
+    return None
+
+
+def _goes_on(space: EquilibriumSpace, z: Array, tangent: Array) -> bool:
+    """Whether the parameter goes on to its end along a tangent, judged after a small step along it."""
+    weights = space.point_solver.metric(space.problem, z)
+    guess, row = z + PROBE * tangent, weights * tangent
+    correction = space.levels.corrector(space.problem).correct(guess, row, float(row @ guess))
+    if not correction.converged:
+        raise EquilibriumError(f"{space.model.name}: the other branch cannot be started: {correction.status.value}")
+    return bool(correction.z[-1] > 0.0)
+
+
+def _other_direction(space: EquilibriumSpace, point: Point) -> Array:
+    """The tangent of the other branch, from the quadratic terms of the equations on their null space (Keller 1977)."""
+    problem, z = space.problem, point.z
+    units = problem.units_of_all(z)
+    found = problem.null_space(z, _off(point, units))
+    several = found.vanishing
+    if several > 1:
+        why = f"{several} eigenvalues vanish at once; accepted: a branch point of one, as where less symmetry is left"
+        raise EquilibriumError(f"{space.model.name}: more than two branches cross at the branch point: {why}")
+    first, second, psi = found.right[:, -1], found.right[:, -2], found.left[:, -1]
+    quadratic = _second_derivatives(problem)
+
+    def form(a: Array, b: Array) -> float:
+        return float(psi @ np.array(quadratic(z, a, b)).ravel())
+
+    a, b, c = form(first, first), 2.0 * form(first, second), form(second, second)
+    discriminant = b * b - 4.0 * a * c
+    if not discriminant > 0.0:
+        raise EquilibriumError(f"{space.model.name}: no two branches cross at the branch point, to second order")
+    root = np.sqrt(discriminant)
+    # (alpha, beta) with a alpha^2 + b alpha beta + c beta^2 = 0, without cancellation
+    q = -0.5 * (b + np.copysign(root, b))
+    directions = [alpha * first + beta * second for alpha, beta in ((q, a), (c, q)) if alpha or beta]
+    along = point.tangent / units / np.linalg.norm(point.tangent / units)
+    unit = [direction / np.linalg.norm(direction / units) for direction in directions]
+    return min(unit, key=lambda direction: abs(float((direction / units) @ along)))
+
+
+def _off(point: Point, units: Array) -> Array:
+    """What the unknowns of a special point may be off by: along the branch, and each by its error."""
+    profile = point.error.profile if np.isfinite(point.error.profile) else 0.0
+    rate = abs(float(point.tangent[-1]))
+    along = point.tangent * (point.error.parameter / rate) if rate > SAME else np.zeros_like(point.tangent)
+    return np.asarray(along + profile * units)
+
+
+def _second_derivatives(problem: AlgebraicProblem) -> ca.Function:
+    """Function (z, u, v) -> the second derivative of the equations in two directions."""
+    z, residual, _ = problem.symbols
+    u, v = ca.MX.sym("u", problem.size), ca.MX.sym("v", problem.size)
+    once = ca.jtimes(residual, z, u)
+    return ca.Function("second", [z, u, v], [ca.densify(ca.jtimes(once, z, v))])

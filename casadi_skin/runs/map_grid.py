@@ -1,0 +1,217 @@
+"""The cells of a map: axes with their values, tasks that share a family, and the scene of a cell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.runs.faults import SceneError, toml_repr
+from casadi_skin.runs.map_reading import AMPLITUDE, Path, paths_of, set_value, values_of
+from casadi_skin.runs.map_table import RangeTable
+from casadi_skin.runs.reading import scene_of
+from casadi_skin.runs.scene import Scene
+
+Cells = NDArray[np.int64]  # flat numbers of cells in the finest grid
+Tables = dict[str, Any]  # a scene as plain values
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis of a map.
+
+    Attributes:
+        name: as [map] calls it.
+        paths: where its values go in a scene; several where it moves several parameters.
+        values: at its finest; of several parameters in words.
+        given: values for the scene, one for each path; empty where these are the values.
+        stride: values from one of the coarsest to the next.
+        numeric: whether it is a range, along which pictures are drawn.
+        log: whether its values have equal ratios.
+    """
+
+    name: str
+    paths: tuple[Path, ...]
+    values: tuple[Any, ...]
+    stride: int = 1
+    numeric: bool = False
+    log: bool = False
+    given: tuple[tuple[Any, ...], ...] = ()
+
+    def settings(self, place: int) -> list[tuple[Path, Any]]:
+        """The path of the value at a place, and the value."""
+        return list(zip(self.paths, self.given[place] if self.given else (self.values[place],), strict=True))
+
+
+class Task(msgspec.Struct, frozen=True):
+    """Cells computed together: one, or the orbits of one family at several amplitudes.
+
+    Attributes:
+        cells: flat numbers.
+        settings: where values go in the scene, and the values.
+        amplitudes: of the family's orbits, ascending, one a cell; empty where the map has no axis S.
+        start, period: of a neighbour's solution, for a second start; empty for the scene's own.
+        neighbour: its cell.
+    """
+
+    cells: tuple[int, ...]
+    settings: tuple[tuple[tuple[str, ...], Any], ...]
+    amplitudes: tuple[float, ...] = ()
+    start: tuple[float, ...] = ()
+    period: float = 0.0
+    neighbour: int = -1
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The finest grid of a map, cells in the order of C with the last axis fastest."""
+
+    axes: tuple[Axis, ...]
+
+    @classmethod
+    def of(cls, scene: Scene) -> Grid:
+        """The grid of a scene's [map]; raises SceneError where the scene refuses the end of an axis."""
+        table = scene.map
+        if table is None:
+            raise SceneError("[map]: missing; accepted: a scene with a [map]")
+        axes = []
+        for name, given in table.axes.items():
+            values, stride = values_of(given)
+            ranged = isinstance(given, RangeTable)
+            log = isinstance(given, RangeTable) and given.log
+            paths, together = paths_of(scene, name), tuple[tuple[Any, ...], ...]()
+            if len(paths) > 1:
+                together, values = values, tuple(f"({', '.join(map(str, value))})" for value in values)
+            axes.append(Axis(name, paths, values, stride, ranged, log, together))
+        grid = cls(tuple(axes))
+        grid._check(plain(scene))
+        return grid
+
+    def _check(self, tables: Tables) -> None:
+        """Raises SceneError for the end of an axis that the scene refuses wherever the other axes end."""
+        for axis in self.axes:
+            others = [[a.settings(0), a.settings(-1)] for a in self.axes if a is not axis]
+            for place in (0, -1) if axis.numeric else range(len(axis.values)):
+                mine = axis.settings(place)
+                corners = [mine + [pair for rest in corner for pair in rest] for corner in product(*others)]
+                faults = [fault for settings in (mine, *corners) if (fault := _fault(tables, settings))]
+                if len(faults) > len(corners):
+                    words = f"given {toml_repr(axis.values[place])}, which the scene refuses: {faults[0]}"
+                    raise SceneError(f"[map] {axis.name}: {words}")
+
+    @cached_property
+    def shape(self) -> tuple[int, ...]:
+        """Number of values along each axis at its finest."""
+        return tuple(len(axis.values) for axis in self.axes)
+
+    @property
+    def size(self) -> int:
+        """Number of cells of the finest grid."""
+        return math.prod(self.shape)
+
+    @property
+    def refined(self) -> bool:
+        """Whether cells are refined where a quantity changes."""
+        return any(axis.stride > 1 for axis in self.axes)
+
+    @property
+    def coarsest(self) -> Cells:
+        """The cells of the coarsest grid."""
+        places = [np.arange(0, len(axis.values), axis.stride) for axis in self.axes]
+        found: Cells = np.ravel_multi_index(np.meshgrid(*places, indexing="ij"), self.shape).ravel().astype(np.int64)
+        return found
+
+    def places(self, cells: Cells) -> NDArray[np.int64]:
+        """Places along the axes, shape (cells, axes)."""
+        return np.stack(np.unravel_index(cells, self.shape), axis=-1).astype(np.int64)
+
+    def values(self, cell: int) -> tuple[Any, ...]:
+        """Values of the axes at a cell."""
+        return tuple(axis.values[i] for axis, i in zip(self.axes, np.unravel_index(cell, self.shape), strict=True))
+
+    def name(self, cell: int) -> str:
+        """A cell in words."""
+        return ", ".join(f"{a.name} = {value}" for a, value in zip(self.axes, self.values(cell), strict=True))
+
+    @cached_property
+    def amplitude(self) -> int | None:
+        """Which axis is S of a family; None where none is."""
+        return next((i for i, axis in enumerate(self.axes) if axis.paths == (AMPLITUDE,)), None)
+
+    def tasks(self, cells: Cells) -> Iterator[Task]:
+        """Tasks that compute cells, in their order; those that differ by S alone are one."""
+        if self.amplitude is None:
+            for cell in cells.tolist():
+                yield Task((cell,), self.settings(cell))
+            return
+        places = self.places(cells)
+        places[:, self.amplitude] = 0
+        families = np.ravel_multi_index(tuple(places.T), self.shape)
+        order = np.argsort(families, kind="stable")
+        starts = np.flatnonzero(np.diff(families[order], prepend=-1))
+        for group in np.split(cells[order], starts[1:]):
+            found = sorted((float(self.values(cell)[self.amplitude]), cell) for cell in group.tolist())
+            settings = self.settings(found[0][1])
+            yield Task(tuple(cell for _, cell in found), settings, tuple(S for S, _ in found))
+
+    def family(self, cell: int) -> Cells:
+        """The cells of the coarsest grid that are one task with a cell of it."""
+        if self.amplitude is None:
+            return np.array([cell], dtype=np.int64)
+        axis, places = self.axes[self.amplitude], self.places(np.array([cell]))
+        same = np.repeat(places, len(range(0, len(axis.values), axis.stride)), axis=0)
+        same[:, self.amplitude] = range(0, len(axis.values), axis.stride)
+        return np.asarray(np.ravel_multi_index(tuple(same.T), self.shape), dtype=np.int64)
+
+    def settings(self, cell: int) -> tuple[tuple[Path, Any], ...]:
+        """Where values go in the scene of a cell, and the values, but for S of a family."""
+        places = zip(self.axes, np.unravel_index(cell, self.shape), strict=True)
+        pairs = [pair for axis, place in places for pair in axis.settings(int(place))]
+        return tuple((path, value) for path, value in pairs if path != AMPLITUDE)
+
+
+# Scenes of cells ------------------------------------------------------------------------------------------------------
+
+
+def plain(scene: Scene) -> Tables:
+    """The tables of a scene as plain values, without [map]."""
+    tables = msgspec.to_builtins(msgspec.structs.replace(scene, map=None))
+    return {name: _given(value) for name, value in tables.items() if value is not None}
+
+
+def _given(value: Any) -> Any:
+    """A value as TOML has it: without keys that are not given, with lists."""
+    if isinstance(value, Mapping):
+        return {key: _given(v) for key, v in value.items() if v is not None}
+    return [_given(v) for v in value] if isinstance(value, tuple | list) else value
+
+
+def _fault(tables: Tables, settings: Sequence[tuple[Path, Any]]) -> str:
+    """Why the scene refuses values in their places; empty where it does not."""
+    try:
+        scene_at(tables, settings)
+    except SceneError as error:
+        return str(error)
+    return ""
+
+
+def scene_at(tables: Tables, settings: Sequence[tuple[Path, Any]], amplitudes: Sequence[float] = ()) -> Scene:
+    """The scene with values in their places, and with orbits of its family at amplitudes; raises SceneError."""
+    found = dict(tables)
+    for path, value in settings:
+        if path == AMPLITUDE:
+            set_value(found, ("family", "amplitude_max"), value)
+            set_value(found, ("family", "at"), [])
+        else:
+            set_value(found, path, value)
+    if amplitudes:
+        set_value(found, ("family", "amplitude_max"), amplitudes[-1])
+        set_value(found, ("family", "at"), list(amplitudes))
+    return scene_of(found)

@@ -1,0 +1,157 @@
+"""The command line: words -> a scene, a study."""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import re
+import signal
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+from types import FrameType
+from typing import NoReturn
+
+from casadi_skin._version import __version__
+from casadi_skin.runs import explore_command, map_command, start_commands, study_commands
+from casadi_skin.runs.json_output import add_output
+from casadi_skin.runs.status import FAILED, INTERRUPTED, WRONG_INPUT, InputError
+from casadi_skin.runs.streams import OutputError, guarded_streams
+
+RARELY = (200_000, 20, 50)  # thresholds of the collector: modules live to the end, and a picture is 20,000 objects
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        words = " ".join(message.split())
+        choice = re.fullmatch(r"argument (\S+): invalid choice: '(.*)' \(choose from (.*)\)", words)
+        if choice is not None:
+            from casadi_skin.model.arguments import accepted_names
+
+            known = [name.strip("'") for name in choice[3].split(", ")]
+            words = f"{choice[1]}: given '{choice[2]}'; {accepted_names(choice[2], known)}"
+        self.exit(WRONG_INPUT, f"{self.prog}: {words}; see {self.prog} --help\n")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="casadi-skin",
+        description="Periodic orbits of lattices and of any model: families, branches, stability, pictures.",
+        epilog="Example: casadi-skin new chain && casadi-skin run chain.toml. Exit status: 0 done, 1 failed or ended "
+        "early, 2 wrong input, 130 interrupted.",
+    )
+    parser.add_argument("--version", action="version", version=f"casadi-skin {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    run = commands.add_parser(
+        "run",
+        help="compute what a scene asks for",
+        description="Compute what a scene asks for.",
+        epilog="Example: casadi-skin run examples/softening_end_breather.toml --out results/breather",
+    )
+    run.add_argument("scene", type=Path, metavar="SCENE.toml")
+    run.add_argument(
+        "--out", type=Path, metavar="DIR", help="directory of the results (default: results/NAME-OF-THE-SCENE)"
+    )
+    held = run.add_mutually_exclusive_group()
+    held.add_argument(
+        "--resume", action="store_true", help="go on with a run that was killed, interrupted or ended early"
+    )
+    held.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
+    add_output(run)
+    run.set_defaults(act="scene_commands:run")
+
+    check = commands.add_parser(
+        "check",
+        help="print the plan of a scene",
+        description="Print what a run would do.",
+        epilog="Example: casadi-skin check examples/fput_modes.toml",
+    )
+    check.add_argument("scene", type=Path, metavar="SCENE.toml")
+    check.add_argument(
+        "--measure", action="store_true", help="build and solve at the start of families too: unknowns, expected cost"
+    )
+    add_output(check)
+    check.set_defaults(act="scene_commands:check")
+
+    spectrum = commands.add_parser(
+        "spectrum",
+        help="linear frequencies of a scene's model",
+        description="Print the linear frequencies omega_j.",
+        epilog="Example: casadi-skin spectrum examples/fput_modes.toml --out results/spectrum",
+    )
+    spectrum.add_argument("scene", type=Path, metavar="SCENE.toml")
+    spectrum.add_argument("--out", type=Path, metavar="DIR", help="also write spectrum.csv and its picture there")
+    spectrum.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
+    add_output(spectrum)
+    spectrum.set_defaults(act="scene_commands:spectrum")
+
+    map_command.add_map(commands)
+    study_commands.add_studies(commands)
+    explore_command.add_explore(commands)
+    start_commands.add_first_steps(commands, parser)
+    return parser
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """A polite kill ends a run like Ctrl-C: the results so far are written."""
+    raise KeyboardInterrupt
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit status."""
+    before = gc.get_threshold()
+    gc.set_threshold(*RARELY)
+    try:
+        with guarded_streams():
+            return _status(arguments)
+    except OutputError as error:
+        _complain(f"standard output: {error}")
+        return FAILED
+    finally:
+        gc.set_threshold(*before)
+
+
+def _status(arguments: Sequence[str] | None) -> int:
+    """Exit status of a command that has reported its reason."""
+    parsed, unknown = _parser().parse_known_args(arguments)
+    if unknown:
+        _Parser(prog=f"casadi-skin {parsed.command}").error(f"unrecognized arguments: {' '.join(unknown)}")
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        act = parsed.act
+        if isinstance(act, str):
+            module, name = act.split(":")
+            act = getattr(import_module(f"casadi_skin.runs.{module}"), name)
+        return int(act(parsed))
+    except ValueError as error:
+        if not _is_of_input(error):
+            raise
+        print(f"casadi-skin: {error}", file=sys.stderr)
+        return WRONG_INPUT
+    except KeyboardInterrupt:
+        print("casadi-skin: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except OSError as error:
+        print(f"casadi-skin: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
+        return FAILED
+
+
+def _is_of_input(error: ValueError) -> bool:
+    """Whether an error is the user's, in one line."""
+    from casadi_skin.runs.directory import DirectoryError  # here: --help and spectrum do not need it
+    from casadi_skin.runs.faults import SceneError
+
+    return isinstance(error, SceneError | DirectoryError | InputError)
+
+
+def _complain(words: str) -> None:
+    """A line on standard error, if it can be written."""
+    with suppress(OSError, ValueError, AttributeError):
+        sys.stderr.write(f"casadi-skin: {words}\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

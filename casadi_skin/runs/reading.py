@@ -1,0 +1,232 @@
+"""Reading a scene from TOML: names first, then types and bounds by msgspec, then relations between keys."""
+
+import re
+import sys
+import tomllib
+from collections.abc import Iterator, Mapping
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from casadi_skin.model.arguments import LONGEST, cut, nearest
+from casadi_skin.runs.faults import (
+    SceneError,
+    Unknown,
+    accepted_words,
+    check_unknown,
+    did_you_mean,
+    inline,
+    is_table,
+    refusal,
+    toml_repr,
+    with_kind,
+)
+from casadi_skin.runs.lattice_tables import BondTable, SiteTable
+from casadi_skin.runs.map_reading import check_map, with_axes
+from casadi_skin.runs.scene import TABLES, Scene
+from casadi_skin.runs.scene_checks import check_scene
+from casadi_skin.runs.scene_tables import ChainTable, Table
+
+MODELS = ("chain", "lattice", "model")  # tables of which a scene has one
+LATTICE_PARTS: Mapping[str, type[Table]] = {"site": SiteTable, "bond": BondTable}
+SYNONYMS = {  # letters of papers and words of other programs, in lower case, for keys
+    "n": "sites",
+    "length": "sites",
+    "s_max": "amplitude_max",
+    "smax": "amplitude_max",
+    "amplitude": "amplitude_max",
+    "j": "mode",
+    "tol": "tolerance",
+    "rtol": "tolerance",
+    "x0": "start",
+    "guess": "start",
+    "t": "period",
+    "n_starts": "starts",
+}
+
+
+def read_scene(path: str | Path) -> Scene:
+    """Read the scene in a TOML file; raises SceneError where the file is missing, unreadable or wrong."""
+    return parse_scene(read_text(path), str(path) or ".")
+
+
+def read_text(path: str | Path) -> str:
+    """Read the text of a scene file; raises SceneError where the file is missing or unreadable."""
+    source = str(path) or "."
+    try:
+        return Path(path).read_bytes().decode("utf-8-sig")  # some editors begin UTF-8 with a byte-order mark
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{source}: not UTF-8 at byte {error.start}; accepted: TOML in UTF-8") from None
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        reason = getattr(error, "strerror", None) or error
+        raise SceneError(f"{source}: cannot be read: {reason}; accepted: a file in TOML") from None
+
+
+def parse_scene(text: str, source: str = "scene") -> Scene:
+    """Read a scene from TOML text; raises SceneError whose message begins with the source."""
+    try:
+        scene = scene_of(_parse_toml(text))
+        if scene.accuracy.certify:
+            _check_decimals(text)
+        return scene
+    except SceneError as fault:
+        raise SceneError(f"{source}: {fault}") from None
+
+
+def _check_decimals(text: str) -> None:
+    """Refuse numbers of the model and of S with more digits than doubles have: proofs are about the decimals given."""
+    raw = tomllib.loads(text, parse_float=Decimal)
+    for table in (*MODELS, "family"):
+        for key, value in raw.get(table, {}).items():
+            for number in _leaves(value):
+                if not isinstance(number, int | Decimal) or not Decimal(number).is_finite():
+                    continue
+                if Decimal(number) != Decimal(repr(float(number))):
+                    accepted = f"with [accuracy] certify a number that a double is printed as, here {float(number)!r}"
+                    raise refusal(f"[{table}] {key}", str(number), accepted)
+
+
+def scene_of(raw: dict[str, Any]) -> Scene:
+    """The scene that tables of plain values ask for, checked; raises SceneError."""
+    raw = with_axes(raw)
+    _check_names(raw)
+    scene = _convert(raw)
+    check_scene(scene)
+    check_map(scene)
+    return scene
+
+
+def scene_schema() -> dict[str, Any]:
+    """The JSON schema of a scene, for editors that complete and check TOML."""
+    schema: dict[str, Any] = _without_null(msgspec.json.schema(Scene))
+    definition = schema["$defs"]["Scene"]
+    definition["anyOf"] = [{"required": [name]} for name in MODELS]
+    of_map = schema["$defs"]["MapTable"]  # whose axes may stand in it by their own names
+    of_map["additionalProperties"] = of_map["properties"]["axes"]["additionalProperties"]
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "casadi-skin scene", **schema}
+
+
+def _without_null(value: Any) -> Any:
+    """The schema without the choice null, which TOML does not have: editors then name the key that is wrong."""
+    if isinstance(value, list):
+        return [_without_null(item) for item in value if item != {"type": "null"}]
+    if not isinstance(value, dict):
+        return value
+    found = {name: _without_null(item) for name, item in value.items() if not (name == "default" and item is None)}
+    choices = found.get("anyOf", ())
+    return {**{k: v for k, v in found.items() if k != "anyOf"}, **choices[0]} if len(choices) == 1 else found
+
+
+def _parse_toml(text: str) -> dict[str, Any]:
+    try:
+        text.encode()  # refuses half a surrogate pair, which tomllib would let through
+        return tomllib.loads(text)
+    except RecursionError:
+        reason = "nested too deeply"
+    except ValueError as error:  # with line and column, but for an integer of thousands of digits
+        reason = str(error).partition("; use sys.")[0]
+        if len(reason) > 2 * LONGEST:  # a long name inside; line and column stand at the end
+            reason = f"{reason[:LONGEST]}...{reason[-LONGEST:]}"
+    raise SceneError(f"not TOML: {reason}")
+
+
+def _check_names(raw: dict[str, Any]) -> None:
+    """Refuse unknown tables and keys, values in place of tables, and keys that are required but missing."""
+    check_unknown(_unknown_names(raw))
+    models = [name for name in MODELS if name in raw]
+    if len(models) > 1:
+        raise refusal(f"[{models[0]}]", f"beside [{models[1]}]", "[chain], [lattice] or [model] in one scene")
+    if not models:
+        keys = ", ".join(ChainTable.__struct_fields__)
+        others = "a table [lattice] with cells and site, or a table [model] with file"
+        raise SceneError(f"[chain]: missing; accepted: a table with {keys}, {others}")
+    for name, table in TABLES.items():
+        if name in raw:
+            _check_keys(f"[{name}]", table, raw[name])
+    for name, part in LATTICE_PARTS.items():
+        items = raw.get("lattice", {}).get(name, [])
+        if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
+            raise refusal(f"[lattice] {name}", with_kind(items), accepted_words(TABLES["lattice"], name))
+        for i, item in enumerate(items, start=1):
+            _check_keys(f"[[lattice.{name}]] {i}", part, item)
+
+
+def _check_keys(place: str, table: type[Table], given: object) -> None:
+    if not isinstance(given, dict):
+        raise refusal(place, with_kind(given), f"one table {place}")
+    for key, value in given.items():
+        for number in _leaves(value):
+            # no key takes an integer beyond the floats, and msgspec up to 0.20 raises SystemError on it
+            if isinstance(number, int) and abs(number) > sys.float_info.max:
+                raise refusal(f"{place} {key}", toml_repr(number), accepted_words(table, key))
+    for field in msgspec.structs.fields(table):
+        if field.required and field.encode_name not in given:
+            words = accepted_words(table, field.encode_name)
+            raise SceneError(f"{place} {field.encode_name}: missing; accepted: {words}")
+
+
+def _unknown_names(raw: dict[str, Any]) -> Iterator[Unknown]:
+    """Tables and keys that no scene has, in the order of the file."""
+    places = {name: f"[{name}]" for name in TABLES} | {name: name for name in ("title", "time_limit")}
+    for name, value in raw.items():
+        if name not in places:
+            near, accepted = nearest(name, places), ", ".join(places.values())
+            fault = f"[{cut(name)}]: unknown table" if is_table(value) else f"{cut(name)}: unknown key"
+            yield Unknown(fault, near and places[near], accepted)
+        elif name in TABLES and isinstance(value, dict):
+            yield from _unknown_keys(f"[{name}]", TABLES[name], value)
+    lattice = raw.get("lattice")
+    held = lattice if isinstance(lattice, dict) else {}
+    for name, part in LATTICE_PARTS.items():
+        items = held.get(name, [])
+        for i, item in enumerate(items if isinstance(items, list) else [], start=1):
+            if isinstance(item, dict):
+                yield from _unknown_keys(f"[[lattice.{name}]] {i}", part, item)
+
+
+def _unknown_keys(place: str, table: type[Table], given: Mapping[str, object]) -> Iterator[Unknown]:
+    known = table.__struct_encode_fields__
+    for key in given:
+        if key not in known:
+            other = SYNONYMS.get(key.lower())
+            near = other if other in known else nearest(key, known)
+            yield Unknown(f"{place} {cut(key)}: unknown key", near and f"'{near}'", ", ".join(known) or "no keys")
+
+
+def _leaves(value: object) -> Iterator[object]:
+    """The values in a key, whatever tables and arrays they are in."""
+    if not isinstance(value, list | dict):
+        yield value
+        return
+    for item in value.values() if isinstance(value, dict) else value:
+        yield from _leaves(item)
+
+
+def _convert(raw: dict[str, Any]) -> Scene:
+    """Let msgspec check types and bounds; the path in its message becomes our place."""
+    try:
+        return msgspec.convert(raw, Scene)
+    except msgspec.ValidationError as error:
+        message = str(error)
+    part = re.search(r"`\$\.lattice\.(\w+)\[(\d+)\]\.(\w+)", message)
+    if part is not None:
+        name, item, key = part.groups()
+        value = raw["lattice"][name][int(item)][key]
+        raise refusal(
+            f"[[lattice.{name}]] {int(item) + 1} {key}", with_kind(value), accepted_words(LATTICE_PARTS[name], key)
+        )
+    path = re.search(r"`\$\.(\w+)(?:\.(\w+))?(?:\[(\d+)\])?", message)
+    if path is None:  # none is known; its own words are better than a wrong place
+        raise SceneError(message)
+    name, key, item = path.groups()
+    value = raw[name][key] if key else raw[name]
+    accepted = accepted_words(TABLES[name], key) if key else accepted_words(Scene, name)
+    value, where = (value[int(item)], f" as item {int(item) + 1}") if item else (value, "")
+    given = with_kind(value) if ", got `" in message else toml_repr(value)
+    if isinstance(value, dict) and "a table" in accepted:  # a table it is, but what is in it is not accepted
+        given = inline(value)
+    near = nearest(value, re.findall(r'"(\w+)"', accepted)) if isinstance(value, str) else None
+    place = f"[{name}] {key}" if key else name
+    raise SceneError(f"{place}: given {given}{where}{did_you_mean(near and toml_repr(near), accepted)}")

@@ -1,0 +1,199 @@
+"""Summary of a run on standard output."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from casadi_skin.certify.certificate import STABLE, UNDECIDED, UNSTABLE
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.equilibrium import Equilibrium
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.unresolved import count_in_words
+from casadi_skin.results.family_quantities import certified
+from casadi_skin.results.quantities import places_of
+from casadi_skin.results.stability_tables import UNRESOLVED
+from casadi_skin.runs.text_table import TextTable
+from casadi_skin.runs.writing import mode_of
+
+if TYPE_CHECKING:
+    from casadi_skin.runs.run import Run
+
+
+def print_summary(run: Run) -> None:
+    """A table of the families, or of the points of another branch that a reader looks for; and where results are."""
+    if run.search is not None:
+        from casadi_skin.runs.search import summary_lines
+
+        print("\n".join([*summary_lines(run.search, run.request), f"results in {run.directory}"]))
+    for path in run.exported:
+        print(f"exported to {path}")
+    branches = [branch for branch in run.branches if len(branch)]
+    if not run.branches:
+        if run.evolution is not None:
+            print(f"dynamics: {run.evolution.status}\nresults in {run.directory}")
+        return
+    if isinstance(run.branches[0].space, Family):
+        _families(run).print()
+        _print_thresholds(run.branches)
+        _print_stability(branches)
+        _print_proofs(branches)
+        _print_offshoots(run)
+    elif branches and run.request.scene.has_diagram:
+        _diagram(run, branches).print()
+    elif branches:
+        _points(run, branches[0]).print()
+        if branches[0].with_events and len(branches[0]) > 1:
+            print("changes of stability were sought where neighbouring points differ; others may lie between points")
+    if run.evolution is not None:
+        print(f"dynamics: {run.evolution.status}")
+    count = "" if isinstance(run.branches[0].space, Family) else f"{_counted(branches)}; "
+    print(f"{count}results in {run.directory}")
+
+
+def _print_offshoots(run: Run) -> None:
+    """Branches and curves followed from families."""
+    found = run.offshoots
+    if found.leaving:
+        points = _counted([branch for _, branch in found.leaving])
+        print(f"branches that leave: {len(found.leaving)}, with {points}")
+    if found.edges:
+        print(f"edges of tongues: {len(found.edges)}, with {sum(len(curve) for *_, curve in found.edges)} points")
+
+
+def _counted(branches: list[Branch]) -> str:
+    points = sum(len(branch) for branch in branches)
+    return f"{points} point{'' if points == 1 else 's'}"
+
+
+def _families(run: Run) -> TextTable:
+    """A row a family."""
+    stability = run.request.scene.stability is not None
+    columns = ["mode", "points", "S", "Omega", "its error", *(["max |multiplier|", "changes"] if stability else [])]
+    table = TextTable(run.request.scene.title, [*columns, "seconds"])
+    for branch, seconds in zip(run.branches, [*run.seconds, 0.0], strict=False):
+        cells = [str(mode_of(branch)), str(len(branch))]
+        if not len(branch):
+            table.add_row(*cells)
+            continue
+        last = branch.orbits[-1]
+        cells += [f"{last.S:.6g}", f"{last.Omega:.10g}", f"{max(o.Omega_error for o in branch.orbits):.1e}"]
+        if branch.with_stability:
+            known = count_in_words(len(branch.changes), branch.unresolved) if branch.with_events else ""
+            sought = known or "not sought"
+            cells += [f"{_largest_multiplier(branch):.8g}", sought]
+        table.add_row(*cells, f"{seconds:.2f}")
+    return table
+
+
+def _largest_multiplier(branch: Branch) -> float:
+    """Largest |multiplier| of the orbits, and in the tongues between them where these were sought."""
+    tongues = () if branch.stability_diagram is None else branch.stability_diagram.tongues
+    return max([float(branch.max_abs_multiplier.max()), *(tongue.max_abs_multiplier for tongue in tongues)])
+
+
+def _print_thresholds(branches: list[Branch]) -> None:
+    for branch in branches:
+        if branch.threshold is not None:
+            words = f"end breather of the infinite chain born at S_c = {branch.threshold:.10g}"
+            print(f"mode {mode_of(branch)}: {words}")
+
+
+def _diagram(run: Run, branches: list[Branch]) -> TextTable:
+    """A row for the first and the last point of each branch, and for special points."""
+    name = branches[0].parameter
+    second = run.request.scene.continuation.curve if run.request.scene.continuation is not None else None
+    columns = ["", *([name] if name else []), *([second.parameter] if second else []), "its error", ""]
+    table = TextTable(run.request.scene.title or run.request.ode.name, ["branch", *columns])
+    for number, branch in enumerate(branches):
+        rows: list[tuple[str, Mapping[str, float], str, str]] = []
+        first, last = branch.solutions[0], branch.solutions[-1]
+        rows.append(("start", first.parameters, "", _stability(branch, 0)))
+        for point in branch.special_points:
+            words = point.criticality if point.has_criticality else ""
+            rows.append((point.kind, point.parameters, f"{point.error:.1e}", words))
+        for stretch in branch.passed_over:
+            width = f"{abs(stretch.end - stretch.start):.1e}"
+            rows.append((UNRESOLVED, {**first.parameters, name: stretch.start}, width, stretch.kind))
+        if len(branch) > 1:
+            rows.append(("end", last.parameters, "", _stability(branch, -1)))
+        curve = bool(getattr(branch.space, "kind", ""))
+        what = "curve" if curve else "cycles" if isinstance(first, Orbit) else "solutions"
+        what = "equilibria" if isinstance(first, Equilibrium) and not curve else what
+        for kind, values, error, words in rows:
+            shown = [f"{values[key]:.10g}" for key in (name, *([second.parameter] if second else [])) if key]
+            table.add_row(f"{number + 1}: {what}", kind, *shown, error, words)
+    return table
+
+
+def _stability(branch: Branch, place: int) -> str:
+    if not branch.with_stability:
+        return ""
+    return "stable" if branch.solutions[place].stable else "unstable"
+
+
+def _print_stability(branches: list[Branch]) -> None:
+    """Stability of families beyond the columns: unresolved stretches, and changes that were not sought."""
+    computed = [branch for branch in branches if branch.with_stability]
+    if any(not branch.with_events for branch in computed):
+        print("changes of stability between points were not sought")
+    for branch in computed:
+        for stretch in branch.unresolved:
+            where = f"from S = {stretch.S_start:.6g} to {stretch.S_end:.6g}"
+            print(f"mode {mode_of(branch)}: changes of stability are not known {where}: {stretch.reason}")
+        for point in branch.not_located if "_sought" in vars(branch) else ():
+            print(f"mode {mode_of(branch)}: not located: {point}")
+        for passed in (branch.passed_resonances or ()) if branch.with_events else ():
+            print(f"mode {mode_of(branch)}: {passed}")
+
+
+def _print_proofs(branches: list[Branch]) -> None:
+    """Number of orbits that are proved to exist, and the accuracy of Omega that this proves."""
+    for branch in branches:
+        asked = certified(branch)
+        proved = [orbit.certificate for orbit in asked if orbit.certificate.proved]
+        if asked:
+            width = max((c.Omega[1] - c.Omega[0] for c in proved), default=0.0)
+            words = f"; Omega enclosed to {width:.1e}, orbits to {max(c.radius for c in proved):.1e}" if proved else ""
+            print(f"mode {mode_of(branch)}: {len(proved)} of {len(asked)} orbits proved to exist{words}")
+        if asked and isinstance(branch.space, Family) and branch.space.request.certify == "all":
+            print(f"mode {mode_of(branch)}: {_proved_curve(branch)}")
+        if asked and branch.with_stability:
+            verdicts = [orbit.proved_stability.verdict for orbit in asked]
+            counts = ", ".join(f"{verdicts.count(v)} {v}" for v in (STABLE, UNSTABLE, UNDECIDED))
+            print(f"mode {mode_of(branch)}: proved stability: {counts}")
+
+
+def _proved_curve(branch: Branch) -> str:
+    """The part of a family that is proved to be one curve from its linear mode."""
+    try:
+        return repr(branch.certify(0.0, float(branch.S[-1])))
+    except ValueError as error:
+        return f"not proved to be one curve: {error}"
+
+
+def _points(run: Run, branch: Branch) -> TextTable:
+    """A row for the first and the last point, requested points, and folds."""
+    first = branch.solutions[0]
+    orbit, names = isinstance(first, Orbit), first.space.state_names
+    columns = ["point", "", *([branch.parameter] if branch.parameter else []), *(["period"] if orbit else [])]
+    columns += [f"largest {names[0]}", "its error", *(["max |mult.|"] if branch.with_stability else [])]
+    table = TextTable(run.request.scene.title or run.request.ode.name, columns)
+    for place in places_of(branch):
+        solution, last = place.solution, place.index == len(branch) - 1
+        marks = {"start": place.index == 0, "asked for": place.requested, place.special: place.special, "end": last}
+        words = [word for word, holds in marks.items() if holds and word]
+        if not words:
+            continue
+        row = [str(place.index), ", ".join(words) if len(branch) > 1 else "alone"]
+        row += [f"{solution.parameters[branch.parameter]:.8g}"] if branch.parameter else []
+        row += [f"{solution.period:.10g}"] if isinstance(solution, Orbit) else []
+        row += [f"{place.extremes[1][0]:.8g}", f"{solution.error:.1e}"]
+        if branch.with_stability:
+            moduli = np.abs(place.floquet.others)
+            row.append(f"{moduli.max():.6g}" if moduli.size else "")
+        table.add_row(*row)
+    return table

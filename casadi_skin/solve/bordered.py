@@ -1,0 +1,256 @@
+"""Linear solves with the Jacobian of an orbit problem, closed by one more row (a held unknown or an arclength row).
+
+Banded problems are solved by LAPACK's band LU with the dense columns and rows in a border. The band alone is
+singular at a linear mode (its null vector is the mode), so its diagonal entry at the largest entry of the state is
+raised, and an unknown more in the border takes that back; Schur complement of a bordered matrix, Keller (1977),
+Govaerts (2000) chapter 3. Everything else goes to SuperLU: of collocation the unknowns within the intervals first, in
+an order that the model's own pattern determines, so that dense blocks are left between ends of intervals alone (the
+condensation of Ascher, Mattheij and Russell 1995, section 7.2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.native.bordered import BorderedKernel, bordered_kernel
+from casadi_skin.solve.factors import BandFactors, CompiledFactors, SparseFactors
+from casadi_skin.zero.problem import Array, Indices, Problem, SingularError, Solve
+
+SINGULAR = 1e12  # growth of a right-hand side of size 1 that only a singular matrix gives
+LONG = 1e-2  # factor of rows through most unknowns, as of integrals and of the arclength
+ACCURATE = 1e-9  # residual of a solve, relative to the largest entries of matrix and solution
+
+
+@dataclass(frozen=True)
+class _Entries:
+    """Non-zeros of the Jacobian that go to places of an array, both as flat indices."""
+
+    source: Indices
+    target: Indices
+
+    def into(self, array: Array, nonzeros: Array) -> None:
+        """Fill an array, or several from non-zeros of as many problems."""
+        array.reshape(*nonzeros.shape[:-1], -1)[..., self.target] = np.take(nonzeros, self.source, axis=-1)
+
+
+@dataclass(frozen=True)
+class BandLayout:
+    """Places of the non-zeros of the Jacobian: the band, the columns right of it, the rows below, the corner.
+
+    The border has the diagonal entry's unknown and row first; arrays are transposed, as LAPACK stores them.
+    """
+
+    width: int
+    inside: _Entries
+    right: _Entries
+    below: _Entries
+    corner: _Entries
+
+    @classmethod
+    def of(cls, problem: Problem) -> BandLayout | None:
+        width, n = problem.half_bandwidth, problem.states
+        if width is None or 3 * width >= n:
+            return None
+        rows, columns = problem.pattern
+        edge = problem.size - n + 1
+
+        def entries(chosen: NDArray[np.bool_], target: Indices) -> _Entries:
+            return _Entries(np.flatnonzero(chosen), target[chosen])
+
+        return cls(
+            width,
+            entries((rows < n) & (columns < n), columns * (3 * width + 1) + 2 * width + rows - columns),
+            entries((rows < n) & (columns >= n), (columns - n + 1) * n + rows),
+            entries((rows >= n) & (columns < n), (rows - n + 1) * n + columns),
+            entries((rows >= n) & (columns >= n), (rows - n + 1) * edge + columns - n + 1),
+        )
+
+    def kernel(self, problem: Problem) -> BorderedKernel | None:
+        """The compiled kernel of this layout; None where there is none."""
+        parts = self.inside, self.right, self.below, self.corner
+        places = [(part.source, part.target) for part in parts]
+        sizes = problem.states, problem.size, self.width
+        return bordered_kernel(sizes, places, problem.pattern, (SINGULAR, ACCURATE))
+
+    def fill(self, storage: Array, right: Array, below: Array, corner: Array, nonzeros: Array) -> None:
+        """Put the non-zeros of the Jacobian where they belong."""
+        for entries, array in ((self.inside, storage), (self.right, right), (self.below, below), (self.corner, corner)):
+            entries.into(array, nonzeros)
+
+
+@dataclass(frozen=True)
+class _Places:
+    """The closed matrix: columns in the order of elimination, with the closing row as the last entry of every column.
+
+    `rows` and `bounds` are its pattern; entries number `open` of it are the non-zeros `taken` of the Jacobian.
+    """
+
+    order: Indices
+    closing: Indices
+    open: Indices
+    taken: Indices
+    rows: NDArray[np.intc]
+    bounds: NDArray[np.intc]
+
+    @classmethod
+    def of(cls, problem: Problem) -> _Places:
+        size, (rows, columns) = problem.size, problem.pattern
+        order, ends = problem.elimination_order, np.searchsorted(columns, np.arange(size + 1))
+        counts = np.diff(ends)[order]
+        bounds = np.append(0, np.cumsum(counts + 1))
+        closing = bounds[1:] - 1
+        opened = np.delete(np.arange(rows.size + size), closing)
+        taken = np.arange(rows.size) + np.repeat(ends[:-1][order] - (np.cumsum(counts) - counts), counts)
+        closed = np.full(rows.size + size, size - 1)
+        closed[opened] = rows[taken]
+        return cls(order, closing, opened, taken, closed.astype(np.intc), bounds.astype(np.intc))  # as SuperLU has them
+
+
+class BorderedSolver:
+    """Factorises [dR/dz; row] for one problem; the structure is analysed once, the numbers at each call."""
+
+    def __init__(self, problem: Problem) -> None:
+        from scipy.sparse import csc_matrix
+
+        self.problem, size = problem, problem.size
+        self._last: tuple[Array, Array, Solve] | None = None
+        self._band = BandLayout.of(problem)
+        self._kernel = None if self._band is None else self._band.kernel(problem)
+        self._probes = np.zeros((size, 2))
+        self._probes[-1, 0], self._probes[:-1, 1] = 1.0, problem.residual_size * problem.probe
+        places = problem.kept("closed", lambda: _Places.of(problem))
+        self._order, self._closing, self._open, self._taken = places.order, places.closing, places.open, places.taken
+        self._closed = csc_matrix((np.zeros(places.rows.size), places.rows, places.bounds), shape=(size, size))
+
+    @staticmethod
+    def of(problem: Problem) -> BorderedSolver:
+        """The one that serves all problems that differ in their constants only."""
+        if "bordered" not in problem.shared:
+            problem.shared["bordered"] = BorderedSolver(problem)
+        found: BorderedSolver = problem.shared["bordered"]
+        return found
+
+    @cached_property
+    def _jacobian(self) -> Any:
+        from scipy.sparse import csc_matrix
+
+        size, (rows, columns) = self.problem.size, self.problem.pattern
+        ends = np.searchsorted(columns, np.arange(size + 1))
+        return csc_matrix((np.zeros(rows.size), rows, ends), shape=(size - 1, size))
+
+    @cached_property
+    def _scale(self) -> Array:
+        """Factors of the rows that keep those through most unknowns from being pivots, which would fill the factors."""
+        scale = np.ones(self.problem.size)
+        scale[self.problem.kept("long rows", lambda: long_rows(self._closed.indices, self.problem.size))] = LONG
+        return scale
+
+    @cached_property
+    def _scales(self) -> Array:
+        """The same for every entry of the closed matrix."""
+        return np.asarray(self._scale[self._closed.indices])
+
+    def factor(self, z: Array, nonzeros: Array, row: Array) -> Solve:
+        """A function that solves [dR/dz; row] x = b for b of shape (size,) or (size, columns).
+
+        Raises SingularError where the matrix is singular to working precision.
+        """
+        if self._last is not None:
+            known, by, found = self._last
+            if np.array_equal(row, by) and (nonzeros is known or np.array_equal(nonzeros, known)):
+                return found
+        solve = self._factored(z, nonzeros, row)
+        if self.problem.in_order:  # collocation, whose solution is corrected, refined and measured with one matrix
+            self._last = nonzeros, row.copy(), solve
+        return solve
+
+    def _factored(self, z: Array, nonzeros: Array, row: Array) -> Solve:
+        if self._kernel is not None:
+            x, memory = np.array(self._probes.T[None, ::-1], order="C"), self._kernel.memory()
+            orientation = self._kernel.steps(z[None], nonzeros[None], row[None], x, memory)
+            if orientation is not None:
+                return CompiledFactors(self._kernel, memory, float(orientation[0]))
+        elif self._band is not None:
+            factors, probes = self._factor_band(self._band, z, nonzeros, row)
+            if self._accurate(probes, nonzeros, row):
+                return factors
+        solve = self._factor_sparse(nonzeros, row)
+        if not self._accurate(solve(self._probes), nonzeros, row):
+            raise SingularError(
+                "the Jacobian with its border is singular: two families meet, a fold in the held unknown, or sizes "
+                "too far apart for double precision"
+            )
+        return solve
+
+    def orientation(self, nonzeros: Array, row: Array) -> float:
+        """The sign of the determinant of [dR/dz; row], which a branch that crosses changes; 0 where it is singular."""
+        try:
+            return self._factor_sparse(nonzeros, row).orientation
+        except SingularError:
+            return 0.0
+
+    def _accurate(self, probes: Array, nonzeros: Array, row: Array) -> bool:
+        """Whether solutions for `_probes` reproduce their right-hand side and the matrix is not singular.
+
+        The first, for (0, ..., 0, 1), gives the tangent; the second, for residuals in general position, is huge where
+        the matrix is singular. A NaN in either fails every comparison.
+        """
+        x, general = np.ascontiguousarray(probes.T)
+        if not max(general.max(), -general.min()) < SINGULAR:
+            return False
+        largest = max(x.max(), -x.min()) * max(nonzeros.max(), -nonzeros.min())
+        if self.problem.in_order:  # collocation, whose solvers are made more often than used
+            rows, columns = self.problem.pattern
+            defect = np.bincount(rows, nonzeros * x[columns], self.problem.size - 1)
+        else:
+            self._jacobian.data = nonzeros
+            defect = self._jacobian @ x
+        return bool(max(defect.max(), -defect.min()) <= ACCURATE * largest and abs(row @ x - 1.0) <= ACCURATE)
+
+    def _factor_band(self, band: BandLayout, z: Array, nonzeros: Array, row: Array) -> tuple[Solve, Array]:
+        """A solver, and its solutions for `_probes`; not finite where elimination meets a zero."""
+        from scipy.linalg.lapack import dgbtrf, dgbtrs
+
+        n, width, edge = self.problem.states, band.width, self.problem.size - self.problem.states + 1
+        storage, right = np.zeros((n, 3 * width + 1)), np.zeros((edge + 2, n))
+        below, corner = np.zeros((edge, n)), np.zeros((edge, edge))
+        band.fill(storage, right, below, corner, nonzeros)
+        below[-1], corner[-1, 1:] = row[:n], row[n:]
+        pin = int(np.argmax(np.abs(z[:n])))
+        raised = float(np.max(np.abs(storage[pin])))
+        storage[pin, 2 * width] += raised
+        right[0, pin], below[0, pin], corner[0, 0] = -raised, -1.0, 1.0
+        right[-1] = self._probes[:n, 1]
+
+        lu, pivots, failed = dgbtrf(storage.T, width, width, overwrite_ab=True)
+        inner, _ = dgbtrs(lu, width, width, right.T, pivots, overwrite_b=True)
+        factors = BandFactors(width, lu, pivots, inner[:, :edge], below, corner)
+        if failed or not factors.regular:
+            return factors, np.full(self._probes.shape, np.nan)
+        return factors, factors.completed(inner[:, edge:], self._probes[n:])
+
+    def _factor_sparse(self, nonzeros: Array, row: Array) -> Solve:
+        from scipy.sparse.linalg import splu
+
+        self._close(nonzeros, row)
+        try:
+            if not self.problem.in_order:
+                return SparseFactors(splu(self._closed), self._order, None)
+            self._closed.data *= self._scales
+            return SparseFactors(splu(self._closed, permc_spec="NATURAL"), self._order, self._scale)
+        except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
+            raise SingularError(f"the Jacobian with its border cannot be factorised: {error}") from error
+
+    def _close(self, nonzeros: Array, row: Array) -> None:
+        """Fill the closed matrix."""
+        self._closed.data[self._open], self._closed.data[self._closing] = nonzeros[self._taken], row[self._order]
+
+
+def long_rows(rows: NDArray[np.integer[Any]], size: int) -> Indices:
+    """Those of the rows of all non-zeros that go through most unknowns."""
+    return np.flatnonzero(np.bincount(rows) > 0.5 * size)

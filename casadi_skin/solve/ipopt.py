@@ -1,0 +1,230 @@
+"""Ipopt on the orbit equations as a square nonlinear programme without objective (Waechter and Biegler 2006)."""
+
+from __future__ import annotations
+
+import copy
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.model.interrupts import interrupts_deferred
+from casadi_skin.solve.corrector import Correction, Status
+from casadi_skin.solve.nlp import SOLVED, nlp_solver
+from casadi_skin.solve.time_limit import heed, is_over
+from casadi_skin.zero.problem import Array, Evaluate, Problem
+
+STATUS = {
+    SOLVED: Status.CONVERGED,
+    "Solved_To_Acceptable_Level": Status.TOO_MANY_ITERATIONS,
+    "Maximum_Iterations_Exceeded": Status.TOO_MANY_ITERATIONS,
+    "Infeasible_Problem_Detected": Status.INFEASIBLE,
+    "Restoration_Failed": Status.INFEASIBLE,
+    "Diverging_Iterates": Status.DIVERGED,
+}
+
+
+def residual_scale(problem: Problem, z: Array) -> float:
+    """The divisor of residuals, for a tolerance that does not depend on the size of states above 1."""
+    return max(1.0, float(np.max(np.abs(z[: problem.states]))))
+
+
+def _evaluator_of_all(problem: Problem) -> Evaluate:
+    """Residuals and non-zeros of Jacobians at several points; not a number where the model cannot be evaluated."""
+    evaluate, size, nonzeros = problem.evaluator(), problem.size - 1, problem.pattern[0].size
+
+    def evaluated(z: Array, numbers: Array) -> tuple[Array, Array]:
+        found = np.full((len(z), size), np.nan), np.full((len(z), nonzeros), np.nan)
+        for k, point in enumerate(z):
+            try:
+                found[0][k], found[1][k] = evaluate(point, numbers)
+            except (ArithmeticError, RuntimeError):
+                continue
+        return found
+
+    return evaluated
+
+
+class _Once:
+    """Values of a function of unknowns and numbers, kept for the next call: constraints and Jacobian are one."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._evaluate = problem.evaluator_of_all() or _evaluator_of_all(problem)
+        self._last: tuple[Array, Array, tuple[Array, Array]] | None = None
+
+    def __call__(self, z: Array, numbers: Array) -> tuple[Array, Array]:
+        if self._last is None or not (np.array_equal(z, self._last[0]) and np.array_equal(numbers, self._last[1])):
+            self._last = z.copy(), numbers.copy(), self._evaluate(z, numbers)
+        return self._last[2]
+
+
+class _Constraints(ca.Callback):  # type: ignore[misc]
+    """The constraints of `count` points, with their Jacobian or without, as a function.
+
+    Its arguments are the unknowns, and a row, its value and the scale of the residuals of each point, with the numbers
+    of the problem behind them. `evaluate` gives the residuals and the non-zeros of the Jacobians.
+    """
+
+    def __init__(
+        self, problem: Problem, evaluate: _Once, count: int, with_jacobian: bool, one_scalar: bool = False
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._evaluate, self._count = evaluate, count
+        self._size, self._numbers = problem.size, problem.numbers.size
+        self._with_jacobian = with_jacobian
+        size, (rows, columns) = self._size, problem.pattern
+        self._in_row = np.arange(problem.states if one_scalar else 0, size)  # unknowns in the held row
+        ends = np.searchsorted(columns, np.arange(size + 1))
+        closed = np.insert(rows, ends[self._in_row + 1], size - 1)  # it is the last entry of its columns
+        added = np.searchsorted(self._in_row, np.arange(size + 1))
+        block = ca.Sparsity(size, size, (ends + added).tolist(), closed.tolist())
+        self._sparsity = ca.diagcat(*[block] * count)
+        self._closing = ends[self._in_row + 1] + np.arange(self._in_row.size)
+        self._open = np.delete(np.arange(closed.size), self._closing)
+        self.construct("jac_g" if with_jacobian else "g", {})
+
+    def get_n_in(self) -> int:
+        return 2
+
+    def get_n_out(self) -> int:
+        return 1 + self._with_jacobian
+
+    def get_name_in(self, i: int) -> str:
+        return "xp"[i]
+
+    def get_name_out(self, i: int) -> str:
+        return ("g", "jac_g_x")[i]
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        count, size = self._count, self._size
+        return ca.Sparsity.dense((count * size, count * (size + 2) + self._numbers)[i])
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        return self._sparsity if i else ca.Sparsity.dense(self._count * self._size)
+
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, arguments: list[memoryview], results: list[memoryview | None]) -> int:
+        """Fill the results that are wanted, as buffers of doubles; not a number where the model cannot be evaluated."""
+        count, size = self._count, self._size
+        z, held = (np.frombuffer(argument) for argument in arguments)
+        held, numbers = held[: count * (size + 2)].reshape(count, size + 2), held[count * (size + 2) :]
+        found = [None if result is None else np.frombuffer(result).reshape(count, -1) for result in results]
+        z, rows, scale = z.reshape(count, size), held[:, :size], held[:, size + 1 :]
+        residuals, nonzeros = self._evaluate(z, numbers)
+        if is_over():
+            residuals = np.full(residuals.shape, np.nan)  # which ends the iteration
+        if found[0] is not None:
+            np.divide(residuals, scale, out=found[0][:, :-1])
+            found[0][:, -1] = np.einsum("ij,ij->i", rows, z) - held[:, size]
+        if self._with_jacobian and found[1] is not None:
+            found[1][:, self._open], found[1][:, self._closing] = nonzeros / scale, rows[:, self._in_row]
+        return 0
+
+
+def _square_nlp(
+    z: ca.MX, held: ca.MX, constraints: ca.MX, jac_g: ca.Function, tolerance: float, max_iterations: int
+) -> ca.Function:
+    """Ipopt on as many equations g(z; held) = 0 as unknowns: no objective, and an empty Hessian of the Lagrangian."""
+    size = z.numel()
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", size)
+    hess_lag = ca.Function(
+        "hess_lag",
+        [z, held, lam_f, lam_g],
+        [ca.MX(size, size)],
+        ["x", "p", "lam_f", "lam_g"],
+        ["triu_hess_gamma_x_x"],
+    )
+    options = {
+        "jac_g": jac_g,
+        "hess_lag": hess_lag,
+        "no_nlp_grad": True,  # the gradient of the Lagrangian, which is not used
+        "calc_lam_x": False,
+        "calc_lam_p": False,
+        "calc_f": False,
+        "calc_g": False,
+        "ipopt.max_iter": max_iterations,
+        "ipopt.nlp_scaling_method": "none",
+        "ipopt.mumps_pivtol": 1e-6,
+    }
+    nlp = {"x": z, "p": held, "f": 0, "g": constraints}
+    return nlp_solver("corrector", nlp, tolerance, options)
+
+
+class SquareSolver:
+    """Ipopt on the equations of `count` points, each closed by a row of its own, as one nonlinear programme.
+
+    Arguments and result are arrays of our own, with a row a point: no conversion, at a third of the cost. `held` has
+    the row, its value, and the scale of the residuals; with `one_scalar` rows hold scalars alone.
+    """
+
+    def __init__(
+        self, problem: Problem, count: int, tolerance: float, max_iterations: int, one_scalar: bool = False
+    ) -> None:
+        evaluate = _Once(problem)
+        g, jac_g = (
+            _Constraints(problem, evaluate, count, with_jacobian, one_scalar) for with_jacobian in (False, True)
+        )
+        size, points = problem.size, count * (problem.size + 2)
+        guess, found = np.zeros(count * size), np.zeros(count * size)
+        parameters = np.zeros(points + problem.numbers.size)
+        z, p = ca.MX.sym("z", guess.size), ca.MX.sym("p", parameters.size)
+        solver = _square_nlp(z, p, g(z, p), jac_g, tolerance, max_iterations)
+        self.guess, self._found = guess.reshape(count, size), found.reshape(count, size)
+        self.held, self.numbers = parameters[:points].reshape(count, size + 2), parameters[points:]
+        without, zero = np.full(guess.size, np.inf), np.zeros(guess.size)
+        self._buffer, self._trigger = solver.buffer()
+        arguments = {"x0": guess, "p": parameters, "lbx": -without, "ubx": without, "lbg": zero, "ubg": zero}
+        self._held = solver, g, jac_g, arguments  # CasADi holds no reference
+        for name, values in (arguments | {"lam_x0": zero, "lam_g0": zero}).items():
+            self._buffer.set_arg(solver.index_in(name), values.data)
+        self._buffer.set_res(solver.index_out("x"), found.data)
+
+    def solve(self) -> tuple[Array, str, int]:
+        """Solutions from `guess` with `held` and `numbers`, Ipopt's own words for how it ended, and the iterations."""
+        with interrupts_deferred():
+            self._trigger()
+        stats = self._buffer.stats()
+        return self._found.copy(), str(stats["return_status"]), int(stats["iter_count"])
+
+
+class IpoptCorrector:
+    """The nonlinear programme min 0 subject to R(z) = 0 and row . z = value.
+
+    Its parameters are row, value and the problem's constants.
+
+    With `one_scalar` rows hold scalars alone, which makes sparser matrices.
+
+    Residuals are made relative to the largest state, so that `tolerance` does not depend on the chain.
+    Ipopt gets the Jacobian assembled by the problem and a structurally empty Hessian of the Lagrangian: with no
+    objective the multipliers stay zero, and each iteration is a Newton step with MUMPS.
+    """
+
+    def __init__(
+        self, problem: Problem, tolerance: float = 1e-12, max_iterations: int = 20, one_scalar: bool = False
+    ) -> None:
+        self.problem = problem
+        self._solver = SquareSolver(problem, 1, tolerance, max_iterations, one_scalar)
+
+    def on(self, problem: Problem) -> IpoptCorrector:
+        """This corrector for a problem that differs in its constants only; the solver built is shared."""
+        other = copy.copy(self)
+        other.problem = problem
+        return other
+
+    def correct(self, guess: Array, row: Array, value: float) -> Correction:
+        """Corrected point with row . z = value, or a named failure."""
+        words = f"Ipopt, {self.problem.size} unknowns"
+        heed(words)
+        scale = residual_scale(self.problem, guess)
+        solver, size = self._solver, self.problem.size
+        solver.guess[0], solver.numbers[:] = guess, self.problem.numbers
+        solver.held[0, :size], solver.held[0, size], solver.held[0, size + 1] = row, value, scale
+        (z,), words, iterations = solver.solve()
+        heed(f"Ipopt, {size} unknowns")
+        status = STATUS.get(words, Status.DIVERGED)
+        if status is Status.CONVERGED and not np.all(np.isfinite(z)):
+            status = Status.DIVERGED
+        if status is not Status.CONVERGED:
+            words = f"Ipopt: {words}; {self.problem.worst(guess)}"
+        return Correction(z, status, iterations, words)

@@ -1,0 +1,98 @@
+"""Newton's method on the bordered orbit equations."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+
+from casadi_skin.solve.bordered import BorderedSolver
+from casadi_skin.solve.corrector import Correction, Status
+from casadi_skin.solve.time_limit import heed
+from casadi_skin.zero.problem import Array, Problem, SingularError
+
+CHORD = 1e-3  # step, relative to the state, after which the factors at hand serve the next: they cost the most
+FAST = 0.05  # of the step before: after a shorter one with new factors these shrink the next by about 2 FAST^2
+SAFETY = 100.0  # times the error that the last two steps with old factors foresee: places on branches want more digits
+SLOW = 0.1  # of the step before: a longer one with old factors needs new ones
+DECREASE = 1e-5  # of the sum of residuals, relative, in each step that Ipopt's line search takes
+NEGLIGIBLE = 1e-3  # of the tolerance: such a step need not be taken
+HALVINGS = 6  # of a step
+
+
+class NewtonCorrector:
+    """Full Newton steps until the step, relative to the state, is below `tolerance` and no longer shrinks fast.
+
+    A step longer than `shrink` times the one before ends them where it is given: they may lead anywhere then. With
+    `decreasing` steps may be of any length, and are halved until the sum of the residuals falls, as those of Ipopt are.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        tolerance: float = 1e-12,
+        max_iterations: int = 10,
+        shrink: float | None = None,
+        decreasing: bool = False,
+    ) -> None:
+        self.problem, self.tolerance, self.max_iterations = problem, tolerance, max_iterations
+        self._shrink, self._decreasing = np.inf if shrink is None else shrink, decreasing
+        self._solver = BorderedSolver.of(problem)
+
+    def on(self, problem: Problem) -> NewtonCorrector:
+        """This corrector for a problem that differs in its constants only; the structure analysed is shared."""
+        other = copy.copy(self)
+        other.problem = problem
+        return other
+
+    def correct(self, guess: Array, row: Array, value: float) -> Correction:
+        """Corrected point with row . z = value, or a named failure."""
+        if self.problem.frequency(guess) <= 0:
+            return Correction(guess, Status.DIVERGED, 0, "the guess has no positive frequency")
+        z, weights = guess.copy(), self.problem.metric(guess, max(1.0, abs(guess[self.problem.parameter_index])))
+        last, reuse, solve = np.inf, False, None
+        for iteration in range(1, self.max_iterations + 1):
+            heed(f"step {iteration} of Newton's method, {self.problem.size} unknowns")
+            try:
+                residual, nonzeros = self.problem.evaluate(z)
+                if solve is None or not reuse:
+                    solve = self._solver.factor(z, nonzeros, row)
+            except SingularError as error:
+                return Correction(z, Status.SINGULAR, iteration, str(error))
+            step = solve(np.append(residual, row @ z - value))
+            length = float(np.sqrt(np.sum(weights * step**2)))
+            if reuse and not length <= SLOW * last:
+                reuse = False
+                continue
+            if length <= NEGLIGIBLE * self.tolerance:  # the equations at z are known
+                return Correction(z, Status.CONVERGED, iteration, solve=solve)
+            if self._decreasing and CHORD < length < np.inf:
+                moved = self._lower(z, step, row, value)
+                if moved is None:
+                    break
+                z, last = moved, length
+                continue
+            z = z - step
+            if not np.isfinite(length) or length > max(1.0, 10.0 * last) or length > self._shrink * last:
+                return Correction(guess, Status.DIVERGED, iteration, self.problem.worst(guess))
+            # Quadratic convergence: after a step of this length the next would be about its square.
+            quadratic = not reuse and length < 1e-3 and length**2 / min(last, 1.0) < 0.1 * self.tolerance
+            linear = reuse and SAFETY * length**2 / last < 0.1 * self.tolerance
+            if length <= self.tolerance or quadratic or linear:
+                return Correction(z, Status.CONVERGED, iteration, solve=solve)
+            shrinks = length <= CHORD or length <= FAST * min(last, 1.0)
+            reuse, last = self.problem.in_order and shrinks, length
+        return Correction(z, Status.TOO_MANY_ITERATIONS, self.max_iterations, self.problem.worst(z))
+
+    def _lower(self, z: Array, step: Array, row: Array, value: float) -> Array | None:
+        """The point of the longest of the halved steps that makes the residuals smaller; None where none does."""
+        before = self._total(z, row, value)
+        trials = (z - 0.5**k * step for k in range(HALVINGS))
+        return next((x for x in trials if self._total(x, row, value) <= (1.0 - DECREASE) * before), None)
+
+    def _total(self, z: Array, row: Array, value: float) -> float:
+        """The sum of the residuals at z, not finite where the model is not."""
+        try:
+            return float(np.sum(np.abs(self.problem.evaluate(z)[0])) + abs(row @ z - value))
+        except ArithmeticError:
+            return np.inf

@@ -1,1 +1,0 @@
-"""Solvers: Newton, Ipopt, the bordered linear solver, levels of resolution."""

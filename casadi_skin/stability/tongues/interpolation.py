@@ -1,0 +1,320 @@
+"""The matrices that decide stability, as Chebyshev series in a coordinate along a branch.
+
+They are analytic along the branch, so that a few orbits determine them on a stretch of it, and everything else is asked
+of the series.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from casadi_skin.stability.flow import FlowError
+from casadi_skin.stability.half_period import reduced_matrices
+from casadi_skin.stability.tongues import chebyshev
+from casadi_skin.zero.problem import EPSILON, Array
+
+DEGREES = (16, 32)  # of the series: for a short piece, and where longer pieces of higher degree save little more
+FIRST_LENGTH = 0.25  # of a section, of its first piece
+SHORTEST = 1e-3  # of a section: shorter pieces are given up
+SKIPPED = 0.03  # of a section, at most: the stretch given up at a time in the middle of a gap
+ROUNDING = 1e-14  # relative size of coefficients that say nothing of convergence
+SMALLEST = 1e-300
+LOWER = 1.5  # times shorter than a singularity allows are pieces of lower degrees: these converge later
+SHORTER, LONGER = 0.6, 3.0  # lengths of a piece after one that failed and after one that did not, at most
+MARGIN = 10.0  # of the tolerance over the error that a piece is planned with
+PLATEAU = 3.0  # ratio of coefficients in the third and the last quarter below which they are noise
+LEVEL = 5.0  # the same ratio of their root mean squares, for what noise adds to errors
+DEVIATIONS = 3.0  # of that noise
+NOISIEST = 1e-6  # noise that is still accepted, relative to the largest entry
+FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError)  # of orbits, flows and linear algebra
+
+
+class OrbitNotFoundError(ArithmeticError):
+    """The orbit at a coordinate of the branch is not found."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Samples of a branch at several coordinates.
+
+    `transitions` are Phi, shape (points, 2n, 2n), and `errors` matrices like their errors but for the sign.
+    `directions` span the trivial direction, shape (points, n): q'' at phase zero for a symplectic Phi; for one that is
+    only reversible the positions at phase zero of the direction along the family; None in a model without it.
+    """
+
+    transitions: Array
+    errors: Array
+    directions: Array | None
+    S: Array
+    Omega: Array
+
+
+class BranchSampler(Protocol):
+    """A stretch of branch with a coordinate along it, whatever computes its orbits.
+
+    The coordinate is one to one, also where S folds, and everything is analytic in it within each of `sections`,
+    (start, end) in ascending order. `fraction` of the period is that of the transition matrices, 0.25 or 0.5;
+    `symplectic` is true where these are.
+    """
+
+    @property
+    def sections(self) -> Sequence[tuple[float, float]]: ...
+    @property
+    def fraction(self) -> float: ...
+    @property
+    def symplectic(self) -> bool: ...
+
+    def sample(self, coordinates: Array) -> Samples:
+        """Samples at coordinates of one section; raises OrbitNotFoundError, FlowError."""
+        ...
+
+    def amplitude(self, coordinate: float) -> float:
+        """S near a coordinate, to a few digits and without an orbit: it names places that are not known."""
+        ...
+
+
+@dataclass(frozen=True)
+class MatrixSeries:
+    """Matrices (K, P, Q), or K alone of a map that is not symplectic, on [start, end], with their errors.
+
+    `coefficients` have shape (degree + 1, 3 or 1, m, m). `errors`, of the same shape, are matrices like the errors of
+    flow and orbits at the nodes; `noise`, shape (3 or 1,), bounds the Frobenius norm of what interpolation and rounding
+    add.
+    """
+
+    start: float
+    end: float
+    coefficients: Array
+    errors: Array
+    noise: Array
+
+    @property
+    def size(self) -> int:
+        """Number of rows of each matrix."""
+        return int(self.coefficients.shape[-1])
+
+    def local(self, coordinates: Array) -> Array:
+        """Places in [-1, 1] of coordinates."""
+        return np.asarray((2.0 * coordinates - self.start - self.end) / (self.end - self.start))
+
+    def at(self, coordinates: Array, parts: int = 3) -> Array:
+        """The matrices, or the first `parts` of them, shape (points, 3 or 1, m, m)."""
+        weights = chebyshev.basis(self.local(coordinates), self.coefficients.shape[0] - 1)
+        coefficients = self.coefficients[:, :parts]
+        flat = weights @ coefficients.reshape(len(coefficients), -1)
+        return np.asarray(flat.reshape(len(weights), *coefficients.shape[1:]))
+
+    def errors_at(self, coordinates: Array) -> Array:
+        """Matrices like their errors, between nodes by straight lines, shape (points, 3 or 1, m, m)."""
+        weights = _by_straight_lines(self.local(coordinates), len(self.errors))
+        return np.asarray(chebyshev.combined(weights, self.errors[None])[0])
+
+    @staticmethod
+    def several_at(series: Sequence[MatrixSeries], coordinates: Array) -> tuple[Array, Array]:
+        """The matrices of series of one shape, each at places of its own, (series, points), and those like errors."""
+        starts, ends = (np.array([getattr(each, name) for each in series])[:, None] for name in ("start", "end"))
+        x = (2.0 * coordinates - starts - ends) / (ends - starts)
+        values, errors = (np.stack([getattr(each, name) for each in series]) for name in ("coefficients", "errors"))
+        shape = *x.shape, *values.shape[2:]
+        weights = chebyshev.basis(x, values.shape[1] - 1)
+        lines = _by_straight_lines(x.ravel(), errors.shape[1]).reshape(*x.shape, -1)
+        flat = (each.reshape(*each.shape[:2], -1) for each in (values, errors))
+        found = [(w @ each).reshape(shape) for w, each in zip((weights, lines), flat, strict=True)]
+        return found[0], found[1]
+
+
+def _by_straight_lines(x: Array, count: int) -> Array:
+    """Weights of values at so many nodes in those on straight lines between them, at places in [-1, 1]."""
+    places, x = chebyshev.nodes(count - 1), np.clip(x, -1.0, 1.0)
+    right = np.clip(np.searchsorted(places, x), 1, count - 1)
+    weight, each = (x - places[right - 1]) / (places[right] - places[right - 1]), np.arange(x.size)
+    weights = np.zeros((x.size, count))
+    weights[each, right - 1], weights[each, right] = 1.0 - weight, weight
+    return weights
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A piece of branch: its matrices, and the Chebyshev coefficients of S and Omega, each (degree + 1,)."""
+
+    matrices: MatrixSeries
+    S_coefficients: Array
+    Omega_coefficients: Array
+
+    def S(self, coordinates: Array) -> Array:
+        """Amplitudes at coordinates."""
+        return self._values(coordinates, self.S_coefficients)
+
+    def Omega(self, coordinates: Array) -> Array:
+        """Frequencies at coordinates."""
+        return self._values(coordinates, self.Omega_coefficients)
+
+    def slopes(self, coordinates: Array) -> Array:
+        """dS/d coordinate at coordinates."""
+        scale = 2.0 / (self.matrices.end - self.matrices.start)
+        return scale * self._values(
+            coordinates, chebyshev.derivative(self.S_coefficients.size - 1) @ self.S_coefficients
+        )
+
+    def _values(self, coordinates: Array, coefficients: Array) -> Array:
+        return np.asarray(chebyshev.basis(self.matrices.local(coordinates), coefficients.size - 1) @ coefficients)
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A stretch of branch on which the matrices are not known, and why."""
+
+    start: float
+    end: float
+    reason: str
+
+
+@dataclass
+class Interpolated:
+    """A branch as pieces in order, as far as they are computed, with the missing stretches; `samples` counts orbits."""
+
+    pieces: list[Piece] = field(default_factory=list)
+    gaps: list[Gap] = field(default_factory=list)
+    samples: int = 0
+
+
+@dataclass
+class _Plan:
+    """The next length and degree to try, from how the last series converged: the state of the loop of `interpolate`.
+
+    `radius` is the distance of the nearest singularity, were it at right angles to the branch: infinite at first.
+    `longest` and `lowest` limit length and degree after a failure.
+    """
+
+    tolerance: float
+    radius: float = np.inf
+    longest: float = np.inf
+    lowest: int = DEGREES[0]
+    first: float = FIRST_LENGTH
+
+    def next(self, remaining: float) -> tuple[float, int]:
+        """Length and degree of the next piece: the rest of the section in equal pieces of the lowest degree."""
+        if self.radius == np.inf and self.longest == np.inf:
+            return self.first * remaining, self.lowest
+        for degree in DEGREES:
+            needed = remaining if degree == DEGREES[-1] else LOWER * remaining
+            if degree >= self.lowest and self._length(degree) >= needed:
+                return remaining, degree
+        return float(remaining / np.ceil(remaining / self._length(DEGREES[-1]))), DEGREES[-1]
+
+    def _length(self, degree: int) -> float:
+        rate = (MARGIN / self.tolerance) ** (1.0 / degree)
+        return float(min(4.0 * self.radius / (rate - 1.0 / rate), self.longest))
+
+    def learn(self, length: float, sizes: Array) -> None:
+        """Update from the relative sizes of the coefficients, as far as these are not rounding."""
+        envelope = np.maximum.accumulate(sizes[::-1])[::-1]
+        last = max(int(np.count_nonzero(envelope > ROUNDING)) - 1, 1)
+        rate = max(float(envelope[0] / max(envelope[last], ROUNDING)) ** (1.0 / last), 1.0 + 1e-3)
+        self.radius = 0.25 * length * (rate - 1.0 / rate)
+
+    def limit(self, length: float, degree: int, failed: bool) -> None:
+        """Limit the next piece by the outcome of this one: the same length in a higher degree, or a shorter one."""
+        if not failed:
+            self.longest, self.lowest = LONGER * length, DEGREES[0]
+        elif degree < DEGREES[-1]:
+            self.longest, self.lowest = length, DEGREES[-1]
+        else:
+            self.longest = SHORTER * length
+
+
+def interpolate(
+    branch: BranchSampler, tolerance: float, known: Interpolated, first: float = FIRST_LENGTH
+) -> Iterator[Piece]:
+    """The matrices along a branch, to `tolerance` relative to their largest entry, piece by piece.
+
+    Arguments:
+        branch: the source of transition matrices at any coordinate.
+        tolerance: of the interpolation, relative to the largest entry of the matrices.
+        first: length of the first piece, as a share of the section.
+        known: gets the pieces; where orbits or transition matrices are not to be had, or do not converge, gaps.
+
+    Returns:
+        Pieces in order.
+    """
+    plan = _Plan(tolerance, first=first)
+    for start, end in branch.sections:
+        at, shortest = start, SHORTEST * (end - start)
+        while at < end:
+            length, degree = plan.next(end - at)
+            stop = end if length >= (1.0 - 1e-9) * (end - at) else at + length
+            piece = None
+            try:
+                piece, sizes = _piece(branch, at, stop, degree, tolerance)
+                known.samples += degree + 1
+                plan.learn(stop - at, sizes)
+                reason = f"multipliers do not converge along the branch: {np.max(sizes[-chebyshev.TAIL :]):.1e} is left"
+            except FAILURES as error:
+                reason, degree = in_words(error), DEGREES[-1]  # a higher degree would not help
+            plan.limit(length, degree, piece is None)
+            if piece is not None:
+                known.pieces.append(piece)
+                at, shortest = stop, SHORTEST * (end - start)
+                yield piece
+            elif stop - at <= shortest:
+                known.gaps.append(Gap(at, stop, reason))
+                at, shortest = stop, min(2.0 * shortest, SKIPPED * (end - start))
+                plan = _Plan(tolerance, longest=shortest)  # one try each until the branch goes on
+
+
+def in_words(error: Exception) -> str:
+    """The message of an error in one line."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def joined(gaps: Sequence[Gap]) -> list[Gap]:
+    """Gaps in order, those that touch or overlap as one with the reason of the first."""
+    found: list[Gap] = []
+    for gap in sorted(gaps, key=lambda gap: gap.start):
+        if found and gap.start <= found[-1].end:
+            found[-1] = Gap(found[-1].start, max(found[-1].end, gap.end), found[-1].reason)
+        else:
+            found.append(gap)
+    return found
+
+
+def _piece(
+    branch: BranchSampler, start: float, end: float, degree: int, tolerance: float
+) -> tuple[Piece | None, Array]:
+    """The piece, None where it does not converge, and the relative sizes of its coefficients, (degree + 1,)."""
+    samples = branch.sample(start + 0.5 * (end - start) * (1.0 + chebyshev.nodes(degree)))
+    if not np.all(np.isfinite(samples.transitions)):
+        raise FlowError("the transition matrices are not finite")
+    values, errors = reduced_matrices(samples.transitions, samples.errors, samples.directions, branch.symplectic)
+    to_coefficients = chebyshev.transform(degree)
+    coefficients, scalars = (
+        np.tensordot(to_coefficients, values, 1),
+        to_coefficients @ np.stack([samples.S, samples.Omega], axis=1),
+    )
+    sizes = np.concatenate([np.max(np.abs(coefficients), axis=(2, 3), initial=0.0), np.abs(scalars)], axis=1)
+    sizes = np.max(sizes / np.maximum(np.max(sizes, axis=0), SMALLEST), axis=1)
+    missed = float(np.max(sizes[-chebyshev.TAIL :]))
+    quarter = degree // 4
+    noisy = missed <= NOISIEST and float(np.max(sizes[2 * quarter : 3 * quarter])) <= PLATEAU * missed
+    if missed > tolerance and not noisy:
+        return None, sizes
+    noise = np.sqrt(np.sum(chebyshev.tail(coefficients) ** 2, axis=(1, 2)))
+    noise += _of_plateau(coefficients)
+    noise += EPSILON * np.max(np.sqrt(np.sum(values**2, axis=(2, 3))), axis=0) * degree
+    series = MatrixSeries(start, end, coefficients, errors, noise)
+    return Piece(series, scalars[:, 0].copy(), scalars[:, 1].copy()), sizes  # in order, as files hold them
+
+
+def _of_plateau(coefficients: Array) -> Array:
+    """Frobenius norms of the noise of orbits that differ by rounding, (degree + 1, 3 or 1, m, m) -> (3 or 1,).
+
+    Noise at the nodes is in all coefficients alike: where these do not fall in the second half, the series has it all.
+    """
+    degree = len(coefficients) - 1
+    squares = np.sum(coefficients**2, axis=(2, 3))
+    third, last = (np.sqrt(np.mean(part, axis=0)) for part in np.split(squares[-2 * (degree // 4) :], 2))
+    return np.where(third <= LEVEL * last, DEVIATIONS * np.sqrt(0.5 * degree) * last, 0.0)

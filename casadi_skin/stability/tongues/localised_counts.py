@@ -1,0 +1,176 @@
+"""The number of localised multipliers of an orbit: those on the circle gap by gap, and those off it by the argument.
+
+The determinant of Hill's equations tends to 1 where perturbations grow fast, and is periodic along the real axis, so
+that its argument turns there once for every zero above. Zeros on the axis are those in gaps, where it is real: they,
+and the one of the velocity of the flow, are passed above, by half a turn each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadi_skin.stability.tongues import chebyshev
+from casadi_skin.stability.tongues.gaps import HALF, START, End, Layout
+from casadi_skin.stability.tongues.hill import Hill
+from casadi_skin.zero.problem import Array
+
+FIRST = 12  # values of sigma under each part of an arc, at first
+TURN = 0.6  # of the argument from one value to the next, at most
+MOST = 4000  # values of sigma under arcs
+DEGREES = (16, 32, 64, 128)  # of the series in a gap
+CONVERGED = 1e-6
+ROUGH = 1e-8  # of the stiffness: what the argument does without
+WHOLE = 0.02  # distance of a count from a whole number, at most
+COSINE_START, SINE_START = f"{START} cosine", f"{START} sine"
+COSINE_HALF, VELOCITY = f"{HALF} cosine", f"{HALF} velocity"
+NEAR = 0.25  # of the gap: radius of the circle about sigma = Omega on which its double zero is divided out
+QUARTER = 6  # values on a quarter of it: those of all of it leave out the 24th order
+
+
+class CountError(ArithmeticError):
+    """The multipliers of an orbit cannot be counted."""
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Localised multipliers of an orbit: exponents in each gap, in the order of gaps, and how many are off the circle.
+
+    Of these a pair of real ones counts one, four complex ones two.
+    """
+
+    zeros: tuple[tuple[float, ...], ...]
+    off: int
+
+    @property
+    def inside(self) -> tuple[int, ...]:
+        """Numbers of exponents in the gaps."""
+        return tuple(len(some) for some in self.zeros)
+
+
+def count(hill: Hill, layout: Layout) -> Counts:
+    """Count localised multipliers; raises CountError where the argument does not turn by whole half turns."""
+    zeros = tuple(zeros_in(hill, start, end) for start, end in layout.gaps)
+    rough = hill.coarser(ROUGH)
+    turned = sum(_turned(rough, a.sigma, b.sigma) for a, b, covered in layout.intervals if covered) / np.pi
+    total = turned - sum(map(len, zeros)) - (0 if layout.pinned else 1) + hill.medium.bound.size
+    if abs(total - round(total)) > WHOLE or round(total) < 0:
+        raise CountError(f"the argument of Hill's determinant turns by {total:.3f} half turns")
+    return Counts(zeros, round(total))
+
+
+def _turned(hill: Hill, start: float, end: float) -> float:
+    """The change of the argument of D under an arc, from one end to the other."""
+    angles = np.pi * np.arange(FIRST + 1) / FIRST
+
+    def phases(angle: Array) -> Array:
+        sigma = 0.5 * (start + end) - 0.5 * (end - start) * np.cos(angle)
+        sigma[angle == 0.0], sigma[angle == np.pi] = start, end
+        return np.asarray(hill.determinant(sigma)[1], dtype=complex)
+
+    known = phases(angles)
+    while True:
+        turns = np.angle(known[1:] / known[:-1])
+        wide = np.flatnonzero(np.abs(turns) > TURN)
+        if not wide.size:
+            return float(np.sum(turns))
+        if known.size > MOST or np.min(np.diff(angles)[wide]) < 1e-9:
+            raise CountError("a localised multiplier is on an arc of the continuous spectrum")
+        middle = 0.5 * (angles[wide] + angles[wide + 1])
+        angles = np.insert(angles, wide + 1, middle)
+        known = np.insert(known, wide + 1, phases(middle))
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A gap between arcs in a variable x from -1 to 1 in which D is analytic; up to Omega with its mirror image."""
+
+    start: End
+    end: End
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether it ends at Omega, where the velocity of the flow makes a double zero."""
+        return self.end.name == HALF
+
+    @property
+    def half(self) -> float:
+        """Half its length, of both images."""
+        return (self.end.sigma - self.start.sigma) * (1.0 if self.mirrored else 0.5)
+
+    def sigma(self, x: Array) -> Array:
+        """Exponents at values of x."""
+        away = 2.0 * self.half * np.sin(0.25 * np.pi * (1.0 + x)) ** 2
+        return np.asarray(np.minimum(self.start.sigma + away, self.end.sigma))
+
+    def place(self, sigma: float) -> float:
+        """x of an exponent."""
+        return 4.0 / np.pi * float(np.arcsin(np.sqrt((sigma - self.start.sigma) / (2.0 * self.half)))) - 1.0
+
+    def values(self, hill: Hill, x: Array) -> Array:
+        """D at values of x, not at the mirrored end, divided by its double zero there."""
+        sigma = self.sigma(x)
+        logs, signs = hill.determinant(sigma)
+        if self.mirrored:
+            logs = logs - 2.0 * np.log((self.end.sigma - sigma) / self.half)
+        return np.asarray(np.real(signs) * np.exp(logs))
+
+
+def zeros_in(hill: Hill, start: End, end: End) -> tuple[float, ...]:
+    """Exponents in a gap, all of them as zeros of a converged series."""
+    gap = Gap(start, end)
+    values = np.empty(0)
+    middle = [by_velocity(hill, gap.half)] if gap.mirrored else []
+    for degree in DEGREES:
+        x = chebyshev.nodes(degree)
+        x, known = (x[x < 0.0] if gap.mirrored else x), values
+        values = np.empty(x.size)
+        new = np.full(x.size, True)
+        new[: 2 * known.size : 2] = False  # nodes of half the degree
+        values[~new], values[new] = known, gap.values(hill, x[new])
+        everywhere = np.concatenate([values, middle, values[::-1]]) if gap.mirrored else values
+        series = chebyshev.transform(degree) @ everywhere
+        if np.sum(np.abs(series[-chebyshev.TAIL :])) <= CONVERGED * np.max(np.abs(series)):
+            break
+    else:
+        raise CountError("Hill's determinant does not converge in a gap")
+    _, places, crosses = chebyshev.real_zeros(series[:, None])
+    kept = places[crosses & (np.abs(places) < 1.0) & ((places < 0.0) | (not gap.mirrored))]
+    return tuple(sorted(gap.sigma(kept).tolist()))
+
+
+def by_velocity(hill: Hill, gap: float) -> float:
+    """D over ((Omega - sigma)/gap)^2 at sigma = Omega, where the velocity of the flow makes a double zero.
+
+    It is the mean over a circle, and even about Omega and real: a quarter of the circle has all of it.
+    """
+    turns = NEAR * np.exp(0.5j * np.pi * (1.0 + (np.arange(QUARTER) + 0.5) / QUARTER))
+    logs, phases = hill.determinant(hill.Omega + gap * turns)
+    return float(np.mean(np.real(np.exp(logs) * phases / turns**2)))
+
+
+def names_of(layout: Layout) -> tuple[str, ...]:
+    """Names of the real functions of an orbit that vanish where a localised multiplier passes an end of a gap."""
+    found = dict.fromkeys(end.name for gap in layout.gaps for end in gap)
+    if START in found:
+        found |= dict.fromkeys((COSINE_START, SINE_START))
+    if HALF in found:
+        found |= dict.fromkeys((COSINE_HALF, VELOCITY))
+    at_ends = [name for name in found if name not in (START, HALF)]
+    covered = [START] if layout.covers_start else []  # real multipliers, whose determinant is real, leave the arcs
+    pinned = [COSINE_HALF] if layout.pinned else []  # that of sines falls to 0 where the gap opens
+    return (*at_ends, *covered, *pinned)
+
+
+def function_of(hill: Hill, layout: Layout, name: str) -> float:
+    """The value of one of them."""
+    if name in (COSINE_START, SINE_START):
+        return hill.at_end(0.0, "cosine" if name == COSINE_START else "sine")
+    if name == COSINE_HALF:
+        return hill.at_end(hill.Omega, "cosine")
+    if name == VELOCITY:
+        return by_velocity(hill, Gap(*layout.gaps[-1]).half)
+    sigma = next((end.sigma for end in layout.ends if end.name == name), 0.0)
+    logs, signs = hill.determinant(np.array([sigma]))
+    return float(np.real(signs[0]) * np.exp(logs[0]))

@@ -1,0 +1,1 @@
+"""Zero problems: rest, boundary-value problems on collocation meshes, cosines; augmented problems and normal forms."""

@@ -1,0 +1,164 @@
+"""Whether the conditions of a boundary-value problem close its solutions: x(end) = S x(start), but for a constant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.model.expressions import Expression
+from casadi_skin.solve.estimates import Refinement
+from casadi_skin.stability.closed_maps import MapsAlong, Multipliers, multipliers_along
+from casadi_skin.stability.full_period import contraction
+from casadi_skin.stability.interval_maps import Parts, interval_maps, stage_jacobians
+from casadi_skin.stability.judging import judged
+from casadi_skin.stability.result import Floquet
+from casadi_skin.stability.trivial import Trivial, no_trivial, trivial_of, units_of, vectors_along
+from casadi_skin.zero.problem import Array
+from casadi_skin.zero.stated_problem import BoundaryProblem
+from casadi_skin.zero.statement import Statement
+
+TRIALS, SAME = 3, 1e-12  # random points at which derivatives of conditions are compared, and their difference
+TURNED = 1e-9  # relative: a field that is the same after a turn
+STILL = 1e-6  # of the largest value: the variation of a solution that rests
+KEPT = 1e-5  # relative: values that close as the solution does
+
+
+@dataclass(frozen=True, eq=False)
+class Closure:
+    """How solutions of a statement come back to S times their start: S is 1 where they are periodic.
+
+    Attributes:
+        statement: the problem.
+        matrix: S, shape (n, n).
+        closing: the numbers of the n conditions that close them, all conditions counted one by one.
+        end: the derivative of these by the state at the end, shape (n, n).
+    """
+
+    statement: Statement
+    matrix: Array
+    closing: tuple[int, ...]
+    end: Array
+
+    def shift(self, parameters: Array) -> Array:
+        """The vector added to S times the start, shape (n,)."""
+        model, n = self.statement.model, self.matrix.shape[0]
+        rows = ca.Function("rows", [*model.ends, model.parameters], [_rows(self.statement)])
+        at_rest = np.array(rows(np.zeros(n), np.zeros(n), parameters)).ravel()[list(self.closing)]
+        return np.asarray(-np.linalg.solve(self.end, at_rest))
+
+    def twice(self) -> Statement:
+        """The problem of solutions that close after two turns; its other conditions are those of the first one."""
+        model, n = self.statement.model, self.matrix.shape[0]
+        rows, (start, end) = _rows(self.statement), model.ends
+        known = ca.Function("rows", [start, end, model.parameters], [rows])
+        zeros = type(start).zeros(n)
+        middle = ca.DM(self.matrix) @ start - ca.solve(
+            ca.DM(self.end), known(zeros, zeros, model.parameters)[list(self.closing)]
+        )
+        closed = known(middle, end, model.parameters)[list(self.closing)]
+        others = [rows[k] for k in range(int(rows.numel())) if k not in self.closing]
+        first, last = self.statement.interval
+        return replace(self.statement, conditions=[closed, *others], interval=(first, 2 * last - first))
+
+    def goes_on(self, problem: BoundaryProblem, z: Array) -> bool:
+        """Whether the field is the same after a turn, f(t + T, S x + c) = S f(t, x), at places near a solution."""
+        model, p = self.statement.model, problem.parameters(z)
+        start, end = self.statement.span(p)
+        generator, places = np.random.default_rng(0), np.linspace(0.0, 1.0, TRIALS + 1)[:-1]
+        field = model.function("field", ca.densify(model.full_rhs))
+        for t, x in zip(start + places * (end - start), problem.sample(z, places), strict=True):
+            near = x + 0.1 * (1.0 + np.abs(x)) * generator.normal(size=x.size)
+            here = self.matrix @ np.array(field(t, near, p)).ravel()
+            after = np.array(field(t + end - start, self.matrix @ near + self.shift(p), p)).ravel()
+            if not np.max(np.abs(after - here)) <= TURNED * (1.0 + np.max(np.abs(here))):
+                return False
+        return True
+
+    def multipliers(self, problem: BoundaryProblem, z: Array, better: Refinement | None, tolerance: float) -> Floquet:
+        """Multipliers of a solution: those of S^-1 times the flow over the interval; `better` is on a finer mesh."""
+        found = self._multipliers(problem, z, tolerance)
+        if better is None:
+            return judged(found, None, tolerance)
+        assert isinstance(better.problem, BoundaryProblem)
+        reference = self._multipliers(better.problem, better.z, tolerance)
+        return judged(found, reference, tolerance, problem.left_by(better.problem))
+
+    def _multipliers(self, problem: BoundaryProblem, z: Array, tolerance: float) -> Multipliers:
+        """The state of the problem may have others beside it: those of the statement come first, as its parameters."""
+        n = self.matrix.shape[0]
+        jacobians, back = stage_jacobians(problem, z)[:, :n, :n], np.linalg.inv(self.matrix)
+        ends = z[: problem.states].reshape(problem.columns, -1)[:: problem.table.ends.size, :n]
+
+        def along(maps: Array, states: Array) -> MapsAlong:
+            trivial = self._trivial(problem, z, np.vstack([states, states[0]]), tolerance)
+            growth = contraction(problem, jacobians) + float(np.linalg.slogdet(back)[1])
+            return MapsAlong(np.concatenate([maps, back[None]]), trivial, units_of(states), growth)
+
+        first = along(interval_maps(jacobians, problem.constants, problem.table), ends)
+
+        def resolved() -> MapsAlong | None:
+            parts = Parts(problem, z, jacobians)
+            if not parts.needed:
+                return first
+            finer = parts.maps()
+            return None if finer is None else along(*finer)
+
+        return multipliers_along(first, resolved)
+
+    def moves_freely(self, problem: BoundaryProblem, z: Array) -> bool:
+        """Whether a solution may start at any of its phases: S maps its velocity as it maps the solution."""
+        n = self.matrix.shape[0]
+        values = z[: problem.states].reshape(problem.columns, -1)[:, :n]
+        return bool(self._trivial(problem, z, values[[0, -1, 0]], TURNED).right.shape[1])
+
+    def _trivial(self, problem: BoundaryProblem, z: Array, states: Array, tolerance: float) -> Trivial:
+        """Trivial multipliers: directions and gradients that S maps as it maps the solution.
+
+        `states` at the ends of intervals, then that at the start once more, to which S^-1 takes that at the end.
+        """
+        model, n = self.statement.model, self.matrix.shape[0]
+        values = z[: problem.states].reshape(problem.columns, -1)[:, :n]
+        size = max(float(np.max(np.abs(values))), float(np.max(problem.floors[:n])))
+        if model.forced or np.max(np.ptp(values, axis=0)) <= STILL * size:  # at rest
+            return no_trivial(n)
+        right, left = vectors_along(model, states, problem.parameters(z)[: model.parameters.numel()])
+        right = right[:, [_same(self.matrix @ v[0], v[-2]) for v in right.swapaxes(0, 1)]]
+        left = left[:, [_same(self.matrix.T @ v[-2], v[0]) for v in left.swapaxes(0, 1)]]
+        return trivial_of(right, left, units_of(states), tolerance)
+
+
+def closure_of(statement: Statement) -> Closure | None:
+    """How the conditions of a statement close its solutions; None where they do not.
+
+    Those conditions that hold a start and an end linearly have to determine either from the other.
+    """
+    model, n = statement.model, statement.model.full_size
+    if not statement.conditions:
+        return None
+    rows, (start, end) = _rows(statement), model.ends
+    slopes = ca.Function(
+        "slopes", [start, end, model.parameters],
+        [ca.densify(ca.jacobian(rows, start)), ca.densify(ca.jacobian(rows, end))],
+    )  # fmt: skip
+    generator, found = np.random.default_rng(0), []
+    for _ in range(TRIALS):
+        points = (np.abs(generator.normal(size=size)) for size in (n, n, model.parameters.numel()))
+        found.append(np.hstack([np.array(slope) for slope in slopes(*points)]))
+    first = found[0]
+    linear = np.all([np.max(np.abs(other - first), axis=1) <= SAME for other in found[1:]], axis=0)
+    both = linear & np.any(first[:, :n] != 0.0, axis=1) & np.any(first[:, n:] != 0.0, axis=1)
+    A, B = first[both, :n], first[both, n:]
+    if A.shape[0] != n or np.linalg.matrix_rank(A) < n or np.linalg.matrix_rank(B) < n:
+        return None
+    return Closure(statement, -np.linalg.solve(B, A), tuple(np.flatnonzero(both).tolist()), B)
+
+
+def _rows(statement: Statement) -> Expression:
+    """The conditions at the ends, one below the other."""
+    return ca.vertcat(*(ca.vec(condition) for condition in statement.conditions))
+
+
+def _same(one: Array, other: Array) -> bool:
+    return bool(np.max(np.abs(one - other)) <= KEPT * np.max(np.abs(other)))

@@ -1,0 +1,335 @@
+"""Collocation of a boundary-value problem on the intervals of a mesh.
+
+On each of K intervals the solution is a polynomial of degree d that satisfies the equations at d stages, written as the
+equivalent implicit Runge-Kutta method (Hairer, Lubich and Wanner 2006, section II.1): the ends of the intervals
+converge with the order of the method, the rest with order d + 1. The lengths of the intervals are constants of the
+compiled equations, so that the mesh may follow the solution.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from functools import cached_property, lru_cache
+from typing import Any, Self
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.zero import mesh
+from casadi_skin.zero.butcher import CollocationTable
+from casadi_skin.zero.defect import defect_table, missed
+from casadi_skin.zero.discretisation import Discretisation
+from casadi_skin.zero.formulation import Formulation
+from casadi_skin.zero.problem import Array, Evaluate, Indices, Problem, Solve, sparse_matrix
+
+Triplets = tuple[list[Indices], list[Indices], list[ca.MX]]
+NONE: Array = np.zeros(0)
+NEARBY = 0.1  # of a step: the largest part that factors of another Jacobian may have left
+FEW = 2_000  # places whose weights are kept for the next solution on the same mesh
+MESH_NOISE = 4.0 * float(np.finfo(float).eps)  # of a state value, relative to the largest
+
+
+class CollocationEquations(Problem):
+    """Equations of K intervals with d stages; unknowns ordered in time, x_0, X_11 .. X_1d, x_1, ..., x_K, then scalars.
+
+    `constants` are the lengths of the intervals relative to their sum, `values` those of the formulation's constants.
+    """
+
+    formulation: Formulation
+    table: CollocationTable
+    values: Array
+    in_order = True
+
+    def _discretise(
+        self, formulation: Formulation, intervals: int, table: CollocationTable, values: Array = NONE
+    ) -> None:
+        """Set the parts of the equations."""
+        self.formulation, self.table, self.resolution, self.values = formulation, table, intervals, values
+        self.degree = table.degree
+        self.columns = intervals * table.ends.size + 1
+        self.states = formulation.states * self.columns
+        self._size = self.states + int(formulation.scalars.numel())
+        self.constants = mesh.uniform(intervals)
+
+    @property
+    def size(self) -> int:
+        return self._size
+
+    @property
+    def equations(self) -> int:
+        """Number of equations; one less than unknowns but where something is minimised, and there are fewer."""
+        collocation = self.states - self.formulation.states
+        return collocation + int(self.formulation.conditions.numel()) + self.formulation.integrals
+
+    # Equations ------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def discretisation(self) -> Discretisation:
+        """The equations on this number of intervals, shared by all problems of the formulation that have it."""
+        key, known = (self.resolution, self.table), self.formulation.discretisations
+        if key not in known:
+            known[key] = Discretisation(self.formulation, self.resolution, self.table)
+        found: Discretisation = known[key]
+        return found
+
+    @property
+    def shared(self) -> dict[Any, Any]:
+        return self.discretisation.shared
+
+    @property
+    def pattern(self) -> tuple[Indices, Indices]:
+        return self.discretisation.rows, self.discretisation.columns
+
+    def evaluate(self, z: Array) -> tuple[Array, Array]:
+        return self.discretisation(z, self.numbers)
+
+    def evaluator(self) -> Evaluate:
+        return self.discretisation
+
+    @property
+    def numbers(self) -> Array:
+        return np.concatenate([self.constants, self.values]) if self.values.size else self.constants
+
+    def repeated(self, z: Array, count: int) -> tuple[Array, Array]:
+        """Scalars of z and values of the constants as columns for `count` places."""
+        scalars, values = z[self.states :, None], self.values[:, None]
+        return np.tile(scalars, count), np.tile(values, count)
+
+    def with_constants(self, constants: Array) -> Self:
+        """The same equations on intervals of other lengths; nothing is built again.
+
+        Raises ValueError where their number differs.
+        """
+        self.check_constants(constants)
+        _ = self.discretisation
+        other = copy.copy(self)
+        other.constants = constants
+        return other
+
+    def kept(self, name: str, make: Callable[[], Any]) -> Any:
+        return self.discretisation.structure.kept(name, make)
+
+    @property
+    def elimination_order(self) -> Indices:
+        n, inner = self.formulation.states, self.table.ends.size - 1  # columns between two ends of intervals
+        columns = np.arange(self.resolution)[:, None] * (inner + 1) + 1 + np.arange(inner)
+        between = columns[:, None, :] * n + self.formulation.component_order[:, None]
+        ends = np.arange(self.resolution + 1)[:, None] * (inner + 1) * n + np.arange(n)
+        return np.concatenate([between.ravel(), ends.ravel(), np.arange(self.states, self.size)])
+
+    @property
+    def stages(self) -> Indices:
+        """Columns of the state values that are stages, in the order of time."""
+        return self._columns()[0]
+
+    def _columns(self) -> tuple[Indices, Indices, Indices]:
+        """Columns of the stages; and of the start and the end of every increment, all in time order."""
+        K, d, rows = self.resolution, self.degree, self.table.ends.size
+        stage = (np.arange(K)[:, None] * rows + 1 + np.arange(d)).ravel()
+        start = np.repeat(np.arange(K) * rows, rows)
+        return stage, start, start + np.tile(np.arange(1, rows + 1), K)
+
+    def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
+        n, K, d, table = self.formulation.states, self.resolution, self.degree, self.table
+        z = ca.MX.sym("z", self.size)
+        values, scalars = ca.reshape(z[: self.states], n, self.columns), z[self.states :]
+        stage, start, target = self._columns()
+        places = self.places
+        constants = ca.MX(ca.DM(self.values))
+        repeated = [ca.repmat(these, 1, K * d) for these in (scalars, constants)]
+        at_stages = values[:, stage.tolist()]
+        F, dF_dx, dF_dscalars = self.formulation.at_stages(places, at_stages, *repeated)
+        # Increments from stage derivatives: (K d) x (K rows), each interval scaled by its length.
+        weights = ca.kron(ca.diag(self.constants_symbol), ca.DM(table.extended.T))
+        collocation = values[:, target.tolist()] - values[:, start.tolist()] - F @ weights
+        conditions = self.formulation.condition_function(values[:, 0], values[:, -1], scalars, constants)
+        residual = [ca.vec(collocation), conditions[0]]
+        jacobian = self._differences() + self._stiffness(dF_dx) + self._borders(dF_dscalars, weights, conditions[1:])
+        if self.formulation.integrals:
+            e, de_dx, de_dscalars = self.formulation.integrand_function.map(K * d)(places, at_stages, *repeated)
+            quadrature = ca.vec(ca.kron(self.constants_symbol, ca.DM(table.extended[-1])))
+            residual.append(e @ quadrature)
+            jacobian += self._integral_rows(de_dx, de_dscalars, quadrature)
+        return z, ca.vertcat(*residual), jacobian
+
+    @property
+    def places(self) -> ca.MX:
+        """Places of the stages in [0, 1], shape (1, K d)."""
+        lengths = self.constants_symbol
+        starts = ca.cumsum(lengths) - lengths
+        return ca.vec(ca.repmat(starts.T, self.degree, 1) + ca.DM(self.table.nodes) @ lengths.T).T
+
+    def _differences(self) -> ca.MX:
+        """Derivative of the differences of state values: 1 at the end and -1 at the start of every increment."""
+        n, shape = self.formulation.states, (self.equations, self.size)
+        _, start, target = self._columns()
+        rows = np.arange(start.size * n)
+        ones = ca.MX(ca.DM(np.ones(rows.size)))
+        component = np.arange(n)
+        ends = ((column[:, None] * n + component).ravel() for column in (target, start))
+        at_target, at_start = (sparse_matrix(shape, rows, column, ones) for column in ends)
+        return at_target - at_start
+
+    def _stiffness(self, dF_dx: ca.MX) -> ca.MX:
+        """Derivative of the increments by the states; `dF_dx` holds one sparse block a stage."""
+        n, K, d, extended = self.formulation.states, self.resolution, self.degree, self.table.extended
+        stage, _, _ = self._columns()
+        pattern = self.formulation.field_function.sparsity_out(1).get_triplet()
+        r, c = (np.array(t, dtype=np.int64) for t in pattern)
+        entries = ca.reshape(dF_dx.nz[:], r.size, K * d)
+        interval, j = np.arange(K * d) // d, np.arange(K * d) % d
+        lengths = ca.vec(self.constants_symbol[interval.tolist()]).T  # of one interval CasADi makes a row
+        total = ca.MX(self.equations, self.size)
+        for i, row_weights in enumerate(extended):
+            scaled = -entries * ca.repmat(lengths * ca.DM(row_weights[j]).T, r.size, 1)
+            rows = ((interval * extended.shape[0] + i)[:, None] * n + r).ravel()
+            columns = (stage[:, None] * n + c).ravel()
+            total += sparse_matrix((self.equations, self.size), rows, columns, ca.vec(scaled))
+        return total
+
+    def _borders(self, dF_dscalars: ca.MX, weights: ca.MX, conditions: tuple[ca.MX, ...]) -> ca.MX:
+        """Columns of the scalars; and the rows of the conditions from their derivatives."""
+        n, bottom = self.formulation.states, self.states - self.formulation.states
+        every, count = np.arange(bottom), self.size - self.states
+        by_scalars = ca.reshape(dF_dscalars, count * n, -1)  # column by column: one block of n rows a scalar
+        triplets: Triplets = ([], [], [])
+        for k in range(count):
+            increments = -(by_scalars[k * n : (k + 1) * n, :] @ weights)
+            _append(triplets, every, np.full(bottom, self.states + k), ca.vec(increments))
+        for derivative, offset in zip(conditions, (0, bottom, self.states), strict=True):
+            rows, columns = (np.array(t, dtype=np.int64) for t in derivative.sparsity().get_triplet())
+            _append(triplets, rows + bottom, columns + offset, derivative.nz[:])
+        return self._assembled(triplets)
+
+    def _integral_rows(self, de_dx: ca.MX, de_dscalars: ca.MX, quadrature: ca.MX) -> ca.MX:
+        """Rows of the integral conditions, which are the last."""
+        n, m, count = self.formulation.states, self.formulation.integrals, self.size - self.states
+        stage, _, _ = self._columns()
+        first = self.equations - m
+        triplets: Triplets = ([], [], [])
+        at_stages = ca.reshape(de_dx, m * n, -1) * ca.repmat(quadrature.T, m * n, 1)  # a column a stage
+        component, integral = np.arange(m * n) // m, np.arange(m * n) % m
+        columns = (stage[:, None] * n + component).ravel()
+        _append(triplets, np.tile(first + integral, stage.size), columns, ca.vec(at_stages))
+        by_scalars = ca.reshape(de_dscalars, m * count, -1) @ quadrature
+        scalar, integral = np.arange(m * count) // m, np.arange(m * count) % m
+        _append(triplets, first + integral, self.states + scalar, by_scalars)
+        return self._assembled(triplets)
+
+    def _assembled(self, triplets: Triplets) -> ca.MX:
+        rows, columns = (np.concatenate(t) for t in triplets[:2])
+        return sparse_matrix((self.equations, self.size), rows, columns, ca.vertcat(*triplets[2]))
+
+    # Values ---------------------------------------------------------------------------------------------------------
+
+    def _fractions(self) -> Array:
+        """Places of the columns of state values in [0, 1], shape (columns,)."""
+        starts = mesh.edges(self.constants)[:-1]
+        inner = starts[:, None] + self.constants[:, None] * self.table.ends
+        return np.concatenate([[0.0], inner.ravel()])
+
+    def _interpolate(self, z: Array, fractions: Array) -> Array:
+        """States at fractions of the interval, shape (len(fractions), components)."""
+        values = z[: self.states].reshape(self.columns, self.formulation.states)
+        few = fractions.size <= FEW
+        columns, weights = (_kept_weights if few else _weights)(
+            *(array.tobytes() for array in (self.constants, self.table.ends, fractions))
+        )
+        return np.asarray(np.einsum("tk,tkn->tn", weights, values[columns]))
+
+    def prolong(self, z: Array, finer: Problem) -> Array:
+        assert isinstance(finer, CollocationEquations)
+        return np.concatenate([self._interpolate(z, finer._fractions()).ravel(), z[self.states :]])
+
+    def improvement(self, z: Array, solve: Solve) -> tuple[Array, float] | None:
+        """The step to the solution of a method of twice as many stages, and its largest part, between stages too."""
+        residual, nonzeros = self.evaluate(z)
+        left, between = missed(self.discretisation, z, self.numbers)
+        right = np.append(residual + left, 0.0)
+        step = solve(right)
+        rows, columns = self.pattern  # factors of a Jacobian nearby leave the part by which that differs
+        right[:-1] -= np.bincount(rows, nonzeros * step[columns], self.size - 1)
+        right[-1] = 0.0
+        more = solve(right)
+        sizes = self._component_sizes(z[: self.states].reshape(self.columns, -1))
+        largest, rest = self._largest(step + more, between, sizes), self._largest(more, None, sizes)
+        return (step + more, largest) if rest <= NEARBY * largest else None
+
+    def _largest(self, step: Array, between: Array | None, sizes: Array) -> float:
+        """The largest part of a step of the states, relative to their sizes, with what is `between` stages as well."""
+        moves = step[: self.states].reshape(self.columns, -1)
+        if between is not None:
+            columns = np.arange(self.resolution)[:, None] * self.table.ends.size + np.arange(self.degree + 1)
+            inner = (defect_table(self.table).values @ moves[columns]).reshape(between.shape) - between
+            moves = np.concatenate([moves, inner])
+        return float(np.max(np.max(np.abs(moves), axis=0) / sizes))
+
+    def left_by(self, finer: CollocationEquations) -> float:
+        """The part of the error at ends of intervals that a finer mesh leaves: it falls faster there."""
+        order = 2 * self.degree if self.table.ends.size > self.degree else 2 * self.degree - 1
+        return float((self.resolution / finer.resolution) ** order)
+
+    # The mesh -------------------------------------------------------------------------------------------------------
+
+    def _component_sizes(self, values: Array) -> Array:
+        """Scales of the changes of each component of the states, shape (columns, components)."""
+        return np.full(values.shape[1], float(np.max(np.abs(values))))
+
+    def _density(self, z: Array) -> Array:
+        """Wanted density of intervals for the solution z, see `mesh.density`."""
+        K, d, rows = self.resolution, self.degree, self.table.ends.size
+        values = z[: self.states].reshape(self.columns, self.formulation.states)
+        values = values / self._component_sizes(values)
+        columns = np.arange(K)[:, None] * rows + np.arange(d + 1)
+        weights = _barycentric(np.append(0.0, self.table.nodes))  # the start and the stages determine the polynomial
+        noise = MESH_NOISE * float(np.sum(np.abs(weights)))
+        return mesh.density(self.constants, np.einsum("j,kjn->kn", weights, values[columns]), d, noise)
+
+    def transferred(self, other: Problem) -> Problem:
+        return other.with_constants(mesh.resampled(self.constants, other.resolution))
+
+    def placed(self, z: Array, other: Problem) -> Problem:
+        return other.with_constants(mesh.equidistributed(self.constants, self._density(z), other.resolution))
+
+    def imbalance(self, z: Array) -> float:
+        return mesh.imbalance(self.constants, self._density(z))
+
+    def expected_error(self, z: Array, error: float, other: Problem) -> float:
+        parts = self.constants * self._density(z)
+        growth = float(np.sum(parts)) / other.resolution / float(np.max(parts))
+        return error * growth ** (self.degree + 1)
+
+
+def _weights(lengths: bytes, ends: bytes, fractions: bytes) -> tuple[Indices, Array]:
+    """Columns of state values, and their weights in the states at fractions of the interval, one row for each."""
+    h, support, places = np.frombuffer(lengths), np.append(0.0, np.frombuffer(ends)), np.frombuffer(fractions)
+    starts = mesh.edges(h)
+    interval = np.clip(np.searchsorted(starts, places, side="right") - 1, 0, h.size - 1)
+    offset = ((places - starts[interval]) / h[interval])[:, None] - support
+    hit = np.abs(offset) < 1e-14
+    offset[hit] = 1.0
+    weights = _barycentric(support) / offset
+    weights[hit.any(axis=1)] = 0.0
+    weights[hit] = 1.0
+    weights /= weights.sum(axis=1, keepdims=True)
+    return interval[:, None] * (support.size - 1) + np.arange(support.size), weights
+
+
+@lru_cache(maxsize=32)
+def _kept_weights(lengths: bytes, ends: bytes, fractions: bytes) -> tuple[Indices, Array]:
+    return _weights(lengths, ends, fractions)
+
+
+def _barycentric(support: Array) -> Array:
+    """Weights of the values at `support` in the leading coefficient of the polynomial through them."""
+    gaps = support[:, None] - support
+    np.fill_diagonal(gaps, 1.0)
+    return np.asarray(1.0 / np.prod(gaps, axis=1))
+
+
+def _append(triplets: Triplets, rows: Indices, columns: Indices, values: ca.MX) -> None:
+    if not values.numel():  # CasADi's empty rows and columns do not fit each other
+        return
+    for held, added in zip(triplets, (rows, columns, values), strict=True):
+        held.append(added)

@@ -1,0 +1,116 @@
+"""Residual and Jacobian of collocation on K intervals, assembled by structure from one mapped function of the model.
+
+No symbolic graph of a mesh: what depends on the number of intervals alone, as which entry of the Jacobian comes from
+where, is worked out once, and serves all meshes and solutions of that number; lengths of intervals are arguments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from casadi_skin.zero.butcher import CollocationTable
+from casadi_skin.zero.formulation import Formulation
+from casadi_skin.zero.problem import Array, Buffers
+from casadi_skin.zero.structure import Layout, structure_of
+
+
+class Discretisation:
+    """Collocation equations of a formulation on K intervals of any lengths that sum to 1.
+
+    Attributes:
+        table, layout: the method, and the numbers and patterns of the equations.
+        structure: where entries of the Jacobian go.
+        rows, columns: places of its non-zeros, column by column.
+        shared: solvers that have been made for these equations, by name.
+    """
+
+    def __init__(self, formulation: Formulation, intervals: int, table: CollocationTable) -> None:
+        self.shared: dict[Any, Any] = {}
+        self._at, self._last = b"", (np.empty(0), np.empty(0))
+        self._on = b""  # the mesh whose places and weights are kept
+        self._n, self._K, self._d, self._R = formulation.states, intervals, table.degree, table.ends.size
+        self._m, self.table = int(formulation.scalars.numel()), table
+        self._states = self._n * (intervals * self._R + 1)
+        places = intervals * self._d + 1  # the stages, or the check points
+        self._field = Buffers(formulation.field_function.map(places), places)
+        self._conditions = formulation.condition_buffers
+        self._integrals = formulation.integrals
+        if self._integrals:
+            self._integrands = Buffers(formulation.integrand_function.map(places), places)
+        self.layout = Layout.of(formulation, intervals, table)
+        self.structure = structure_of(self.layout)
+        self.rows, self.columns = self.structure.rows, self.structure.columns
+        self._stage, self._start = self.structure.stage, self.structure.start
+
+    def __call__(self, z: Array, numbers: Array) -> tuple[Array, Array]:
+        """Residual, and the non-zeros of the Jacobian in the order of `rows` and `columns`; not to be written to.
+
+        `numbers` are the lengths of the intervals, then the constants of the formulation. The last results are kept: a
+        solution is measured where it was solved.
+        """
+        at = z.tobytes() + numbers.tobytes()
+        if at != self._at:
+            found = self._assembled(z, numbers)
+            for array in found:
+                array.flags.writeable = False
+            self._at, self._last = at, found
+        return self._last
+
+    def _lay(self, lengths: Array) -> None:
+        """Set the places of the stages, shape (K d + 1, 1), and the weights of their increments, shape (K, R, d)."""
+        on = lengths.tobytes()
+        if on != self._on:
+            starts = np.cumsum(lengths) - lengths
+            stages = starts[:, None] + lengths[:, None] * self.table.nodes
+            self._places = np.append(stages, stages[-1, -1])[:, None]
+            self._weights = lengths[:, None, None] * self.table.extended
+            self._quadrature = self._weights[:, -1].ravel()
+            self._on = on
+
+    def stages(self, z: Array, numbers: Array) -> tuple[Array, Array, Array, Array]:
+        """(s, x, scalars, constants) at the stages, the last one twice."""
+        self._lay(numbers[: self._K])
+        values = z[: self._states].reshape(-1, self._n)
+        return self._places, values[self._stage], z[self._states :], numbers[self._K :]
+
+    def _assembled(self, z: Array, numbers: Array) -> tuple[Array, Array]:
+        n, K, d, R, m = self._n, self._K, self._d, self._R, self._m
+        arguments = self.stages(z, numbers)
+        values, (_, _, scalars, constants), weights = z[: self._states].reshape(-1, n), arguments, self._weights
+        field, by_states, by_scalars = self._at_stages(self._field, arguments)
+        increments = weights @ field.reshape(K, d, n)
+        ends = values[1:].reshape(K, R, n) - values[self._start][:, None, :]
+        condition, *derivatives = self._conditions(values[0], values[-1], scalars, constants)
+        residual = [(ends - increments).ravel(), condition]
+        rest = [-(weights @ by_scalars.reshape(K, d, m * n)).ravel(), *derivatives]
+        if self._integrals:
+            own, quadrature = self._integrals, self._quadrature
+            value, by_x, by_s = self._at_stages(self._integrands, arguments)
+            residual.append(quadrature @ value.reshape(K * d, own))
+            rest += [(quadrature[:, None] * by_x.reshape(K * d, -1)).ravel(), quadrature @ by_s.reshape(K * d, -1)]
+        nonzeros = self.structure.differences.copy()
+        stiff = self.structure.stiff
+        nonzeros[stiff] = self.structure.below_stiff - (weights[..., None] * by_states.reshape(K, 1, d, -1)).ravel()
+        nonzeros[self.structure.rest] = np.concatenate(rest)
+        return np.concatenate(residual), nonzeros
+
+    def _at_stages(self, function: Buffers, arguments: Sequence[Array]) -> list[Array]:
+        """Results of a mapped function, one row a stage."""
+        return [found.reshape(self._K * self._d + 1, -1)[:-1] for found in function(*arguments)]
+
+    def jacobians(self, z: Array, numbers: Array) -> Array:
+        """Derivatives of the field by the states at the stages, dense, shape (K d, n, n)."""
+        found = np.zeros((self._K * self._d, self._n, self._n))
+        rows, columns = (list(places) for places in self.layout.field)
+        found[:, rows, columns] = self._at_stages(self._field, self.stages(z, numbers))[1]
+        return found
+
+    def along(self, *arguments: Array) -> tuple[Array, Array]:
+        """Field and integrands at (s, x, scalars, constants), as many places as there are stages and one more."""
+        field = self._field(*arguments)[0].reshape(-1, self._n).copy()
+        if not self._integrals:
+            return field, np.zeros((len(field), 0))
+        return field, self._integrands(*arguments)[0].reshape(-1, self._integrals).copy()

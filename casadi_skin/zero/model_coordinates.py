@@ -1,0 +1,292 @@
+"""Coordinates of families of any model of second order that rests at 0."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.lattice.linear_modes import SYMMETRIC, linear_modes, with_small_amplitudes
+from casadi_skin.model.amplitude import amplitude_square
+from casadi_skin.model.jumps import JumpError
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
+from casadi_skin.zero.coordinates import Coordinates, shift_by_projection
+from casadi_skin.zero.cosines import quarter_phases
+from casadi_skin.zero.family_modes import SIMPLE, check_alone, check_kind, fixed_values, number_of_mode
+from casadi_skin.zero.problem import EPSILON, Array, Problem
+
+DEEPEST = -230.0  # of log D: its cube is still a double
+LARGEST = 1e3  # amplitude of a scaled mode
+TIE = 1e-9  # relative difference of amplitudes that are the same but for rounding
+RANDOM = 0.1  # amplitude of random positions
+PHASES = np.linspace(0.0, 2.0 * np.pi, 1001)  # at which a linear mode is looked at for jumps
+TRIALS = 3  # random states at which the symmetry of the forces' derivative is looked at
+
+
+class ModelCoordinates(Coordinates):
+    """Coordinates of a family of an `OdeModel` at fixed values of its parameters.
+
+    The free parameter of the scaled equations is S where the forces are odd polynomials, else the amplitude sqrt(S),
+    both in units near those of `amplitude_max`, a value of S, so that positions may have any unit. Raises ValueError,
+    naming what the model lacks, where it has no families of this kind or the mode none of its own.
+    """
+
+    def __init__(
+        self,
+        model: OdeModel,
+        mode: int | str,
+        parameters: Mapping[str, float] | None = None,
+        amplitude_max: float = 1.0,
+    ) -> None:
+        check_kind(model)
+        self._unit = float(2.0 ** round(0.5 * np.log2(amplitude_max)))  # of positions: a power of 2 rounds nothing
+        self._model, self._amplitude = model, amplitude_square(model)
+        free = () if self._amplitude.parameter is None else (self._amplitude.parameter,)
+        self._values = fixed_values(model, parameters or {}, free)
+        numbers = ca.SX([self._values.get(name, 0.0) for name in model.parameter_names])
+        self._numbers = numbers
+        self._force = self._at_values(model.rhs)
+        self.modes = linear_modes(self._force, model.state, model.name)
+        if np.min(self.modes.log_scale) < DEEPEST:
+            span = f"positions whose scales differ by exp({-np.min(self.modes.log_scale):.4g})"
+            raise ValueError(f"model: given {model.name} with {span}; accepted: up to exp({-DEEPEST:g}), or a Chain")
+        self.mode_number = number_of_mode(model, mode)
+        self._check_mode()
+        self._check_drift()
+        self._check_amplitude()
+        excess = float(np.max(np.abs(self.mode)))
+        if excess > LARGEST:  # where the mode lives at the end that displacements lean away from
+            self.modes = replace(self.modes, log_scale=self.modes.log_scale + np.log(excess))
+            for name in ("mode", "scale"):
+                self.__dict__.pop(name)
+        self._parts = _homogeneous(self._force, model.state)
+        words = self.jump(lambda: np.sqrt(amplitude_max) * np.cos(PHASES)[:, None] * (self.scale * self.mode))
+        if words:
+            raise JumpError(model.name, f"{words}, in the linear mode at S = {amplitude_max:g}")
+        self._squared = self._parts is not None and all(degree % 2 for degree in self._parts)
+
+    def _check_mode(self) -> None:
+        """Raises ValueError for a mode that does not oscillate, or is in resonance with another."""
+        model = self._model
+        check_alone(self.modes.squares, self.mode_number, model.name, model.half_period is not None)
+
+    def _check_amplitude(self) -> None:
+        """Raises ValueError where S does not grow with the mode, as at a position that rests in it."""
+        y = self.scale * self.modes.modes[:, self.mode_number - 1]
+        curvature, _ = ca.hessian(self._amplitude.form, self._model.state)
+        size = float(np.linalg.norm(np.array(ca.evalf(curvature)))) * float(y @ y)
+        if not self._amplitude.value(y) > SIMPLE * size:
+            words = f"a normalisation by which mode {self.mode_number} of {self._model.name} has no amplitude"
+            raise ValueError(f"normalisation: given {words}; accepted: one that is positive for it")
+
+    def jump(self, positions: Callable[[], Array]) -> str:
+        model, p = self._model, np.array([self._values.get(name, 0.0) for name in self._model.parameter_names])
+        if self._parts is not None or not model.jumps.found:  # polynomials do not jump
+            return ""
+        y = positions()
+        states = np.concatenate([y, np.zeros_like(y)], axis=1)  # no force depends on velocities
+        return model.jumps.along(np.zeros(len(states)), states, p)
+
+    def _at_values(self, expression: ca.SX) -> ca.SX:
+        """An expression of the model at the values of its parameters."""
+        return ca.substitute(expression, self._model.parameters, self._numbers)
+
+    # The equations --------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def symplectic(self) -> bool:  # type: ignore[override]
+        """Whether the derivative of the forces is symmetric in scaled coordinates, at random states."""
+        if not self.modes.symmetric:
+            return False
+        state = self._model.state
+        derivative = ca.Function("J", [state], [ca.densify(ca.jacobian(self._force, state))])
+        generator, scale = np.random.default_rng(0), self.scale
+        for _ in range(TRIALS):
+            J = np.array(derivative(scale * generator.normal(size=scale.size))) / scale[:, None] * scale
+            if not np.max(np.abs(J - J.T)) <= SYMMETRIC * scale.size * np.max(np.abs(J)):
+                return False
+        return True
+
+    @cached_property
+    def scaled(self) -> OdeModel:
+        model, n = self._model, self._model.size
+        q, v, p = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("S" if self._squared else "a")
+        D = ca.SX(ca.DM(self.scale))
+        energy = None
+        if model.hamiltonian is not None:
+            a = self._unit * (ca.sqrt(p) if self._squared else p)
+            value = ca.Function("value", [model.state, model.velocity], [self._at_values(model.hamiltonian)])
+            above_rest = value(a * D * q, a * D * v) - value(ca.DM.zeros(n), ca.DM.zeros(n))
+            energy = above_rest / a**2
+        uniform = float(np.ptp(self.log_scale)) == 0.0
+        return OdeModel(
+            f"scaled {model.name}", q, self._scaled_force(q, p), p, 2, v, reversal=model.reversal,
+            half_period=model.half_period, normalisation=self._amplitude.of(D * q) - 1, hamiltonian=energy,
+            checked=False, output_scale=None if uniform else tuple(self.scale),
+        )  # fmt: skip
+
+    @cached_property
+    def solved(self) -> OdeModel:
+        """The scaled equations; where nothing holds the centre of mass X, with a force that is zero at X = 0.
+
+        X'' = omega^2 X has X = 0 as its one periodic solution, so that orbits are isolated and are the same.
+        Orbits with half-period symmetry have X = 0 without it.
+        """
+        scaled, free = self.scaled, np.flatnonzero(self._at_rest())
+        if scaled.half_period is not None or not free.size:
+            return scaled
+        force = scaled.rhs
+        for k in free:
+            left = self.modes.left[k] / np.linalg.norm(self.modes.left[k])
+            one = ca.DM.zeros(scaled.size)
+            one[int(np.argmax(np.abs(left)))] = np.sign(left[np.argmax(np.abs(left))]) * self.frequency**2
+            force = force + one * ca.dot(ca.DM(left), scaled.state)
+        return replace(scaled, rhs=force, hamiltonian=None, checked=False)
+
+    def _at_rest(self) -> NDArray[np.bool_]:
+        """Which linear modes have frequency 0."""
+        return np.asarray(np.abs(self.modes.squares) <= SIMPLE * np.max(np.abs(self.modes.squares)))
+
+    def _check_drift(self) -> None:
+        """Raises ValueError for a mode of frequency 0 that is no free motion of a part, where the mean is unknown."""
+        resting = np.flatnonzero(self._at_rest())
+        if self._model.half_period is not None or not resting.size:
+            return
+        kept = self._unchanging(self.modes.left[resting].T, transposed=True)
+        if min(self.free_motions.shape[1], kept.shape[1]) < resting.size:
+            words = f"omega^2 = 0 of {self._model.name}, whose mode is no free motion at all amplitudes"
+            raise ValueError(f"model: given {words}; accepted: forces that are odd, or omega^2 > 0")
+
+    @cached_property
+    def free_motions(self) -> Array:
+        return self._unchanging(self.modes.modes[:, self._at_rest()], transposed=False)
+
+    def _unchanging(self, modes: Array, transposed: bool) -> Array:
+        """Those combinations of columns, orthonormal, that the derivative of the forces, or its transpose, takes to 0.
+
+        At random states, as well as at rest: along them forces never change, or do not act.
+        """
+        if not modes.size:
+            return modes
+        state, scale, generator = self._model.state, self.scale, np.random.default_rng(0)
+        derivative = ca.Function("J", [state], [ca.densify(ca.jacobian(self._force, state))])
+        images = []
+        for _ in range(TRIALS):
+            y = self._unit * scale * generator.uniform(-RANDOM, RANDOM, scale.size)
+            J = np.array(derivative(y)) / scale[:, None] * scale
+            if not np.all(np.isfinite(J)):
+                return modes[:, :0]
+            images.append((J.T if transposed else J) @ modes / np.max(np.abs(J)))
+        _, sizes, rows = np.linalg.svd(np.concatenate(images))
+        unchanging = modes @ rows[sizes <= SYMMETRIC * scale.size].T
+        return np.asarray(np.linalg.qr(unchanging)[0])
+
+    def _scaled_force(self, q: ca.SX, p: ca.SX) -> ca.SX:
+        """D^-1 f(a D q) / a, with a^2 or a = p in its unit: for polynomials by homogeneous parts, regular at a = 0."""
+        linear = -ca.sparsify(ca.SX(ca.DM(self.modes.stiffness))) @ q
+        if self._parts is not None:
+            return linear + self._nonlinear_parts(q, p)
+        D, state, t = ca.SX(ca.DM(self._unit * self.scale)), self._model.state, ca.SX.sym("t")
+        along = ca.substitute(self._force, state, t * D * q)
+        second = 0.5 * ca.substitute(ca.jacobian(ca.jacobian(along, t), t), t, 0) / D
+        bend = float(np.linalg.norm(np.array(ca.Function("bend", [q], [ca.densify(second)])(self.mode))))
+        # Below `small` two terms are right to rounding, where f(a q) / a loses all digits.
+        small = float(np.sqrt(EPSILON) / max(1.0, bend / np.linalg.norm(self.modes.stiffness @ self.mode)))
+        is_small = p**2 <= small**2
+        safe = ca.if_else(is_small, small, p)
+        return ca.if_else(is_small, linear + p * second, ca.substitute(along, t, safe) / (safe * D))
+
+    def _nonlinear_parts(self, q: ca.SX, p: ca.SX) -> ca.SX:
+        """The scaled forces without their linear part, of polynomials."""
+        total, D = ca.SX.zeros(q.numel()), ca.SX(ca.DM(self._unit * self.scale))
+        for degree, part in (self._parts or {}).items():
+            if degree != 1:
+                power = (degree - 1) // 2 if self._squared else degree - 1
+                total += p**power * ca.substitute(part, self._model.state, D * q) / D
+        return total
+
+    @property
+    def log_scale(self) -> Array:
+        return self.modes.log_scale
+
+    @cached_property
+    def mode(self) -> Array:
+        q = self.modes.modes[:, self.mode_number - 1]
+        if self.modes.symmetric and np.ptp(self.log_scale) > 0.0:
+            q = with_small_amplitudes(q, self.modes.stiffness, self.modes.squares[self.mode_number - 1])
+        q = q / self.amplitude(self.scale * q)
+        sizes = np.abs(self.scale * q)
+        largest = int(np.argmax(sizes > (1.0 - TIE) * np.max(sizes)))  # the first of those that only rounding orders
+        return np.asarray(q * np.sign(q[largest]))
+
+    def amplitude(self, positions: Array) -> float:
+        return float(np.sqrt(self._amplitude.value(positions)))
+
+    @property
+    def frequency(self) -> float:
+        return float(np.sqrt(self.modes.squares[self.mode_number - 1]))
+
+    def parameter_of(self, S: float) -> float:
+        square = S / self._unit / self._unit
+        return square if self._squared else float(np.sqrt(square))
+
+    def S_of(self, parameter: float) -> float:
+        return (parameter if self._squared else parameter**2) * self._unit * self._unit
+
+    @property
+    def S_rate(self) -> float:  # type: ignore[override]
+        return 1.0 if self._squared else 2.0
+
+    # Output -----------------------------------------------------------------------------------------------------------
+
+    @property
+    def model(self) -> OdeModel:
+        return self._model
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        return self._values
+
+    @property
+    def description(self) -> str:
+        scaled = "positions of the model" if float(np.ptp(self.log_scale)) == 0.0 else "positions scaled to symmetry"
+        kind = "Hamiltonian" if self.symplectic else "reversible, and Hamiltonian in no such coordinates"
+        return f"{scaled}; the equations are {kind}"
+
+    def band(self) -> tuple[float, float] | None:
+        return float(self.modes.squares[0]), float(self.modes.squares[-1])
+
+    # Quantities -----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _nonlinear(self) -> ca.Function:
+        """Function (q, p) of the scaled forces without their linear part."""
+        scaled = self.scaled
+        q, p = scaled.state, scaled.parameters
+        if self._parts is not None:
+            return ca.Function("N", [q, p], [self._nonlinear_parts(q, p)])
+        return ca.Function("N", [q, p], [scaled.rhs + ca.SX(ca.DM(self.modes.stiffness)) @ q])
+
+    def Omega_shift(self, problem: Problem, z: Array) -> float:
+        """From the fundamental of the equations, projected on the linear mode: without cancellation."""
+        theta = 2.0 * quarter_phases(max(64, 4 * problem.resolution))
+        q, cosine, left = problem.sample(z, theta), np.cos(theta), self.modes.left[self.mode_number - 1]
+        parameter = np.full((1, theta.size), float(z[problem.parameter_index]))
+        forces = np.array(self._nonlinear.map(theta.size)(q.T, parameter)).T
+        fundamental = cosine @ q
+        size = float(np.linalg.norm(fundamental) * np.linalg.norm(left))
+        nonlinear, Omega = -float(cosine @ forces @ left), problem.frequency(z)
+        return shift_by_projection(Omega, self.frequency, nonlinear, float(fundamental @ left), size)
+
+
+def _homogeneous(force: ca.SX, state: ca.SX) -> dict[int, ca.SX] | None:
+    """Homogeneous parts of polynomial forces by degree, without rounding at rest; None for others."""
+    try:
+        return {degree: part for degree, part in homogeneous_parts(force, state).items() if degree}
+    except NotPolynomialError:
+        return None

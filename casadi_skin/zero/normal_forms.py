@@ -1,0 +1,121 @@
+"""Coefficients of the normal forms at folds, period doublings and tori of orbits.
+
+By projection on the collocation equations themselves (Kuznetsov, Govaerts, Doedel and Dhooge 2005), in the variable w
+of x = x0 + w v + ..., where v is the critical Floquet function with mean square 1 over the period: of a fold w' = a w^2
++ ..., of a period doubling w' = c w^3 + ..., of a torus w' = (i theta/T) w + d w |w|^2 + ..., of which the real part of
+d is taken. What is born at a period doubling or a torus is stable where the coefficient is negative and no other
+multiplier is outside the unit circle. A stated problem that closes its solutions is the same in its own time.
+"""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.special_points import DOUBLING, FOLD, TORUS, SpecialPoint
+from casadi_skin.zero.closure import Closure
+from casadi_skin.zero.linearised import Linearised, Vector, null_vectors
+from casadi_skin.zero.problem import Array
+from casadi_skin.zero.rest_normal_forms import DECIDED, Critical
+from casadi_skin.zero.rest_normal_forms import critical as at_equilibrium
+from casadi_skin.zero.stated_problem import BoundaryProblem
+
+UNKNOWN = "unknown: the model has no higher derivatives"
+
+
+def critical(point: SpecialPoint) -> Critical:
+    """Normal form at a special point of equilibria or orbits; raises ValueError for another point."""
+    solution = point.solution
+    stated = _closed(point)
+    if not (isinstance(solution, Orbit) or stated) or point.kind not in (FOLD, DOUBLING, TORUS):
+        return at_equilibrium(point)
+    try:
+        problem = solution.problem
+    except ValueError:
+        return at_equilibrium(point)
+    linear = Linearised(problem, solution.point.z, problem.statement)
+    turn = stated.matrix if stated else None
+    length = float(np.diff(solution.space.interval(solution.point))[0])
+    angle = np.pi if point.kind == DOUBLING else 0.0
+    if point.kind == TORUS:
+        angle = abs(float(np.angle(on_circle(solution))))
+    v, adjoint = critical_functions(point.kind, linear, angle, turn)
+    start = (v[: linear.components], adjoint[: linear.components])
+    vector, other = (np.asarray(part / np.linalg.norm(part), dtype=complex) for part in start)
+    try:
+        terms = terms_of(point.kind, linear, angle, v, adjoint, turn) / length
+    except (RuntimeError, NotImplementedError):
+        return Critical(vector, other, angle / length, float("nan"), UNKNOWN)
+    value = float(np.sum(terms))
+    words = "quadratic" if point.kind == FOLD else "supercritical" if value < 0.0 else "subcritical"
+    if abs(value) <= DECIDED * float(np.sum(np.abs(terms))):
+        words = "degenerate"
+    return Critical(vector, other, angle / length, value, words)
+
+
+def _closed(point: SpecialPoint) -> Closure | None:
+    """How a stated problem closes the solution there; None of orbits, of equilibria and where it does not.
+
+    Raises ValueError where it does not repeat itself after the interval.
+    """
+    solution = point.solution
+    closure = getattr(solution.space, "closure", None)
+    accepted = "one that closes, where the field repeats itself as the conditions suppose"
+    if closure is not None and not closure.goes_on(solution.problem, solution.point.z):
+        raise ValueError(f"{point.kind}: given one of a boundary-value problem of another kind; accepted: {accepted}")
+    return cast("Closure | None", closure)
+
+
+def on_circle(orbit: Solution) -> complex:
+    """The complex multiplier nearest to the unit circle."""
+    others = orbit.floquet().others
+    upper = others[others.imag > 0.0]
+    return complex(upper[np.argmin(np.abs(np.abs(upper) - 1.0))])
+
+
+def critical_functions(kind: str, linear: Linearised, angle: float, turn: Array | None = None) -> tuple[Vector, Vector]:
+    """The critical Floquet function with mean square 1, of a fold with the changes of free parameters; its adjoint."""
+    factor = -1.0 + 0j if kind == DOUBLING else complex(np.exp(1j * angle))
+    matrix = linear.jacobian if kind == FOLD else linear.twisted(factor, turn)
+    v, adjoint = null_vectors(matrix)
+    problem: BoundaryProblem = linear.problem
+    weights = np.outer(problem.constants, problem.table.extended[-1]).ravel()
+    values = v[: linear.states].reshape(problem.columns, -1)[problem.stages]
+    v = v / np.sqrt(float(weights @ np.sum(np.abs(values) ** 2, axis=1)))
+    largest = v[: linear.components][np.argmax(np.abs(v[: linear.components]))]
+    return v * (abs(largest) / largest), adjoint
+
+
+def terms_of(
+    kind: str, linear: Linearised, angle: float, v: Vector, adjoint: Vector, turn: Array | None = None
+) -> Array:
+    """The terms whose sum over the period is the coefficient."""
+    psi = adjoint[: linear.inner].conj()
+
+    def projected(*parts: Vector) -> Array:
+        over = psi @ linear.velocity(v)
+        return np.array([-(psi @ part / over).real for part in parts])
+
+    if kind == FOLD:
+        return projected(0.5 * linear.derivative(v, v))
+    if kind == DOUBLING:
+        bent = _solved(linear.jacobian, -linear.derivative(v, v))
+        return projected(linear.derivative(v, v, v) / 6.0, 0.5 * linear.derivative(v, bent))
+    steady = _solved(linear.jacobian, -linear.derivative(v, v.conj()).real)
+    double = _solved(linear.twisted(complex(np.exp(2j * angle)), turn), -linear.derivative(v, v))
+    return projected(
+        0.5 * linear.derivative(v, v, v.conj()), linear.derivative(v, steady), 0.5 * linear.derivative(v.conj(), double)
+    )
+
+
+def _solved(matrix: Any, inner: Vector) -> Vector:
+    """The solution for a right-hand side that is zero in the conditions."""
+    from scipy.sparse.linalg import splu
+
+    factors = splu(matrix)
+    right = np.zeros(factors.shape[0], dtype=inner.dtype)
+    right[: inner.size] = inner
+    return cast(Vector, factors.solve(right))

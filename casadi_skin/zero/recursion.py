@@ -1,0 +1,265 @@
+"""Power series of a branch of polynomial collocation equations, order by order.
+
+Along z(tau) = sum_k z_k tau^k every order solves the same linear system, with a right-hand side that the lower orders
+give through Cauchy products: the asymptotic numerical method (Damil and Potier-Ferry 1990; Cochelin and Vergez 2009).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.polynomial import Monomials, polynomial_terms
+from casadi_skin.native.taylor import Term, taylor_kernel
+from casadi_skin.zero.cosines import cosine_matrix, second_derivative_matrix
+from casadi_skin.zero.problem import Array, Indices, Solve
+
+_Place = slice | Indices
+
+
+def _place(indices: Indices) -> _Place:
+    """A slice where the indices are consecutive: a view costs nothing, a gather does."""
+    consecutive = indices.size > 0 and bool(np.all(np.diff(indices) == 1))
+    return slice(int(indices[0]), int(indices[-1]) + 1) if consecutive else indices
+
+
+class _Products:
+    """Series of products of states x_a x_b ..., one a term; arrays are (order, terms * nodes)."""
+
+    def __init__(self, monomials: Monomials, series: Array, nodes: int) -> None:
+        self._series, self._gathered, self._factors = series, [], []
+        shape = (series.shape[0], monomials.rows.size * nodes)
+        for factor in monomials.factors:
+            place = _place((factor[:, None] * nodes + np.arange(nodes)).ravel())
+            self._gathered.append(None if isinstance(place, slice) else place)
+            self._factors.append(series[:, place] if isinstance(place, slice) else np.zeros(shape))
+        self._squares = len(self._factors) > 1 and np.array_equal(monomials.factors[0], monomials.factors[1])
+        self.levels = [self._factors[0], *(np.zeros(shape) for _ in self._factors[1:])]  # x_a, x_a x_b, ...
+
+    def first(self, k: int) -> Array:
+        """Order k of the products as if the states had no part of order k."""
+        for level in range(1, len(self.levels)):
+            left, right, out = self.levels[level - 1], self._factors[level], self.levels[level]
+            if level == 1 and self._squares:
+                _square(left, k, out[k])
+            elif level == 1:
+                np.einsum("jm,jm->m", left[1:k], right[k - 1 : 0 : -1], out=out[k])
+            else:  # the product on the left has a part of order k already
+                np.einsum("jm,jm->m", left[1 : k + 1], right[k - 1 :: -1], out=out[k])
+        return np.asarray(self.levels[-1][k])
+
+    def complete(self, k: int) -> None:
+        """Add the contribution of the states' part of order k to the equations of order k."""
+        for place, factor in zip(self._gathered, self._factors, strict=True):
+            if place is not None:
+                factor[k] = self._series[k][place]
+        change = self._factors[0][k]
+        for level in range(1, len(self.levels)):
+            left, right, out = self.levels[level - 1], self._factors[level], self.levels[level]
+            change = change * right[0] + left[0] * right[k] if k else left[0] * right[0]
+            out[k] = change if k < 2 else out[k] + change  # below order 2 nothing was put there by `first`
+
+
+def _square(x: Array, k: int, out: Array) -> None:
+    """Order k of x^2 without x_0 x_k."""
+    half = (k - 1) // 2
+    np.einsum("jm,jm->m", x[1 : half + 1], x[k - 1 : k - 1 - half : -1], out=out)
+    out *= 2.0
+    if k % 2 == 0:
+        out += x[k // 2] ** 2
+
+
+class _Scatter:
+    """Adds values of terms, (terms, nodes), to the components that they belong to."""
+
+    def __init__(self, monomials: Monomials, components: int) -> None:
+        self.terms, self._coefficients = monomials.rows.size, monomials.coefficients[:, None]
+        self._place = _place(monomials.rows)
+        if not isinstance(self._place, slice):
+            from scipy.sparse import csr_matrix
+
+            entries = (monomials.coefficients, (monomials.rows, np.arange(self.terms)))
+            self._matrix = csr_matrix(entries, (components, self.terms))
+
+    def add(self, value: Array, total: Array) -> None:
+        if isinstance(self._place, slice):
+            total[self._place] += self._coefficients * value
+        else:
+            total += np.asarray(self._matrix @ value)
+
+
+class _Sum:
+    """Series of a sum of terms coefficient * p^power * product of states, by component; states are (order, all)."""
+
+    def __init__(self, terms: Sequence[Monomials], series: Array, components: int, nodes: int) -> None:
+        # Of terms that are linear nothing is left when the order sought is taken out.
+        kept = [m for m in terms if m.power + m.degree > 1]
+        self._shape = (components, nodes)
+        self._groups = [(m.power, _Products(m, series, nodes) if m.degree else None) for m in kept]
+        self._scatter = [_Scatter(m, components) for m in kept]
+        self.highest = max((m.power for m in kept), default=0)
+
+    def first(self, k: int, powers: Array) -> Array:
+        """Order k of the sum as if states and parameter had no part of order k; `powers`, (power, order), of p."""
+        total = np.zeros(self._shape)
+        for (power, products), scatter in zip(self._groups, self._scatter, strict=True):
+            if products is None:
+                value = np.full(scatter.terms * self._shape[1], powers[power, k])
+            else:
+                value = products.first(k)
+                if power:
+                    value = powers[power, k::-1] @ products.levels[-1][: k + 1]
+            scatter.add(value.reshape(scatter.terms, -1), total)
+        return total
+
+    def complete(self, k: int) -> None:
+        for _, products in self._groups:
+            if products is not None:
+                products.complete(k)
+
+
+def _single(groups: Sequence[Monomials]) -> list[Term]:
+    """Terms one by one, without those that are linear: nothing is left of them when the order sought is taken out."""
+    return [
+        (group.power, row, coefficient, states)
+        for group in groups
+        if group.power + group.degree > 1
+        for row, coefficient, states in zip(
+            group.rows.tolist(), group.coefficients.tolist(), group.factors.T.tolist(), strict=True
+        )
+    ]
+
+
+@dataclass(frozen=True)
+class PolynomialForm:
+    """Right-hand side and normalisation of a model as polynomials of its state and parameter."""
+
+    force: tuple[Monomials, ...]
+    norm: tuple[Monomials, ...]
+
+    @classmethod
+    def of(cls, model: OdeModel) -> PolynomialForm:
+        """The form of a model; raises NotPolynomialError where there is none."""
+        return _form(model)
+
+
+@lru_cache(maxsize=8)
+def _form(model: OdeModel) -> PolynomialForm:
+    force, norm = (polynomial_terms(e, model.state, model.parameters) for e in (model.rhs, model.normalisation))
+    return PolynomialForm(force, norm)
+
+
+class Recursion(Protocol):
+    """Power series of the branch through a point."""
+
+    def series(self, z: Array, slope: Array, solve: Solve) -> Array:
+        """Coefficients of the branch from z with first coefficient `slope`, shape (orders + 1, unknowns)."""
+        ...
+
+    @property
+    def end(self) -> tuple[int, float] | None:
+        """An unknown and its value up to which the last series holds; None where the equations are analytic."""
+        ...
+
+
+class CosineUnknowns(Protocol):
+    """Where the unknowns of a problem in odd cosines stand: states by site, then node, and then the scalars."""
+
+    model: OdeModel
+    resolution: int
+    states: int
+
+    @property
+    def size(self) -> int: ...
+
+    @property
+    def Omega_index(self) -> int: ...
+
+    @property
+    def parameter_index(self) -> int: ...
+
+
+class TaylorRecursion:
+    """Coefficients z_k of a branch of one trigonometric problem; buffers are made once and used again."""
+
+    end: tuple[int, float] | None = None  # equations are analytic everywhere
+
+    def __init__(self, problem: CosineUnknowns, form: PolynomialForm, orders: int) -> None:
+        H, N = problem.resolution, problem.model.size
+        self.problem, self.orders = problem, orders
+        self._coefficients = np.zeros((orders + 1, problem.size))
+        states = self._coefficients[:, : problem.states]
+        D2, at_zero = second_derivative_matrix(H), (2.0 / H) * cosine_matrix(H).sum(axis=0)
+        self._kernel = taylor_kernel(self._coefficients, D2, at_zero, _single(form.force), _single(form.norm))
+        self.put, self.right_side = self._put, self._right_side
+        if self._kernel is not None:
+            self.put, self.right_side = self._kernel.put, self._kernel.right_side
+            return
+        self._start = np.zeros((orders + 1, N))  # the state at phase zero, which the normalisation is about
+        self._curvature = np.zeros((orders + 1, N * H))
+        self._D2, self._at_zero = D2, at_zero
+        self._by_site = states.reshape(orders + 1, N, H)
+        self._force = _Sum(form.force, states, N, H)
+        self._norm = _Sum(form.norm, self._start, 1, 1)
+        self._powers = np.zeros((max(self._force.highest, self._norm.highest, 1) + 1, orders + 1))
+        self._squared = np.zeros(orders + 1)  # Omega^2
+
+    def _put(self, k: int, z: Array) -> None:
+        """Take over order k and complete what depends on it."""
+        problem = self.problem
+        self._coefficients[k] = z
+        Omega, p = self._coefficients[:, problem.Omega_index], self._coefficients[:, problem.parameter_index]
+        states = self._by_site[k]
+        np.matmul(states, self._D2.T, out=self._curvature[k].reshape(states.shape))
+        np.matmul(states, self._at_zero, out=self._start[k])
+        self._squared[k] = Omega[: k + 1] @ Omega[k::-1]
+        self._powers[0, k] = float(k == 0)
+        for power in range(1, self._powers.shape[0]):
+            self._powers[power, k] = self._powers[power - 1, : k + 1] @ p[k::-1]
+        self._force.complete(k)
+        self._norm.complete(k)
+
+    def _right_side(self, k: int) -> Array:
+        """Right-hand side of order k: minus the equations with no part of order k in z, shape (size,)."""
+        problem = self.problem
+        self._coefficients[k] = 0.0
+        Omega, p = self._coefficients[:, problem.Omega_index], self._coefficients[:, problem.parameter_index]
+        self._squared[k] = Omega[1:k] @ Omega[k - 1 : 0 : -1]
+        for power in range(1, self._powers.shape[0]):
+            self._powers[power, k] = self._powers[power - 1, : k + 1] @ p[k::-1]
+        right = np.zeros(problem.size)
+        inertia = self._squared[k:0:-1] @ self._curvature[:k]
+        force = self._force.first(k, self._powers)
+        right[: problem.states] = (force.ravel() - inertia) / self._squared[0]
+        right[problem.states] = -self._norm.first(k, self._powers)[0, 0]
+        return right
+
+    def series(self, z: Array, slope: Array, solve: Solve) -> NDArray[np.float64]:
+        """Coefficients z_0 = z, z_1 = slope, z_2, ..., shape (orders + 1, size).
+
+        `solve` belongs to the Jacobian at z closed by a row; the higher orders have no component along that row.
+        """
+        self.put(0, z)
+        self.put(1, slope)
+        if not self.solve_all(getattr(solve, "addresses", None)):
+            for k in range(2, self.orders + 1):
+                self.put(k, solve(self.right_side(k)))
+        return self._coefficients.copy()
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether a kernel computes the right-hand sides."""
+        return self._kernel is not None
+
+    def solve_all(self, compiled: tuple[int, int, int] | None) -> bool:
+        """All orders beyond the first two by a compiled solver at addresses; False where one of both is not there."""
+        if self._kernel is None or compiled is None:
+            return False
+        self._kernel.solve_all(*compiled)
+        return True

@@ -1,0 +1,187 @@
+"""A stated boundary-value problem on a mesh, as correctors and walkers take it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Self
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.model.arguments import cut
+from casadi_skin.model.expressions import Expression
+from casadi_skin.zero import mesh
+from casadi_skin.zero.butcher import CollocationTable
+from casadi_skin.zero.collocation import CollocationEquations
+from casadi_skin.zero.formulation import Formulation
+from casadi_skin.zero.problem import Array, Scalar
+from casadi_skin.zero.statement import Statement
+
+LONGEST_CONDITION = 40  # characters of a condition in a message
+PERIOD = "period"  # the free parameter that is the unknown period of an autonomous orbit
+FLOOR = 1e-3  # of the largest value of a component: what it is measured by at least
+ZERO = 1e-12  # solutions smaller than this, found from zeros, are measured by 1
+SMALLEST = 1e-6  # of the largest component: smaller ones are measured by that
+
+
+class BoundaryProblem(CollocationEquations):
+    """Unknowns z = (states, free parameters, u), where u is held or followed.
+
+    Each component of the state is measured by its own largest value, and by no less than its entry in `floors`; free
+    parameters by their value and no less than `scalar_floors`.
+    """
+
+    def __init__(
+        self,
+        statement: Statement,
+        formulation: Formulation,
+        intervals: int,
+        table: CollocationTable,
+        floors: Array,
+        scalar_floors: Array,
+        walking: str | None = None,
+        end: float = 1.0,
+    ) -> None:
+        self.statement, self.walking, self.end = statement, walking, end
+        self.floors, self.scalar_floors = floors, scalar_floors
+        self._discretise(formulation, intervals, table, statement.constants(walking, end))
+        self.constants = mesh.with_edges(self.constants, statement.switching)
+
+    def with_constants(self, constants: Array) -> Self:
+        return super().with_constants(mesh.with_edges(constants, self.statement.switching))
+
+    def index_of(self, scalar: Scalar) -> int:
+        """Place of u among the unknowns; of the unknown period of an orbit, which stands for Omega."""
+        if scalar is Scalar.PARAMETER:
+            return self.size - 1
+        if PERIOD not in self.statement.free:
+            raise ValueError("a boundary-value problem without a free period has no Omega")
+        return self.states + list(self.statement.free).index(PERIOD)
+
+    @property
+    def own_tangent(self) -> Array | None:
+        return self.parameter_row() if self.walking is None else None
+
+    def unknown_at(self, scalar: Scalar, value: float) -> float:
+        """The unknown period at an Omega; u itself."""
+        return 2.0 * np.pi / value if scalar is Scalar.OMEGA else value
+
+    def parameter_size(self, z: Array) -> float:
+        """1, the change of u along a branch."""
+        return max(1.0, abs(float(z[-1])))
+
+    # Values ---------------------------------------------------------------------------------------------------------
+
+    def parameters(self, z: Array) -> Array:
+        """All parameters of the model, in its order."""
+        found = self.statement.parameters_at(z[self.states :], self.walking, self.end)
+        return np.asarray(found, dtype=float)
+
+    def sample(self, z: Array, theta: Array) -> Array:
+        return self._interpolate(z, np.asarray(theta, dtype=float))
+
+    @property
+    def residual_size(self) -> float:
+        largest = FLOOR**-1 * float(np.max(self.floors, initial=0.0))
+        return min(1.0, largest) if largest > 0.0 else 1.0
+
+    def frequency(self, z: Array) -> float:
+        return 1.0
+
+    def frequency_step(self, z: Array, step: Array) -> float:
+        free = slice(self.states, self.size - 1)
+        return float(np.max(np.abs(step[free]) / self._scalar_sizes(z), initial=0.0))
+
+    def profile_change(self, z: Array, step: Array) -> float:
+        move, values = (v[: self.states].reshape(self.columns, -1) for v in (step, z))
+        return float(np.max(np.abs(move) / self._component_sizes(values)))
+
+    def _component_sizes(self, values: Array) -> Array:
+        own = np.maximum(np.max(np.abs(values), axis=0), self.floors)
+        return np.asarray(np.maximum(own, SMALLEST * np.max(own)))
+
+    def measure_by(self, z: Array) -> None:
+        """Let FLOOR of z be what its components are measured by at least, where it is not zero but for rounding.
+
+        On all meshes that share `floors`: a guess of zeros has not the size of the solution that it led to.
+        """
+        largest = np.max(np.abs(z[: self.states].reshape(self.columns, -1)), axis=0)
+        if np.max(largest) > ZERO:
+            self.floors[:] = FLOOR * largest
+
+    def _scalar_sizes(self, z: Array) -> Array:
+        return np.asarray(np.maximum(np.abs(z[self.states : -1]), self.scalar_floors))
+
+    def sizes(self, z: Array, parameter_scale: float = 1.0) -> Array:
+        """Scale of each unknown, shape (size,)."""
+        values, found = z[: self.states].reshape(self.columns, -1), np.empty(self.size)
+        found[: self.states].reshape(values.shape)[:] = self._component_sizes(values)
+        found[self.states : -1], found[-1] = self._scalar_sizes(z), parameter_scale
+        return found
+
+    def metric(self, z: Array, parameter_scale: float) -> Array:
+        """Diagonal of the mean over the columns of |dx|^2 relative to the components' sizes, and of the scalars."""
+        weights = self.sizes(z, parameter_scale) ** -2.0
+        weights[: self.states] /= self.columns
+        return np.asarray(weights)
+
+    def rounding(self, z: Array) -> Array:  # type: ignore[override]
+        """Of each equation, as components of the state have units of their own."""
+        rows, columns = self.pattern
+        largest = np.zeros(self.size - 1)
+        np.maximum.at(largest, rows, np.abs(self.evaluate(z)[1] * z[columns]))
+        return self.statement.model.rounding * largest
+
+    # Words ----------------------------------------------------------------------------------------------------------
+
+    def whereabouts(self, z: Array) -> str:
+        names, values = self.statement.model.parameter_names, self.parameters(z)
+        words = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, values, strict=True))
+        return f"with {words}" if words else f"on {self.resolution} intervals"
+
+    def worst(self, z: Array) -> str:
+        """The largest residual at z, the condition or the variable and the place, in words."""
+        try:
+            residual = np.abs(self.evaluate(z)[0])
+        except ArithmeticError as error:
+            return str(error)
+        equation = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
+        if residual[equation] == 0.0:
+            return self.whereabouts(z)
+        size = f"largest residual {residual[equation]:.1e}" if np.isfinite(residual[equation]) else "not finite"
+        return f"{size} at {self._place(equation, z)}, {self.whereabouts(z)}"
+
+    def backwards(self, z: Array) -> str:
+        """That the interval ends before it starts, in words, where its ends are free and do; empty where not."""
+        start, end = self.statement.span(self.parameters(z))
+        return "" if end > start else f"the interval found, {start:.6g} to {end:.6g}, does not end after its start"
+
+    def time(self, z: Array, column: int) -> float:
+        """Where a column of state values is in the interval."""
+        start, end = self.statement.span(self.parameters(z))
+        return float(start + self._fractions()[column] * (end - start))
+
+    def place(self, equation: int) -> str:
+        """Variable and place of an equation of the field, at the guessed interval; or which condition it is."""
+        guessed = np.zeros(self.size)
+        guessed[self.states : -1] = [self.statement.values[name] for name in self.statement.free]
+        return self._place(equation, guessed)
+
+    def _place(self, equation: int, z: Array) -> str:
+        n, rows = self.formulation.states, self.table.ends.size
+        if equation < self.resolution * rows * n:
+            time = self.time(z, equation // n + 1)
+            return f"the equation of {self.statement.model.state_names[equation % n]} at t = {time:.6g}"
+        condition = equation - self.resolution * rows * n
+        ends = int(self.formulation.conditions.numel())
+        if condition < ends:
+            return f"condition {condition + 1} ({_entry(self.statement.conditions, condition)})"
+        return f"integral {condition - ends + 1} ({_entry(self.statement.integrals, condition - ends)})"
+
+
+def _entry(expressions: Sequence[Expression], index: int) -> str:
+    """One scalar of several expressions as text, cut where it is long."""
+    entries = [entry for expression in expressions for entry in ca.vertsplit(ca.vec(expression))]
+    text = str(entries[index])
+    words = text[1:-1] if text[:1] == "(" and text[-1:] == ")" else text
+    return cut(words, LONGEST_CONDITION)

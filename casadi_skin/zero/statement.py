@@ -1,0 +1,379 @@
+"""Statement of a boundary-value problem: a model, conditions at the ends and in the mean, free parameters."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field
+from functools import cached_property, wraps
+from inspect import Parameter, signature
+from numbers import Real
+from typing import Any, ClassVar, TypeVar
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.model.arguments import by_name, check_name, number, short_repr
+from casadi_skin.model.expressions import Expression, expression_of, in_scalars, is_comparison, product, total
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.zero.formulation import Formulation
+from casadi_skin.zero.problem import Array
+
+Bounds = Mapping[str, tuple[float, float]]
+
+
+Kind = TypeVar("Kind")
+
+
+def arguments_once(cls: type[Kind]) -> type[Kind]:
+    """The class, which refuses arguments that are given both in order and by name, and those in order that are none."""
+    made: Any = cls.__init__
+    names = [name for name, entry in signature(made).parameters.items() if entry.kind is not Parameter.KEYWORD_ONLY][1:]
+
+    @wraps(made)
+    def once(self: Any, *given: Any, **named: Any) -> None:
+        for place, (name, value) in enumerate(zip(names, given, strict=False), start=1):
+            if name in named:
+                twice = f"{short_repr(value)} as argument {place} and {short_repr(named[name])} by name"
+                raise TypeError(f"{name}: given twice, {twice}; accepted: once")
+        if len(given) > len(names):
+            more = short_repr(given[len(names)])
+            raise TypeError(f"given {more} as positional argument {len(names) + 1}; accepted: {', '.join(names)}")
+        made(self, *given, **named)
+
+    setattr(cls, "__init__", once)  # noqa: B010  mypy takes no method for another
+    return cls
+
+
+@arguments_once
+@dataclass(frozen=True, eq=False)
+class Statement:
+    """x' = f(t, x, p) on an interval, with `conditions` and `integrals` that vanish and parameters that are `free`.
+
+    `conditions` are expressions in `model.start(x)`, `model.end(x)` and the parameters, or a function f(start, end, p)
+    that returns them; `integrals` are expressions in t, x and the parameters, or f(t, x, p), whose integrals over the
+    `interval` vanish; its ends are numbers or expressions in the parameters. `parameters` are values by name, those of
+    the free ones guesses; where one is left out it is the model's nominal value. Without an objective there are as many
+    conditions and integrals as states and free parameters. `objective`, in ends and parameters, plus the integral of
+    `running` is minimised subject to all these; `bounds` hold states (everywhere) and free parameters by name; a
+    branch ends where one is met.
+
+    Raises ValueError and TypeError, naming the argument and the accepted values, where these do not fit.
+    """
+
+    model: OdeModel
+    conditions: Sequence[Expression]
+    integrals: Sequence[Expression] = ()
+    interval: tuple[Expression | float, Expression | float] = (0.0, 1.0)
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    free: Sequence[str] = ()
+    _: KW_ONLY
+    bounds: Bounds = field(default_factory=dict)
+    objective: Expression | None = None
+    running: Expression | None = None
+    always_confirmed: ClassVar[bool] = True  # by a call of Ipopt, as every orbit is
+
+    def __post_init__(self) -> None:
+        self._check_kinds()
+        self._take_expressions()
+        _check_names("free", self.free, self.model.parameter_names)
+        if len(set(self.free)) < len(self.free):
+            raise ValueError(f"free: given {short_repr(list(self.free))}; accepted: each parameter once")
+        self._check_values()
+        self._check_expressions()
+        self._check_count()
+        self._check_bounds()
+        if isinstance(self.model.state, ca.MX):
+            self._take_scalar_operations()
+
+    # Checks ---------------------------------------------------------------------------------------------------------
+
+    def _check_kinds(self) -> None:
+        if not isinstance(self.model, OdeModel):
+            raise TypeError(f"model: given {short_repr(self.model)}; accepted: an OdeModel")
+        if not isinstance(self.free, list | tuple):
+            raise TypeError(f"free: given {short_repr(self.free)}; accepted: a list of names of parameters")
+        object.__setattr__(self, "parameters", by_name("parameters", self.parameters))
+        object.__setattr__(self, "bounds", by_name("bounds", self.bounds, "(lower, upper)"))
+        if _is_interval(self.integrals):
+            accepted = "expressions in t, x and the parameters; the interval is argument 4, or interval=(start, end)"
+            raise TypeError(f"integrals: given {short_repr(self.integrals)}, two numbers; accepted: {accepted}")
+        if not isinstance(self.interval, list | tuple) or len(self.interval) != 2:
+            raise TypeError(f"interval: given {short_repr(self.interval)}; accepted: (start, end)")
+        for end in self.interval:
+            if isinstance(end, ca.SX | ca.MX):
+                check_expressions([("interval", end)], [self.model.parameters])
+                if end.numel() != 1:
+                    raise ValueError(f"interval: given an end of shape {end.shape}; accepted: scalars")
+            elif isinstance(end, bool) or not isinstance(end, Real):
+                raise TypeError(f"interval: given {short_repr(end)}; accepted: numbers or expressions in parameters")
+
+    def _take_expressions(self) -> None:
+        """Turn functions, lists and numbers into the expressions that they stand for."""
+        ends = [*self.model.ends, self.model.parameters]
+        along = [self._time, self.model.full_state, self.model.parameters]
+        taken: dict[str, Any] = {
+            "conditions": _listed("conditions", self.conditions, ends, "f(start, end, p)"),
+            "integrals": _listed("integrals", self.integrals, along, "f(t, x, p)"),
+        }
+        if self.objective is not None:
+            taken["objective"] = expression_of("objective", self.objective, ends, "f(start, end, p)", constants=False)
+        if self.running is not None:
+            taken["running"] = expression_of("running", self.running, along, constants=False)
+        for label, value in taken.items():
+            object.__setattr__(self, label, value)
+
+    def _take_scalar_operations(self) -> None:
+        """Write expressions in MX as scalar operations, which files keep to the last bit."""
+        ends = [*self.model.ends, self.model.parameters]
+        along = [self._time, self.model.full_state, self.model.parameters]
+        for label, symbols in (("conditions", ends), ("integrals", along)):
+            object.__setattr__(self, label, tuple(in_scalars(symbols, entry) for entry in getattr(self, label)))
+        for label, symbols in (("objective", ends), ("running", along)):
+            if getattr(self, label) is not None:
+                object.__setattr__(self, label, in_scalars(symbols, getattr(self, label)))
+
+    def _check_values(self) -> None:
+        start, end = self.span(np.array(list(self.values.values())))
+        if not (np.isfinite(start) and np.isfinite(end) and end > start):
+            raise ValueError(f"interval: given ({start:g}, {end:g}); accepted: finite ends, the second larger")
+
+    def _check_expressions(self) -> None:
+        along = [self._time, self.model.full_state, self.model.parameters]
+        groups: list[tuple[str, Sequence[Any], str, Any, list[Expression]]] = [
+            ("conditions", self.conditions, "objective", self.objective, [*self.model.ends, self.model.parameters]),
+            ("integrals", self.integrals, "running", self.running, along),
+        ]
+        for label, expressions, sum_of, one, symbols in groups:
+            named = [(f"{label}, number {place}", given) for place, given in enumerate(expressions, start=1)]
+            check_expressions(named if one is None else [*named, (sum_of, one)], symbols)
+            if one is not None and one.numel() != 1:
+                raise ValueError(f"{sum_of}: given shape {one.shape}; accepted: a scalar expression")
+
+    def _check_count(self) -> None:
+        given = _count(self.conditions) + _count(self.integrals)
+        unknown = self.model.full_size + len(self.free)
+        what = f"{self.model.full_size} states and {len(self.free)} free parameters"
+        if self.optimises and given > unknown:
+            raise ValueError(f"conditions: given {given} with an objective; accepted: at most {unknown}, for {what}")
+        if not self.optimises and given != unknown:
+            kinds = f"{_count(self.conditions)} at the ends and {_count(self.integrals)} integrals"
+            raise ValueError(f"conditions: given {given} ({kinds}); accepted: {unknown}, for {what}")
+
+    def _check_bounds(self) -> None:
+        _check_names("bounds", self.bounds, (*self.model.state_names, *self.free))
+        for name, bound in self.bounds.items():
+            pair = isinstance(bound, list | tuple) and len(bound) == 2 and all(isinstance(b, Real) for b in bound)
+            if not pair or not bound[0] < bound[1]:
+                raise ValueError(
+                    f"bounds: given {short_repr(bound)} for {name}; accepted: (lower, upper), lower < upper"
+                )
+
+    # Parts ------------------------------------------------------------------------------------------------------------
+
+    @property
+    def optimises(self) -> bool:
+        """Whether the problem has an objective."""
+        return self.objective is not None or self.running is not None
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """Value of each parameter by name, in the order of the model; guesses of the free ones."""
+        return named_values(self.model, self.parameters)
+
+    @cached_property
+    def _time(self) -> Expression:
+        return type(self.model.state).sym("t") if self.model.time is None else self.model.time
+
+    def _end_of_interval(self, i: int, parameters: Any) -> Any:
+        """The start (0) or the end (1) of the interval at parameters: numbers, or an expression of the same kind."""
+        end = self.interval[i]
+        if not isinstance(end, ca.SX | ca.MX):
+            return float(end)
+        found = ca.Function("t", [self.model.parameters], [end])(parameters)
+        return float(found) if isinstance(found, ca.DM) else found
+
+    def ends_at(self, parameters: Any) -> tuple[Any, Any]:
+        """Start and end of the interval at parameters, numbers or expressions."""
+        return self._end_of_interval(0, parameters), self._end_of_interval(1, parameters)
+
+    def along(self, name: str, expression: Expression) -> ca.Function:
+        """Function (t, x, p) of an expression in these."""
+        return ca.Function(name, [self._time, self.model.full_state, self.model.parameters], [expression])
+
+    def span(self, parameters: np.ndarray[Any, Any]) -> tuple[float, float]:
+        """Start and end of the interval at values of all parameters, in the model's order."""
+        start, end = self.ends_at(parameters)
+        return float(start), float(end)
+
+    @cached_property
+    def switching(self) -> Array:
+        """Fractions of the interval at which the equations switch by time alone: edges of every mesh."""
+        p = np.array(list(self.values.values()))
+        return self.model.jumps.times(*self.span(p), p)
+
+    @cached_property
+    def _formulations(self) -> dict[str | None, Formulation]:
+        return {}
+
+    def formulation(self, walking: str | None = None) -> Formulation:
+        """This problem on [0, 1] at any values; the last scalar u takes the parameter `walking`, if any, along.
+
+        It is made once for all values of parameters, and keeps its discretisations: solving again builds nothing.
+        """
+        if walking not in self._formulations:
+            self._formulations[walking] = self._formulated(walking)
+        return self._formulations[walking]
+
+    def constants(self, walking: str | None = None, end: float = 1.0) -> Array:
+        """Values of the formulation's constants: of all parameters; then the way of the one that walks to `end`."""
+        values = list(self.values.values())
+        return np.array(values if walking is None else [*values, end - self.values[walking]])
+
+    def _formulated(self, walking: str | None) -> Formulation:
+        if isinstance(self.model.state, ca.MX):
+            return self._formulated_by_calls(walking)
+        model, (t0, t1) = self.model, self.interval
+        unit = not any(isinstance(end, ca.SX) for end in (t0, t1)) and (t0, t1) == (0.0, 1.0)
+        s, u, way = self._time, ca.SX.sym("u"), ca.SX.sym("way", int(walking is not None))
+        field = model.full_rhs if unit else product(model.full_rhs, t1 - t0)
+        conditions, integrands = _stacked(ca.SX, self.conditions), _stacked(ca.SX, self.integrals)
+        if self.integrals:
+            integrands = product(integrands, t1 - t0)
+        several = bool(self.free) or walking is not None
+        symbols = dict(zip(model.parameter_names, ca.vertsplit(model.parameters), strict=True)) if several else {}
+        if not unit and (model.forced or self.integrals):
+            s = ca.SX.sym("s")
+            field, integrands = ca.substitute([field, integrands], [self._time], [total(product(s, t1 - t0), t0)])
+        if walking is not None:  # the ends of the interval may depend on it
+            along = [symbols[walking]], [symbols[walking] + u * way]
+            field, conditions, integrands = ca.substitute([field, conditions, integrands], *along)
+        scalars, constants = u, model.parameters
+        if self.free:
+            scalars = ca.vertcat(*(symbols[name] for name in self.free), u)
+        if several:
+            given = [ca.SX.sym(name) if name in self.free else symbol for name, symbol in symbols.items()]
+            constants = ca.vertcat(*given, way)
+        x, ends, idle = model.full_state, model.ends, not several
+        return Formulation(s, x, ends, scalars, field, conditions, integrands, constants, idle)
+
+    def _formulated_by_calls(self, walking: str | None) -> Formulation:
+        """The same of programs, in which nothing can be replaced."""
+        model, kind = self.model, type(self.model.state)
+        s, x, last = kind.sym("s"), kind.sym("x", model.full_size), kind.sym("end", model.full_size)
+        scalars = kind.sym("scalars", len(self.free) + 1)
+        constants = kind.sym("constants", len(self.values) + (walking is not None))
+        p = self._along(scalars, ca.vertsplit(constants), walking)
+        t0, t1 = self.ends_at(p)
+        time = t0 + s * (t1 - t0)
+        border = ca.Function("border", [*model.ends, model.parameters], [_stacked(kind, self.conditions)])
+        integrands = kind(0, 1)
+        if self.integrals:
+            integrands = (t1 - t0) * self.along("mean", _stacked(kind, self.integrals))(time, x, p)
+        field = (t1 - t0) * model.field_at(time, x, p)
+        return Formulation(s, x, (x, last), scalars, field, border(x, last, p), integrands, constants)
+
+    def parameters_at(self, scalars: Any, walking: str | None = None, end: float = 1.0) -> Any:
+        """All parameters, in the model's order, from the scalars among the unknowns."""
+        return self._along(scalars, self.constants(walking, end), walking)
+
+    def _along(self, scalars: Any, constants: Any, walking: str | None) -> Any:
+        """The same, from the constants of the formulation too."""
+        entries = []
+        for name, value in zip(self.values, constants, strict=False):
+            if name in self.free:
+                entries.append(scalars[list(self.free).index(name)])
+            elif name == walking:
+                entries.append(value + scalars[len(self.free)] * constants[-1])
+            else:
+                entries.append(value)
+        if isinstance(scalars, np.ndarray):
+            return np.array(entries, dtype=float)
+        return ca.vertcat(*entries) if entries else type(self.model.parameters)(0, 1)
+
+    def with_parameters(self, **values: float) -> Statement:
+        """The same problem at other values of parameters; functions built for one serve all."""
+        _ = self._formulations  # shared by the copy
+        other = copy.copy(self)
+        for name in ("values", "switching"):
+            other.__dict__.pop(name, None)
+        object.__setattr__(other, "parameters", by_name("parameters", {**self.parameters, **values}))
+        other._check_values()
+        return other
+
+
+def _is_interval(given: object) -> bool:
+    """Whether this is a pair of numbers, as an interval is and no list of integrals."""
+    numbers = isinstance(given, list | tuple | np.ndarray) and len(given) == 2
+    return numbers and all(isinstance(end, Real) for end in given)  # type: ignore[attr-defined]
+
+
+def named_values(model: OdeModel, given: Mapping[str, float] | None) -> dict[str, float]:
+    """Value of each parameter of a model by name, in its order: that of the argument, or nominal.
+
+    Raises ValueError for unknown names and where a parameter has no value, TypeError for other objects than mappings.
+    """
+    given = by_name("parameters", given)
+    _check_names("parameters", given, model.parameter_names)
+    nominal = dict(zip(model.parameter_names, model.nominal or (), strict=False))
+    values = nominal | {name: number(f"parameters, {name}", value) for name, value in given.items()}
+    for name in model.parameter_names:
+        if name not in values:
+            raise ValueError(f"parameters: given none for {name}; accepted: a number for each, or nominal values")
+    return {name: values[name] for name in model.parameter_names}
+
+
+def _listed(label: str, given: Any, symbols: Sequence[Expression], form: str) -> tuple[Expression, ...]:
+    """Expressions of a list, or of a function of the symbols, or one that stands alone."""
+    if isinstance(given, ca.SX | ca.MX) or callable(given):
+        return (expression_of(label, given, symbols, form, constants=False),)
+    if not isinstance(given, list | tuple) and not (isinstance(given, np.ndarray) and given.ndim):
+        accepted = f"a list of expressions, or a function {form} that returns them"
+        raise TypeError(f"{label}: given {short_repr(given)}; accepted: {accepted}")
+    numbered = ((f"{label}, number {k}", entry) for k, entry in enumerate(given, start=1))
+    return tuple(expression_of(place, entry, symbols, form, constants=False) for place, entry in numbered)
+
+
+def _count(expressions: Iterable[Expression]) -> int:
+    return sum(int(expression.numel()) for expression in expressions)
+
+
+def _stacked(kind: Any, expressions: Sequence[Expression]) -> Expression:
+    columns = [e if e.is_column() else ca.vec(e) for e in expressions]
+    return ca.vertcat(*columns) if columns else kind(0, 1)
+
+
+def _check_names(label: str, given: Iterable[str], known: Sequence[str]) -> None:
+    for name in given:
+        check_name(label, name, known)
+
+
+def check_expressions(named: Sequence[tuple[str, Any]], symbols: list[Expression]) -> None:
+    """Raises TypeError for other objects than such expressions, ValueError where one depends on other symbols."""
+    kind = type(symbols[0])
+    for label, expression in named:
+        if not isinstance(expression, kind):
+            raise TypeError(
+                f"{label}: given {short_repr(expression)}; accepted: a CasADi expression of kind {kind.__name__}"
+            )
+        if is_comparison(expression):
+            raise ValueError(
+                f"{label}: given a comparison, {short_repr(expression)}; accepted: an expression, x - 1 for x == 1"
+            )
+    if not named or not _free(symbols, [expression for _, expression in named]):
+        return
+    for label, expression in named:
+        _check_symbols(label, expression, symbols)
+
+
+def _free(symbols: list[Expression], expressions: list[Expression]) -> list[str]:
+    """Names of symbols that expressions depend on beside these."""
+    found: list[str] = ca.Function("f", symbols, expressions, {"allow_free": True}).get_free()
+    return found
+
+
+def _check_symbols(label: str, expression: Expression, symbols: list[Expression]) -> None:
+    if stranger := _free(symbols, [expression]):
+        known = [symbol.name() for block in symbols for symbol in ca.symvar(block)]
+        other = " of another model" if set(stranger) <= set(known) else ""
+        raise ValueError(f"{label}: depends on {', '.join(stranger)}{other}; accepted: {', '.join(known) or 'numbers'}")
