@@ -226,7 +226,7 @@ def _branching(space: Followed, reference: Point) -> tuple[str, Test]:
 def _null_space(point: Point) -> NullSpace:
     """Null vectors of dF/dy, in the sizes of the branch: tests along it have one scale."""
     problem = cast(ExtendedSystem, point.problem)
-    return NullSpace.of(jacobian_of(problem, point.z), np.ones(problem.statics.size), problem.statics.model.rounding)
+    return NullSpace.of_rates(jacobian_of(problem, point.z), np.ones(problem.statics.size))
 
 
 def _kappa(point: Point) -> float:

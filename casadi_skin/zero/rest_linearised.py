@@ -125,6 +125,18 @@ class NullSpace:
     uncertain: float
 
     @classmethod
+    def of_rates(cls, matrix: Array, units: Array, rounding: float = EPSILON) -> NullSpace:
+        """Of df/dx in x' = f(x): rows are measured by the units of the state, as columns are.
+
+        The largest entry of a row is no measure of it: where the equation of one component alone is singular, all
+        entries of its row are rounding.
+        """
+        left, values, right = np.linalg.svd(matrix * units / units[:, None])
+        return cls(
+            values, left / units[:, None], right.T * units[:, None], 4.0 * ROUNDING * rounding * float(values[0])
+        )
+
+    @classmethod
     def of(cls, matrix: Array, columns: Array, rounding: float = EPSILON, change: Array | None = None) -> NullSpace:
         """Of a matrix whose unknowns are measured by `columns`; each row counts by its largest entry.
 

@@ -105,7 +105,7 @@ def null_vectors(A: Array) -> tuple[Array, Array]:
     The largest entry of v is positive.
     """
     units = balanced(A)[1]
-    found = NullSpace.of(A, units)
+    found = NullSpace.of_rates(A, units)
     v, psi = found.right[:, -1], found.left[:, -1]
     v = v * np.sign(v[np.argmax(np.abs(v))]) / np.linalg.norm(v)
     product = float(psi @ v)

@@ -77,7 +77,7 @@ class FoldSystem(ExtendedSystem):
         self, matrix: Array, y: Array, scalars: Array, near: complex | None = None
     ) -> tuple[AlgebraicProblem, Array]:
         units = self._units_near(y, scalars)
-        v = NullSpace.of(matrix, units).right[:, -1]
+        v = NullSpace.of_rates(matrix, units).right[:, -1]
         return self.with_constants(units**-2.0), np.concatenate([y, v, scalars, [0.0]])
 
 
@@ -97,7 +97,7 @@ class BranchSystem(ExtendedSystem):
         self, matrix: Array, y: Array, scalars: Array, near: complex | None = None
     ) -> tuple[AlgebraicProblem, Array]:
         units = self._units_near(y, scalars)
-        psi = NullSpace.of(matrix, units).left[:, -1]
+        psi = NullSpace.of_rates(matrix, units).left[:, -1]
         c = psi * units**2 / np.linalg.norm(psi * units)
         return self.with_constants(c), np.concatenate([y, psi / (c @ psi), scalars, [0.0, 0.0]])
 

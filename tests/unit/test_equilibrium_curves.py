@@ -31,6 +31,34 @@ def test_the_folds_of_ab_meet_in_the_cusp_in_closed_form() -> None:
     np.testing.assert_array_equal(curve.parameters["p"], [solution["p"] for solution in curve.solutions])
 
 
+@pytest.mark.parametrize("rate", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("rest", [0.0, 1.0, 1e-4])
+def test_states_that_take_no_part_change_no_curve(rate: float, rest: float) -> None:
+    """x' = a + b x - x^3, y' = rate (rest - y): one cusp, at a = b = 0, and folds along 27 a^2 = 4 b^3."""
+    x, y, a, b = symbols("x y a b")
+    model = _model("cusp", [x, y], [a + b * x - x**3, rate * (rest - y)], [a, b], (-1.0, 1.0))
+    branch = find_equilibrium(model, [-1.3, rest], parameters={"a": -1.0, "b": 1.0}).follow("a", 1.0)
+    assert [point.kind for point in branch.special_points] == ["fold", "fold"]
+    assert abs(abs(branch.special_points[0].coefficient) - np.sqrt(3.0)) < 1e-9  # 3 x with x^2 = 1/3
+    curve = branch.special_points[0].curve("b", -1.0)
+    np.testing.assert_allclose(27.0 * curve.parameters["a"] ** 2, 4.0 * curve.parameters["b"] ** 3, atol=1e-12)
+    assert [point.kind for point in curve.special_points] == ["cusp"]
+    assert abs(curve.special_points[0].parameters["a"]) + abs(curve.special_points[0].parameters["b"]) < 1e-12
+
+
+@pytest.mark.parametrize("rate", [1e-3, 1.0, 1e3])
+def test_states_that_take_no_part_change_no_curve_of_branch_points(rate: float) -> None:
+    """x' = (a - k) x + (k^2 - 1/4) x^3, y' = -rate y: pitchforks along a = k, degenerate where k = 1/2."""
+    x, y, a, k = symbols("x y a k")
+    model = _model("pitchfork", [x, y], [(a - k) * x + (k**2 - 0.25) * x**3, -rate * y], [a, k], (-1.0, 0.0))
+    branch = find_equilibrium(model, [0.0, 0.0], parameters={"a": -1.0, "k": 0.0}).follow("a", 1.0)
+    assert [point.kind for point in branch.special_points] == ["branch point"]
+    curve = branch.special_points[0].curve("k", 1.0)
+    np.testing.assert_allclose(curve.parameters["a"], curve.parameters["k"], atol=1e-12)
+    assert [point.kind for point in curve.special_points] == ["degenerate pitchfork"]
+    assert abs(curve.special_points[0].parameters["k"] - 0.5) < 1e-10
+
+
 @pytest.mark.slow
 def test_the_bogdanov_takens_point_of_ab_has_trace_and_determinant_zero() -> None:
     fold = find_equilibrium(ab(), [0, 0]).follow("p", 0.25).special_points[0]
