@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 MARK = "<!-- gallery -->"
-NAMES = "examples lattices lattice_examples equilibria maps search scenes_of_any_model fmu"
+NAMES = "examples lattices equilibria maps search scenes_of_any_model fmu"
 PAGES = tuple(f"{name}.md" for name in NAMES.split())
-PICTURE = re.compile(r"^(#{1,3}) (?P<head>.+)$|^!\[(?P<words>[^\]]*)\]\((?P<path>pictures/[^)]+)\)", re.MULTILINE)
+PICTURE = re.compile(r"^(#{1,4}) (?P<head>.+)$|^!\[(?P<words>[^\]]*)\]\((?P<path>pictures/[^)]+)\)", re.MULTILINE)
 
 
 def on_page_markdown(markdown: str, config: Any, **_: Any) -> str:

@@ -23,12 +23,17 @@ WITH_PROGRAMS = [name for name, path in PAGES.items() if "```python\n" in path.r
 NOTEBOOKS = ("my_chain", "my_lattice", "my_ode")
 ELSEWHERE = ("smallest_kick",)  # its program takes a minute; test_example_scripts.py does the same with fewer starts
 CLUSTERS = ("executorlib", "mpi4py", "dask_jobqueue")  # programs that import these need a cluster
-REFERENCES = (
+REFERENCES = (  # tables and formulas to look things up in, partly generated
+    "accuracy_and_speed",
+    "boundary_speed",
+    "examples",
     "paper_claims",
+    "peers",
+    "proofs",
     "python_reference",
     "scene_reference",
-    "tradeoff_table",
-)  # tables to look things up in, partly generated
+    "tradeoff",
+)
 MOST_WORDS = 1500
 CHART = """[chain]
 sites = 4
