@@ -15,7 +15,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VEC
     os.environ.setdefault(_name, "1")  # each core has a worker of its own
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-from casadi_skin.follow import family  # noqa: E402  numpy is imported with it, which reads them
+from casadi_skin.follow import family  # numpy is imported with it, which reads them
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:

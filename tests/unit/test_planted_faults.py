@@ -22,12 +22,12 @@ from casadi_skin.zero.stated_problem import BoundaryProblem
 
 flint = pytest.importorskip("flint")
 
-from casadi_skin.certify import balls  # noqa: E402
-from casadi_skin.certify.attempt import cosine_coefficients  # noqa: E402
-from casadi_skin.certify.bounds import FiniteInverse  # noqa: E402
-from casadi_skin.certify.certify import step_of  # noqa: E402
-from casadi_skin.certify.cosine_system import CosineSeries  # noqa: E402
-from casadi_skin.certify.model_terms import system_of  # noqa: E402
+from casadi_skin.certify import balls
+from casadi_skin.certify.attempt import cosine_coefficients
+from casadi_skin.certify.bounds import FiniteInverse
+from casadi_skin.certify.certify import step_of
+from casadi_skin.certify.cosine_system import CosineSeries
+from casadi_skin.certify.model_terms import system_of
 
 
 def test_bounds_of_a_ball_hold_for_every_number_in_it() -> None:

@@ -11,11 +11,11 @@ from casadi_skin import Chain, follow_family
 
 flint = pytest.importorskip("flint")
 
-from casadi_skin.certify import balls  # noqa: E402
-from casadi_skin.certify.certify import best_attempt  # noqa: E402
-from casadi_skin.certify.exponent import _bordered, _Pair, _toeplitz, enclosed_exponent  # noqa: E402
-from casadi_skin.certify.inertia import _count, negative_eigenvalues  # noqa: E402
-from casadi_skin.certify.linearised import Linearised, linearised  # noqa: E402
+from casadi_skin.certify import balls
+from casadi_skin.certify.certify import best_attempt
+from casadi_skin.certify.exponent import _bordered, _Pair, _toeplitz, enclosed_exponent
+from casadi_skin.certify.inertia import _count, negative_eigenvalues
+from casadi_skin.certify.linearised import Linearised, linearised
 
 
 def hill(blocks):

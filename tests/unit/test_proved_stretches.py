@@ -12,13 +12,13 @@ from casadi_skin import Chain, OdeModel, follow_family
 
 flint = pytest.importorskip("flint")
 
-from casadi_skin.certify import balls, polynomial_piece  # noqa: E402
-from casadi_skin.certify.attempt import attempt_near, distance  # noqa: E402
-from casadi_skin.certify.bounds import FiniteInverse, proved_radius  # noqa: E402
-from casadi_skin.certify.certify import provable, step_of  # noqa: E402
-from casadi_skin.certify.model_terms import system_of  # noqa: E402
-from casadi_skin.certify.polynomial_piece import piece_constants  # noqa: E402
-from casadi_skin.certify.stretch import _fault, _joined, _only_one, _piece, _Stretch  # noqa: E402
+from casadi_skin.certify import balls, polynomial_piece
+from casadi_skin.certify.attempt import attempt_near, distance
+from casadi_skin.certify.bounds import FiniteInverse, proved_radius
+from casadi_skin.certify.certify import provable, step_of
+from casadi_skin.certify.model_terms import system_of
+from casadi_skin.certify.polynomial_piece import piece_constants
+from casadi_skin.certify.stretch import _fault, _joined, _only_one, _piece, _Stretch
 
 NU = 1.02
 

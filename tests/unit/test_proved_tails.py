@@ -11,11 +11,11 @@ from casadi_skin.lattice.full_chain import FullChain
 
 flint = pytest.importorskip("flint")
 
-from casadi_skin.certify import balls  # noqa: E402
-from casadi_skin.certify.bounds import FiniteInverse  # noqa: E402
-from casadi_skin.certify.cosine_system import CosineSeries  # noqa: E402
-from casadi_skin.certify.model_terms import system_of  # noqa: E402
-from casadi_skin.certify.tailed_system import tailed_system  # noqa: E402
+from casadi_skin.certify import balls
+from casadi_skin.certify.bounds import FiniteInverse
+from casadi_skin.certify.cosine_system import CosineSeries
+from casadi_skin.certify.model_terms import system_of
+from casadi_skin.certify.tailed_system import tailed_system
 
 INFINITE = float("inf")
 
