@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 from casadi_skin._version import __version__
 
 if TYPE_CHECKING:
-    from casadi_skin.dynamics.simulation import simulate
+    from casadi_skin.dynamics.evolve import simulate
     from casadi_skin.export.c_code import export_c
     from casadi_skin.fmu.archive import export_fmu
-    from casadi_skin.fmu.fmu import import_fmu
+    from casadi_skin.fmu.model import import_fmu
     from casadi_skin.follow.branch import Branch
     from casadi_skin.follow.find import find_equilibria, find_equilibrium
     from casadi_skin.follow.find_orbit import find_orbit
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from casadi_skin.model.ode import OdeModel
     from casadi_skin.model.saved import read_model, save_model
     from casadi_skin.model.symmetry import SymmetryClass
+    from casadi_skin.optimise.kick import smallest_kick
     from casadi_skin.optimise.search_orbit import search_orbit
-    from casadi_skin.optimise.smallest_kick import smallest_kick
     from casadi_skin.results.saving import read_result, save_result
     from casadi_skin.runs.read_map import read_map
     from casadi_skin.runs.run_map import run_map
@@ -82,16 +82,16 @@ def __getattr__(name: str) -> Any:
         "find_equilibrium": "follow.find",
         "find_orbit": "follow.find_orbit",
         "follow_family": "follow.follow",
-        "import_fmu": "fmu.fmu",
+        "import_fmu": "fmu.model",
         "read_map": "runs.read_map",
         "read_model": "model.saved",
         "run_map": "runs.run_map",
         "read_result": "results.saving",
         "save_model": "model.saved",
         "save_result": "results.saving",
-        "simulate": "dynamics.simulation",
+        "simulate": "dynamics.evolve",
         "search_orbit": "optimise.search_orbit",
-        "smallest_kick": "optimise.smallest_kick",
+        "smallest_kick": "optimise.kick",
     }
     if name not in places:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import Chain, follow_family, search_orbit
-from casadi_skin.optimise.result import SearchResult
+from casadi_skin.optimise.search import SearchResult
 from casadi_skin.results.figures.style import style
 
 CHAIN = Chain(sites=24, alpha=1.0, gamma=0.4, g=1.0)

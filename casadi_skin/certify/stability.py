@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_skin.certify import balls
+from casadi_skin.certify import system as balls
 from casadi_skin.certify.certificate import STABLE, UNDECIDED, UNSTABLE, ProvedStability
 from casadi_skin.certify.certify import WEIGHT, best_attempt, reason_of
-from casadi_skin.certify.exponent import enclosed_exponent
-from casadi_skin.certify.inertia import negative_eigenvalues
-from casadi_skin.certify.linearised import Linearised, linearised
+from casadi_skin.certify.exponents import Linearised, enclosed_exponent, linearised, negative_eigenvalues
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.solve.threads import one_thread

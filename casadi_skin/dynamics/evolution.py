@@ -3,17 +3,146 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.dynamics.equations import GAUGE, EquationsOfMotion
 from casadi_skin.model.arrays import at_instants, instants
+from casadi_skin.model.cvodes import stiff_cvodes
+from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import NoQuantityError, Result
+from casadi_skin.model.trajectory import IntegrationError
 from casadi_skin.zero.problem import Array
+
+# The cycle that an evolution settles on: where it returns to itself, followed on where its outputs do not show it -----
+
+FEWEST = 40  # output times that a cycle is looked for in
+AT_REST, NOISE = 1e-6, 100.0  # motion relative to that of the whole time, and to the tolerance, that is none
+CLOSED = 0.02  # distance of two states a cycle apart, relative to the cycle's size
+TOLERANCE, SMALL = 1e-11, 1e-6  # of the motion that is followed on; of the largest component, a size at least
+PLACE, PLACES, MOST_STRETCHES = 0.02, 2000, 200  # of a size, from place to place; places a stretch; stretches
+TIME_SHARE = 40.0  # sizes that the whole time counts as
+CUBIC, ROUNDS = 1e-6, 20  # what cubics between the samples of a cycle may be off, of the value; halvings at most
+LEAST = 1e-6  # of a size: smaller values are measured by it
+
+
+def last_cycle(evolution: Evolution) -> tuple[Evolution, float, float]:
+    """An evolution with the start and the period of its last cycle; raises ValueError where it has none.
+
+    It is the one that is given, or the motion that goes on from its end, at times that follow the cycle closely.
+    """
+    found = _cycle(evolution)
+    if found is not None:
+        return evolution, *found
+    later = _along_its_path(evolution)
+    found = _cycle(later)
+    if found is None:
+        t = evolution.t
+        raise ValueError(f"last_cycle: from t = {t[0]:g} to {t[-1]:g} the state does not come back to itself")
+    return _resolved(later, *found)
+
+
+def _cycle(evolution: Evolution) -> tuple[float, float] | None:
+    """Start and period of the last cycle that output times show; None where they show none."""
+    t, states = evolution.t, evolution.states
+    if t.size < FEWEST:
+        raise ValueError(f"last_cycle: given {t.size} output times; accepted: {FEWEST} or more, 20 a cycle")
+    half = states[t.size // 2 :]
+    spread = np.ptp(half, axis=0)
+    still = np.maximum(AT_REST * np.ptp(states, axis=0), NOISE * evolution.tolerance * np.max(np.abs(states)))
+    if np.all(spread <= still):
+        raise ValueError(f"last_cycle: from t = {t[t.size // 2]:g} on the state rests: this is an equilibrium")
+    component = int(np.argmax(np.std(half, axis=0)))
+    level = float(np.mean(half[:, component]))
+    below = states[:, component] < level
+    up = np.flatnonzero(below[:-1] & ~below[1:])
+    for earlier in up[-2::-1]:
+        start, end = (_crossing(evolution, i, component, level) for i in (earlier, up[-1]))
+        gap = np.abs(evolution.evaluate(start) - evolution.evaluate(end))
+        if np.all(gap <= CLOSED * np.maximum(spread, 1e-9 * spread.max())):
+            return start, end - start
+    return None
+
+
+def _crossing(evolution: Evolution, i: int, component: int, level: float) -> float:
+    """The time between two output times at which a component has a value."""
+    from scipy.optimize import brentq
+
+    curve = evolution.curve
+    return float(brentq(lambda t: curve(t)[component] - level, evolution.t[i], evolution.t[i + 1]))
+
+
+def _along_its_path(evolution: Evolution) -> Evolution:
+    """The motion from the last state on for as long again, by CVODES, at places evenly along its path.
+
+    The length of the path, in the sizes of the components, is the independent variable, with a share of the time that
+    keeps it moving at rest: a jump, however fast, has as many places as its length asks for. Sizes grow with what is
+    found: the output times may have missed all jumps.
+    """
+    equations, t, states = evolution.equations, evolution.t, evolution.states
+    begin, span, places = float(t[-1]), float(t[-1] - t[0]), PLACE * np.arange(1.0, PLACES + 1)
+    path, sizes = np.append(states[-1], 0.0)[None], np.max(np.abs(states), axis=0)
+    for _ in range(MOST_STRETCHES):
+        sizes = np.maximum(sizes, np.max(np.abs(path[:, :-1]), axis=0))
+        scale = np.append(_least(sizes), 1.0)
+        model = _by_length(equations.physical, scale[:-1], begin, span)
+        try:
+            found = stiff_cvodes(model, equations.values, path[-1] / scale, places, TOLERANCE).states
+        except IntegrationError:
+            return evolution
+        path = np.vstack([path, scale * found[: np.searchsorted(found[:, -1], 1.0) + 1]])
+        if path[-1, -1] >= 1.0:
+            break
+    times = begin + span * path[:, -1]
+    later = np.append(True, np.diff(times) > 0.0)
+    return replace(evolution, t=times[later], states=path[later, :-1])
+
+
+def _least(sizes: Array) -> Array:
+    return np.maximum(sizes, SMALL * np.max(sizes))
+
+
+def _by_length(model: OdeModel, scale: Array, start: float, span: float) -> OdeModel:
+    """A model in its states over `scale` and in (time - start)/span, by the length of the path in all of these."""
+    kind, n = type(model.state), scale.size
+    z, p = kind.sym("z", n + 1), kind.sym("p", model.parameters.numel())
+    rates = span * model.field_at(start + span * z[n], ca.DM(scale) * z[:n], p) / ca.DM(scale)
+    speed = TIME_SHARE + ca.sqrt(ca.sumsqr(rates))
+    return OdeModel(model.name, z, ca.vertcat(rates, 1.0) / speed, p, checked=False)
+
+
+def _resolved(evolution: Evolution, start: float, period: float) -> tuple[Evolution, float, float]:
+    """A cycle at so many times that the cubics between its states follow the motion.
+
+    Stretches are halved by CVODES until what their cubic misses halfway is small: beside a jump states decay within
+    times that no length of the path shows.
+    """
+    first = int(np.searchsorted(evolution.t, start, side="right")) - 1
+    last = int(np.searchsorted(evolution.t, start + period)) + 1
+    found = replace(evolution, t=evolution.t[first:last], states=evolution.states[first:last])
+    sizes = _least(np.max(np.abs(found.states), axis=0))
+    open_ends = np.ones(found.t.size - 1, dtype=bool)  # stretches that may have to be halved
+    for _ in range(ROUNDS):
+        middles = 0.5 * (found.t[:-1] + found.t[1:])[open_ends]
+        if not middles.size:
+            break
+        guessed, t = found.curve(middles), np.union1d(found.t, middles)
+        states = np.vstack([found.states[:1], _followed(found, t[1:])])
+        off = np.max(np.abs(states[np.searchsorted(t, middles)] - guessed) / (np.abs(guessed) + LEAST * sizes), axis=1)
+        found = replace(found, t=t, states=states)
+        open_ends = np.isin(t, middles[off > CUBIC])[1:] | np.isin(t, middles[off > CUBIC])[:-1]
+    return found, start, period
+
+
+def _followed(evolution: Evolution, t: Array) -> Array:
+    equations = evolution.equations
+    start, origin = evolution.states[0], float(evolution.t[0])
+    return stiff_cvodes(equations.physical, equations.values, start, t, TOLERANCE, origin).states
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +233,6 @@ class Evolution(Result):
         Raises:
             ValueError: there is none.
         """
-        from casadi_skin.dynamics.cycles import last_cycle
 
         return Cycle(*last_cycle(self))
 

@@ -10,7 +10,14 @@ from numpy.typing import ArrayLike
 
 from casadi_skin.dynamics.equations import GAUGE, PHYSICAL, EquationsOfMotion, MovingModel, equations_of_motion
 from casadi_skin.dynamics.evolution import Evolution, EvolutionError
+from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.closed_curve import CosineSeries, Curve, cosine_curve
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.model import methods
+from casadi_skin.model.arguments import by_name, number, short_repr, state_by_name
+from casadi_skin.model.arrays import real_array
+from casadi_skin.model.cvodes import stiff_cvodes
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.trajectory import IntegrationError, Integrator, Trajectory
 from casadi_skin.zero.problem import Array
@@ -177,3 +184,222 @@ def checked_vector(name: str, given: ArrayLike, components: tuple[str, ...], *si
     if not np.all(np.isfinite(vector)):
         raise ValueError(f"{name}: given a value that is not finite at {components[np.argmin(np.isfinite(vector))]}")
     return vector
+
+
+# Time evolution of an orbit of any model, perturbed or not (paper, Sec. III and Fig. 6) -------------------------------
+
+
+def orbit_equations(orbit: Orbit) -> EquationsOfMotion:
+    """The equations of an orbit, in the model's own coordinates, at the values of its parameters."""
+    space, model = orbit.space, orbit.model
+    if isinstance(space, BoundarySpace) and space.periodic is not None:
+        model = space.periodic.given
+    if not isinstance(model, OdeModel):
+        return equations_of_motion(model)
+    # The parameter for S in the normalisation of a family is none of its orbits, and not in the equations.
+    values = {name: orbit.parameters.get(name, 0.0) for name in model.parameter_names}
+    return equations_of_motion(model, values)
+
+
+def orbit_start(orbit: Orbit, equations: EquationsOfMotion) -> Array:
+    """State of an orbit at phase zero in the components of its equations, shape (component,)."""
+    return np.append(orbit.profile, np.zeros(equations.size - orbit.profile.size))  # an orbit of a family rests there
+
+
+def perturbed(
+    orbit: Orbit,
+    size: float,
+    *,
+    site: int | None = None,
+    vector: ArrayLike | None = None,
+    seed: int | None = None,
+) -> tuple[Array, Array]:
+    """A state near an orbit: that at phase zero plus `size` times a perturbation of norm 1 (paper, Fig. 6).
+
+    Arguments:
+        orbit: any orbit.
+        size: of the perturbation; the paper's is 0.005.
+        site: number of the one position that is displaced, from 1; in a model of first order of the component.
+        vector: direction, shape (position,) or (component,): displacements, then velocities.
+        seed: of random displacements, normally distributed; in a model of first order of all components.
+
+    Returns:
+        Displacements and velocities, shape (position,) each; of a model of first order the state, and no velocities.
+
+    Raises:
+        ValueError: not one of site, vector and seed is given, or the argument does not fit the model.
+    """
+    equations = orbit_equations(orbit)
+    state, n = orbit_start(orbit, equations), equations.positions or equations.size
+    if not np.isfinite(size):
+        raise ValueError(f"size: given {size!r}; accepted: a finite number")
+    given = [name for name, value in (("site", site), ("vector", vector), ("seed", seed)) if value is not None]
+    if len(given) != 1:
+        raise ValueError(f"perturbation: given {' and '.join(given) or 'none'}; accepted: one of site, vector, seed")
+    z = np.zeros(state.size)
+    if site is not None:
+        if not isinstance(site, int | np.integer) or not 1 <= site <= n:
+            raise ValueError(f"site: given {site!r}; accepted: 1..{n}")
+        z[site - 1] = 1.0
+    elif vector is not None:
+        direction = checked_vector("vector", vector, equations.names, *sorted({n, state.size}))
+        z[: direction.size] = direction
+    else:
+        z[:n] = np.random.default_rng(seed).normal(size=n)
+    largest = np.abs(z).max()
+    if largest == 0:
+        raise ValueError("vector: given zeros; accepted: a vector with a direction")
+    z /= largest * np.linalg.norm(z / largest)
+    return state[:n] + size * z[:n], state[n:] + size * z[n:]
+
+
+def simulate_orbit(
+    orbit: Orbit,
+    t: ArrayLike,
+    size: float = 0.0,
+    *,
+    site: int | None = None,
+    vector: ArrayLike | None = None,
+    seed: int | None = None,
+    method: str = "cvodes",
+    tolerance: float = 1e-11,
+    coordinates: str | None = None,
+) -> Evolution:
+    """Evolve an orbit from its phase zero, perturbed where a perturbation is given.
+
+    Arguments:
+        orbit: any orbit: of a family, or forced or dissipative of `find_orbit`.
+        t: the wanted times, ascending from 0 on.
+        size: of the perturbation.
+        site: see `perturbed`, as for `vector` and `seed`.
+        vector: direction of the perturbation.
+        seed: of a random perturbation.
+        method: see `evolve`, as for `tolerance` and `coordinates`.
+        tolerance: of one step.
+        coordinates: "gauge" or "physical".
+
+    Returns:
+        States at the times, in the coordinates of the model.
+
+    Raises:
+        ValueError: an argument is out of range.
+        EvolutionError: the integrator fails.
+    """
+    equations = orbit_equations(orbit)
+    state, n = orbit_start(orbit, equations), equations.positions or equations.size
+    start = (state[:n], state[n:])
+    if size != 0 or site is not None or vector is not None or seed is not None:
+        start = perturbed(orbit, size, site=site, vector=vector, seed=seed)
+    parameters = equations.parameters if isinstance(equations.model, OdeModel) else None
+    return evolve(equations.model, *start, t, method, tolerance, coordinates, parameters=parameters)
+
+
+# Distance of a time evolution from an orbit: to its nearest point, so that a shift of phase alone has none ------------
+
+PHASES = 2048  # of an orbit with any wave form
+SMALLEST = 1e-6  # of the largest component of an orbit: the least scale of a component
+
+
+def _state_curve(orbit: Orbit) -> tuple[Curve, Array]:
+    """The states of an orbit of `find_orbit`, with the scale of each: half its range over the period.
+
+    The unit is the root of the mean square distance of the orbit from its mean.
+    """
+    equations, count = orbit_equations(orbit), PHASES
+    field = equations.physical.vector_field
+    x = orbit.evaluate(orbit.period * np.arange(count) / count)
+    half = 0.5 * np.ptp(x, axis=0)
+    sizes = np.maximum(half, SMALLEST * np.max(half))
+
+    def points(theta: Array) -> tuple[Array, Array]:
+        t = np.mod(theta / orbit.Omega, orbit.period)
+        states = orbit.evaluate(t)
+        values = np.tile(equations.values[:, None], t.size)
+        rates = np.array(field.map(t.size)(t[None], states.T, values)).T
+        return states / sizes, rates / (sizes * orbit.Omega)
+
+    unit = float(np.sqrt(np.mean(np.sum(((x - x.mean(axis=0)) / sizes) ** 2, axis=1))))
+    return Curve(points, count, unit), sizes
+
+
+def distance_from_orbit(orbit: CosineSeries, evolution: Evolution) -> Array:
+    """Distance of a time evolution from an orbit at each time.
+
+    Arguments:
+        orbit: any orbit.
+        evolution: of the same model.
+
+    Returns:
+        Shape (time,): of an orbit of a family the distance of (y, y'/Omega) to its nearest point over sqrt(S).
+        Of another orbit each state is measured by half its range over the period, and the distance relative to the root
+        of the mean square distance of the orbit from its mean. In a forced model it is the distance to the point that
+        the orbit has at the same time, in others to the nearest: a shift of phase alone has no distance.
+    """
+    if isinstance(orbit, Orbit) and not isinstance(orbit.space, Family):
+        curve, sizes = _state_curve(orbit)
+        states = evolution.states / sizes
+        if not evolution.equations.physical.forced:
+            return curve.distances(states)
+        at_the_time, _ = curve.points(orbit.Omega * evolution.t)
+        return np.asarray(np.linalg.norm(states - at_the_time, axis=1) / curve.unit)
+    return cosine_curve(orbit).distances(np.hstack([evolution.displacements, evolution.velocities / orbit.Omega]))
+
+
+# A model followed from any state and any time, stiff or not, for guesses of orbits ------------------------------------
+
+
+def simulate(
+    model: OdeModel,
+    start: ArrayLike | Mapping[str, float],
+    t: ArrayLike,
+    *,
+    parameters: Mapping[str, float] | None = None,
+    tolerance: float = 1e-9,
+) -> Evolution:
+    """Follow a model in time by CVODES with formulas for stiff equations (BDF).
+
+    Arguments:
+        model: any model; one of second order is followed in positions and velocities.
+        start: the state at the first of the times, shape (component,), or numbers by state name, others 0.
+        t: two or more times, ascending.
+        parameters: values by name, where they are not the model's nominal ones.
+        tolerance: relative to the largest component of the start.
+
+    Returns:
+        States at all times; its `last_cycle()` is a guess for `find_orbit`.
+
+    Raises:
+        ValueError, TypeError: an argument does not fit the model.
+        IntegrationError: CVODES fails, as where a state runs to infinity: with the times and the component.
+    """
+    if not isinstance(model, OdeModel):
+        raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel")
+    equations = EquationsOfMotion(model.first_order(), by_name("parameters", parameters))
+    given = state_by_name("start", start, equations.names) if isinstance(start, Mapping) else start
+    x = real_array("start", given).ravel()
+    if x.size != equations.size:
+        raise ValueError(f"start: given {x.size} states; accepted: {equations.size}, {', '.join(equations.names)}")
+    times = real_array("t", t).ravel()
+    if times.size < 2 or np.any(np.diff(times) <= 0):
+        raise ValueError(f"t: given {short_repr(times.tolist())}; accepted: two or more times, ascending")
+    if not 1e-13 <= number("tolerance", tolerance) <= 1e-2:
+        raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-13 to 1e-2")
+    try:
+        later = stiff_cvodes(equations.physical, equations.values, x, times[1:], tolerance, float(times[0]))
+    except IntegrationError as error:
+        raise _in_words(error, equations, x, times) from error
+    states = np.vstack([x[None], later.states])
+    return Evolution(equations, times, states, "cvodes", tolerance, PHYSICAL, later.evaluations)
+
+
+def _in_words(error: IntegrationError, equations: EquationsOfMotion, start: Array, times: Array) -> IntegrationError:
+    """The failure with the time of the last state and its largest component in place of CVODES' word alone."""
+    before = error.trajectory.states
+    state, time = (before[-1], float(times[len(before)])) if len(before) else (start, float(times[0]))
+    escape = far_state(equations, state, time, float(times[-1]))
+    if escape is not None:
+        reason = f"{escape[1]} runs to infinity: it is {escape[2]:.3g} at t = {escape[0]:.6g}"
+    else:
+        k = int(np.argmax(np.abs(state)))
+        reason = f"{equations.names[k]} = {state[k]:.3g} is its largest component there, and CVODES {error.reason}"
+    return IntegrationError("cvodes", reason, error.trajectory, times[1:], float(times[0]))

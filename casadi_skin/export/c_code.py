@@ -11,8 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from casadi_skin._version import __version__
-from casadi_skin.export.c_text import MOST_ENTRIES, Part, comment, plain
-from casadi_skin.export.codegen import LIBM_HEADERS, CSource, c_source, check_parts
+from casadi_skin.export.codegen import LIBM_HEADERS, MOST_ENTRIES, CSource, Part, c_source, check_parts, comment, plain
 from casadi_skin.export.equations import (
     flow_part,
     jacobian_part,
@@ -21,12 +20,257 @@ from casadi_skin.export.equations import (
     rhs_part,
     variational_part,
 )
-from casadi_skin.export.example_program import main_text
-from casadi_skin.export.exported_model import ExportedModel, Source, chosen_parts, exported_model
-from casadi_skin.export.orbit_equations import IPOPT_HEADER, ipopt_part, newton_part, orbit_part, residual_part
-from casadi_skin.export.readme import cmake_text, readme_text
+from casadi_skin.export.exported_model import PARTS, ExportedModel, Source, chosen_parts, exported_model
+from casadi_skin.export.orbit_equations import (
+    IPOPT_HEADER,
+    floquet_of,
+    ipopt_part,
+    newton_part,
+    orbit_part,
+    residual_part,
+)
 from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.interrupts import interrupts_deferred
+
+# The example program of an export: results of its parts, printed with all digits --------------------------------------
+
+STEPS = 96  # of the splitting in a quarter of the period: 1e-13 or better on the orbits tried
+STEPS_A_HARMONIC = 8  # of the extrapolation in the period of a model's orbit
+CHAIN_S = 0.2  # amplitude of the orbit that the program of a chain alone computes
+
+
+def main_text(exported: ExportedModel, parts: Collection[str]) -> str:
+    """The text of main.c; `@p` and `@P` stand for the prefixes."""
+    statics: list[str] = []
+    if exported.chain is None:
+        blocks = [MODEL_ORBIT] if "orbit" in parts else []
+        if "flow" in parts:
+            velocities = "start + @P_ORBIT_STATES" if exported.model.order == 2 else "0"
+            blocks.append(RETURN.replace("@velocities", velocities) if "orbit" in parts else FLOW)
+    else:
+        blocks = [ORBIT] if "orbit" in parts else []
+        if "newton" in parts:
+            mode = int(exported.chain.sites) if exported.chain.g > 0 else 1  # the one that turns into an end breather
+            from_mode = FROM_LINEAR_MODE.replace("@mode", str(mode)).replace("@S", f"{CHAIN_S:g}")
+            blocks.append(FROM_ORBIT if "orbit" in parts else from_mode)
+            statics.append(NEWTON_STATICS)
+        if blocks and "flow" in parts:  # there is an orbit to follow the flow along
+            blocks.append(MULTIPLIERS.replace("@start", FROM_NEWTON if "newton" in parts else FROM_DATA))
+            statics.append(FLOW_STATICS)
+    blocks = blocks or ([RHS] if "rhs" in parts else ['    printf("states %d\\n", @P_STATES);\n'])
+    body = "\n".join(blocks).replace("@nominal", NOMINAL if exported.parameters else "")
+    for name, number in (("@steps", STEPS), ("@harmonic_steps", STEPS_A_HARMONIC)):
+        body = body.replace(name, str(number))
+    return f"{HEAD}{''.join(statics)}{BLANK if statics else ''}int main(void)\n{{\n{body}    return 0;\n}}\n"
+
+
+BLANK = "\n"
+HEAD = """/* What this export computes, with all digits; see README.md for the numbers to expect. */
+
+#include <math.h>
+#include <stdio.h>
+
+#include "@p.h"
+
+"""
+NEWTON_STATICS = "static double z[@P_UNKNOWNS], newton_work[@P_NEWTON_WORK];\n"
+FLOW_STATICS = """static double x[@P_FLOW_STATES], Phi[@P_FLOW_STATES * @P_FLOW_STATES], flow_work[@P_FLOW_WORK];
+static double mu_real[@P_SITES], mu_imaginary[@P_SITES], multipliers_work[@P_MULTIPLIERS_WORK];
+"""
+ORBIT = """    {
+        static double y[@P_SITES], velocity[@P_SITES];
+        double S = 0.0;
+        int n;
+
+        @p_orbit(@p_orbit_period, y, velocity);
+        for (n = 0; n < @P_SITES; n++) S += y[n] * y[n];
+        printf("orbit_period %.17g\\norbit_S %.17g\\n", @p_orbit_period, S);
+    }
+"""
+FROM_ORBIT = """    @p_newton_report report;
+    int i;
+
+    /* The orbit, wrong by a thousandth, put right by Newton's method at its kappa. */
+    for (i = 0; i < @P_UNKNOWNS; i++) z[i] = @p_orbit_z[i] * (1.0 + 1e-3 * sin(i + 1.0));
+    if (@p_newton(z, @P_PARAMETER, @p_orbit_kappa, 1e-13, 20, &report, newton_work)) {
+        fprintf(stderr, "newton: %s\\n", @p_newton_words(report.status));
+        return 1;
+    }
+    printf("period %.17g\\niterations %d\\n", 2.0 * acos(-1.0) / z[@P_OMEGA], report.iterations);
+"""
+FROM_LINEAR_MODE = """    @p_newton_report report;
+    int k, failed = @p_linear_mode(@mode, z);
+
+    if (failed) fprintf(stderr, "linear mode @mode does not oscillate\\n");
+
+    /* From the linear mode to S = @S in steps of S. */
+    for (k = 1; k <= 4 && !failed; k++) {
+        failed = @p_newton(z, @P_PARAMETER, @p_g * @S * k / 4, 1e-13, 20, &report, newton_work);
+        if (failed) fprintf(stderr, "newton: %s\\n", @p_newton_words(report.status));
+    }
+    if (failed) return 1;
+    printf("period %.17g\\n", 2.0 * acos(-1.0) / z[@P_OMEGA]);
+"""
+FROM_NEWTON = """
+        @p_positions(z, x); /* at rest at t = 0: the velocities are zeros */
+        quarter = 0.5 * acos(-1.0) / z[@P_OMEGA];
+        kappa = z[@P_PARAMETER];"""
+FROM_DATA = """        int n;
+
+        @p_orbit(0.0, x, 0); /* at rest at t = 0: the velocities are zeros */
+        for (n = 0; n < @P_SITES; n++) x[n] /= sqrt(@p_orbit_S) * @p_rho[n];
+        quarter = 0.25 * @p_orbit_period;
+        kappa = @p_orbit_kappa;"""
+MULTIPLIERS = """    {
+        double largest, trivial, quarter, kappa;
+@start
+        @p_flow(0.0, quarter, @steps, x, Phi, &kappa, flow_work);
+        if (@p_multipliers(Phi, 1e-10, mu_real, mu_imaginary, &largest, &trivial, multipliers_work)) {
+            fprintf(stderr, "multipliers: the QR iteration did not converge\\n");
+            return 1;
+        }
+        printf("largest_multiplier %.17g\\ntrivial_deviation %.3g\\n", largest, trivial);
+    }
+"""
+MODEL_ORBIT = """    printf("orbit_period %.17g\\n", @p_orbit_period);
+"""
+RETURN = """    {
+        static double x[@P_STATES], start[@P_STATES], Phi[@P_STATES * @P_STATES], work[@P_FLOW_WORK];
+        double p[@P_PARAMETERS + 1] = {0.0}, trace = 0.0, off = 0.0;
+        int i;
+
+@nominal        @p_orbit(0.0, start, @velocities);
+        for (i = 0; i < @P_STATES; i++) x[i] = start[i];
+        @p_flow(0.0, @p_orbit_period, @harmonic_steps * (@P_HARMONICS + 8), x, Phi, p, work);
+        for (i = 0; i < @P_STATES; i++) {
+            off = fmax(off, fabs(x[i] - start[i]));
+            trace += Phi[i * (@P_STATES + 1)];
+        }
+        printf("return_error %.3g\\ntrace %.17g\\n", off, trace);
+    }
+"""
+FLOW = """    {
+        static double x[@P_FLOW_STATES], Phi[@P_FLOW_STATES * @P_FLOW_STATES], work[@P_FLOW_WORK];
+        double p[@P_FLOW_PARAMETERS + 1] = {0.0}, trace = 0.0;
+        int i;
+
+@nominal        for (i = 0; i < @P_FLOW_STATES; i++) x[i] = 0.1 / (i + 1);
+        @p_flow(0.0, 1.0, 100, x, Phi, p, work);
+        for (i = 0; i < @P_FLOW_STATES; i++) {
+            trace += Phi[i * (@P_FLOW_STATES + 1)];
+            printf("%s %.17g\\n", @p_state_names[i], x[i]);
+        }
+        printf("trace %.17g\\n", trace);
+    }
+"""
+RHS = """    {
+        static double x[@P_STATES], dxdt[@P_STATES], work[@P_RHS_WORK];
+        double p[@P_PARAMETERS + 1] = {0.0};
+        int i;
+
+@nominal        for (i = 0; i < @P_STATES; i++) x[i] = 0.1 / (i + 1);
+        @p_rhs(0.0, x, p, dxdt, work);
+        for (i = 0; i < @P_STATES; i++) printf("%s %.17g\\n", @p_state_names[i], dxdt[i]);
+    }
+"""
+NOMINAL = "        for (i = 0; i < @P_PARAMETERS; i++) p[i] = @p_nominal[i];\n"
+
+
+# README.md and CMakeLists.txt of an export ----------------------------------------------------------------------------
+
+FLAGS = "-std=c99 -O2"
+
+
+def cmake_text(name: str, sources: Collection[str]) -> str:
+    """A static library of all that needs libm only, the example program, and Ipopt's part on request."""
+    library = "\n".join(f"  {file}" for file in sources if file != "main.c" and "_ipopt" not in file)
+    ipopt = [file for file in sources if "_ipopt" in file]
+    text = f"""cmake_minimum_required(VERSION 3.10)
+project({name}_export C)
+set(CMAKE_C_STANDARD 99)
+set(CMAKE_C_STANDARD_REQUIRED ON)
+set(CMAKE_C_EXTENSIONS OFF)
+if(NOT CMAKE_BUILD_TYPE)
+  set(CMAKE_BUILD_TYPE Release)
+endif()
+
+add_library({name}_c STATIC
+{library})
+target_include_directories({name}_c PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
+if(NOT MSVC)
+  target_link_libraries({name}_c PUBLIC m)
+endif()
+
+add_executable({name}_main main.c)
+target_link_libraries({name}_main {name}_c)
+"""
+    if ipopt:
+        text += f"""
+option(WITH_IPOPT "Build the part that needs libipopt" OFF)
+if(WITH_IPOPT)
+  add_library({name}_with_ipopt STATIC {" ".join(ipopt)})
+  target_link_libraries({name}_with_ipopt {name}_c ipopt)
+endif()
+"""
+    return text
+
+
+def readme_text(exported: ExportedModel, parts: Mapping[str, Part], sources: Collection[str]) -> str:
+    """Contents of the directory, how to build it, and the expected numbers."""
+    name = exported.name
+    plain_sources = " ".join(file for file in sources if "_ipopt" not in file)
+    rows = "\n".join(f"| `{what}` | {PARTS[what]} |" for what in parts if what in PARTS)
+    text = f"""# {plain(exported.model.name)} in C
+
+Written by casadi_skin {__version__} (license.txt). It is C99 and
+needs nothing but libm{" (Ipopt's part needs libipopt)" if "ipopt" in parts else ""}.
+The model is dimensionless. `{name}.h` declares every function and gives sizes and orders; `main.c` is an example.
+
+| part | what it is |
+| --- | --- |
+{rows}
+
+## Build
+
+```sh
+cc {FLAGS} {plain_sources} -lm -o {name}_main
+./{name}_main
+```
+
+or, with CMake, `cmake -S . -B build && cmake --build build && ./build/{name}_main`.
+Without warnings by gcc 12 and clang 14 with `-Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wdouble-promotion
+-Wstrict-prototypes -Wno-unused-parameter`; no complex numbers of C, which some compilers lack.
+"""
+    if "ipopt" in parts:
+        needed = " ".join(file for file in sources if file in (f"{name}.c", f"{name}_generated.c") or "_ipopt" in file)
+        text += f"""
+Ipopt's part needs Ipopt's headers (`coin-or/IpStdCInterface.h`) and library:
+
+```sh
+cc {FLAGS} YOUR_PROGRAM.c {needed} -lipopt -lm
+```
+"""
+    return text + _expected(exported, parts)
+
+
+def _expected(exported: ExportedModel, parts: Mapping[str, Part]) -> str:
+    """The numbers of the example program as Python has them."""
+    orbit = exported.orbit
+    if orbit is None or "orbit" not in parts:
+        if "newton" in parts:
+            return f"\nThe program follows an edge mode to S = {CHAIN_S:g} and prints its period.\n"
+        return ""
+    name, error = "period" if "newton" in parts else "orbit_period", orbit.period * orbit.Omega_error / orbit.Omega
+    lines = [f"{name} {orbit.period:.17g} (estimated error {error:.1g})"]
+    floquet = floquet_of(orbit) if "flow" in parts else ""
+    if not isinstance(floquet, str) and exported.chain is None:
+        lines.append(f"trace {float(floquet.multipliers.sum().real):.17g} (the sum of the multipliers)")
+    elif not isinstance(floquet, str):
+        words = f"(estimated error {floquet.error:.1g})"
+        lines.append(f"largest_multiplier {floquet.max_abs_multiplier:.17g} {words}")
+    table = "\n".join(lines)
+    return f"\n## Numbers to expect\n\nComputed in Python when this was written:\n\n```\n{table}\n```\n"
+
 
 MAKERS: Mapping[str, Callable[[ExportedModel], Part]] = MappingProxyType({
     "rhs": rhs_part,

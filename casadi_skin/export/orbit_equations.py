@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from casadi_skin.export.c_text import (
+from casadi_skin.export.codegen import (
     Call,
     Part,
     Size,

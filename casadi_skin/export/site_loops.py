@@ -13,7 +13,7 @@ from functools import cached_property
 
 import casadi as ca
 
-from casadi_skin.export.c_text import Call, Part, Size, declared, filled
+from casadi_skin.export.codegen import Call, Part, Size, declared, filled
 
 LONGEST_PERIOD = 12  # rows that repeat together, as those of the sites of one cell
 LEAST_REPEATS = 5  # fewer are written one by one

@@ -14,12 +14,16 @@ from numpy.typing import ArrayLike
 
 from casadi_skin.export.compiler import build_library
 from casadi_skin.export.exported_model import Source
-from casadi_skin.fmu.description import SOURCES, Description, build_description, terminals_and_icons
-from casadi_skin.fmu.documentation import icon, page
-from casadi_skin.fmu.equations import Equations, check_smooth, config_header
+from casadi_skin.fmu.description import SOURCES, Description, build_description, icon, page, terminals_and_icons
 from casadi_skin.fmu.fmu_archive import library_ending, platform_folder
-from casadi_skin.fmu.initial_value_problem import InitialValueProblem, initial_value_problem
-from casadi_skin.fmu.inputs import with_inputs
+from casadi_skin.fmu.initial_value_problem import (
+    Equations,
+    InitialValueProblem,
+    check_smooth,
+    config_header,
+    initial_value_problem,
+)
+from casadi_skin.fmu.instance import with_inputs
 from casadi_skin.model.arguments import check_name, file_path, truth
 from casadi_skin.model.files import replacing
 

@@ -213,7 +213,7 @@ def _in_own_units(found: Equilibrium) -> Equilibrium:
 
 def _settled(statics: Statics, start: Array, transient: float, tolerance: float, corrector: str) -> Equilibrium:
     """The stable equilibrium that a simulation approaches; raises EquilibriumError where it does not settle."""
-    from casadi_skin.dynamics.simulation import simulate
+    from casadi_skin.dynamics.evolve import simulate
 
     model = statics.model
     if not transient > 0.0:

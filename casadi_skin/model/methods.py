@@ -98,7 +98,7 @@ TASKS = _registry(  # tasks of methods whose object stands below their module
     certify_stability=("a proof of an orbit's stability", "certify.stability:certify_stability"),
     certify_change=("a proof of a change of stability", "certify.stability:certify_change"),
     certify_branch=("a proof that a family is one curve", "certify.stretch:certify_branch"),
-    threshold=("where an infinite chain's end breather is born", "dynamics.threshold:threshold"),
+    threshold=("where an infinite chain's end breather is born", "dynamics.resonances:threshold"),
 )
 TAILS = ("eliminated", "full")
 PAYS_FROM = 500  # sites from which on the elimination of a chain's linear tail may be cheaper

@@ -20,8 +20,7 @@ from casadi_skin.follow.boundary_solutions import ITERATIONS
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.settings import Point
 from casadi_skin.model.saved import programs_in
-from casadi_skin.optimise.nlp import Limits, Nlp, Solution
-from casadi_skin.optimise.optimality import FLAT, Optimality, optimality
+from casadi_skin.optimise.nlp import FLAT, Limits, Nlp, Optimality, Solution, optimality
 from casadi_skin.optimise.search_arguments import Condition
 from casadi_skin.solve.estimates import SAFETY, ErrorEstimate
 from casadi_skin.solve.guesses import Guess

@@ -2,25 +2,304 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
+import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.optimise.cosine_orbit import CosineOrbit
-from casadi_skin.optimise.family_nlp import FamilyNlp
-from casadi_skin.optimise.family_statement import FamilyStatement
-from casadi_skin.optimise.nlp import Solution
-from casadi_skin.optimise.optimality import FLAT, optimality
-from casadi_skin.optimise.optimum import Optimum, PlainCheck
+from casadi_skin.model.arguments import accepted_names, number, short_repr
+from casadi_skin.model.arrays import real_array
+from casadi_skin.model.expressions import is_comparison
+from casadi_skin.optimise.families import ChainFamily, FreeNumber, ModelFamily, Observables
+from casadi_skin.optimise.nlp import FLAT, Limits, Nlp, Solution, optimality
+from casadi_skin.optimise.optimum import CosineOrbit, Optimum, PlainCheck
+from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
 from casadi_skin.optimise.search_problem import Ending, Outcome, Start, judged, sampled_starts
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.cosines import prolongation_matrix
-from casadi_skin.zero.problem import Array
+from casadi_skin.zero.problem import Array, Indices
 from casadi_skin.zero.trigonometric import TrigonometricProblem
+
+# Statement of a search among the orbits of one mode's family, in odd cosines, of a chain or of a model ----------------
+
+Family = ChainFamily | ModelFamily
+Quantity = str | Callable[..., Any]  # a name, or a function of Observables (of several orbits: a tuple of them)
+
+FAINTEST = 1e-6  # S where no lower bound is given
+
+
+@dataclass(frozen=True)
+class FamilyStatement:
+    """Search among the orbits of a family at the amplitudes S, which share the parameters.
+
+    Where "S" is free, `amplitudes` has that of the first start; `several` is true where S is a list.
+    """
+
+    family: Family
+    amplitudes: tuple[float, ...]
+    several: bool
+    objective: Quantity
+    maximise: bool
+    free: tuple[str, ...]
+    bounds: tuple[tuple[float, float], ...]
+    conditions: tuple[Condition, ...]
+    tolerance: float = 1e-8
+
+    @classmethod
+    def of(
+        cls,
+        family: Family,
+        *,
+        S: object,
+        objective: Quantity,
+        free: Sequence[str],
+        bounds: Mapping[str, Any] | None = None,
+        constraints: Sequence[Any] = (),
+        maximise: bool = False,
+        tolerance: float = 1e-8,
+    ) -> Self:
+        """From the arguments of `search_orbit`; raises ValueError and TypeError for values that are not accepted."""
+        several = isinstance(S, list | tuple | np.ndarray)
+        amplitudes = tuple(real_array("S", S).ravel().tolist()) if several else (number("S", S, "a finite number > 0"),)
+        if not amplitudes or min(amplitudes) <= 0:
+            raise ValueError(f"S: given {short_repr(S)}; accepted: a finite number > 0, or a list of such numbers")
+        known = {"S": (FAINTEST, math.inf)} | {name: (f.lower, f.upper) for name, f in family.free.items()}
+        names = free_names(free, known)
+        if several and "S" in names:
+            raise ValueError("free: given S with a list of S; accepted: S free with one number as its start")
+        fixed, quantities = [name for name in known if name not in names], family.equations({}, ca.SX.sym("S")).names
+        limits, more = checked_bounds(bounds, {name: known[name] for name in names}, fixed, quantities)
+        if "S" in names:
+            low, high = limits["S"]
+            if low < 0 or high <= 0:
+                raise ValueError(f"bounds[S]: given {short_repr([low, high])}; accepted: bounds within 0 to inf")
+            limits["S"] = max(low, FAINTEST), high
+        if not 1e-12 <= number("tolerance", tolerance) <= 1e-2:
+            raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-12 to 1e-2")
+        conditions = (*checked_conditions(constraints, (Callable,), "a function of the observables"), *more)
+        search = cls(
+            family.limited({name: limits[name] for name in names if name != "S"}), amplitudes, several, objective,
+            bool(maximise), names, tuple(limits[name] for name in names), conditions, float(tolerance),
+        )  # fmt: skip
+        search._check_expressions()
+        return search
+
+    # The statement ----------------------------------------------------------------------------------------------------
+
+    @property
+    def model(self) -> Any:
+        return self.family.model
+
+    @property
+    def _numbers(self) -> dict[str, FreeNumber]:
+        known = {"S": FreeNumber(self.amplitudes[0], FAINTEST, math.inf, ("S",)), **self.family.free}
+        return {name: known[name] for name in self.free}
+
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Names of the free numbers, one each."""
+        return tuple(name for number in self._numbers.values() for name in number.names)
+
+    @property
+    def limits(self) -> tuple[tuple[float, float], ...]:
+        """Bounds of the free numbers, one pair each."""
+        pairs = zip(self.bounds, self._numbers.values(), strict=True)
+        return tuple(pair for pair, number in pairs for _ in number.names)
+
+    def symbols(self, harmonics: int) -> tuple[ca.SX, tuple[Observables, ...]]:
+        """The free numbers as symbols, shape (free numbers, 1), and the orbits made of them."""
+        symbols = {name: ca.SX.sym(name, len(number.names)) for name, number in self._numbers.items()}
+        values = {name: symbol for name, symbol in symbols.items() if name != "S"}
+        amplitudes = [symbols.get("S", ca.SX.sym("S")) for _ in self.amplitudes]
+        orbits = tuple(Observables(self.family.equations(values, S), harmonics) for S in amplitudes)
+        return ca.vertcat(*symbols.values()), orbits
+
+    def evaluated(self, quantity: Quantity, orbits: tuple[Observables, ...]) -> Any:
+        """A quantity of these orbits."""
+        if isinstance(quantity, str):
+            return orbits[0].value(quantity)
+        return quantity(orbits if self.several else orbits[0])
+
+    def values(self, free: Sequence[float] | Array) -> dict[str, Any]:
+        """Free numbers by name: numbers, or arrays where every component has one."""
+        places, found = iter(np.asarray(free, dtype=float)), dict[str, Any]()
+        for name, free_number in self._numbers.items():
+            values = np.array([next(places) for _ in free_number.names])
+            found[name] = float(values[0]) if free_number.names == (name,) else values
+        return found
+
+    # Checks ---------------------------------------------------------------------------------------------------------
+
+    def _check_expressions(self) -> None:
+        """Make every expression once, on two harmonics: names, kinds and shapes are refused here, before any solve."""
+        free, orbits = self.symbols(harmonics=2)
+        objective = self._expression("objective", self.objective, orbits)
+        if objective.is_constant():
+            raise ValueError(f"objective: given the constant {objective}; accepted: a quantity of the orbit")
+        if objective.shape != (1, 1):
+            raise ValueError(f"objective: given an expression of shape {objective.shape}; accepted: a scalar")
+        equalities = 0
+        for condition in self.conditions:
+            rows = self._expression(f"constraints, {condition.name}", condition.quantity, orbits)
+            equalities += rows.numel() if condition.equality else 0
+        if equalities > free.numel():
+            words = f"given {equalities} equalities with {free.numel()} free ({', '.join(self.free)})"
+            raise ValueError(f"constraints: {words}; accepted: no more equalities than free numbers")
+
+    def _expression(self, place: str, quantity: Quantity, orbits: tuple[Observables, ...]) -> ca.SX:
+        if isinstance(quantity, str):
+            if quantity not in orbits[0].names:
+                raise ValueError(f"{place}: given {short_repr(quantity)}; {accepted_names(quantity, orbits[0].names)}")
+            if self.several and not orbits[0].is_shared(quantity):
+                given = f"{short_repr(quantity)} with a list of S"
+                raise ValueError(f"{place}: given {given}; accepted: a function of the orbits")
+        elif not callable(quantity):
+            raise TypeError(f"{place}: given {short_repr(quantity)}; accepted: a name or a function of the observables")
+        try:
+            made = self.evaluated(quantity, orbits)
+        except AttributeError as error:
+            raise ValueError(f"{place}: {str(error).removeprefix('observable: ')}") from None
+        except (TypeError, ValueError, NotImplementedError, RuntimeError, IndexError) as error:
+            raise TypeError(f"{place}: the function given fails: {' '.join(str(error).split())[:200]}") from None
+        if isinstance(made, bool) or not isinstance(made, int | float | ca.SX | ca.DM):
+            raise TypeError(f"{place}: given a function that returns {short_repr(made)}; accepted: a CasADi expression")
+        expression = ca.SX(made)
+        if is_comparison(expression):
+            given = f"a comparison, {short_repr(made)}"
+            raise ValueError(f"{place}: given {given}; accepted: a difference, x - 1 for x == 1")
+        if not (expression.is_column() and expression.numel() > 0):
+            given = f"an expression of shape {expression.shape}"
+            raise ValueError(f"{place}: given {given}; accepted: a scalar or a column")
+        return expression
+
+
+# The orbits of a search in odd cosines as a nonlinear programme -------------------------------------------------------
+
+SLOWEST = 1e-6  # Omega^2 beside the largest stiffness: the square root is kept above it
+OPTIONS: Mapping[str, Any] = {
+    "ipopt.tol": 1e-10,
+    "ipopt.constr_viol_tol": 1e-10,
+    "ipopt.compl_inf_tol": 1e-9,
+    "ipopt.max_iter": 400,  # rounding of the start alone makes 120 to 250 of a chain with every stiffness free
+    "ipopt.theta_max_fact": 1.0,  # no iterate violates more than the start, or 1: far from orbits nothing is bounded
+    "ipopt.diverging_iterates_tol": 1e8,
+}
+
+
+class FamilyNlp(Nlp):
+    """The nonlinear programme of a search on a number of harmonics."""
+
+    def __init__(self, search: FamilyStatement, harmonics: int) -> None:
+        self.search, self.harmonics = search, harmonics
+        free, orbits = search.symbols(harmonics)
+        objective = ca.SX(search.evaluated(search.objective, orbits))
+        conditions = [ca.SX(search.evaluated(c.quantity, orbits)) for c in search.conditions]
+        self.has_tangent = any(orbit.tangent is not None for orbit in orbits)
+        if self.has_tangent:
+            _ = [orbit.slope(orbit.S) for orbit in orbits]  # all orbits have the same unknowns
+        equations = [orbit.residual() for orbit in orbits]
+        self.free_count, self._orbits = int(free.numel()), orbits
+        self._shape = (len(orbits), 1 + self.has_tangent, search.family.size * harmonics + 1)
+        held = [] if "S" in search.free else [orbit.S for orbit in orbits]
+        super().__init__(
+            ca.vertcat(free, *(orbit.unknowns for orbit in orbits)), objective, ca.vertcat(*equations, *conditions),
+            self._limits([c.numel() for c in conditions]), p=ca.vertcat(*held) if held else ca.SX(0, 1),
+            values=search.amplitudes if held else (), jacobian=self._by_blocks(free, equations, conditions),
+            maximise=search.maximise, options=OPTIONS,
+        )  # fmt: skip
+        scales = [high - low if np.isfinite(high - low) else 1.0 for low, high in search.limits]
+        squares = [orbit.Omega_squared for orbit in orbits]
+        self.place = ca.vertcat(free / ca.DM(scales), *squares)
+
+    def _limits(self, rows: Sequence[int]) -> Limits:
+        """Bounds of the free numbers and of Omega^2; equations first, then the conditions."""
+        search, size = self.search, int(np.prod(self._shape))
+        lower, upper = np.full(self.free_count + size, -np.inf), np.full(self.free_count + size, np.inf)
+        lower[: self.free_count], upper[: self.free_count] = np.array(search.limits).T
+        self._parts(lower)[:, 0, -1] = SLOWEST
+        held, first, conditions = search.conditions, size, dict[str, Indices]()
+        for item, (condition, count) in enumerate(zip(held, rows, strict=True), start=1):
+            name = condition.name if condition.name not in conditions else f"{condition.name} ({item})"
+            conditions[name] = np.arange(first, first := first + count)
+        low, high = (np.append(np.zeros(size), np.repeat(ends, rows)) for ends in
+                     ([c.lower for c in held], [c.upper for c in held]))  # fmt: skip
+        unknowns = {name: np.array([i]) for i, name in enumerate(search.free_names)}
+        return Limits(lower, upper, low, high, unknowns, conditions)
+
+    def _by_blocks(self, free: ca.SX, equations: list[ca.SX], conditions: list[ca.SX]) -> ca.SX:
+        """Derivative of the constraints, block by block: dense rows beside dense columns would spoil the colouring."""
+
+        def blocks(columns: Sequence[ca.SX]) -> list[ca.SX]:
+            states = [part for column in columns for part in ca.vertsplit(column, self._shape[2])]
+            return [block for part in states for block in (part[:-1], part[-1])]
+
+        rows, columns = (*blocks(equations), *conditions), (free, *blocks([o.unknowns for o in self._orbits]))
+        return ca.vertcat(*(ca.horzcat(*(ca.jacobian(row, column) for column in columns)) for row in rows))
+
+    # Places of the unknowns -----------------------------------------------------------------------------------------
+
+    @property
+    def measured(self) -> Indices:
+        return np.arange(self.free_count)
+
+    def _parts(self, x: Array) -> Array:
+        """A view of the orbits' unknowns, shape (orbits, 1 or 2 with the tangent, values with Omega^2)."""
+        return x[self.free_count :].reshape(self._shape)
+
+    def state_of(self, x: Array, orbit: int) -> Array:
+        """Values at the nodes of one orbit, shape (components, harmonics)."""
+        return self._parts(x)[orbit, 0, :-1].reshape(-1, self.harmonics)
+
+    def frequencies(self, x: Array) -> Array:
+        """Omega of every orbit, shape (orbits,)."""
+        return np.asarray(np.sqrt(self._parts(x)[:, 0, -1]))
+
+    def amplitude(self, x: Array, orbit: int) -> float:
+        """S of one orbit."""
+        search = self.search
+        return float(x[search.free_names.index("S")]) if "S" in search.free else search.amplitudes[orbit]
+
+    # Points ---------------------------------------------------------------------------------------------------------
+
+    def packed(self, free: Sequence[float], members: Sequence[Orbit]) -> Array:
+        """Unknowns from the free numbers and the orbits; tangents are solved for."""
+        from scipy.sparse.linalg import splu
+
+        theta = (np.arange(self.harmonics) + 0.5) * np.pi / (2 * self.harmonics)
+        x = np.concatenate([free, np.zeros(int(np.prod(self._shape)))])
+        for part, member in zip(self._parts(x), members, strict=True):
+            part[0] = np.append(self.search.family.nodes(member, theta).ravel(), member.Omega**2)
+        if self.has_tangent:
+            residual, jacobian, state = self.residual(x), self.jacobian(x), self._shape[2]
+            for k, part in enumerate(self._parts(x)):
+                rows = slice((2 * k + 1) * state, (2 * k + 2) * state)
+                columns = slice(rows.start + self.free_count, rows.stop + self.free_count)
+                part[1] = -splu(jacobian[rows, columns]).solve(residual[rows])
+        return x
+
+    def prolonged(self, x: Array, finer: FamilyNlp) -> Array:
+        """The same point on another number of harmonics."""
+        parts, matrix = self._parts(x), prolongation_matrix(self.harmonics, finer.harmonics)
+        states = parts[..., :-1].reshape(*self._shape[:2], -1, self.harmonics) @ matrix
+        return np.append(
+            x[: self.free_count], np.dstack([states.reshape(*self._shape[:2], -1), parts[..., -1:]]).ravel()
+        )
+
+    def values(self, x: Array) -> list[dict[str, Any]]:
+        """Quantities of every orbit by name, numbers or arrays; slopes only where there are tangents."""
+        found = []
+        for orbit in self._orbits:
+            names = [n for n in orbit.names if self.has_tangent or not n.endswith("_slope")]
+            function = ca.Function("values", [self._x, self._p], [ca.densify(orbit.value(n)) for n in names])
+            results = [np.array(value).ravel() for value in function.call([x, self.p])]
+            found.append({n: float(v[0]) if v.size == 1 else v for n, v in zip(names, results, strict=True)})
+        return found
+
 
 HARMONICS = (6, 8, 10, 12, 15, 18, 24, 32, 48, 64, 96)
 UNKNOWN_HARMONICS = 12  # where the first start has no orbit that shows how many it needs

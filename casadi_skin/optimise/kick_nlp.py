@@ -15,17 +15,178 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casadi_skin.optimise.kick_flow import KickedFlow
-from casadi_skin.optimise.nlp import Limits, Nlp
-from casadi_skin.optimise.optimality import optimality
+from casadi_skin.follow.closed_curve import cosine_curve
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.optimise.nlp import Limits, Nlp, optimality
+from casadi_skin.optimise.optimum import CosineOrbit
 from casadi_skin.solve.iteration_callback import Monitor
 from casadi_skin.solve.nlp import SOLVED
+from casadi_skin.stability.srkn import srkn_step
 from casadi_skin.zero.problem import Array
+
+# The flow from a kicked orbit over many steps with exact derivatives, and its distance from the orbit -----------------
+
+STEP = 0.75  # radians of the fastest linear vibration: against CVODES, 2e-8 of the state in 5 periods (measured)
+PHASES = 720  # of the orbit, between which its reach is sought
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The closed curve of the points (y, y'/Omega) of an orbit in units of sqrt(S), in which distances are measured."""
+
+    coefficients: Array
+
+    @property
+    def _order(self) -> Array:
+        return np.asarray(2.0 * np.arange(len(self.coefficients)) + 1.0)
+
+    def points(self, theta: Array) -> tuple[Array, Array]:
+        """Points and their derivatives by the phase, shape (len(theta), 2N) each."""
+        c, order = self.coefficients, self._order
+        cosine, sine = np.cos(np.outer(theta, order)), np.sin(np.outer(theta, order))
+        y, dy, ddy = cosine @ c, -(sine * order) @ c, -(cosine * order**2) @ c
+        return np.hstack([y, dy]), np.hstack([dy, ddy])
+
+    def symbols(self, theta: ca.MX) -> tuple[ca.MX, ca.MX]:
+        """A point and its derivative by the phase in CasADi symbols, (2N,) each."""
+        c, order = ca.DM(self.coefficients.T), ca.DM(self._order)
+        cosine, sine = ca.cos(theta * order), ca.sin(theta * order)
+        y, dy, ddy = c @ cosine, -(c @ (sine * order)), -(c @ (cosine * order**2))
+        return ca.vertcat(y, dy), ca.vertcat(dy, ddy)
+
+    @cached_property
+    def reach(self) -> float:
+        """Distance below which a point has one nearest point on the curve (Federer 1959, Theorem 4.18).
+
+        The infimum over pairs p, q of |q - p|^2 / (2 |part of q - p that is normal to the curve at p|).
+        """
+        point, tangent = self.points(2.0 * np.pi * np.arange(PHASES) / PHASES)
+        tangent /= np.linalg.norm(tangent, axis=1)[:, None]
+        smallest = np.inf
+        for p, t in zip(point, tangent, strict=True):
+            chord = point - p
+            square = np.sum(chord**2, axis=1)
+            normal = np.linalg.norm(chord - np.outer(chord @ t, t), axis=1)
+            smallest = min(smallest, float(np.min(square[normal > 0] / (2.0 * normal[normal > 0]), initial=np.inf)))
+        return smallest
+
+
+@dataclass(frozen=True, eq=False)
+class KickedFlow:
+    """The flow of a chain from the phase zero of an orbit, kicked or not, over `steps` equal steps up to `time`."""
+
+    orbit: CosineOrbit
+    time: float
+    steps: int
+
+    @classmethod
+    def up_to(cls, orbit: Orbit, time: float) -> KickedFlow:
+        """With as many steps as the fastest linear vibration needs."""
+        fastest = float(np.sqrt(orbit.model.alpha + 2.0 * (1.0 + orbit.model.coupling)))
+        return cls(CosineOrbit.of(orbit), time, max(4, int(np.ceil(time * max(fastest, orbit.Omega) / STEP))))
+
+    def __reduce__(self) -> tuple[type[KickedFlow], tuple[CosineOrbit, float, int]]:
+        return KickedFlow, (self.orbit, self.time, self.steps)  # another process builds its own functions
+
+    @property
+    def size(self) -> int:
+        """Number of components of the state, 2N."""
+        return 2 * int(self.orbit.model.sites)
+
+    @cached_property
+    def output_scale(self) -> Array:
+        """Factors that make (y, y'/Omega)/sqrt(S) of a state, shape (2N,)."""
+        rho = self.orbit.model.rho
+        return np.concatenate([rho, rho / self.orbit.Omega])
+
+    @cached_property
+    def loop(self) -> Loop:
+        """The orbit as the curve that distances are measured from."""
+        return Loop(self.orbit.cosines / np.sqrt(self.orbit.S))
+
+    @cached_property
+    def start(self) -> Array:
+        """State of the orbit at phase zero, shape (2N,)."""
+        chain = self.orbit.model
+        return np.concatenate([self.orbit.profile / (np.sqrt(self.orbit.S) * chain.rho), np.zeros(chain.sites)])
+
+    @cached_property
+    def step(self) -> ca.Function:
+        """Function (state with h below) -> the same one step later, by the splitting of order 6 (Blanes and Moan 2002).
+
+        h goes along unchanged, so that a repetition has one input.
+        """
+        model, h = self.orbit.model.gauge_model(), ca.SX.sym("h")
+        q, v = model.state, model.velocity
+        x, u = srkn_step(model, h, self.orbit.model.g * self.orbit.S)
+        return ca.Function("step", [ca.vertcat(q, v, h)], [ca.vertcat(x, u, h)])
+
+    def run(self, kicks: Array) -> Array:
+        """States at all steps from kicks (many, 2N), shape (many, steps + 1, 2N); not finite where one runs away."""
+        many = len(kicks)
+        column = np.vstack([(self.start + kicks).T, np.full(many, self.time / self.steps)])
+        walk = self.step.map(many).mapaccum(self.steps)
+        later = np.array(walk(column)).reshape(self.size + 1, self.steps, many)
+        return np.concatenate([column[:, None], later], axis=1)[: self.size].transpose(2, 1, 0)
+
+    def distances(self, states: Array) -> Array:
+        """Distance of states (..., 2N) from the orbit, shape (...), by `closed_curve.cosine_curve`; inf for nan."""
+        rows = states.reshape(-1, self.size)
+        finite = np.all(np.abs(rows) < 1e100, axis=1)
+        found = np.full(len(rows), np.inf)
+        found[finite] = cosine_curve(self.orbit).distances(np.sqrt(self.orbit.S) * self.output_scale * rows[finite])
+        return found.reshape(states.shape[:-1])
+
+    def nearest_phase(self, state: Array) -> float:
+        """Phase of the orbit nearest to a state (2N,), among PHASES."""
+        theta = 2.0 * np.pi * np.arange(PHASES) / PHASES
+        points, _ = self.loop.points(theta)
+        return float(theta[np.argmin(np.linalg.norm(points - self.output_scale * state, axis=1))])
+
+    def first_to_escape(self, direction: Array, distance: float, near: float) -> tuple[float, int] | None:
+        """Smallest multiple of a direction (2N,) that comes to the distance, and the step at which it does.
+
+        Sizes from 1/30 to 1000 times `near` are tried, ever closer ones around the first that escapes; None if none.
+        """
+        sizes = near * np.geomspace(1 / 30, 1000, 60)
+        for _ in range(3):
+            farthest = self.distances(self.run(sizes[:, None] * direction))
+            escapes = np.max(farthest, axis=1) >= distance
+            if not np.any(escapes):
+                return None
+            first = int(np.argmax(escapes))
+            found = float(sizes[first]), int(np.argmax(farthest[first] >= distance))
+            sizes = np.linspace(sizes[first - 1] if first else 0.0, sizes[first], 20)
+        return found
+
+    def linear_images(self, directions: Array) -> Array:
+        """Images of the columns of `directions` (2N, m) under the linearised flow, shape (steps + 1, 2N, m)."""
+        jacobian, h = self.step.jacobian(), self.time / self.steps
+        images = [directions]
+        for state in self.run(np.zeros((1, self.size)))[0, :-1]:
+            images.append(np.array(jacobian(np.append(state, h), 0))[: self.size, : self.size] @ images[-1])
+        return np.array(images)
+
+    def linear_gains(self, directions: Array) -> tuple[Array, Array, Array]:
+        """Largest growth of distance from kicks in the span of `directions` (2N, m), linearised, at each step.
+
+        Returns the times (steps + 1,), the k = min(m, 2) largest singular values (steps + 1, k) of the part that is
+        normal to the orbit in (y, y'/Omega)/sqrt(S), and their right singular vectors (steps + 1, k, m).
+        """
+        t = np.linspace(0.0, self.time, self.steps + 1)
+        tangents = self.loop.points(self.orbit.Omega * t)[1]
+        tangents /= np.linalg.norm(tangents, axis=1)[:, None]
+        seen = self.output_scale[:, None] * self.linear_images(directions)
+        normal = seen - tangents[:, :, None] * (tangents[:, None] @ seen)
+        _, values, right = np.linalg.svd(normal, full_matrices=False)
+        return t, np.asarray(values[:, :2]), np.asarray(right[:, :2])
+
 
 SEGMENT = 8  # steps in a segment, about half a period of the slowest vibration
 ITERATIONS = 200

@@ -11,8 +11,8 @@ from scipy.optimize import brentq
 from casadi_skin.dynamics import EvolutionError, distance_from_orbit, evolve
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.uniform_chain import Array
-from casadi_skin.optimise.cosine_orbit import CosineOrbit
-from casadi_skin.optimise.kick_flow import KickedFlow
+from casadi_skin.optimise.kick_nlp import KickedFlow
+from casadi_skin.optimise.optimum import CosineOrbit
 
 SAMPLES = 64  # a period; the largest distance is that of the parabola through the three largest
 FINER = 17  # samples around the largest

@@ -9,8 +9,7 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from casadi_skin.optimise.nlp import STOPPED, Nlp, Solution
-from casadi_skin.optimise.optimality import optimality
+from casadi_skin.optimise.nlp import STOPPED, Nlp, Solution, optimality
 from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.solve.iteration_callback import Monitor
 from casadi_skin.zero.problem import Array

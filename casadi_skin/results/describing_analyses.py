@@ -9,10 +9,10 @@ from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.follow.unresolved import count_in_words
 from casadi_skin.lattice.linear import Bands, LatticeModes
 from casadi_skin.lattice.spreading import Spreading
+from casadi_skin.optimise.kick import SmallestKick
 from casadi_skin.optimise.optimum import Optimum
-from casadi_skin.optimise.pareto import ParetoFront
-from casadi_skin.optimise.result import SearchResult
-from casadi_skin.optimise.smallest_kick import SmallestKick
+from casadi_skin.optimise.search import SearchResult
+from casadi_skin.optimise.search_orbit import ParetoFront
 from casadi_skin.results.wording import Rows, found, listed, model_name, named, parameter_rows, with_error, words
 from casadi_skin.stability.growth import TransientGrowth
 from casadi_skin.stability.tongues.diagram import StabilityDiagram

@@ -13,8 +13,7 @@ import msgspec
 
 from casadi_skin._version import __version__
 from casadi_skin.dynamics.equations import EquationsOfMotion, equations_of_motion
-from casadi_skin.fmu.fmu_model import FmuModel
-from casadi_skin.fmu.saved import OtherModelError, at_symbols, checked, identity, noises
+from casadi_skin.fmu.model import FmuModel, OtherModelError, at_symbols, checked, identity, noises
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.rest_space import EquilibriumSpace

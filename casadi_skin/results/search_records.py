@@ -10,10 +10,9 @@ import msgspec
 import numpy as np
 
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.optimise.cosine_orbit import CosineOrbit
 from casadi_skin.optimise.nlp import Solution
-from casadi_skin.optimise.optimum import Optimum
-from casadi_skin.optimise.result import SearchResult
+from casadi_skin.optimise.optimum import CosineOrbit, Optimum
+from casadi_skin.optimise.search import SearchResult
 from casadi_skin.optimise.search_problem import Ending, Outcome, SearchProblem, Start
 from casadi_skin.results.dataset import Cell, Dataset, Variable, versions, write_csv, write_netcdf
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from casadi_skin.dynamics.equations import PHYSICAL, EquationsOfMotion
 from casadi_skin.dynamics.evolution import Cycle, Evolution
-from casadi_skin.dynamics.simulation import simulate
+from casadi_skin.dynamics.evolve import simulate
 from casadi_skin.follow.find import find_equilibrium
 from casadi_skin.follow.find_orbit import find_orbit
 from casadi_skin.follow.orbit import Orbit

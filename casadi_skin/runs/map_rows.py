@@ -13,7 +13,7 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Solution
-from casadi_skin.optimise.result import SearchResult
+from casadi_skin.optimise.search import SearchResult
 from casadi_skin.results.quantities import csv_row, quantities_of
 from casadi_skin.results.quantity import Place
 from casadi_skin.runs.map_names import LEFT_OUT, plain_kind

@@ -24,7 +24,7 @@ from casadi_skin.solve.threads import one_thread
 
 if TYPE_CHECKING:
     from casadi_skin.dynamics import Evolution
-    from casadi_skin.optimise.result import SearchResult
+    from casadi_skin.optimise.search import SearchResult
 
 
 @dataclass
@@ -158,7 +158,7 @@ class Run:
         """The search with its files, where the scene requests one."""
         if self.request.scene.search is None:
             return
-        from casadi_skin.optimise.result import SearchStatus
+        from casadi_skin.optimise.search import SearchStatus
         from casadi_skin.runs.search import COMPLETE, run_search, write_results
 
         self.search = run_search(self.request, self.directory / JOURNAL, self.progress)

@@ -9,12 +9,9 @@ import msgspec
 
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.optimise.chain_family import ChainFamily
-from casadi_skin.optimise.family_nlp import FamilyNlp
-from casadi_skin.optimise.family_search import FamilySearch
-from casadi_skin.optimise.model_family import ModelFamily
-from casadi_skin.optimise.result import SearchResult, SearchStatus
-from casadi_skin.optimise.search import search
+from casadi_skin.optimise.families import ChainFamily, ModelFamily
+from casadi_skin.optimise.family_search import FamilyNlp, FamilySearch
+from casadi_skin.optimise.search import SearchResult, SearchStatus, search
 from casadi_skin.optimise.search_problem import Ending
 from casadi_skin.results.figures.search import search_figure
 from casadi_skin.results.journal import Journal

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, minimize_scalar
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.optimise.result import SearchStatus
+from casadi_skin.optimise.search import SearchStatus
 
 pytestmark = pytest.mark.slow
 

@@ -45,7 +45,7 @@ from casadi_skin import (
     simulate,
     smallest_kick,
 )
-from casadi_skin.optimise.kick_search import KickError
+from casadi_skin.optimise.kick import KickError
 from casadi_skin.solve.refined import BoundaryError
 from casadi_skin.stability.flow import FlowError
 

@@ -15,12 +15,10 @@ from casadi_skin import Chain, OdeModel, follow_family
 
 flint = pytest.importorskip("flint")
 
-from casadi_skin.certify import balls
-from casadi_skin.certify.attempt import attempt_of, computed_series, cosine_coefficients, distance
+from casadi_skin.certify import system as balls
 from casadi_skin.certify.bounds import Constants, FiniteInverse, holds, proved_radius, uniqueness_radius
-from casadi_skin.certify.certify import step_of
-from casadi_skin.certify.cosine_system import CosineSeries
-from casadi_skin.certify.model_terms import system_of
+from casadi_skin.certify.certify import attempt_of, computed_series, cosine_coefficients, distance, step_of
+from casadi_skin.certify.system import CosineSeries, system_of
 
 
 def orbit_of(model, S, mode=1, tolerance=1e-10, **options):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from orbit_problems import check_jacobian, check_table, gauss_problem, radau_problem, solved
 
 from casadi_skin import Branch, Chain, Orbit
-from casadi_skin.dynamics.duffing import duffing_frequency
+from casadi_skin.dynamics.closed_forms import duffing_frequency
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following
 from casadi_skin.model.symmetry import SymmetryClass

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit, SymmetryClass, follow_family
-from casadi_skin.dynamics.duffing import duffing_displacement, duffing_frequency
+from casadi_skin.dynamics.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following

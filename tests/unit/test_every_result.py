@@ -34,7 +34,7 @@ from casadi_skin.dynamics import evolve
 from casadi_skin.lattice.linear import bands, lattice_modes
 from casadi_skin.lattice.spreading import spreading
 from casadi_skin.model.result import Result
-from casadi_skin.optimise.pareto import pareto_front
+from casadi_skin.optimise.search_orbit import pareto_front
 
 pytestmark = pytest.mark.slow
 X, Y, MU = (ca.SX.sym(name) for name in ("x", "y", "mu"))

@@ -34,7 +34,7 @@ from casadi_skin import (
 )
 from casadi_skin.dynamics import evolve
 from casadi_skin.fmu.archive import export_fmu
-from casadi_skin.fmu.fmu import FmuModel
+from casadi_skin.fmu.model import FmuModel
 from casadi_skin.model.cvodes import cvodes
 from casadi_skin.model.dop853 import dop853
 

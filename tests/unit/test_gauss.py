@@ -23,7 +23,7 @@ from orbit_problems import (
 )
 from scipy.integrate import quad, solve_ivp
 
-from casadi_skin.dynamics.duffing import duffing_frequency
+from casadi_skin.dynamics.closed_forms import duffing_frequency
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.symmetry import SymmetryClass, pinned_components, symmetry_class

@@ -20,11 +20,10 @@ from scipy.optimize import brentq
 from casadi_skin import Chain, Orbit, follow_family, smallest_kick
 from casadi_skin.dynamics import distance_from_orbit, evolve
 from casadi_skin.lattice.uniform_chain import Array
-from casadi_skin.optimise.cosine_orbit import CosineOrbit
-from casadi_skin.optimise.kick_flow import KickedFlow, Loop
-from casadi_skin.optimise.kick_search import KickSearch, KickStart, distinct, verified
+from casadi_skin.optimise.kick import KickSearch, KickStart, SmallestKick, distinct, kick_norm, size_to_escape, verified
+from casadi_skin.optimise.kick_nlp import KickedFlow, Loop
 from casadi_skin.optimise.kick_verify import Escape, escape
-from casadi_skin.optimise.smallest_kick import SmallestKick, kick_norm, size_to_escape
+from casadi_skin.optimise.optimum import CosineOrbit
 from casadi_skin.runs.processes import SearchProgress, unpickled
 
 
@@ -213,7 +212,7 @@ def test_interruption_of_the_comparison_with_cvodes_keeps_the_best(monkeypatch: 
         os.kill(os.getpid(), signal.SIGINT)
         return escape(*arguments)
 
-    monkeypatch.setattr("casadi_skin.optimise.kick_search.escape", interrupted_escape)
+    monkeypatch.setattr("casadi_skin.optimise.kick.escape", interrupted_escape)
     kick = smallest_kick(breather(), 2.0 * breather().period, starts=1)
     assert kick.interrupted
     assert math.isnan(kick.reached)
@@ -228,7 +227,7 @@ def test_interruption_of_the_comparison_with_the_far_end_keeps_the_best(monkeypa
         os.kill(os.getpid(), signal.SIGINT)
         return size_to_escape(*arguments)
 
-    monkeypatch.setattr("casadi_skin.optimise.smallest_kick.size_to_escape", interrupted_size)
+    monkeypatch.setattr("casadi_skin.optimise.kick.size_to_escape", interrupted_size)
     kick = smallest_kick(breather(), 2.0 * breather().period, starts=1)
     assert kick.interrupted
     assert abs(kick.reached - 0.5) < 1e-6

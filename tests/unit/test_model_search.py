@@ -17,10 +17,9 @@ from scipy.optimize import brentq, minimize_scalar
 from scipy.special import ellipk
 
 from casadi_skin import Chain, OdeModel, find_orbit, search_orbit
-from casadi_skin.optimise.pareto import pareto_front
-from casadi_skin.optimise.result import SearchResult, SearchStatus
+from casadi_skin.optimise.search import SearchResult, SearchStatus
 from casadi_skin.optimise.search import search as run_search
-from casadi_skin.optimise.search_orbit import stated_search
+from casadi_skin.optimise.search_orbit import pareto_front, stated_search
 from casadi_skin.optimise.search_problem import Ending, Outcome, solve_start
 from casadi_skin.results.search_records import outcome_record, restored, write_search
 from casadi_skin.runs.processes import SearchProgress

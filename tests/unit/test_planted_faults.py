@@ -15,19 +15,17 @@ from scipy.special import erf
 from casadi_skin import Bond, BoundaryValueProblem, Chain, Lattice, OdeModel, Site, follow_family
 from casadi_skin.dynamics import evolve
 from casadi_skin.lattice.spreading import spreading
-from casadi_skin.optimise.pareto import _front
+from casadi_skin.optimise.search_orbit import _front
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.solve.solve import packed, space_of
 from casadi_skin.zero.stated_problem import BoundaryProblem
 
 flint = pytest.importorskip("flint")
 
-from casadi_skin.certify import balls
-from casadi_skin.certify.attempt import cosine_coefficients
+from casadi_skin.certify import system as balls
 from casadi_skin.certify.bounds import FiniteInverse
-from casadi_skin.certify.certify import step_of
-from casadi_skin.certify.cosine_system import CosineSeries
-from casadi_skin.certify.model_terms import system_of
+from casadi_skin.certify.certify import cosine_coefficients, step_of
+from casadi_skin.certify.system import CosineSeries, system_of
 
 
 def test_bounds_of_a_ball_hold_for_every_number_in_it() -> None:

@@ -11,11 +11,18 @@ from casadi_skin import Chain, follow_family
 
 flint = pytest.importorskip("flint")
 
-from casadi_skin.certify import balls
+from casadi_skin.certify import system as balls
 from casadi_skin.certify.certify import best_attempt
-from casadi_skin.certify.exponent import _bordered, _Pair, _toeplitz, enclosed_exponent
-from casadi_skin.certify.inertia import _count, negative_eigenvalues
-from casadi_skin.certify.linearised import Linearised, linearised
+from casadi_skin.certify.exponents import (
+    Linearised,
+    _bordered,
+    _count,
+    _Pair,
+    _toeplitz,
+    enclosed_exponent,
+    linearised,
+    negative_eigenvalues,
+)
 
 
 def hill(blocks):

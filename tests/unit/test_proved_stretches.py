@@ -12,13 +12,12 @@ from casadi_skin import Chain, OdeModel, follow_family
 
 flint = pytest.importorskip("flint")
 
-from casadi_skin.certify import balls, polynomial_piece
-from casadi_skin.certify.attempt import attempt_near, distance
+from casadi_skin.certify import stretch as polynomial_piece
+from casadi_skin.certify import system as balls
 from casadi_skin.certify.bounds import FiniteInverse, proved_radius
-from casadi_skin.certify.certify import provable, step_of
-from casadi_skin.certify.model_terms import system_of
-from casadi_skin.certify.polynomial_piece import piece_constants
-from casadi_skin.certify.stretch import _fault, _joined, _only_one, _piece, _Stretch
+from casadi_skin.certify.certify import attempt_near, distance, provable, step_of
+from casadi_skin.certify.stretch import _fault, _joined, _only_one, _piece, _Stretch, piece_constants
+from casadi_skin.certify.system import system_of
 
 NU = 1.02
 
@@ -199,7 +198,7 @@ def test_rounding_of_the_inverse_is_counted():
 
 def test_a_polynomial_between_nodes_is_bounded():
     """cos(d phi) shifted to be largest between two nodes attains the factor nearly."""
-    from casadi_skin.certify.polynomial_piece import _Uniform
+    from casadi_skin.certify.stretch import _Uniform
 
     with flint.ctx.workprec(balls.PRECISION):
         for count, degree in ((8, 5), (20, 13), (20, 19)):

@@ -12,15 +12,13 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from casadi_skin import Chain, follow_family, search_orbit
-from casadi_skin.dynamics.duffing import duffing_frequency
-from casadi_skin.optimise.chain_family import ChainFamily
-from casadi_skin.optimise.family_nlp import FamilyNlp
-from casadi_skin.optimise.family_search import FamilySearch
+from casadi_skin.dynamics.closed_forms import duffing_frequency
+from casadi_skin.optimise.families import ChainFamily, Observables
+from casadi_skin.optimise.family_search import FamilyNlp, FamilySearch
 from casadi_skin.optimise.names import NAMED
-from casadi_skin.optimise.observables import Observables
-from casadi_skin.optimise.optimality import optimality
-from casadi_skin.optimise.pareto import pareto_front
-from casadi_skin.optimise.result import SearchResult, SearchStatus
+from casadi_skin.optimise.nlp import optimality
+from casadi_skin.optimise.search import SearchResult, SearchStatus
+from casadi_skin.optimise.search_orbit import pareto_front
 from casadi_skin.optimise.search_problem import Ending
 from casadi_skin.runs.processes import SearchProgress
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import Branch, Chain, Orbit, follow_family
-from casadi_skin.dynamics.duffing import duffing_frequency
+from casadi_skin.dynamics.closed_forms import duffing_frequency
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following
 from casadi_skin.follow.point_solver import PointSolver

@@ -25,7 +25,7 @@ from orbit_problems import (
 )
 from scipy.integrate import solve_ivp
 
-from casadi_skin.dynamics.duffing import duffing_displacement, duffing_frequency
+from casadi_skin.dynamics.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.follow.family import DIGITS, Family
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.following import Following

@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import fsolve
 
 from casadi_skin import Branch, Chain, follow_family
-from casadi_skin.dynamics.threshold import threshold
+from casadi_skin.dynamics.resonances import threshold
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.taylor import Stretch
 from casadi_skin.lattice import tail_recursion

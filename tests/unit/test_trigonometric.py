@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from orbit_problems import check_jacobian, linear_mode, solved
 from scipy.integrate import solve_ivp
 
-from casadi_skin.dynamics.duffing import duffing_displacement, duffing_frequency
+from casadi_skin.dynamics.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.follow.family import Family
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.lifted import lifted

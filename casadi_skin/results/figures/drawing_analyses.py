@@ -10,9 +10,9 @@ from casadi_skin.certify.certificate import Certificate, ProvedStability, Proved
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.lattice.linear import Bands, LatticeModes
 from casadi_skin.lattice.spreading import Spreading
-from casadi_skin.optimise.pareto import ParetoFront
-from casadi_skin.optimise.result import SearchResult
-from casadi_skin.optimise.smallest_kick import SmallestKick
+from casadi_skin.optimise.kick import SmallestKick
+from casadi_skin.optimise.search import SearchResult
+from casadi_skin.optimise.search_orbit import ParetoFront
 from casadi_skin.results.figures.drawing import draw, legend_once
 from casadi_skin.results.figures.search import draw_starts
 from casadi_skin.results.figures.style import AMPLITUDE, DASHES, number_sites, plain

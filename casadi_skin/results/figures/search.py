@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.optimise.cosine_orbit import CosineOrbit
-from casadi_skin.optimise.result import SearchResult
+from casadi_skin.optimise.optimum import CosineOrbit
+from casadi_skin.optimise.search import SearchResult
 from casadi_skin.optimise.search_problem import Ending
 from casadi_skin.results.figures import style
 

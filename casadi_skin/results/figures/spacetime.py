@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.dynamics import Evolution
-from casadi_skin.dynamics.distance import distance_from_orbit
+from casadi_skin.dynamics.evolve import distance_from_orbit
 from casadi_skin.results.figures.style import DASHES, blank, colours, finished, plain, position_label, style
 from casadi_skin.results.figures.style import title as model_title
 from casadi_skin.zero.problem import Array

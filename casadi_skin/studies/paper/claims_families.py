@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from casadi_skin.dynamics import multiple_scales
+from casadi_skin.dynamics import closed_forms as multiple_scales
 from casadi_skin.follow.branch import Branch
 from casadi_skin.lattice import uniform_chain as linear
 from casadi_skin.studies.paper.claim import Claim, Verdict, claim, rounds_to

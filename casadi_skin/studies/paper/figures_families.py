@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
-from casadi_skin.dynamics import Evolution, multiple_scales
+from casadi_skin.dynamics import Evolution
+from casadi_skin.dynamics import closed_forms as multiple_scales
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.results.figures.frequencies import draw_band, family_path, family_pieces, label_ends

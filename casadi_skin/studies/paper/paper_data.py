@@ -8,7 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from casadi_skin.dynamics import Evolution, multiple_scales, simulate_orbit
+from casadi_skin.dynamics import Evolution, simulate_orbit
+from casadi_skin.dynamics import closed_forms as multiple_scales
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.orbit import Orbit

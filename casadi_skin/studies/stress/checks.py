@@ -9,8 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from casadi_skin.dynamics.duffing import duffing_frequency
-from casadi_skin.dynamics.multiple_scales import frequency_slope
+from casadi_skin.dynamics.closed_forms import duffing_frequency, frequency_slope
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.harmonics import harmonic_shares

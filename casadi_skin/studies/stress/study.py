@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from casadi_skin.dynamics.threshold import threshold
+from casadi_skin.dynamics.resonances import threshold
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.results.figures.style import blank, finished, style
 from casadi_skin.studies.stress import physical

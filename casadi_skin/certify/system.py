@@ -1,0 +1,408 @@
+"""Balls of python-flint, and their enclosures by doubles.
+
+A ball is a midpoint with a radius and encloses a real number; results computed from balls enclose those that would be
+computed from the numbers (Johansson 2017). Matrices are products of doubles, whose rounding is bounded beforehand.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.model.amplitude import amplitude_square
+from casadi_skin.model.formula import Number
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.polynomial import NotPolynomialError, constants, exact_terms
+from casadi_skin.zero.coordinates import Coordinates
+from casadi_skin.zero.problem import Array
+
+if TYPE_CHECKING:
+    from flint import arb, arb_poly
+
+    from casadi_skin.certify.tail import LinearTail
+
+PRECISION = 128  # bits of balls
+ROUNDING = 2.0**-51  # four times the unit roundoff, for each operation of a sum
+UNDERFLOW = 2.0**-900  # more than all operations of a bound can lose below the smallest double
+
+
+def flint() -> Any:
+    """The module python-flint; raises ImportError, naming the extra, where it is missing."""
+    try:
+        import flint
+    except ImportError:
+        extra = 'install casadi-skin with the extra "certify", as in: pip install "casadi-skin[certify]"'
+        raise ImportError(f"certify: python-flint is missing; {extra}") from None
+    return flint
+
+
+def above(value: arb) -> float:
+    """A double that no number in a ball exceeds."""
+    return float(np.nextafter(float(value.upper()), np.inf))
+
+
+def below(value: arb) -> float:
+    """A double that no number in a ball falls below."""
+    return float(np.nextafter(float(value.lower()), -np.inf))
+
+
+def size(value: arb) -> float:
+    """A double that the modulus of no number in a ball exceeds."""
+    return above(abs(value))
+
+
+def rounded_up(value: Array, operations: int) -> Array:
+    """An upper bound of sums of products of numbers >= 0, from their value in doubles after so many operations.
+
+    Holds in any order of the sums, with and without fused operations (Higham 2002, chapter 3).
+    """
+    return np.asarray(value * (1.0 + (operations + 8) * ROUNDING) + UNDERFLOW)
+
+
+@dataclass(frozen=True, eq=False)
+class Enclosed:
+    """Real numbers within `radius` of the doubles `middle`, arrays of one shape."""
+
+    middle: Array
+    radius: Array
+
+    @classmethod
+    def of(cls, balls: Iterable[arb]) -> Enclosed:
+        """Doubles around balls, shape (balls,)."""
+        from flint import arb
+
+        values = list(balls)
+        middle = np.array([float(value.mid()) for value in values])
+        radius = np.array([size(v - arb(m)) for v, m in zip(values, middle.tolist(), strict=True)])
+        return cls(middle, radius)
+
+    @property
+    def largest(self) -> Array:
+        """Upper bounds of the moduli."""
+        return np.nextafter(np.abs(self.middle) + self.radius, np.inf)
+
+
+# Equations of cosine series: lambda k^2 a_nk + [force_n(q)]_k = 0 and h(q(0)) = S, evaluated in balls -----------------
+
+Factors = tuple[int, ...]
+Terms = Mapping[Factors, Fraction]
+
+
+@dataclass(frozen=True, eq=False)
+class CosineSystem:
+    """Polynomial forces and amplitude of one model at fixed parameters, in scaled positions.
+
+    Attributes:
+        forces: of each position the terms of its acceleration in the model's positions, of odd degrees for step 2.
+        amplitude: terms of the quadratic form h that S is the value of.
+        scale: the factors d_n, each an exact number.
+        S: value of the amplitude.
+        step: of the harmonics, 2 or 1.
+        parameter: s, with which a term of degree p has the factor s^((p - 1)/step); 1 but along a family.
+        tail: the tail that a chain's core of odd cosines is coupled to.
+    """
+
+    forces: Sequence[Terms]
+    amplitude: Terms
+    scale: Sequence[arb]
+    S: arb
+    step: int = 2
+    parameter: arb | None = None
+    tail: LinearTail | None = None
+
+    @property
+    def positions(self) -> int:
+        return len(self.forces)
+
+    @property
+    def degree(self) -> int:
+        """Highest degree of the forces."""
+        return max((len(factors) for terms in self.forces for factors in terms), default=1)
+
+    def harmonic(self, index: int) -> int:
+        """The harmonic k with an index, 1, 3, 5, ... or 0, 1, 2, ..."""
+        return self.step * (index + 1) - 1
+
+    def scaled(self, row: int | None) -> list[tuple[Factors, arb]]:
+        """Terms of the acceleration of q_row, or of the amplitude, with coefficients for scaled positions."""
+        from flint import arb, fmpq
+
+        terms = self.amplitude if row is None else self.forces[row]
+        result = []
+        for factors, coefficient in terms.items():
+            value = arb(fmpq(coefficient.numerator, coefficient.denominator))
+            for n in factors:
+                value *= self.scale[n]
+            if row is not None:
+                value /= self.scale[row]
+                if self.parameter is not None:
+                    value *= self.parameter ** ((len(factors) - 1) // self.step)
+            result.append((factors, value))
+        return result
+
+
+class CosineSeries:
+    """The equations and their derivatives at one lambda and one set of coefficients a_nk, H harmonics of each n."""
+
+    def __init__(self, system: CosineSystem, square: arb, coefficients: Sequence[Sequence[arb]]) -> None:
+        from flint import arb_poly
+
+        self.system, self.square, self.coefficients = system, square, coefficients
+        self.harmonics = len(coefficients[0])
+        self.highest = system.harmonic(self.harmonics - 1)
+        self._products: dict[Factors, arb_poly] = {(): arb_poly([1])}
+        for n, series in enumerate(coefficients):
+            half = [a / 2 for a in series]
+            middle = [] if system.step == 2 else [series[0]]
+            outer = half[len(middle) :]
+            self._products[n,] = arb_poly([*reversed(outer), *middle, *outer])
+        self._terms = [system.scaled(n) for n in range(system.positions)]
+
+    def _product(self, factors: Factors) -> arb_poly:
+        """z^(pK) times a product of p series, a polynomial in z^step."""
+        if factors not in self._products:
+            self._products[factors] = self._product(factors[:-1]) * self._products[factors[-1:]]
+        return self._products[factors]
+
+    def _sum(self, terms: Sequence[tuple[Factors, arb]], last: int) -> list[arb]:
+        """Coefficients of z^k of a sum of products, k = last, last - step, ... down to 0 or 1, in ascending order."""
+        from flint import arb, arb_poly
+
+        by_degree: dict[int, arb_poly] = {}
+        step = self.system.step
+        for factors, coefficient in terms:
+            part = self._product(factors) * coefficient
+            by_degree[len(factors)] = by_degree.get(len(factors), arb_poly()) + part
+        total = [arb(0) for _ in range(last // step + 1)]
+        for degree, part in by_degree.items():
+            for i, k in enumerate(range(last % step, min(last, degree * self.highest) + 1, step)):
+                total[i] += part[(degree * self.highest + k) // step]
+        return total
+
+    # The equations ----------------------------------------------------------------------------------------------------
+
+    @property
+    def start(self) -> list[arb]:
+        """Positions q_n at theta = 0."""
+        from flint import arb
+
+        return [sum(series, arb(0)) for series in self.coefficients]
+
+    def amplitude_residual(self) -> arb:
+        """h(q(0)) - S."""
+        from flint import arb
+
+        q, total = self.start, arb(0)
+        for (i, j), coefficient in self.system.scaled(None):
+            total += coefficient * q[i] * q[j]
+        if self.tail_series is not None:
+            assert self.system.tail is not None
+            total += self.system.tail.amplitude(self.tail_series, self.square)
+        return total - self.system.S
+
+    def amplitude_slope(self) -> list[arb]:
+        """Derivatives of h(q(0)) with respect to q_n(0), shape (positions,)."""
+        from flint import arb
+
+        q, slope = self.start, [arb(0) for _ in range(self.system.positions)]
+        for (i, j), coefficient in self.system.scaled(None):
+            slope[i] += coefficient * q[j]
+            slope[j] += coefficient * q[i]
+        return slope
+
+    def residual(self, n: int) -> list[arb]:
+        """Coefficients of cos(k theta) in the equation of q_n, for every k that occurs."""
+        values = self._sum(self._terms[n], self.system.degree * self.highest)
+        values = [2 * value if self.system.harmonic(i) else value for i, value in enumerate(values)]
+        for i, a in enumerate(self.coefficients[n]):
+            values[i] += self.square * self.system.harmonic(i) ** 2 * a
+        tail = self.system.tail
+        if tail is not None and n == tail.site:
+            for i, a in enumerate(self.coefficients[n]):
+                values[i] += tail.coupling * tail.share(2 * i + 1, self.square) * a
+        return values
+
+    @property
+    def tail_series(self) -> Sequence[arb] | None:
+        """Coefficients at the site that a tail is coupled to; None without a tail."""
+        return None if self.system.tail is None else self.coefficients[self.system.tail.site]
+
+    def derivatives(self, m: int) -> dict[int, list[arb]]:
+        """For each q_n that force m depends on, the coefficients g_p of z^p, p = 0, step, ..., of d force_m/d q_n."""
+        parts: dict[int, list[tuple[Factors, arb]]] = {}
+        for factors, coefficient in self._terms[m]:
+            for place, n in enumerate(factors):
+                parts.setdefault(n, []).append((factors[:place] + factors[place + 1 :], coefficient))
+        last = (self.system.degree - 1) * self.highest
+        return {n: self._sum(terms, last) for n, terms in parts.items()}
+
+
+# The exact polynomials of a model: forces, amplitude and conserved quantity, as fractions -----------------------------
+
+
+def exact(value: float, decimals: bool) -> Fraction:
+    """Exact value of a double: itself, or the shortest decimal that rounds to it."""
+    return Fraction(repr(value)) if decimals else Fraction(value)
+
+
+def ball(number: Fraction) -> arb:
+    """A ball around a fraction."""
+    from flint import arb, fmpq
+
+    return arb(fmpq(number.numerator, number.denominator))
+
+
+@dataclass(frozen=True, eq=False)
+class ExactEquations:
+    """Equations whose numbers are fractions: a model, and values of its velocities (0) and parameters.
+
+    Of a lattice every number in a formula is a parameter, with the value of the written decimal or of its double. Other
+    models hold doubles, which are the numbers; with `decimals` ValueError is raised where one is no short decimal.
+    """
+
+    model: OdeModel
+    values: list[Fraction | None]
+    decimals: bool
+
+    @classmethod
+    def of(cls, model: OdeModel, parameters: Mapping[str, float], decimals: bool) -> ExactEquations:
+        """At values of the parameters by name; 0 for the one that stands for S."""
+        numbers: Mapping[str, Number | None] = {}
+        if isinstance(model, Lattice):
+            model, numbers = model.with_numbers_apart
+
+        def value(name: str) -> Fraction | None:
+            if name not in numbers:
+                return exact(float(parameters.get(name, 0.0)), decimals)
+            number = numbers[name]
+            if number is None:
+                return None
+            return number.exact if decimals else Fraction(number.value)
+
+        values = [Fraction(0)] * model.size + [value(name) for name in model.parameter_names]
+        return cls(model, values, decimals)
+
+    def terms(self, expression: ca.SX) -> list[dict[tuple[int, ...], Fraction]]:
+        """The terms of polynomials of the positions; raises NotPolynomialError for other expressions."""
+        model = self.model
+        fixed = ca.vertcat(model.velocity, model.parameters)
+        inexact = [c for c in constants(expression, [model.state, fixed]) if exact(c, True) != Fraction(c)]
+        if self.decimals and inexact:
+            words = f"the double {inexact[0]!r} in the equations of {model.name}, which may stand for another decimal"
+            accepted = "with decimals numbers like 0.5 that doubles hold exactly, others as parameters or in a Lattice"
+            raise ValueError(f"certify: given {words}; accepted: {accepted}")
+        return exact_terms(expression, model.state, fixed, self.values)
+
+
+def system_of(coordinates: Coordinates, S: float, step: int = 2, decimals: bool = False) -> CosineSystem:
+    """The equations of cosines of a family's model; raises ValueError where its forces are no polynomials for them.
+
+    Positions are scaled by doubles near the factors of the coordinates and by a power of 2 near sqrt(S), all exact;
+    with `decimals` numbers of formulas, parameters and S are the decimals that are written.
+    """
+    from flint import arb
+
+    equations = ExactEquations.of(coordinates.model, coordinates.parameters, decimals)
+    kind = "odd polynomials" if step == 2 else "polynomials"
+    accepted = f"certify: given {equations.model.name}; accepted: forces that are {kind} of the positions"
+    try:
+        forces = equations.terms(equations.model.rhs)
+    except NotPolynomialError as error:
+        raise ValueError(f"{accepted} ({error})") from None
+    even = next((factors for terms in forces for factors in terms if len(factors) % 2 == 0), None)
+    if step == 2 and even is not None:
+        raise ValueError(f"{accepted} (a term of degree {len(even)} is even)")
+    form = equations.terms(amplitude_square(equations.model).form)
+    power = round(0.5 * float(np.log2(S)))
+    scale = [_near(log) * arb(2) ** power for log in coordinates.log_scale.tolist()]
+    return CosineSystem(forces, form[0], scale, ball(exact(S, decimals)), step)
+
+
+def _near(log: float) -> arb:
+    """A number with the digits of a double near exp(log), of any size."""
+    from flint import arb
+
+    power = round(log / math.log(2.0))
+    return arb(math.exp(log - power * math.log(2.0))) * arb(2) ** power
+
+
+def energy_terms(coordinates: Coordinates, forces: Sequence[Terms], decimals: bool = False) -> Terms | None:
+    """Terms of the conserved quantity at rest, above its value at 0, in the model's positions; None without one.
+
+    The energy that the model declares, or for coordinates that declare one the potential of its forces.
+    """
+    equations = ExactEquations.of(coordinates.model, coordinates.parameters, decimals)
+    if equations.model.hamiltonian is not None:
+        try:
+            terms = equations.terms(equations.model.hamiltonian)[0]
+        except NotPolynomialError:
+            return None
+        return {factors: coefficient for factors, coefficient in terms.items() if factors}
+    if coordinates.scaled.hamiltonian is None:
+        return None
+    return potential(forces, int(np.argmax(coordinates.log_scale)))
+
+
+def potential(forces: Sequence[Terms], first: int) -> Terms | None:
+    """The potential V with M_n force_n = -dV/dy_n for weights M > 0, M = 1 at position `first`; None without one.
+
+    A walk over the couplings finds the weights, and every derivative is compared, all in fractions.
+    """
+    weights = weights_of(forces, first)
+    if weights is None:
+        return None
+    V: dict[tuple[int, ...], Fraction] = {}
+    for n, terms in enumerate(forces):
+        for factors, coefficient in terms.items():
+            key = tuple(sorted((*factors, n)))
+            # Euler: the sum of y_n dV/dy_n is V times its degree
+            V[key] = V.get(key, Fraction(0)) - weights[n] * coefficient / len(key)
+    slopes: list[dict[tuple[int, ...], Fraction]] = [{} for _ in forces]
+    for factors, coefficient in V.items():
+        for n in set(factors):
+            place = factors.index(n)
+            slopes[n][factors[:place] + factors[place + 1 :]] = coefficient * factors.count(n)
+    matches = all(
+        {f: -weights[n] * c for f, c in terms.items()} == {f: c for f, c in slopes[n].items() if c}
+        for n, terms in enumerate(forces)
+    )
+    return V if matches else None
+
+
+def evaluate(terms: Terms, values: Sequence[arb]) -> arb:
+    """A polynomial at balls."""
+    from flint import arb
+
+    total = arb(0)
+    for factors, coefficient in terms.items():
+        product = ball(coefficient)
+        for n in factors:
+            product *= values[n]
+        total += product
+    return total
+
+
+def weights_of(forces: Sequence[Terms], first: int) -> list[Fraction] | None:
+    """M_n with M_m dforce_m/dy_n = M_n dforce_n/dy_m, from terms along a walk; None where a part is not reached."""
+    weights: dict[int, Fraction] = {first: Fraction(1)}
+    queue = deque([first])
+    while queue:
+        m = queue.popleft()
+        for factors, coefficient in forces[m].items():
+            for n in set(factors) - set(weights):
+                place = factors.index(n)
+                other = tuple(sorted((*factors[:place], *factors[place + 1 :], m)))
+                back = forces[n].get(other, Fraction(0)) * other.count(m)
+                if not back * coefficient > 0:
+                    return None
+                weights[n] = weights[m] * coefficient * factors.count(n) / back
+                queue.append(n)
+    return [weights[n] for n in range(len(forces))] if len(weights) == len(forces) else None

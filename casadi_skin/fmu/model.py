@@ -1,0 +1,344 @@
+"""A model made of an FMU that is unpacked: the right-hand side and its derivatives are those of its binary."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, TypeAlias
+from xml.etree import ElementTree as ET
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.fmu.fmu_archive import DESCRIPTION, Unpacked, read_description, unpack
+from casadi_skin.fmu.fmu_variables import FmuChoices, Variables
+from casadi_skin.fmu.function import STEP, Derivatives, FmuFunction
+from casadi_skin.fmu.instance import FmuInstance
+from casadi_skin.model.arguments import by_name, file_path, number, short_repr
+from casadi_skin.model.expressions import expression_of
+from casadi_skin.model.ode import OdeModel
+
+Signal: TypeAlias = float | Callable[[Any], Any]
+_TIMES = (0.0, 0.37, 1.9)  # where the equations must be the same unless the model is forced
+PERIODIC = 1e-9  # of a signal's size, between times that are a period apart
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class FmuModel(OdeModel):
+    """A model whose equations are in an FMU's binary; functions made of it live as long as it does.
+
+    `start_state` is where the FMU starts from, shape (states,), `signals` the function of the time whose values its
+    inputs get. Jacobians come from the FMU where `derivatives` is
+    "directional", else from "differences". The instances and their temporary folder go when the model does.
+    """
+
+    start_state: tuple[float, ...]
+    instance: FmuInstance
+    functions: tuple[FmuFunction, ...] = field(repr=False)
+    signals: ca.Function = field(repr=False)
+
+    @property
+    def derivatives(self) -> str:
+        """Method for the Jacobian by the states: "directional" or "differences"."""
+        return self.functions[0].derivatives.by_states
+
+    @property
+    def parameter_derivatives(self) -> str:
+        """Method for the Jacobian by the parameters: "directional" or "differences"."""
+        return self.functions[0].derivatives.by_parameters
+
+    @property
+    def noise(self) -> float:
+        """Largest estimated error of a Jacobian so far relative to its largest entry: 0 without differences."""
+        return max(f.derivatives.difference.largest_error for f in self.functions)
+
+    @property
+    def rounding(self) -> float:
+        """Relative error of values, which gives differences with their step the error `noise`."""
+        return max(super().rounding, STEP * self.noise)
+
+    @property
+    def complaints(self) -> tuple[str, ...]:
+        """The FMU's last messages, as where it could not compute a value, which then is NaN."""
+        return tuple(self.instance.complaints)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Raises ValueError: another process reads the FMU itself."""
+        raise ValueError(f"{self.name}: cannot be pickled: its equations are those of a program, the FMU")
+
+    def close(self) -> None:
+        """Free the FMU and remove its folder; its functions fail afterwards."""
+        self.instance.close()
+
+
+def made(unpacked: Unpacked, choices: FmuChoices, signals: Mapping[str, Signal]) -> FmuModel:
+    """The model in an FMU that is unpacked, with values or signals of its inputs; raises ValueError as `import_fmu`."""
+    instance = FmuInstance(unpacked, Variables(unpacked.path, unpacked.description, choices))
+    try:
+        return _model(instance, choices, signals)
+    except BaseException:
+        instance.close()
+        raise
+
+
+def _model(instance: FmuInstance, choices: FmuChoices, signals: Mapping[str, Signal]) -> FmuModel:
+    variables, forced = instance.variables, choices.forcing_period is not None
+    count = len(choices.parameters)
+    t, x, p = ca.MX.sym("t"), ca.MX.sym("x", len(variables.states)), ca.MX.sym("p", count)
+    inputs = [signal_at(name, signals[name], t, choices.forcing_period) for name in choices.inputs]
+    if not forced:
+        _check_autonomous(instance, [float(ca.evalf(value)) for value in inputs])
+    offered = _offers_derivatives(instance)
+
+    functions = [FmuFunction("fmu_derivatives", Derivatives(instance, None, offered), forced)]
+    shown = variables.outputs
+    if shown:
+        functions.append(FmuFunction("fmu_outputs", Derivatives(instance, shown, offered), forced))
+    back = np.argsort(variables.order).tolist()
+    given = ca.vertcat(p, *inputs) if inputs else p
+    results = [call(t if forced else 0.0, x[back], given) for call in functions]
+    return FmuModel(
+        name=str(variables.description.modelName),
+        state=x,
+        rhs=results[0][variables.order],
+        parameters=p,
+        time=t if forced else None,
+        forcing_period=choices.forcing_period,
+        outputs={element.name: results[1][i] for i, element in enumerate(shown)},
+        nominal=tuple(float(v) for v in instance.start_given[:count]),
+        state_labels=tuple(variables.states[i].name for i in variables.order),
+        parameter_labels=choices.parameters,
+        checked=False,
+        start_state=tuple(float(instance.start[i]) for i in variables.order),
+        instance=instance,
+        functions=tuple(functions),
+        signals=ca.Function("signals", [t], [ca.vertcat(*inputs) if inputs else ca.MX(0, 1)]),
+    )
+
+
+def signal_at(name: str, signal: Signal, t: ca.MX, period: float | None) -> ca.MX:
+    """The value of an input as an expression in the time.
+
+    Raises ValueError for a signal without a forcing period, or that does not have that period.
+    """
+    expression = expression_of(f"inputs, {name}", signal, [t], "f(t)")
+    if expression.numel() != 1:
+        raise ValueError(f"inputs, {name}: given shape {expression.shape}; accepted: a number, or one of f(t)")
+    if not ca.depends_on(expression, t):
+        return expression
+    if period is None:
+        raise ValueError(f"inputs, {name}: given a function of time; accepted: with forcing_period=")
+    now, later = (np.array([float(ca.Function("u", [t], [expression])(s + at)) for at in _TIMES]) for s in (0, period))
+    if not np.allclose(now, later, rtol=PERIODIC, atol=PERIODIC * max(1.0, float(np.abs(now).max()))):
+        raise ValueError(f"inputs, {name}: given a signal that has not the period {period:g}; accepted: one that has")
+    return expression
+
+
+def _offers_derivatives(instance: FmuInstance) -> bool:
+    """Whether the FMU says so; fmpy does not keep that flag of FMI 3.0."""
+    exchange = ET.parse(instance.folder / DESCRIPTION).getroot().find("ModelExchange")
+    flags = ("providesDirectionalDerivatives", "providesDirectionalDerivative")
+    return exchange is not None and any(exchange.get(flag) in ("true", "1") for flag in flags)
+
+
+def _check_autonomous(instance: FmuInstance, inputs: list[float]) -> None:
+    """Raises ValueError where the derivatives at the start change with time alone."""
+    given = np.concatenate([instance.start_given[: instance.start_given.size - len(inputs)], inputs])
+    rows = np.ones((len(_TIMES), 1))
+    values = instance.at(None, _TIMES, rows * instance.start, rows * given)
+    if not np.array_equal(values, rows * values[0], equal_nan=True):
+        raise ValueError(f"{instance.path}: the equations depend on time; accepted: with forcing_period=")
+
+
+# An FMU's binary in a process of its own first: where it ends that process, or never answers, it is refused -----------
+
+ANSWERED = 86  # the exit status of a process in which the binary came back, with values or an error
+_PROGRAM = "from casadi_skin.fmu.model import main; main()"
+_answered: set[tuple[str, str]] = set()  # archives and arguments that were tried in this process
+
+
+def check_answer(unpacked: Unpacked, choices: FmuChoices, inputs: Mapping[str, float], time_limit: float) -> None:
+    """Raises ValueError where the model cannot be made of an FMU and evaluated once within a time, in seconds."""
+    wanted = {"asked": asdict(choices), "inputs": dict(inputs)}
+    key = unpacked.digest, json.dumps(wanted)
+    if key in _answered:
+        return
+    places = {"path": str(unpacked.path), "folder": str(unpacked.folder), "library": str(unpacked.library)}
+    words = json.dumps({**places, **wanted, "time_limit": time_limit})
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p or str(Path.cwd()) for p in sys.path)}
+    with subprocess.Popen(
+        [sys.executable, "-P", "-c", _PROGRAM, words], env=environment, stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+    ) as process:  # fmt: skip
+        try:
+            status = process.wait(time_limit)
+        except subprocess.TimeoutExpired:
+            accepted = "accepted: one that does, or a longer time_limit"
+            raise ValueError(
+                f"{unpacked.path}: its binary does not answer within {time_limit:g} s; {accepted}"
+            ) from None
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+    if status != ANSWERED:
+        how = signal.Signals(-status).name if status < 0 else f"exit status {status}"
+        accepted = "accepted: one that comes back"
+        raise ValueError(f"{unpacked.path}: its binary ends the process that calls it ({how}); {accepted}")
+    _answered.add(key)
+
+
+def main() -> None:
+    """The process: makes the model as `import_fmu` does, evaluates it once, and ends with `ANSWERED`."""
+    given = json.loads(sys.argv[1])
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.setitimer(signal.ITIMER_REAL, given["time_limit"] + 1.0)  # should nobody be left to end it
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    folder, path = Path(given["folder"]), Path(given["path"])
+    try:
+        unpacked = Unpacked(path, folder, Path(given["library"]), read_description(path, folder), lambda: None)
+        names: Any = {name: tuple(v) if isinstance(v, list) else v for name, v in given["asked"].items()}
+        choices = FmuChoices(**names)
+        model = made(unpacked, choices, given["inputs"])
+        model.function("once", model.rhs, *model.outputs.values())(0.0, model.start_state, model.nominal or ())
+    except Exception:  # the same is raised, and reported, where the FMU is read
+        pass
+    os._exit(ANSWERED)
+
+
+def _end_with_parent() -> None:
+    sys.stdin.buffer.read()
+    os._exit(1)
+
+
+# Models of FMUs in files of results: the identity of the FMU and the choices of its import; never its binary ----------
+
+SAMPLES = 8  # times in a period at which signals are compared
+
+
+class OtherModelError(ValueError):
+    """The model that a reader was given is not that of the file."""
+
+
+def identity(model: FmuModel) -> dict[str, Any]:
+    """The identity of an FMU's model: its token, a hash of its files, and the choices of its import."""
+    variables = model.instance.variables
+    choices, description = variables.choices, variables.description
+    token = description.guid if str(description.fmiVersion).startswith("2") else description.instantiationToken
+    times = [k / SAMPLES * (choices.forcing_period or 0.0) for k in range(SAMPLES)]
+    signals = np.array([np.array(model.signals(t)).ravel() for t in times])
+    return {
+        "name": model.name,
+        "token": str(token),
+        "hash": model.instance.digest,
+        "states": list(model.state_names),
+        "parameters": list(model.parameter_names),
+        "inputs": list(choices.inputs),
+        "signals": signals.ravel().tolist(),
+        "forcing_period": choices.forcing_period,
+        "derivatives": [model.derivatives, model.parameter_derivatives],
+    }
+
+
+def noises(model: FmuModel) -> list[float]:
+    """Largest errors of differences so far: tolerances depend on them."""
+    return [function.derivatives.difference.largest_error for function in model.functions]
+
+
+def checked(saved: Mapping[str, Any], noise: list[float], model: Any) -> FmuModel:
+    """The model that a reader was given, where it is the one that was saved; raises OtherModelError in a line."""
+    words = f"its model is the FMU {short_repr(saved['name'])} with token {short_repr(saved['token'])}"
+    if model is None:
+        why = f"{words}, and reading runs no binary"
+        raise OtherModelError(f"{why}; accepted: read_result(path, model=import_fmu(...)) of that FMU")
+    if not isinstance(model, FmuModel):
+        raise OtherModelError(f"model: given {short_repr(model)}; accepted: a model of import_fmu, as {words}")
+    here = identity(model)
+    for label, there in saved.items():
+        if here[label] != there:
+            names = f"given one with {label} {short_repr(here[label])}; accepted: {label} {short_repr(there)}"
+            raise OtherModelError(f"model: {names}, as {words}")
+    for function, largest in zip(model.functions, noise, strict=True):
+        difference = function.derivatives.difference
+        difference.largest_error = max(difference.largest_error, largest)
+    return model
+
+
+def at_symbols(columns: list[ca.SX], before: list[ca.SX], symbols: list[Any]) -> list[Any]:
+    """Expressions in SX symbols as those in the symbols of a model, which are in MX where it is a program."""
+    if isinstance(symbols[0], ca.SX):
+        return columns
+    found = []
+    for column in columns:
+        used = [k for k, block in enumerate(before) if ca.depends_on(column, block)]
+        function = ca.Function("statement", [before[k] for k in used], [column])
+        found.append(function(*(symbols[k] for k in used)) if used else ca.MX(ca.DM(column)))
+    return found
+
+
+# An imported FMU as an `OdeModel`: the right-hand side and its derivatives are those of its binary --------------------
+
+TIME_LIMIT = 60.0  # seconds
+
+
+def import_fmu(
+    path: str | Path,
+    *,
+    states: Sequence[str] | None = None,
+    parameters: Sequence[str] = (),
+    inputs: Mapping[str, Signal] | None = None,
+    forcing_period: float | None = None,
+    time_limit: float = TIME_LIMIT,
+) -> FmuModel:
+    """The model in an FMU (FMI 2.0 or 3.0, Model Exchange without events), through its binary for this platform.
+
+    Jacobians are the FMU's where it offers them and they agree with differences, else by differences, whose estimated
+    error is the model's `noise`. The binary runs with your permissions. It is loaded and called in a process of its
+    own first, once for each file, so that one that ends its process or never answers is refused; its later calls, at
+    other states, run in this process.
+
+    Arguments:
+        path: The FMU.
+        states: All of its continuous states by name, in the wanted order; by default in its own.
+        parameters: Its real parameters and inputs that become parameters of the model; the others keep their values.
+        inputs: Values of its inputs by name, or signals: functions f(t) of CasADi's time with the forcing's period. The
+            others keep their start values. Entries of arrays are called u[1], A[1,2].
+        forcing_period: The period of a model that depends on time.
+        time_limit: Seconds in which the binary must answer in the process of its own.
+
+    Returns:
+        The model, of first order.
+
+    Raises:
+        ValueError: A name is unknown; the FMU is damaged, hostile, too large, of another platform, or without Model
+            Exchange; its binary does not come back; or fmpy (the extra "fmu") is not installed. In one line.
+        TypeError: An argument is of another kind.
+    """
+    if forcing_period is not None and number("forcing_period", forcing_period) <= 0:
+        raise ValueError(f"forcing_period: given {forcing_period!r}; accepted: a number > 0")
+    if number("time_limit", time_limit) <= 0:
+        raise ValueError(f"time_limit: given {time_limit!r}; accepted: seconds > 0")
+    for label, names in (("states", states), ("parameters", parameters)):
+        given = () if names is None and label == "states" else names
+        if not isinstance(given, list | tuple) or not all(isinstance(name, str) for name in given):
+            raise ValueError(f"{label}: given {short_repr(names)}; accepted: a list of names")
+    signals = by_name("inputs", inputs, "a number or a function f(t)")
+    t = ca.MX.sym("t")
+    first = [signal_at(name, signal, t, forcing_period) for name, signal in signals.items()]
+    at_start = {name: float(ca.Function("u", [t], [u])(0.0)) for name, u in zip(signals, first, strict=True)}
+    order = None if states is None else tuple(states)
+    choices = FmuChoices(order, tuple(parameters), tuple(signals), forcing_period)
+    unpacked = unpack(file_path("path", path))
+    try:
+        Variables(unpacked.path, unpacked.description, choices)  # names first: they run nothing
+        check_answer(unpacked, choices, at_start, time_limit)
+        return made(unpacked, choices, signals)
+    except BaseException:
+        unpacked.remove()
+        raise

@@ -1,0 +1,481 @@
+"""The search for the smallest kick: where it starts, where each start leads, and its check by CVODES."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.model.arguments import check_name, number, short_repr, whole
+from casadi_skin.model.result import Result
+from casadi_skin.optimise.kick_nlp import KickedFlow, KickNlp, KickOptimum
+from casadi_skin.optimise.kick_verify import Escape, escape, sampled, size_to_escape
+from casadi_skin.optimise.nlp import STOPPED
+from casadi_skin.runs.processes import Report, Runner
+from casadi_skin.solve.iteration_callback import Monitor
+from casadi_skin.solve.nlp import nlp_reason
+from casadi_skin.zero.problem import Array, Indices
+
+FLOW_ERROR = 1e-6  # of the distance, against CVODES; the steps are halved until it is met
+REFINEMENTS = 4
+SAME = 1e-3  # relative difference of kicks that count as one optimum
+SHORTER = 0.98  # a kick that escapes at this part of its size is searched again from there
+
+
+class KickError(ArithmeticError):
+    """No kick was found, or none whose flow could be followed; the message says which in one line."""
+
+
+@dataclass(frozen=True, eq=False)
+class KickStart:
+    """A direction (m,) that a search starts from, by number and name."""
+
+    number: int
+    name: str
+    direction: Array
+
+
+@dataclass(frozen=True, eq=False)
+class KickOutcome:
+    """Where a start leads: `first`, the size of it that escapes, if any, and `found`, where Ipopt ended from there.
+
+    `last` has iterations, norm and violation.
+    """
+
+    start: KickStart
+    first: KickOptimum | None = None
+    found: KickOptimum | None = None
+    last: tuple[int, float, float] = (0, np.inf, np.inf)
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether an interruption ended it."""
+        return self.found is not None and self.found.words == STOPPED
+
+
+@dataclass(frozen=True, eq=False)
+class KickSearch:
+    """A search over kicks `basis` (2N, m) times m unknowns, near the norm `scale`, in units of sqrt(S)."""
+
+    flow: KickedFlow
+    distance: float
+    basis: Array
+    scale: float
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return KickSearch, (self.flow, self.distance, self.basis, self.scale)  # another process builds its own nlp
+
+    @cached_property
+    def nlp(self) -> KickNlp:
+        """The nonlinear programme, which all starts share."""
+        return KickNlp(self.flow, self.distance, self.basis, self.scale)
+
+    def physical(self, kick: Array) -> Array:
+        """Positions and velocities (2N,) of unknowns (m,)."""
+        orbit = self.flow.orbit
+        return np.asarray(np.sqrt(orbit.S) * np.tile(orbit.model.rho, 2) * (self.basis @ kick))
+
+    def solve(self, start: KickStart, monitor: Monitor | None = None) -> KickOutcome:
+        """Outcome of a start; raises KeyboardInterrupt only before a size of it escapes."""
+        first = self._first(start.name, start.direction)
+        if first is None:
+            return KickOutcome(start)
+        try:
+            found = self._from(first, monitor)
+        except KeyboardInterrupt:
+            found = replace(first, words=STOPPED)
+        last = (found.iterations, float(np.sqrt(self.flow.orbit.S)) * found.norm, found.violation)
+        return KickOutcome(start, first, found, last)
+
+    def _first(self, name: str, direction: Array) -> KickOptimum | None:
+        """The smallest multiple of a direction (m,) that escapes, as a point that Ipopt starts from."""
+        unit = direction / np.linalg.norm(direction)
+        found = self.flow.first_to_escape(self.basis @ unit, self.distance, self.scale)
+        if found is None:
+            return None
+        size, step = found
+        shorter = replace(self.flow, time=step / self.flow.steps * self.flow.time)
+        phase = self.flow.nearest_phase(shorter.run((size * self.basis @ unit)[None])[0, -1])
+        return KickOptimum(name, size * unit, size, shorter.time, phase)
+
+    def _from(self, first: KickOptimum, monitor: Monitor | None) -> KickOptimum:
+        """The optimum from a point, and from shorter ones where a part of it escapes at another time."""
+        found = self.optimum(first, monitor)
+        for _ in range(3):
+            shorter = self._first(first.name, found.kick) if found.solved else None
+            if shorter is None or shorter.norm > SHORTER * found.norm:
+                break
+            again = self.optimum(shorter, monitor)
+            if not again.solved or again.norm > found.norm:
+                break
+            found = again
+        return found
+
+    def optimum(self, first: KickOptimum, monitor: Monitor | None = None) -> KickOptimum:
+        """End of Ipopt from a point."""
+        states = replace(self.flow, time=first.time).run((self.basis @ first.kick)[None])[0]
+        size = np.sqrt(self.flow.orbit.S) * self.scale  # the objective is the squared norm in these units
+        report = monitor and (lambda i, f, v: monitor(i, float(size * np.sqrt(f)), v))
+        return self.nlp.optimum(first, states, report)
+
+
+def distinct(outcomes: Sequence[KickOutcome]) -> list[KickOptimum]:
+    """Optima that differ, each by the name of the first start that led to it, ascending.
+
+    Where no start led to one, the first point of least norm, with Ipopt's message in place of an optimum.
+    """
+    optima: list[KickOptimum] = []
+    for found in (o.found for o in sorted(outcomes, key=lambda o: o.start.number)):
+        if found is not None and found.solved and not any(_same(found, other) for other in optima):
+            optima.append(found)
+    if optima:
+        return sorted(optima, key=lambda optimum: optimum.norm)
+    failures = {o.found.words for o in outcomes if o.found is not None and not o.interrupted}
+    words = f"Ipopt: {', '.join(sorted(map(nlp_reason, failures)))}" if failures else "Ipopt was not done"
+    least = min((o.first for o in outcomes if o.first is not None), key=lambda first: first.norm)
+    return [replace(least, words=words)]
+
+
+def _same(a: KickOptimum, b: KickOptimum) -> bool:
+    return float(np.linalg.norm(a.kick - b.kick)) <= SAME * max(a.norm, b.norm) and abs(a.time / b.time - 1) <= SAME
+
+
+@dataclass(frozen=True, eq=False)
+class Verified:
+    """An optimum, the distance that CVODES gives it (nan where that is not known), and the search that agrees."""
+
+    optimum: KickOptimum
+    reached: float
+    search: KickSearch
+    interrupted: bool = False
+
+
+def verified(search: KickSearch, best: KickOptimum) -> Verified:
+    """The best optimum compared with CVODES, with shorter steps until the two agree.
+
+    After an interruption the best as it is. Raises KickError where the two do not agree.
+    """
+    reached, distance = np.nan, search.distance
+    try:
+        for refinement in range(REFINEMENTS + 1):
+            reached = float(escape(search.flow.orbit, search.physical(best.kick), [best.time]).distance[-1])
+            if abs(reached - distance) <= FLOW_ERROR * distance or not best.solved:
+                return Verified(best, reached, search)
+            if refinement < REFINEMENTS:
+                search = replace(search, flow=replace(search.flow, steps=2 * search.flow.steps))
+                best, reached = search.optimum(best), np.nan
+    except KeyboardInterrupt:
+        return Verified(best, reached, search, interrupted=True)
+    raise KickError(
+        f"smallest_kick: CVODES gives {reached:.6g} in place of {distance:g} at t = {best.time:.6g} with "
+        f"{search.flow.steps} steps; a shorter time or an orbit of a tighter tolerance may help"
+    )
+
+
+def directions(far: Array, gains: Array, vectors: Array, starts: int, seed: int) -> list[KickStart]:
+    """Directions (m,): linear optima at the highest peaks of the gains, the far end, random ones."""
+    first = gains[:, 0]
+    padded = np.concatenate([[-np.inf], first, [-np.inf]])
+    peaks = np.flatnonzero((first >= padded[:-2]) & (first >= padded[2:]))
+    peaks = peaks[np.argsort(-first[peaks], kind="stable")]
+    named = [("linear optimum", vectors[peaks[0], 0])]
+    if np.any(far):
+        named.append(("far end", far))
+    if len(peaks) > 1:
+        named.append(("linear optimum of another time", vectors[peaks[1], 0]))
+    if vectors.shape[1] > 1:
+        named.append(("second singular vector", vectors[peaks[0], 1]))
+    signed = [(f"{sign}{name}", factor * v) for name, v in named for sign, factor in (("", 1.0), ("minus ", -1.0))]
+    generator, size = np.random.default_rng(seed), vectors.shape[2]
+    chosen = signed[: starts - starts // 4]
+    chosen += [(f"random {k + 1}", generator.normal(size=size)) for k in range(starts - len(chosen))]
+    return [KickStart(number, name, v) for number, (name, v) in enumerate(chosen, start=1)]
+
+
+# Arguments of the search for the smallest kick, checked ---------------------------------------------------------------
+
+NORMS = ("physical", "energy")
+LEAST_DISTANCE = 1e-4
+LONGEST = 100.0  # periods
+
+
+def check(orbit: Orbit, time: float, distance: float, norm: str, starts: int, seed: int) -> None:
+    """Raises TypeError or ValueError for arguments out of range or an orbit that is not linearly stable."""
+    if not isinstance(orbit, Orbit) or not isinstance(orbit.model, Chain):
+        raise TypeError(f"orbit: given {short_repr(orbit)}; accepted: an Orbit of a chain, such as branch.at(S=0.2)")
+    chain = orbit.model
+    if chain.infinite or abs(chain.gamma) == 1.0:
+        raise ValueError(f"orbit: given sites = {chain.sites}, gamma = {chain.gamma!r}; accepted: finite, |gamma| < 1")
+    if orbit.S <= 0:
+        raise ValueError("orbit: given S = 0; accepted: a breather of S > 0")
+    if not 0 < number("time", time, "a finite time > 0") <= LONGEST * orbit.period:
+        raise ValueError(
+            f"time: given {time!r}; accepted: above 0, up to {LONGEST:g} periods = {LONGEST * orbit.period:.6g}"
+        )
+    least = max(LEAST_DISTANCE, 1e3 * orbit.profile_error)
+    if number("distance", distance, "a finite fraction of the breather") < least:
+        raise ValueError(f"distance: given {distance!r}; accepted: from {least:.1e} on, what the orbit's error allows")
+    check_name("norm", norm, NORMS)
+    if norm == "energy" and not chain.alpha + 2.0 > 2.0 * chain.coupling * np.cos(np.pi / (chain.sites + 1)):
+        raise ValueError("norm: given 'energy', which is not positive in this chain; accepted: physical")
+    whole("starts", starts, 1)
+    whole("seed", seed, 0)
+    if not orbit.floquet().stable:
+        largest = orbit.floquet().max_abs_multiplier
+        raise ValueError(
+            f"orbit: the breather is linearly unstable (largest multiplier {largest:.6g}); accepted: a stable one"
+        )
+
+
+def kicked_sites(orbit: Orbit, at: int | Iterable[int] | None) -> Indices:
+    """Indices of the sites that may be kicked."""
+    count = orbit.model.sites
+    if at is None:
+        return np.arange(count)
+    refused = f"at: given {short_repr(at)}; accepted: one or more different sites 1..{count}"
+    if isinstance(at, bool) or not isinstance(at, int | np.integer | list | tuple | range | np.ndarray):
+        raise TypeError(refused)
+    given = np.atleast_1d(np.asarray(at, dtype=object)).ravel().tolist()
+    known = all(isinstance(n, int) and not isinstance(n, bool) and 1 <= n <= count for n in given)
+    if not given or not known or len(set(given)) < len(given):
+        raise ValueError(refused)
+    return np.array(sorted(given)) - 1
+
+
+# The smallest kick that takes a linearly stable breather away within a given time -------------------------------------
+
+REACH_SHARE = 0.99  # of the orbit's reach, which is known on a grid of phases
+GAIN_STEPS = 8  # for each of the flow's: the gain swings twice a period, and its peak is missed by up to 0.01 %
+
+
+@dataclass(frozen=True, eq=False)
+class SmallestKick(Result):
+    """The smallest kick of a search; dimensionless. After an interruption the comparisons that are missing are nan.
+
+    Attributes:
+        orbit, time, distance, norm_name: the arguments.
+        optima: all local optima, ascending; the first is this one.
+        reached: the distance that CVODES gives at `escape_time`.
+        linear_norm, linear_time, linear_kick: the kick that linear transient growth predicts.
+        far_end_size: displacement of the far end alone that escapes within the same time; `far_end_norm` is its norm,
+            `far_end_time` the time of its escape.
+        interrupted: whether an interruption ended the search.
+        tried: number of starts that have ended.
+    """
+
+    orbit: Orbit
+    time: float
+    distance: float
+    norm_name: str
+    optima: tuple[KickOptimum, ...]
+    reached: float
+    linear_norm: float
+    linear_time: float
+    linear_kick: Array
+    far_end_size: float
+    far_end_norm: float
+    far_end_time: float
+    interrupted: bool
+    tried: int
+
+    def __repr__(self) -> str:
+        return f"<SmallestKick: norm {self.norm:.10g}; {self.status}>"
+
+    @property
+    def best(self) -> KickOptimum:
+        """The optimum of least norm."""
+        return self.optima[0]
+
+    @property
+    def displacements(self) -> Array:
+        """Change of the orbit's displacements at t = 0, shape (sites,)."""
+        return self.best.kick[: self.orbit.model.sites]
+
+    @property
+    def velocities(self) -> Array:
+        """Velocities at t = 0, where the orbit has none, shape (sites,)."""
+        return self.best.kick[self.orbit.model.sites :]
+
+    @property
+    def norm(self) -> float:
+        """Norm of the kick: Euclidean, or of the energy sqrt(|eta'|^2 + eta L eta) of the gauge."""
+        return self.best.norm
+
+    @property
+    def escape_time(self) -> float:
+        """Time at which the distance is reached."""
+        return self.best.time
+
+    @property
+    def kkt(self) -> float:
+        """Largest residual of the conditions of Karush, Kuhn and Tucker."""
+        return self.best.kkt
+
+    @property
+    def converged(self) -> bool:
+        """Whether the kick is a local optimum, not only one that escapes."""
+        return self.best.solved
+
+    @property
+    def far_end_kick(self) -> Array:
+        """The kick of the paper's Fig. 6(b), a displacement of the far end, at the size that escapes, shape (2N,)."""
+        return self.far_end_size * _far_end(self.orbit)
+
+    @cached_property
+    def status(self) -> str:
+        """The result and how far it can be trusted, in a sentence."""
+        o = self.best
+        kind = "strict local minimum" if o.strict else "stationary point whose curvature is not checked"
+        if self.converged:
+            words = f"{kind} (KKT residual {o.kkt:.1e}, violation {o.violation:.1e}), least of {len(self.optima)} found"
+            words += f" from {self.tried} starts; that it is the global one is not proved"
+        else:
+            words = f"a kick that escapes, the least of those that the search started from; no optimum ({o.words})"
+        end = "the kick itself is that far" if self.escape_time < 1e-6 * self.time else "inside the time allowed"
+        if self.escape_time > (1 - 1e-6) * self.time:
+            end = "at the end of the time allowed"
+        words += f"; distance {self.reached:.6g}" if np.isfinite(self.reached) else "; not yet compared with CVODES"
+        words += f" at t = {self.escape_time:.6g}, {end}"
+        return f"interrupted: {words}" if self.interrupted else words
+
+    def evolution(self, kick: Array | None = None) -> Escape:
+        """Distance against time up to the time allowed by CVODES, of this kick or another (2N,)."""
+        return escape(self.orbit, self.best.kick if kick is None else kick, sampled(self.orbit, self.time))
+
+
+def smallest_kick(
+    orbit: Orbit,
+    time: float,
+    *,
+    distance: float = 0.5,
+    norm: str = "physical",
+    at: int | Iterable[int] | None = None,
+    starts: int = 8,
+    seed: int = 0,
+    progress: Report | None = None,
+    workers: int = 1,
+    executor: Executor | None = None,
+) -> SmallestKick:
+    """The kick of least norm at phase zero whose distance from the orbit comes to `distance` at a time <= `time`.
+
+    Arguments:
+        orbit: a linearly stable breather of a chain.
+        time: time allowed.
+        distance: relative to ||y(0)||, below the orbit's reach (about 1), where the nearest phase is unique.
+        norm: "physical", that of (positions, velocities), or "energy": the root of twice the quadratic part of the
+            Hamiltonian of the gauge.
+        at: sites that may be kicked, counted from 1; all by default.
+        starts: number of starts: first linear optima and the far end, then random directions.
+        seed: of these.
+        progress: called with a `SearchProgress`, whose objective is the norm, at iterations and ends of starts.
+        workers, executor: processes that share the starts.
+
+    Returns:
+        The kick with its checks. An interruption ends the search with the best so far.
+
+    Raises:
+        ValueError, TypeError: arguments out of range, or an orbit that is not linearly stable.
+        KickError: no start escapes.
+        KeyboardInterrupt: an interruption before any kick escapes.
+    """
+    check(orbit, time, distance, norm, starts, seed)
+    runner = Runner(progress, workers, executor)
+    sites = kicked_sites(orbit, at)
+    flow = KickedFlow.up_to(orbit, float(time))
+    if not distance < REACH_SHARE * flow.loop.reach:
+        raise ValueError(
+            f"distance: given {distance!r}; accepted: below {REACH_SHARE * flow.loop.reach:.4g}, within which the "
+            "nearest phase of this orbit is unique"
+        )
+    basis, S = _basis(orbit, norm, sites), float(np.sqrt(orbit.S))
+    t, gains, vectors = replace(flow, steps=GAIN_STEPS * flow.steps).linear_gains(basis)
+    peak = int(np.argmax(gains[:, 0]))
+    scale = float(distance / gains[peak, 0])
+    far = _far_end(orbit)
+    along_far = np.asarray(np.linalg.lstsq(basis, far / np.tile(orbit.model.rho, 2), rcond=None)[0], dtype=float)
+    search = KickSearch(flow, distance, basis, scale)
+    starting = directions(along_far, gains, vectors, starts, seed)
+    outcomes, interrupted = _run(search, starting, runner)
+    best, *others = distinct(outcomes)
+    checked = verified(search, best)
+    try:
+        far_size, far_time = size_to_escape(orbit, far, float(time), distance)
+    except KeyboardInterrupt:
+        far_size, far_time, interrupted = np.nan, np.nan, True
+    optima = (checked.optimum, *others)
+    return SmallestKick(
+        orbit=orbit,
+        time=float(time),
+        distance=float(distance),
+        norm_name=norm,
+        optima=tuple(replace(o, kick=search.physical(o.kick), norm=S * o.norm) for o in optima),
+        reached=checked.reached,
+        linear_norm=S * scale,
+        linear_time=float(t[peak]),
+        linear_kick=search.physical(scale * vectors[peak, 0]),
+        far_end_size=far_size,
+        far_end_norm=far_size * kick_norm(orbit, far, norm),
+        far_end_time=far_time,
+        interrupted=interrupted or checked.interrupted,
+        tried=len(outcomes),
+    )
+
+
+def _run(search: KickSearch, starts: list[KickStart], runner: Runner) -> tuple[list[KickOutcome], bool]:
+    """Outcomes of the starts, and whether an interruption ended them; raises KickError where no start escapes."""
+    with runner.listening():
+        outcomes = list(runner.run(search.solve, starts))
+    interrupted = runner.interrupted or any(outcome.interrupted for outcome in outcomes)
+    if not any(outcome.first is not None for outcome in outcomes):
+        if interrupted:
+            raise KeyboardInterrupt
+        raise KickError(
+            f"smallest_kick: none of {len(outcomes)} starts comes to the distance {search.distance:g} "
+            f"within t = {search.flow.time:g} at any size tried"
+        )
+    return outcomes, interrupted
+
+
+def kick_norm(orbit: Orbit, kick: Array, norm: str = "physical") -> float:
+    """Norm of a kick (2N,): Euclidean, or "energy", sqrt(|eta'|^2 + eta L eta) of its image eta in the gauge."""
+    if norm == "physical":
+        return float(np.linalg.norm(kick))
+    e = kick / np.tile(orbit.model.rho, 2)
+    n = orbit.model.sites
+    return float(np.sqrt(e[:n] @ _stiffness(orbit) @ e[:n] + e[n:] @ e[n:]))
+
+
+# The norm ------------------------------------------------------------------------------------------------------------
+
+
+def _far_end(orbit: Orbit) -> Array:
+    """A unit displacement of the end opposite to the edge that the modes lean to, shape (2N,)."""
+    unit = np.zeros(2 * orbit.model.sites)
+    unit[int(np.argmin(orbit.model.log_rho))] = 1.0
+    return unit
+
+
+def _stiffness(orbit: Orbit) -> Array:
+    """L of the gauge, shape (sites, sites)."""
+    chain: Chain = orbit.model
+    off = np.full(chain.sites - 1, -chain.coupling)
+    return np.diag(np.full(chain.sites, 2.0 + chain.alpha)) + np.diag(off, 1) + np.diag(off, -1)
+
+
+def _basis(orbit: Orbit, norm: str, sites: Indices) -> Array:
+    """Kicks of the gauge, shape (2N, 2 sites), orthonormal in the norm: a kick is `basis` times unknowns."""
+    n = orbit.model.sites
+    moved = np.eye(n)[:, sites]
+    if norm == "physical":
+        positions = velocities = moved / orbit.model.rho[:, None]
+    else:
+        factor = np.linalg.cholesky(moved.T @ _stiffness(orbit) @ moved)
+        positions, velocities = moved @ np.linalg.inv(factor).T, moved
+    zero = np.zeros_like(moved)
+    return np.block([[positions, zero], [zero, velocities]])
