@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from casadi_skin._version import __version__
+from casadi_skin.model.result import Result
 
 if TYPE_CHECKING:
     from casadi_skin.dynamics.evolve import simulate
@@ -60,6 +61,47 @@ __all__ = [
     "simulate",
     "smallest_kick",
 ]
+
+VERBS = {  # of classes by name: each a method, and the function that it is, "module:function"
+    "Result": {
+        "__str__": "results.described:lines",
+        "_repr_html_": "results.figures.notebook:html_table",
+        "plot": "results.figures.drawn:plot",
+        "save": "results.saving:save_result",
+        "to_dataframe": "results.frames:result_to_dataframe",
+        "to_xarray": "results.frames:result_to_xarray",
+    },
+    "Solution": {"follow": "follow.follow:follow"},
+    "Orbit": {"certify": "certify.certify:certify", "certify_stability": "certify.stability:certify_stability"},
+    "SpecialPoint": {
+        "curve": "follow.curve:curve",
+        "follow": "points.switch:switch",
+        "lost_symmetries": "points.lost_symmetry:lost_at",
+        "normal_form": "zero.normal_forms:critical",
+    },
+    "Branch": {
+        "certify": "certify.stretch:certify_branch",
+        "certify_change": "certify.stability:certify_change",
+        "edge": "points.at_edges:edge",
+        "edges_left": "points.at_edges:edges_left",
+        "follow_all": "points.diagram:follow_all",
+        "quantity": "results.quantities:along",
+        "quantity_of": "results.quantities:sought",
+    },
+    "BoundaryValueProblem": {"solve": "optimise.boundary_nlp:solve"},
+    "Chain": {
+        "equations_of_motion": "lattice.chain_equations:equations_of_motion",
+        "family_coordinates": "lattice.chain_coordinates:chain_coordinates",
+        "threshold": "dynamics.resonances:threshold",
+    },
+    "LongLattice": {"family_coordinates": "lattice.cell_core:long_lattice_coordinates"},
+    "Map": {
+        "_repr_html_": "runs.map_pictures:html",
+        "figure": "runs.map_pictures:picture",
+        "plot": "runs.map_pictures:plot",
+    },
+}
+Result.bind(VERBS)
 
 
 def __getattr__(name: str) -> Any:

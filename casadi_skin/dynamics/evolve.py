@@ -10,14 +10,15 @@ from numpy.typing import ArrayLike
 
 from casadi_skin.dynamics.equations import GAUGE, PHYSICAL, EquationsOfMotion, MovingModel, equations_of_motion
 from casadi_skin.dynamics.evolution import Evolution, EvolutionError
+from casadi_skin.dynamics.splitting import symplectic
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.closed_curve import CosineSeries, Curve, cosine_curve
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.model import methods
 from casadi_skin.model.arguments import by_name, number, short_repr, state_by_name
 from casadi_skin.model.arrays import real_array
-from casadi_skin.model.cvodes import stiff_cvodes
+from casadi_skin.model.cvodes import cvodes, stiff_cvodes
+from casadi_skin.model.dop853 import dop853
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.trajectory import IntegrationError, Integrator, Trajectory
 from casadi_skin.zero.problem import Array
@@ -25,6 +26,7 @@ from casadi_skin.zero.problem import Array
 SYMPLECTIC = "symplectic"
 FAR = 1e6  # times the largest component, beyond which a state has escaped
 MOST_STEPS = 20_000  # in which it escapes
+INTEGRATORS: Mapping[str, Integrator] = {"cvodes": cvodes, "dop853": dop853, "symplectic": symplectic}
 
 
 def evolve(
@@ -132,7 +134,7 @@ def far_state(equations: EquationsOfMotion, state: Array, time: float, end: floa
 
 
 def _integrator(method: str, step: float | None) -> Integrator:
-    integrator: Integrator = methods.INTEGRATORS[method].load()
+    integrator = INTEGRATORS[method]
     return partial(integrator, step=step) if method == SYMPLECTIC else integrator  # type: ignore[call-arg]
 
 
@@ -141,7 +143,7 @@ def _integrator(method: str, step: float | None) -> Integrator:
 
 def _check_choices(method: str, tolerance: float, coordinates: str | None, step: float | None) -> None:
     for name, value, accepted in (
-        ("method", method, tuple(methods.INTEGRATORS)),
+        ("method", method, tuple(INTEGRATORS)),
         ("coordinates", coordinates or GAUGE, (GAUGE, PHYSICAL)),
     ):
         if value not in accepted:

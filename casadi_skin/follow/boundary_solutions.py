@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar, Protocol
 
 import casadi as ca
 import numpy as np
 
-from casadi_skin.follow.settings import Point
-from casadi_skin.model import methods
+from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.settings import ContinuationSettings, Point, Target
 from casadi_skin.model.arguments import check_name
 from casadi_skin.model.jumps import STATE, TIME, JumpError
 from casadi_skin.model.ode import OdeModel
@@ -23,28 +22,38 @@ from casadi_skin.model.trajectory import IntegrationError
 from casadi_skin.solve.arbitrated import ArbitratedCorrector
 from casadi_skin.solve.corrector import Corrector
 from casadi_skin.solve.estimates import Refinement
+from casadi_skin.solve.ipopt import CORRECTORS
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.rounding import RoundedCorrector
 from casadi_skin.stability.flow import FlowError
-from casadi_skin.stability.full_period import Closed
+from casadi_skin.stability.full_period import FULL_PERIOD_FLOWS, Closed
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
 from casadi_skin.zero import mesh
-from casadi_skin.zero.boundary_choices import Periodic, Sizes
+from casadi_skin.zero.boundary_choices import FIRST, Periodic, Sizes
+from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.closure import Closure, closure_of
 from casadi_skin.zero.coordinates import numbered
-from casadi_skin.zero.method import Method
-from casadi_skin.zero.problem import Array, Indices, Problem, SingularError
+from casadi_skin.zero.method import TWO_PI, Method
+from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.zero.statement import Statement
 
+INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
 OFF_EDGE = 1e-10  # of the interval: distance of a jump in time from an edge of the mesh that counts
 PER_STAGE = 2  # places a stage at which a solution is looked at for jumps
 ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
 
 
+class ParentBranch(Protocol):
+    """The branch that a branch of orbits has left."""
+
+    def rejoined(self, own: BoundarySolutions, before: Point, after: Point) -> Point | None:
+        """The orbit of the parent between two of the branch; None where there is none."""
+
+
 @dataclass(frozen=True, eq=False)
-class BoundarySolutions(ABC):
+class BoundarySolutions:
     """Solutions of a statement by their unknowns.
 
     Attributes:
@@ -53,6 +62,12 @@ class BoundarySolutions(ABC):
         method: how, with every choice made.
         sizes: least sizes by which states and free parameters are measured.
         periodic: conditions that make the solutions orbits; None where they are none.
+        parameter: the parameter that is followed, from its value to `to`; empty where none is.
+        at: values of it at which solutions are wanted.
+        first: the start of the branch.
+        settings: of the continuation.
+        leaves: whether `first` is a special point that the branch leaves along the tangent of `first`.
+        left: the orbits that it left there, where it may come back to them.
     """
 
     statement: Statement
@@ -60,6 +75,14 @@ class BoundarySolutions(ABC):
     method: Method
     sizes: Sizes
     periodic: Periodic | None = None
+    parameter: str = ""
+    to: float = 1.0
+    at: tuple[float, ...] = ()
+    first: Point | None = None
+    settings: ContinuationSettings | None = None
+    leaves: bool = False
+    left: ParentBranch | None = None
+    problem_class: ClassVar[type[BoundaryProblem]] = BoundaryProblem
 
     @property
     def model(self) -> OdeModel:
@@ -81,13 +104,28 @@ class BoundarySolutions(ABC):
         tolerance = float(np.clip(1e-2 * self.tolerance, 1e-12, 1e-6))
         name = self.method.corrector
         more: dict[str, Any] = {"always": self.statement.always_confirmed} if name == "ipopt" else {}
-        make: Any = ArbitratedCorrector if name == "ipopt" else methods.CORRECTORS[name].load()
+        make: Any = ArbitratedCorrector if name == "ipopt" else CORRECTORS[name]
         return RoundedCorrector(make(problem, tolerance, ITERATIONS, **more))
 
-    @property
-    @abstractmethod
+    @cached_property
     def levels(self) -> Levels:
-        """Discretisations from coarse to fine."""
+        """Discretisations from coarse to fine; the scalar u is held, or follows the parameter."""
+        walking = self.parameter or None
+        formulation = self.statement.formulation(walking)
+        table = TABLES[str(self.method.transcription)](self.method.degree)
+        sizes = self.sizes
+
+        def build(intervals: int) -> Problem:
+            return self.problem_class(
+                self.statement, formulation, intervals, table, sizes.states, sizes.scalars, walking, self.to
+            )
+
+        return Levels(build, self._corrector, tuple(sorted({*INTERVALS, int(self.method.intervals or FIRST)})))
+
+    @cached_property
+    def point_solver(self) -> PointSolver:
+        """The solver of points at the tolerance."""
+        return PointSolver(self.levels, self.settings or ContinuationSettings(1.0, self.tolerance))
 
     # Values ---------------------------------------------------------------------------------------------------------
 
@@ -138,6 +176,44 @@ class BoundarySolutions(ABC):
         moved = (words(np.array([t - OFF_EDGE, t + OFF_EDGE]), TIME) for t in off)
         return found or next((f"{w}, in time beside the edges of the mesh" for w in moved if w), "")
 
+    def parameter_error(self, point: Point) -> float:
+        """Estimated error of the parameter followed at a special point."""
+        if point.error.parameter:
+            size = point.problem.parameter_size(point.z)
+            return point.error.parameter * size * abs(self.to - self.statement.values[self.parameter])
+        return point.error.relative(point.Omega) * abs(self.value(self.parameter, point))
+
+    @property
+    def held_names(self) -> tuple[str, ...]:
+        """Names of the quantities that `target` accepts."""
+        unknown = self.periodic is not None and PERIOD in self.statement.free
+        return (self.parameter, "Omega", PERIOD) if unknown else (self.parameter,)
+
+    def target(self, name: str, value: float) -> Target:
+        """Condition that the continuation parameter, or an unknown period or frequency, has a value."""
+        if name == self.parameter:
+            return Target(Scalar.PARAMETER, self._fraction(value))
+        if name not in self.held_names:
+            raise ValueError(f"at: given {name}; accepted: {', '.join(self.held_names)}")
+        if not 0 < value < math.inf:
+            raise ValueError(f"at: given {name} = {value!r}; accepted: a finite number > 0")
+        return Target(Scalar.OMEGA, value if name == "Omega" else TWO_PI / value)
+
+    def _fraction(self, value: float) -> float:
+        start = self.statement.values[self.parameter]
+        return (value - start) / (self.to - start)
+
+    def requested_values(self) -> Mapping[str, Sequence[float]]:
+        return {self.parameter: self.at}
+
+    def value(self, name: str, point: Point) -> float:
+        if name == self.parameter:
+            requested = {self._fraction(value): value for value in (*self.at, self.to)}
+            u = point.parameter
+            return requested[u] if u in requested else float(self.parameters(point)[name])
+        period = self.parameters(point)[PERIOD]
+        return period if name == PERIOD else TWO_PI / period
+
     # Orbits ---------------------------------------------------------------------------------------------------------
 
     @property
@@ -185,7 +261,7 @@ class BoundarySolutions(ABC):
         where CVODES fails.
         """
         name = str(self.method.flow) if by is None else by
-        check_name("by", name, methods.FULL_PERIOD_FLOWS)
+        check_name("by", name, FULL_PERIOD_FLOWS)
         for words in filter(None, map(self.jump, points)):
             raise JumpError(
                 self.model.name, f"{words}, along the orbit, where linearised equations have no multipliers"
@@ -203,6 +279,15 @@ class BoundarySolutions(ABC):
         if largest < LARGEST_LOGARITHM / math.log(10.0):
             return ""
         return f"; a multiplier of 1e{largest:+.0f} exceeds the largest double; accepted: by = 'collocation'"
+
+    def shrinks(self, before: Point, after: Point) -> bool:
+        """Whether an orbit with a free period passes through amplitude zero: its variation changes sign."""
+        if self.periodic is None or PERIOD not in self.statement.free:
+            return False
+        varying = [point.problem.sample(point.z, np.linspace(0.0, 1.0, 65)[:-1]) for point in (before, after)]
+        sizes = np.where(self.sizes.states > 0.0, self.sizes.states, 1.0)
+        one, other = ((x - x.mean(axis=0)) / sizes for x in varying)
+        return bool(np.sum(one * other) < -0.5 * np.linalg.norm(one) * np.linalg.norm(other))
 
     @cached_property
     def closure(self) -> Closure | None:
@@ -242,7 +327,7 @@ class BoundarySolutions(ABC):
             assert isinstance(point.problem, BoundaryProblem)
             return self.closure.multipliers(point.problem, point.z, better, self.tolerance)
         periodic = self._orbit_of()
-        compute = methods.FULL_PERIOD_FLOWS[by].load()
+        compute = FULL_PERIOD_FLOWS[by]
 
         def closed(problem: Problem, z: Array) -> Closed:
             assert isinstance(problem, BoundaryProblem)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,80 +14,30 @@ from casadi_skin.follow.boundary_solutions import BoundarySolutions
 from casadi_skin.follow.bounds import margin, met_between
 from casadi_skin.follow.branch_points import branch_points_between
 from casadi_skin.follow.crossing_place import ONE_PLACE
-from casadi_skin.follow.point_solver import PointSolver
-from casadi_skin.follow.settings import Continuation, ContinuationSettings, End, Point, Target
+from casadi_skin.follow.settings import Continuation, ContinuationSettings, End, Point
+from casadi_skin.follow.shrinking import hopf_end
 from casadi_skin.follow.special_points import BOUND, BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, fold_between
 from casadi_skin.follow.turns import turning
 from casadi_skin.follow.unresolved import Unresolved
-from casadi_skin.model import methods
 from casadi_skin.points.period_limit import joined_words, unbounded
-from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.refined import BoundaryError, refined
-from casadi_skin.zero.boundary_choices import FIRST, Sizes
-from casadi_skin.zero.method import TWO_PI
-from casadi_skin.zero.problem import Problem, Scalar
+from casadi_skin.zero.boundary_choices import Sizes
+from casadi_skin.zero.location import special_orbit
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
 
 if TYPE_CHECKING:
     from casadi_skin.follow.solution import Solution
 
-INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
 BESIDE = 1e-3  # of the way from a branch point: where the search for other special points starts
-
-
-class ParentBranch(Protocol):
-    """The branch that a branch of orbits has left."""
-
-    def rejoined(self, own: BoundarySpace, before: Point, after: Point) -> Point | None:
-        """The orbit of the parent between two of the branch; None where there is none."""
 
 
 @dataclass(frozen=True, eq=False)
 class BoundarySpace(BoundarySolutions):
-    """Solutions of a statement, and the branch of them in one parameter (see `orbits.space.SolutionSpace`).
+    """The branch of solutions of a statement in one parameter (see `SolutionSpace`)."""
 
-    Attributes:
-        parameter: the parameter that is followed, from its value to `to`; empty where none is.
-        at: values of it at which solutions are wanted.
-        first: the start of the branch.
-        settings: of the continuation.
-        leaves: whether `first` is a special point that the branch leaves along the tangent of `first`.
-        left: the orbits that it left there, where it may come back to them.
-    """
-
-    parameter: str = ""
-    to: float = 1.0
-    at: tuple[float, ...] = ()
-    first: Point | None = None
-    settings: ContinuationSettings | None = None
-    leaves: bool = False
-    left: ParentBranch | None = None
-    problem_class: ClassVar[type[BoundaryProblem]] = BoundaryProblem
     start_is_limit: bool = field(default=False, init=False)
     locates_folds: bool = field(default=True, init=False)
     S_rate: float = field(default=1.0, init=False)
-
-    # Equations ------------------------------------------------------------------------------------------------------
-
-    @cached_property
-    def levels(self) -> Levels:
-        """Discretisations from coarse to fine; the scalar u is held, or follows the parameter."""
-        walking = self.parameter or None
-        formulation = self.statement.formulation(walking)
-        table = methods.COLLOCATION_TABLES[str(self.method.transcription)].load()(self.method.degree)
-        sizes = self.sizes
-
-        def build(intervals: int) -> Problem:
-            return self.problem_class(
-                self.statement, formulation, intervals, table, sizes.states, sizes.scalars, walking, self.to
-            )
-
-        return Levels(build, self._corrector, tuple(sorted({*INTERVALS, int(self.method.intervals or FIRST)})))
-
-    @cached_property
-    def point_solver(self) -> PointSolver:
-        """The solver of points at the tolerance."""
-        return PointSolver(self.levels, self.settings or ContinuationSettings(1.0, self.tolerance))
 
     # The branch -----------------------------------------------------------------------------------------------------
 
@@ -139,12 +88,11 @@ class BoundarySpace(BoundarySolutions):
 
     def singular_near(self, guess: Point) -> Point | None:
         """The solution near a guess at which branches cross: orbits there are sought by multipliers alone."""
-        found: Point | None = methods.TASKS["special_orbit"].load()(self, BRANCH_POINT, guess)
-        return found
+        return special_orbit(self, BRANCH_POINT, guess)
 
     def _solved(self, branch_point: Point, before: Point) -> Point:
         """A branch point as a solution of its extended equations, where they have one in the same place."""
-        located: Point | None = methods.TASKS["special_orbit"].load()(self, BRANCH_POINT, branch_point)
+        located = special_orbit(self, BRANCH_POINT, branch_point)
         if located is None:
             return branch_point
         solver, problem = self.point_solver, located.problem
@@ -161,7 +109,7 @@ class BoundarySpace(BoundarySolutions):
         parts = turning(self.point_solver, before, after)
         hopf: Point | None = None
         if parts and self.shrinks(before, after):
-            hopf = methods.TASKS["hopf_end"].load()(self, before, after)
+            hopf = hopf_end(self, before, after)
         end = hopf if self.left is None or hopf is not None else self.left.rejoined(self, before, after)
         passed = parts if end is None else parts[: len(parts) // 2]  # beyond it the same folds come again
         yield from (self._fold_between(*part) for part in passed)
@@ -174,7 +122,7 @@ class BoundarySpace(BoundarySolutions):
         if self.periodic is None:
             return fold
         kinds = (FOLD, BRANCH_POINT) if self.left is None else (FOLD,)  # a branch that crosses upright turns there too
-        found = (methods.TASKS["special_orbit"].load()(self, kind, fold) for kind in kinds)
+        found = (special_orbit(self, kind, fold) for kind in kinds)
         return next((point for point in found if point is not None), fold)
 
     def _unbounded(self, before: Point, after: Point) -> Point | None:
@@ -182,53 +130,6 @@ class BoundarySpace(BoundarySolutions):
         if self.periodic is None or PERIOD not in self.statement.free:
             return None
         return unbounded(self, before, after)
-
-    def shrinks(self, before: Point, after: Point) -> bool:
-        """Whether an orbit with a free period passes through amplitude zero: its variation changes sign."""
-        if self.periodic is None or PERIOD not in self.statement.free:
-            return False
-        varying = [point.problem.sample(point.z, np.linspace(0.0, 1.0, 65)[:-1]) for point in (before, after)]
-        sizes = np.where(self.sizes.states > 0.0, self.sizes.states, 1.0)
-        one, other = ((x - x.mean(axis=0)) / sizes for x in varying)
-        return bool(np.sum(one * other) < -0.5 * np.linalg.norm(one) * np.linalg.norm(other))
-
-    def parameter_error(self, point: Point) -> float:
-        """Estimated error of the parameter followed at a special point."""
-        if point.error.parameter:
-            size = point.problem.parameter_size(point.z)
-            return point.error.parameter * size * abs(self.to - self.statement.values[self.parameter])
-        return point.error.relative(point.Omega) * abs(self.value(self.parameter, point))
-
-    @property
-    def held_names(self) -> tuple[str, ...]:
-        """Names of the quantities that `target` accepts."""
-        unknown = self.periodic is not None and PERIOD in self.statement.free
-        return (self.parameter, "Omega", PERIOD) if unknown else (self.parameter,)
-
-    def target(self, name: str, value: float) -> Target:
-        """Condition that the continuation parameter, or an unknown period or frequency, has a value."""
-        if name == self.parameter:
-            return Target(Scalar.PARAMETER, self._fraction(value))
-        if name not in self.held_names:
-            raise ValueError(f"at: given {name}; accepted: {', '.join(self.held_names)}")
-        if not 0 < value < math.inf:
-            raise ValueError(f"at: given {name} = {value!r}; accepted: a finite number > 0")
-        return Target(Scalar.OMEGA, value if name == "Omega" else TWO_PI / value)
-
-    def _fraction(self, value: float) -> float:
-        start = self.statement.values[self.parameter]
-        return (value - start) / (self.to - start)
-
-    def requested_values(self) -> Mapping[str, Sequence[float]]:
-        return {self.parameter: self.at}
-
-    def value(self, name: str, point: Point) -> float:
-        if name == self.parameter:
-            requested = {self._fraction(value): value for value in (*self.at, self.to)}
-            u = point.parameter
-            return requested[u] if u in requested else float(self.parameters(point)[name])
-        period = self.parameters(point)[PERIOD]
-        return period if name == PERIOD else TWO_PI / period
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         if point.special == HOPF:

@@ -16,7 +16,7 @@ from casadi_skin.zero.problem import Array
 from casadi_skin.zero.stated_problem import BoundaryProblem
 
 if TYPE_CHECKING:
-    from casadi_skin.follow.boundary_space import BoundarySpace
+    from casadi_skin.follow.boundary_solutions import BoundarySolutions
 
 WITHIN = 8  # places between two columns of a mesh at which a state is looked at
 ZOOMS = 4  # into the neighbours of the largest value: places then differ by 1e-5 of theirs, values by the square
@@ -39,12 +39,12 @@ class Margin:
         return f"{self.name} comes to its {self.bound}{when}"
 
 
-def margin(space: BoundarySpace, point: Point) -> Margin:
+def margin(space: BoundarySolutions, point: Point) -> Margin:
     """The least margin of a solution, over the whole interval; negative beyond a bound."""
     return min(margins(space, point), key=lambda one: one.value)
 
 
-def margins(space: BoundarySpace, point: Point) -> list[Margin]:
+def margins(space: BoundarySolutions, point: Point) -> list[Margin]:
     """The margins of all finite bounds."""
     problem, names, values = point.problem, space.state_names, space.parameters(point)
     assert isinstance(problem, BoundaryProblem)
@@ -67,7 +67,7 @@ def margins(space: BoundarySpace, point: Point) -> list[Margin]:
     return found
 
 
-def _turns(space: BoundarySpace, problem: BoundaryProblem) -> Array:
+def _turns(space: BoundarySolutions, problem: BoundaryProblem) -> Array:
     """Places in the interval, or in the whole period, on the mesh and between."""
     edges = problem._fractions()
     if space.periodic is not None:
@@ -77,14 +77,14 @@ def _turns(space: BoundarySpace, problem: BoundaryProblem) -> Array:
     return np.append((edges[:-1, None] + np.diff(edges)[:, None] * inner).ravel(), 1.0)
 
 
-def _states(space: BoundarySpace, point: Point, turns: Array) -> Array:
+def _states(space: BoundarySolutions, point: Point, turns: Array) -> Array:
     if space.periodic is not None:
         return space.states_at(point, TWO_PI * turns, None)
     return point.problem.sample(point.z, turns)
 
 
 def _largest(
-    space: BoundarySpace, point: Point, turns: Array, values: Array, component: int, sign: float
+    space: BoundarySolutions, point: Point, turns: Array, values: Array, component: int, sign: float
 ) -> tuple[float, float]:
     """Where a state times a sign is largest, and its value there, between the places that it is known at too."""
     for _ in range(ZOOMS):
@@ -97,7 +97,7 @@ def _largest(
     return float(turns[at]), float(values[at])
 
 
-def met_between(space: BoundarySpace, before: Point, after: Point) -> Point | None:
+def met_between(space: BoundarySolutions, before: Point, after: Point) -> Point | None:
     """The first point between two at which a bound is met; None where none is. Raises NotLocatedError.
 
     A state that a condition holds at a bound is there all along, but for the error of the solution.

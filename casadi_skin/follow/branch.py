@@ -6,12 +6,11 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeVar, cast
+from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.certify.certificate import ProvedStretch
 from casadi_skin.follow.ending import Ending
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.ledger import StabilityChange
@@ -21,13 +20,11 @@ from casadi_skin.follow.passed_resonances import PassedResonance, passed_resonan
 from casadi_skin.follow.settings import End, Point
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
-from casadi_skin.follow.special_of_families import edges_left_at, folds_of_family, special_point
+from casadi_skin.follow.special_of_families import folds_of_family, special_point
 from casadi_skin.follow.special_points import EDGE, FOLD, SpecialPoint
 from casadi_skin.follow.unresolved import STABILITY, Unresolved, count_in_words
-from casadi_skin.model import methods
 from casadi_skin.model.arguments import cut, number, whole
 from casadi_skin.model.result import Result
-from casadi_skin.points.at_edges import orbit_at_edge
 from casadi_skin.solve.time_limit import Budget, TimeLimitError
 from casadi_skin.stability.tongues.diagram import Place, StabilityDiagram, StabilityEdge
 from casadi_skin.stability.tongues.localised_diagram import LocalisedChange, LocalisedDiagram
@@ -114,8 +111,12 @@ class Branch(Result):
             return self.values
         if all(name in solution.parameters for solution in self.solutions[:1]):
             return np.array([solution.parameters[name] for solution in self.solutions])
-        found: Array = methods.TASKS["along"].load()(self, name)
-        return found
+        return self.quantity(name)
+
+    quantity: ClassVar[Callable[..., Array]]
+    """Values of a quantity of the table along the branch: `casadi_skin.results.quantities.along`."""
+    quantity_of: ClassVar[Callable[..., Callable[[Solution], float]]]
+    """A quantity of the table as a function of a solution: `casadi_skin.results.quantities.sought`."""
 
     @property
     def values(self) -> Array:
@@ -295,31 +296,10 @@ class Branch(Result):
         tongue = self.stability_diagram.first_instability(growth)
         return None if tongue is None else tongue.start
 
-    def edge(self, number: int = 0, further: bool = False) -> SpecialPoint:
-        """The edge of a tongue of a family as a special point, to be followed in a second parameter.
-
-        Arguments:
-            number: place of the edge among `changes`, from 0.
-            further: whether it is the place in `stability_diagram.further`, where orbits are unstable on both sides.
-
-        Returns:
-            The point; its `curve` follows the edge with S free.
-
-        Raises:
-            ValueError: the branch is not a family, or has no such edge.
-        """
-        listed = self.changes
-        if further:
-            listed = () if self.stability_diagram is None else self.stability_diagram.further
-        edges = [edge for edge in listed if isinstance(edge, StabilityEdge)]
-        if str(number) not in map(str, range(len(edges))):
-            where = "further edges" if further else "changes"
-            accepted = f"0 to {len(edges) - 1}, the places in {where}" if edges else f"none: no {where} of a family"
-            accepted += "; those of localised multipliers are not followed" if self.localised_diagram else ""
-            raise ValueError(f"number: given {number!r}; accepted: {accepted}")
-        orbit = orbit_at_edge(self, edges[number])
-        values = {**orbit.parameters, self.parameter: edges[number].value}
-        return SpecialPoint(EDGE, self.parameter, values, edges[number].error, orbit)
+    edge: ClassVar[Callable[..., SpecialPoint]]
+    """The edge of a tongue of a family as a special point: `casadi_skin.points.at_edges.edge`."""
+    edges_left: ClassVar[Callable[..., Iterator[SpecialPoint | Unresolved]]]
+    """Edges of tongues at which other orbits leave a family: `casadi_skin.points.at_edges.edges_left`."""
 
     # Special points ---------------------------------------------------------------------------------------------------
 
@@ -342,8 +322,8 @@ class Branch(Result):
         if self.space.locates_folds:
             special = (solution for solution in self.solutions if solution.point.special)
             return tuple(special_point(self.space, solution) for solution in special)
-        diagram, localised = self.stability_diagram, self.localised_diagram
-        leaving = self._within_time(EDGE, lambda: tuple(edges_left_at(self, diagram, localised)))
+        diagram = self.diagram_of_changes
+        leaving = None if diagram is None else self._within_time(EDGE, lambda: tuple(self.edges_left()))
         return (*self._folds, *(leaving or ()), *self._cut.values())
 
     @cached_property
@@ -352,9 +332,8 @@ class Branch(Result):
         found = self._within_time(FOLD, lambda: tuple(folds_of_family(self.space, self.solutions)))
         return found or ()
 
-    def follow_all(self, **options: Any) -> Any:
-        """A `Diagram` of all branches that leave this one or each other; see `casadi_skin.points.diagram`."""
-        return methods.TASKS["follow_all"].load()(self, **options)
+    follow_all: ClassVar[Callable[..., Any]]
+    """A `Diagram` of all branches that leave this one or each other: `casadi_skin.points.diagram.follow_all`."""
 
     @property
     def folds(self) -> tuple[Solution, ...]:
@@ -414,15 +393,9 @@ class Branch(Result):
         wanted = number(f"at, {name}", wanted)
         if name in self.space.held_names:
             return held_passage(self.space, self.solutions, name, wanted, which)
-        of = methods.TASKS["sought"].load()(self, name)
-        return passage(self.space, self.solutions, of, (name, wanted), which)
+        return passage(self.space, self.solutions, self.quantity_of(name), (name, wanted), which)
 
-    def certify(self, start: float, end: float) -> ProvedStretch:
-        """A proof that the family is one curve of orbits from S = `start` to `end`, by `certify_branch`."""
-        stretch: ProvedStretch = methods.TASKS["certify_branch"].load()(self, start, end)
-        return stretch
-
-    def certify_change(self, change: StabilityEdge) -> tuple[float, float] | None:
-        """S on both sides of a change of stability, between which it is proved, by `certify_change`; None without."""
-        ends: tuple[float, float] | None = methods.TASKS["certify_change"].load()(self, change)
-        return ends
+    certify: ClassVar[Callable[..., Any]]
+    """A proof that the family is one curve of orbits: `casadi_skin.certify.stretch.certify_branch`."""
+    certify_change: ClassVar[Callable[..., tuple[float, float] | None]]
+    """Values of S between which a change of stability is proved: `casadi_skin.certify.stability.certify_change`."""

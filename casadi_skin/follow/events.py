@@ -31,9 +31,9 @@ from casadi_skin.follow.stretch import Stretch, height
 from casadi_skin.follow.stretch_points import snapped, target_of
 from casadi_skin.follow.stretch_search import StretchSearch
 from casadi_skin.follow.unresolved import Unresolved
-from casadi_skin.model import methods
 from casadi_skin.model.symmetry import SymmetryClass
 from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.zero.location import special_orbit
 
 if TYPE_CHECKING:
     from scipy.interpolate import BPoly
@@ -78,7 +78,7 @@ def at_requested_value(solution: Solution) -> Solution:
     if abs(np.log(abs(nearest))) > CRITICAL:
         return solution
     kind = TORUS if nearest.imag else DOUBLING if nearest.real < 0.0 else BRANCH_POINT
-    found: Point | None = methods.TASKS["special_orbit"].load()(space, kind, point, abs(float(np.angle(nearest))))
+    found: Point | None = special_orbit(space, kind, point, abs(float(np.angle(nearest))))
     target = None if found is None else target_of(space, found)
     if found is None or target is None or target.value != point.parameter:
         return solution
@@ -187,8 +187,7 @@ class _OrbitSearch(StretchSearch[Event | Unresolved]):
 
     def solved(self, stretch: Stretch, crossing: Crossing, near: Point) -> Event | None:
         """The orbit at a crossing as a solution of its extended equations; None where they have none there."""
-        special_orbit = methods.TASKS["special_orbit"].load()
-        point: Point | None = special_orbit(self.space, crossing.kind, near, crossing.angle)
+        point = special_orbit(self.space, crossing.kind, near, crossing.angle)
         place = None if point is None else self.place(stretch, point)
         return None if point is None or place is None else self.event(place, point, crossing)
 

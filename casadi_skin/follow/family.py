@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.point_solver import PointSolver
-from casadi_skin.follow.series import TOGETHER
+from casadi_skin.follow.series import TOGETHER, SeriesContinuation
 from casadi_skin.follow.settings import Continuation, End, Point, Target
 from casadi_skin.follow.small_components import with_small_components
 from casadi_skin.follow.special_points import folds_between
@@ -20,8 +21,10 @@ from casadi_skin.model.arrays import site_numbers
 from casadi_skin.model.symmetry import SymmetryClass, symmetry_class
 from casadi_skin.solve.confirmed import ConfirmedCorrector
 from casadi_skin.solve.corrector import Corrector
+from casadi_skin.solve.ipopt import CORRECTORS
 from casadi_skin.solve.levels import Levels
 from casadi_skin.stability.family_stability import FamilyStability
+from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.method import TWO_PI
 from casadi_skin.zero.orbit_collocation import CollocationProblem
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar
@@ -32,6 +35,7 @@ from casadi_skin.zero.trigonometric import TrigonometricProblem
 if TYPE_CHECKING:
     from casadi_skin.zero.recursion import PolynomialForm, Recursion
 
+CONTINUATIONS = {"arclength": ArclengthContinuation, "series": SeriesContinuation}
 HARMONICS = (methods.FEWEST_COSINES, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 96, 128, 160, 192, 256)
 MANY_HARMONICS = (320, 384, 512)  # where few sites make them cheap
 INTERVALS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
@@ -79,7 +83,7 @@ class Family(FamilyStability):
         if transcription == methods.SHOOTING:
             useful = [d for d in DIGITS[:-2] if 10.0**-d <= SHOOTING_SHARE * self.tolerance]
             return Levels(self._problem, self._corrector, (*useful, *DIGITS[-2:]))
-        if transcription in methods.COLLOCATION_TABLES:
+        if transcription in TABLES:
             return Levels(self._problem, self._corrector, INTERVALS)
         positions = self.coordinates.mode.size
         fits = [H for H in HARMONICS if positions * H**2 <= LARGEST]
@@ -95,7 +99,7 @@ class Family(FamilyStability):
             return TrigonometricProblem(scaled, resolution)
         if transcription == methods.SHOOTING:
             return ShootingProblem(scaled, resolution, self.symmetry)
-        table = methods.COLLOCATION_TABLES[transcription].load()(self.request.degree)
+        table = TABLES[transcription](self.request.degree)
         return CollocationProblem(scaled, resolution, self.symmetry, table)
 
     @property
@@ -112,8 +116,7 @@ class Family(FamilyStability):
         if name == "ipopt" and not isinstance(problem, ShootingProblem):
             series = self.request.method.walker == "series"
             return ConfirmedCorrector(problem, tolerance, TOGETHER if series and problem.size <= SMALL else 1)
-        corrector: Corrector = methods.CORRECTORS[name].load()(problem, tolerance)
-        return corrector
+        return CORRECTORS[name](problem, tolerance)
 
     # The branch -----------------------------------------------------------------------------------------------------
 
@@ -129,7 +132,7 @@ class Family(FamilyStability):
 
     def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
         """The continuation from its last points, the start among them, and from points reported after these."""
-        kind = methods.CONTINUATIONS[str(self.request.method.walker)].load()
+        kind = CONTINUATIONS[str(self.request.method.walker)]
         if self.request.method.walker != "series":
             found: Continuation = kind(self.point_solver, history, reported)
             return found

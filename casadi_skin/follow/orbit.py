@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.certify.certificate import Certificate, ProvedStability
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.solution import Solution
-from casadi_skin.model import methods
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import whole
 from casadi_skin.model.arrays import at_instants, instants, site_numbers
@@ -236,13 +235,13 @@ class Orbit(Solution):
         """
         return self._family().coordinates.Omega_shift(self.point.problem, self.point.z)
 
-    def certify(self, **options: Any) -> Certificate:
-        """A proof that the orbit exists, with enclosures, by `casadi_skin.certify.certify`, with its options."""
-        certificate: Certificate = methods.TASKS["certify"].load()(self, **options)
-        return certificate
+    certify: ClassVar[Callable[..., Any]]
+    """A proof that the orbit exists, with enclosures: `casadi_skin.certify.certify.certify`."""
+    certify_stability: ClassVar[Callable[..., Any]]
+    """A proof that the orbit is stable, or is not: `casadi_skin.certify.stability.certify_stability`."""
 
     @cached_property
-    def certificate(self) -> Certificate:
+    def certificate(self) -> Any:
         """The proof that `certify` makes without options, kept."""
         try:
             return self.certify()
@@ -250,13 +249,12 @@ class Orbit(Solution):
             raise NoQuantityError(str(error)) from error
 
     @cached_property
-    def proved_stability(self) -> ProvedStability:
-        """A proof that the orbit is stable, or is not, by `casadi_skin.certify.certify_stability`, kept."""
+    def proved_stability(self) -> Any:
+        """The proof that `certify_stability` makes, kept."""
         try:
-            proof: ProvedStability = methods.TASKS["certify_stability"].load()(self)
+            return self.certify_stability()
         except ValueError as error:
             raise NoQuantityError(str(error)) from error
-        return proof
 
     # Stability ------------------------------------------------------------------------------------------------------
 

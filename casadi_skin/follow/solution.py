@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike
 from casadi_skin.follow.optimum import Optimum
 from casadi_skin.follow.settings import Point
 from casadi_skin.follow.space import SolutionSpace
-from casadi_skin.model import methods
-from casadi_skin.model.arguments import check_options
 from casadi_skin.model.arrays import at_instants, instants
 from casadi_skin.model.result import NoQuantityError, Result
 from casadi_skin.stability.result import Floquet
@@ -234,11 +232,8 @@ class Solution(Result):
 
     # Branches ---------------------------------------------------------------------------------------------------------
 
-    def follow(self, parameter: str, to: float, **options: Any) -> Any:
-        """The `Branch` of solutions through this one, by `casadi_skin.follow.follow.follow`, with its options."""
-        follow = methods.TASKS["follow"].load()
-        check_options("follow", options, follow)
-        return follow(self, parameter, to, **options)
+    follow: ClassVar[Callable[..., Any]]
+    """The `Branch` of solutions through this one: `casadi_skin.follow.follow.follow`."""
 
     def follow_all(self, parameter: str, to: float, depth: int = 3, limit: int = 30, **options: Any) -> Any:
         """The branch through this solution, with all that leave it; options are those of `follow`."""

@@ -6,13 +6,11 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from casadi_skin.follow.point_solver import PointSolver
 from casadi_skin.follow.settings import Point
 from casadi_skin.follow.turns import rate, turning
-from casadi_skin.model import methods
-from casadi_skin.model.arguments import check_options
 from casadi_skin.model.result import Result
 
 if TYPE_CHECKING:
@@ -74,9 +72,18 @@ class SpecialPoint(Result):
         closure, point = space.closure, self.solution.point
         return closure is not None and bool(closure.goes_on(point.problem, point.z))
 
+    follow: ClassVar[Callable[..., Any]]
+    """The `Branch` that leaves here: `casadi_skin.points.switch.switch`."""
+    curve: ClassVar[Callable[..., Any]]
+    """This point followed in a second parameter: `casadi_skin.follow.curve.curve`."""
+    normal_form: ClassVar[Callable[..., Any]]
+    """The normal form, by projection: `casadi_skin.zero.normal_forms.critical`."""
+    lost_symmetries: ClassVar[Callable[..., tuple[str, ...]]]
+    """The symmetries that what leaves here lacks, in words: `casadi_skin.points.lost_symmetry.lost_at`."""
+
     @cached_property
     def _critical(self) -> Any:
-        return methods.TASKS["critical"].load()(self)
+        return self.normal_form()
 
     @property
     def vector(self) -> Any:
@@ -89,13 +96,7 @@ class SpecialPoint(Result):
     @cached_property
     def lost(self) -> tuple[str, ...]:
         """Symmetries that orbits of the branch that leaves at a branch point lack, in words."""
-        if self.mu is not None:
-            lost: tuple[str, ...] = methods.TASKS["breaking"].load()(self.solution, self.mu).lost
-            return lost
-        if self.kind != BRANCH_POINT or getattr(self.solution.space, "periodic", None) is None:
-            return ()
-        found: tuple[str, ...] = methods.TASKS["lost"].load()(self.solution)
-        return found
+        return self.lost_symmetries()
 
     @property
     def frequency(self) -> float:
@@ -124,16 +125,6 @@ class SpecialPoint(Result):
             return str(self._critical.words)
         except ValueError:
             return ""
-
-    def follow(self, parameter: str, to: float, **options: Any) -> Any:
-        """The `Branch` that leaves here, by `casadi_skin.points.switch.switch`."""
-        switch = methods.TASKS["switch"].load()
-        check_options("follow", options, switch)
-        return switch(self, parameter, to, **options)
-
-    def curve(self, parameter: str, to: float, **options: Any) -> Any:
-        """This point followed in a second parameter, by `casadi_skin.follow.curve.curve`."""
-        return methods.TASKS["curve"].load()(self, parameter, to, **options)
 
 
 def check_second(point: SpecialPoint, parameter: str) -> None:

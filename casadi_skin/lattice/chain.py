@@ -7,9 +7,10 @@ exactly, only the product g S appears, and the linear mode is the regular start 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -17,14 +18,9 @@ import numpy as np
 from casadi_skin.lattice import uniform_chain as linear
 from casadi_skin.lattice.spectrum import LinearSpectrum, of_norm_one
 from casadi_skin.lattice.uniform_chain import Array
-from casadi_skin.model import methods
 from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.ode import OdeModel
-
-if TYPE_CHECKING:
-    from casadi_skin.dynamics.equations import EquationsOfMotion
-    from casadi_skin.zero.coordinates import Coordinates
-    from casadi_skin.zero.method import Method
+from casadi_skin.model.result import WithVerbs
 
 FIRST, LAST = "first", "last"  # names of the modes of lowest and highest frequency
 
@@ -34,7 +30,7 @@ def _is_whole(number: object) -> bool:
 
 
 @dataclass(frozen=True)
-class Chain:
+class Chain(WithVerbs):
     """A chain of `sites` oscillators with fixed ends; a_+- = 1 -+ gamma, |gamma| <= 1; dimensionless.
 
     `sites` may be `math.inf`: a chain whose other end is infinitely far from the edge that its modes lean to. It has
@@ -161,15 +157,12 @@ class Chain:
         )
         return np.asarray(values, dtype=float), np.asarray(self.rho[:, None] * vectors)
 
-    def family_coordinates(self, mode: int | str, amplitude_max: float, method: Method) -> Coordinates:
-        """Coordinates of the family that grows from a linear mode to S = `amplitude_max`; see `follow_family`."""
-        coordinates: Coordinates = methods.TASKS["chain_coordinates"].load()(self, mode, amplitude_max, method)
-        return coordinates
-
-    def equations_of_motion(self) -> EquationsOfMotion:
-        """The equations of motion with their gauge; see `dynamics.evolve`. Raises ValueError for an infinite chain."""
-        equations: EquationsOfMotion = methods.TASKS["chain_equations"].load()(self)
-        return equations
+    family_coordinates: ClassVar[Callable[..., Any]]
+    """Coordinates of the family that grows from a linear mode to S = `amplitude_max`; see `follow_family`."""
+    equations_of_motion: ClassVar[Callable[..., Any]]
+    """The equations of motion with their gauge; see `dynamics.evolve`. Raises ValueError for an infinite chain."""
+    threshold: ClassVar[Callable[..., float]]
+    """S at which the end breather of the infinite chain is born: `casadi_skin.dynamics.resonances.threshold`."""
 
     # CasADi expressions ---------------------------------------------------------------------------------------------
 

@@ -47,3 +47,8 @@ class ChainEquations(EquationsOfMotion):
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(f"{x}_{n}" for x in "yv" for n in range(1, self.positions + 1))
+
+
+def equations_of_motion(chain: Chain) -> ChainEquations:
+    """The equations of motion of a chain with their gauge; raises ValueError for an infinite one."""
+    return ChainEquations(chain)

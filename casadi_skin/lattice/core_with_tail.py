@@ -16,7 +16,6 @@ from casadi_skin.lattice.log_profile import continued_logarithms
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
-from casadi_skin.model import methods
 from casadi_skin.stability.tongues.waves import Medium
 from casadi_skin.zero.coordinates import Localised, normalised
 from casadi_skin.zero.problem import Array, Indices, Problem
@@ -110,7 +109,7 @@ class CoreWithTail(ChainCoordinates):
     @cached_property
     def threshold(self) -> float:
         """S at which the end breather of the infinite chain is born."""
-        return float(methods.TASKS["threshold"].load()(self.chain))
+        return float(self.chain.threshold())
 
     @cached_property
     def _signs(self) -> Array:

@@ -14,7 +14,6 @@ from casadi_skin.lattice.declared_chain import declared_chain
 from casadi_skin.lattice.driving import forcing_period_of
 from casadi_skin.lattice.equations import Equations
 from casadi_skin.lattice.structure import Structure, structure_of
-from casadi_skin.model import methods
 from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.formula import Number
 from casadi_skin.model.ode import OdeModel
@@ -128,7 +127,7 @@ class Lattice(OdeModel):
         if chain is None:
             return None
         try:
-            found = methods.TASKS["chain_coordinates"].load()(chain, mode, amplitude_max, method)
+            found = chain.family_coordinates(mode, amplitude_max, method)
         except ValueError:
             if method.tail is not None:
                 raise

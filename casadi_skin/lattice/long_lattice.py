@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -16,13 +16,12 @@ from casadi_skin.lattice.declaration import FIXED, PERIODIC, Array, Bond, Site
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear_modes import symmetrising_scale
 from casadi_skin.lattice.spectrum import LinearSpectrum
-from casadi_skin.model import methods
 from casadi_skin.model.arguments import check_name, short_repr
+from casadi_skin.model.result import WithVerbs
 from casadi_skin.zero.statement import named_values
 
 if TYPE_CHECKING:
     from casadi_skin.zero.coordinates import Coordinates
-    from casadi_skin.zero.method import Method
 
 FIRST, LAST = "first", "last"
 SAMPLE = 6  # cells of a lattice from which the properties of one cell are read
@@ -45,7 +44,7 @@ class EdgeMode:
 
 
 @dataclass(frozen=True, eq=False)
-class LongLattice:
+class LongLattice(WithVerbs):
     """A lattice of so many alike cells that all but those at one edge are linear; one direction; dimensionless.
 
     Attributes:
@@ -274,7 +273,5 @@ class LongLattice:
             raise ValueError(f"mode: given {short_repr(mode)}; accepted: {accepted}")
         return mode
 
-    def family_coordinates(self, mode: int | str, amplitude_max: float, method: Method) -> Coordinates:
-        """Coordinates of the family that grows from a mode at the edge to S = `amplitude_max`; see `follow_family`."""
-        coordinates: Coordinates = methods.TASKS["long_lattice_coordinates"].load()(self, mode, amplitude_max, method)
-        return coordinates
+    family_coordinates: ClassVar[Callable[..., Coordinates]]
+    """Coordinates of the family that grows from a mode at the edge to S = `amplitude_max`; see `follow_family`."""

@@ -75,16 +75,21 @@ def state_by_name(label: str, given: Mapping[str, Any], names: Sequence[str]) ->
 
 def check_options(label: str, given: Iterable[str], *functions: Callable[..., Any]) -> None:
     """Raises TypeError, with the nearest accepted name, for an option that no function or class of these takes."""
+    if not given:
+        return
     import inspect  # here: it takes long to load
 
-    known = dict[str, None]()
+    known, options = set[str](), dict[str, None]()
     for function in functions:
         for name, parameter in inspect.signature(function).parameters.items():
+            if parameter.kind is inspect.Parameter.VAR_KEYWORD and len(functions) == 1:
+                return  # which the function checks
+            known.add(name)
             if parameter.kind is inspect.Parameter.KEYWORD_ONLY or parameter.default is not inspect.Parameter.empty:
-                known[name] = None
+                options[name] = None
     for name in given:
         if name not in known:
-            raise TypeError(f"{label}: given the option {name!r}; {accepted_names(name, known)}")
+            raise TypeError(f"{label}: given the option {name!r}; {accepted_names(name, options)}")
 
 
 def number(name: str, value: object, accepted: str = "a finite number") -> float:

@@ -1,69 +1,90 @@
-"""Base of every result: a few lines in print, a table with a picture in notebooks, tables, pictures and files."""
+"""Base of every result and declaration with verbs: methods whose functions stand above it in the package.
+
+A verb is a method as `orbit.certify(...)`: the function `certify(orbit, ...)` of another module, which is imported when
+the verb is first used. The one table of them is in `casadi_skin/__init__.py`; nothing below looks a function up.
+"""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+import functools
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any, ClassVar
 
-from casadi_skin.model import methods
-
-if TYPE_CHECKING:
-    import pandas
-    import xarray
-    from matplotlib.axes import Axes
+from casadi_skin.model.arguments import check_options
 
 
 class NoQuantityError(ValueError, AttributeError):
     """A quantity that a result of this kind has not: a ValueError for who asks for it, and `hasattr` is False."""
 
 
-class Result:
+class Verb:
+    # A method that is a function of another module, with its signature and docstring: `place` is "module:function"
+    # within the package, and the function's first argument is the object. Nothing is imported until it is used.
+
+    def __init__(self, name: str, place: str) -> None:
+        self.__name__, self.place = name, place
+
+    def __get__(self, instance: object, owner: type) -> Any:
+        return self if instance is None else self.method.__get__(instance, owner)
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        return self.method(*arguments, **options)
+
+    @property
+    def __doc__(self) -> str | None:  # type: ignore[override]
+        words: str | None = self.method.__doc__
+        return words
+
+    @property
+    def __signature__(self) -> Any:
+        import inspect  # here: it takes long to load
+
+        return inspect.signature(self.method)
+
+    @functools.cached_property
+    def method(self) -> Any:
+        """The function, which refuses options that it has not, with the nearest name."""
+        module, name = self.place.split(":")
+        function = getattr(import_module(f"casadi_skin.{module}"), name)
+
+        @functools.wraps(function)
+        def method(*arguments: Any, **options: Any) -> Any:
+            check_options(self.__name__, options, function)
+            return function(*arguments, **options)
+
+        return method
+
+
+class WithVerbs:
+    """A class whose verbs stand in the table of the package, by the names of classes."""
+
+    _verbs: ClassVar[dict[str, Mapping[str, str]]] = {}
+
+    @classmethod
+    def bind(cls, verbs: Mapping[str, Mapping[str, str]]) -> None:
+        """State the verbs of classes, most of which are not imported yet: name of the class, verb, its place."""
+        WithVerbs._verbs.update(verbs)
+        cls._take_verbs()
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        cls._take_verbs()
+
+    @classmethod
+    def _take_verbs(cls) -> None:
+        for name, place in WithVerbs._verbs.get(cls.__name__, {}).items():
+            setattr(cls, name, Verb(name, place))
+
+
+class Result(WithVerbs):
     """A result that prints as a few lines, draws itself, becomes tables and is saved; libraries load on first use."""
 
-    def __str__(self) -> str:
-        return str(methods.TASKS["lines"].load()(self))
-
-    def _repr_html_(self) -> str:
-        """A small table with its picture, for notebooks."""
-        return str(methods.TASKS["html"].load()(self))
-
-    def plot(self, axes: Axes | None = None, **options: Any) -> Axes:
-        """Draw the result into matplotlib axes.
-
-        Arguments:
-            axes: axes to draw into, on top of their contents; new ones of pyplot by default.
-            options: `x` and `y` of a branch, names of quantities; `states` of an orbit, a solution or an evolution,
-                names of components.
-
-        Returns:
-            The axes.
-
-        Raises:
-            ValueError: there is no such quantity or component, or nothing to draw.
-        """
-        drawn: Axes = methods.TASKS["plot"].load()(self, axes, **options)
-        return drawn
-
-    def to_dataframe(self) -> pandas.DataFrame:
-        """A pandas DataFrame: a row a point of a branch, a time of an orbit, or a multiplier; needs the extra `pandas`.
-
-        Raises ImportError, naming the extra, where pandas is not installed.
-        """
-        frame: pandas.DataFrame = methods.TASKS["to_dataframe"].load()(self)
-        return frame
-
-    def to_xarray(self) -> xarray.Dataset:
-        """An xarray Dataset, of a branch with all that its netCDF file has; needs the extra `xarray`.
-
-        Raises ImportError, naming the extra, where xarray is not installed.
-        """
-        dataset: xarray.Dataset = methods.TASKS["to_xarray"].load()(self)
-        return dataset
-
-    def save(self, path: str | Path) -> Path:
-        """Write the result to a file of data, from which `casadi_skin.read_result` makes it again, bit for bit.
-
-        Raises ValueError for results of programs, such as FMUs, OSError where the file cannot be written.
-        """
-        written: Path = methods.TASKS["save"].load()(self, path)
-        return written
+    plot: ClassVar[Callable[..., Any]]
+    """Draw the result into matplotlib axes: `casadi_skin.results.figures.drawn.plot`."""
+    to_dataframe: ClassVar[Callable[..., Any]]
+    """A pandas DataFrame: `casadi_skin.results.frames.result_to_dataframe`; needs the extra `pandas`."""
+    to_xarray: ClassVar[Callable[..., Any]]
+    """An xarray Dataset: `casadi_skin.results.frames.result_to_xarray`; needs the extra `xarray`."""
+    save: ClassVar[Callable[..., Any]]
+    """Write the result to a file of data: `casadi_skin.results.saving.save_result`."""

@@ -26,7 +26,8 @@ from casadi_skin.solve.estimates import SAFETY, ErrorEstimate
 from casadi_skin.solve.guesses import Guess
 from casadi_skin.solve.nlp import SOLVED, nlp_reason
 from casadi_skin.solve.refined import BoundaryError
-from casadi_skin.solve.solve import packed, space_of
+from casadi_skin.solve.solve import limits_of, packed, space_of
+from casadi_skin.solve.solve import solve as without_objective
 from casadi_skin.zero.problem import Array, Indices
 from casadi_skin.zero.stated_problem import BoundaryProblem
 from casadi_skin.zero.statement import Statement
@@ -161,17 +162,31 @@ class Refined:
         return Point(problem, self.solution.x, unit, self.error, 0.0, self.solution.iterations)
 
 
-def optimise(statement: Statement, guess: Guess, **options: Any) -> solutions.Solution:
-    """The local optimum of a boundary-value problem near a guess, on a mesh refined to the tolerance.
+def solve(statement: Statement, guess: Guess, **options: Any) -> solutions.Solution:
+    """The solution of a boundary-value problem near a guess; with an objective or bounds the local optimum.
 
     Arguments:
-        statement: a problem with an objective or bounds.
-        guess, options: as in `casadi_skin.solve.solve.solve`.
+        statement: the problem.
+        guess: the states: numbers, one a state; a function of t; numbers or functions by state name; (t, x) with x of
+            shape (times, states); a simulation; another solution.
+        options: `tolerance`, which bounds the estimated error of each state relative to its largest value and of each
+            free parameter, and of methods `transcription` "gauss" or "radau" with `degree` stages,
+            `corrector`, `intervals` of the first mesh; `time_limit` in seconds, and `progress`, a function called
+            with the state of the solution in words.
+
+    Returns:
+        The solution with its estimated errors; `found_by` names the method where the corrector alone did not find it.
+        An optimum is on a mesh refined to the tolerance.
 
     Raises:
-        ValueError: options out of range.
-        BoundaryError: no optimum is found; the message names condition, variable and place.
+        ValueError: an argument is out of range.
+        JumpError: the equations jump along the solution; a ValueError.
+        BoundaryError: no solution or optimum is found to the tolerance; the message names condition, variable, place.
     """
+    if not (statement.optimises or statement.bounds):
+        return without_objective(statement, guess, **options)
+    if any(limit is not None for limit in limits_of(options)):
+        raise ValueError("time_limit: given with an objective or bounds; accepted: without, as is progress")
     space = space_of(statement, guess, options)
     found = refined(space, *_first(space, guess))
     return solutions.Solution(space, found.point, optimum=found.optimum)

@@ -27,7 +27,7 @@ from casadi_skin.zero.stated_problem import BoundaryProblem
 from casadi_skin.zero.statement import Statement
 
 if TYPE_CHECKING:
-    from casadi_skin.follow.boundary_space import BoundarySpace
+    from casadi_skin.follow.boundary_solutions import BoundarySolutions
     from casadi_skin.follow.settings import Point
 
 DURATION, TURN = "duration", "turn"  # of the field, which leaves its equilibria where they are (Duff 1953)
@@ -58,7 +58,7 @@ Side = Stay | Pins
 class Connection:
     """The part of an orbit between two sides of it, and the name of the parameter that is solved for, if any."""
 
-    space: BoundarySpace
+    space: BoundarySolutions
     orbit: Point
     course: Course
     sides: tuple[Side, Side]

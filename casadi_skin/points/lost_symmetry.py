@@ -9,18 +9,31 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from typing import cast
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.special_points import BRANCH_POINT, SpecialPoint
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.points.breaking import breaking_of
 from casadi_skin.zero.problem import Array
 
 MOST = 10  # states of a model all of whose changes of sign are tried
 TRIALS, SAME = 3, 1e-9  # random points at which fields are compared, and their relative difference
 HELD = 1e-5  # of an orbit's extent: how far off a symmetry may be that it has
 PLACES = 64  # along the orbit
+
+
+def lost_at(point: SpecialPoint) -> tuple[str, ...]:
+    """Symmetries that orbits of the branch that leaves at a special point lack, in words; empty without any."""
+    if point.mu is not None:
+        breaking = breaking_of(cast(Orbit, point.solution), point.mu)
+        return () if breaking is None else breaking.lost
+    if point.kind != BRANCH_POINT or getattr(point.solution.space, "periodic", None) is None:
+        return ()
+    return lost_symmetries(cast(Orbit, point.solution))
 
 
 def lost_symmetries(orbit: Orbit) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ from casadi_skin.zero.orbit_statement import UNFOLDING
 from casadi_skin.zero.problem import EPSILON, Array, Scalar
 
 if TYPE_CHECKING:
-    from casadi_skin.follow.boundary_space import BoundarySpace
+    from casadi_skin.follow.boundary_solutions import BoundarySolutions
 
 SMALLEST = 1e-9  # of the orbit's extent: smaller components are reported as 0
 NEAREST = 1e-9  # of the way that is followed: nearer to its limit the parameter does not separate orbits
@@ -45,7 +45,7 @@ class Limit:
     solved: bool
 
 
-def unbounded(space: BoundarySpace, before: Point, after: Point) -> Point | None:
+def unbounded(space: BoundarySolutions, before: Point, after: Point) -> Point | None:
     """The later of two orbits as the end of its branch, where the period grows without bound; None where it goes on."""
     index, place, period = after.problem.parameter_index, after.problem.index_of(Scalar.OMEGA), space.interval(after)[1]
     rate = abs(float(after.tangent[index] / after.tangent[place]))
@@ -76,7 +76,7 @@ def unbounded(space: BoundarySpace, before: Point, after: Point) -> Point | None
     return _marked(space, after, limit, beside)
 
 
-def _marked(space: BoundarySpace, orbit: Point, limit: Limit, period: Sequence[Stay]) -> Point:
+def _marked(space: BoundarySolutions, orbit: Point, limit: Limit, period: Sequence[Stay]) -> Point:
     """The orbit as the end of its branch."""
     size = abs(space.to - space.statement.values[space.parameter]) * orbit.problem.parameter_size(orbit.z)
     own = 0.0 if limit.solved else orbit.error.relative(1.0)
@@ -111,7 +111,7 @@ def _grows(after: Sequence[Stay], before: Sequence[Stay]) -> bool:
 
 
 def _limit(
-    space: BoundarySpace,
+    space: BoundarySolutions,
     orbit: Point,
     course: Course,
     rests: tuple[Sequence[Stay], Sequence[Stay]],
@@ -147,7 +147,7 @@ def _limit(
 
 
 def _connections(
-    space: BoundarySpace, orbit: Point, course: Course, period: Sequence[Stay], found: Sequence[Stay]
+    space: BoundarySolutions, orbit: Point, course: Course, period: Sequence[Stay], found: Sequence[Stay]
 ) -> list[Connection]:
     """Parts of a period from one stay to the next; of a symmetric orbit from and to where its reversal leaves it."""
     periodic = space._orbit_of()
@@ -169,7 +169,7 @@ def _connections(
     return [Connection(space, orbit, course, piece, "") for piece in pieces]
 
 
-def places_of(space: BoundarySpace, period: Sequence[Stay]) -> list[Array]:
+def places_of(space: BoundarySolutions, period: Sequence[Stay]) -> list[Array]:
     """Different equilibria of stays; those of states that turn are the same a turn apart."""
     turns = np.array(space._orbit_of().turns or np.zeros(len(period[0].rest.x)))
     found: list[Array] = []
@@ -181,7 +181,7 @@ def places_of(space: BoundarySpace, period: Sequence[Stay]) -> list[Array]:
     return found
 
 
-def joined_words(space: BoundarySpace, orbit: Point) -> str:
+def joined_words(space: BoundarySolutions, orbit: Point) -> str:
     """Which equilibria an orbit with a period without bound joins."""
     walking = space.statement.model.parameter_names.index(space.parameter)
     course, stayed = stays(space, orbit, walking)

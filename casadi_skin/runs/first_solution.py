@@ -39,7 +39,8 @@ def first_solution(request: Request, simulated: Cycle | None = None) -> Solution
     if request.problem is not None:
         if request.guess is None:
             raise ValueError("[solution]: missing; accepted: a scene with a [solution]")
-        return request.problem.solve(request.guess, **request.options)
+        solution: Solution = request.problem.solve(request.guess, **request.options)
+        return solution
     return _orbit(request, simulated or cycle(request), request.options)
 
 

@@ -47,7 +47,11 @@ def write_pictures(found: Map) -> None:
 
 
 def picture(found: Map, name: str) -> Figure:
-    """The picture of a quantity of a map: a panel for each combination of values of axes that are lists."""
+    """The picture of a quantity of a map: a panel for each combination of values of axes that are lists.
+
+    Raises ValueError for an unknown quantity, or a text.
+    """
+    check_name("quantity", name, [n for n in found.names if n in found.columns.numbers])
     axes = found.store.grid.axes
     along = _along(axes)
     others = [i for i in range(len(axes)) if i not in along]
@@ -79,25 +83,39 @@ def refuse() -> None:
     raise ValueError("plot: no quantity changes over the map")
 
 
-def plot(found: Map, name: str, place: Axes | None = None, at: Mapping[str, Any] | None = None) -> Axes:
-    """Draw one panel of a map into axes; see `Map.plot`."""
+def plot(found: Map, name: str, axes: Axes | None = None, at: Mapping[str, Any] | None = None) -> Axes:
+    """Draw a quantity over the ranges of the map into matplotlib axes.
+
+    Arguments:
+        found: the map.
+        name: the quantity.
+        axes: where it is drawn; new ones of pyplot by default.
+        at: values of the axes that are lists, by name; one of a single value may be left out.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: there is no such quantity, it is a text, or there is no such value of an axis.
+    """
     from matplotlib.axes import Axes
 
-    axes = found.store.grid.axes
-    along, given = _along(axes), dict(at or {})
-    others = {axes[i].name: i for i in range(len(axes)) if i not in along}
+    check_name("quantity", name, [n for n in found.names if n in found.columns.numbers])
+    ranges = found.store.grid.axes
+    along, given = _along(ranges), dict(at or {})
+    others = {ranges[i].name: i for i in range(len(ranges)) if i not in along}
     for key in given:
         check_name("at", key, others)
-    chosen = {i: _place_of(axes[i], given) for i in others.values()}
-    if place is None:
+    chosen = {i: _place_of(ranges[i], given) for i in others.values()}
+    if axes is None:
         from matplotlib import pyplot
 
-        place = pyplot.subplots(layout="constrained")[1]
-    if not isinstance(place, Axes):
-        raise TypeError(f"axes: given {short_repr(place)}; accepted: axes of matplotlib, or None")
-    drawn = [MapAxis(axes[i].name, numbers(axes[i]), axes[i].log) for i in along]
-    draw_map(place, name, drawn, _panel(found, name, along, chosen))
-    return place
+        axes = pyplot.subplots(layout="constrained")[1]
+    if not isinstance(axes, Axes):
+        raise TypeError(f"axes: given {short_repr(axes)}; accepted: axes of matplotlib, or None")
+    drawn = [MapAxis(ranges[i].name, numbers(ranges[i]), ranges[i].log) for i in along]
+    draw_map(axes, name, drawn, _panel(found, name, along, chosen))
+    return axes
 
 
 def _place_of(axis: Axis, given: Mapping[str, Any]) -> int:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.model import methods
 from casadi_skin.model.arguments import check_name
 from casadi_skin.model.files import TemporaryFolder
+from casadi_skin.model.result import WithVerbs
 from casadi_skin.runs.map_columns import REASON, STATUS, Columns
 from casadi_skin.runs.map_one_file import save_map
 from casadi_skin.runs.map_store import DONE, ENDED, FAILED, UNKNOWN, Store
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Map:
+class Map(WithVerbs):
     """Quantities of a scene over its parameters.
 
     Attributes:
@@ -109,40 +109,14 @@ class Map:
         """
         return save_map(self.directory, path)
 
-    def _repr_html_(self) -> str:
-        """A small table with the picture of a quantity, for notebooks."""
-        return str(methods.TASKS["map_html"].load()(self))
+    figure: ClassVar[Callable[..., Figure]]
+    """The picture of a quantity with all its panels: `casadi_skin.runs.map_pictures.picture`."""
+    plot: ClassVar[Callable[..., Axes]]
+    """Draw a quantity over the ranges of the map into matplotlib axes: `casadi_skin.runs.map_pictures.plot`."""
 
     def lines(self, chosen: tuple[int, ...]) -> tuple[NDArray[np.float64], ...]:
         """Lines of the boundary at places of the axes that are no ranges."""
         return self.boundary.get(chosen, ())
-
-    def figure(self, name: str) -> Figure:
-        """The picture of a quantity with all its panels; raises ValueError for an unknown one, or a text."""
-        self._check_number(name)
-        figure: Figure = methods.TASKS["map_picture"].load()(self, name)
-        return figure
-
-    def plot(self, name: str, axes: Axes | None = None, at: Mapping[str, Any] | None = None) -> Axes:
-        """Draw a quantity over the ranges of the map into matplotlib axes.
-
-        Arguments:
-            name: the quantity.
-            axes: where it is drawn; new ones of pyplot by default.
-            at: values of the axes that are lists, by name; one of a single value may be left out.
-
-        Returns:
-            The axes.
-
-        Raises:
-            ValueError: there is no such quantity, it is a text, or there is no such value of an axis.
-        """
-        self._check_number(name)
-        drawn: Axes = methods.TASKS["map_plot"].load()(self, name, axes, at)
-        return drawn
-
-    def _check_number(self, name: str) -> None:
-        check_name("quantity", name, [n for n in self.names if n in self.columns.numbers])
 
     def to_dataframe(self) -> pandas.DataFrame:
         """A pandas DataFrame with a row a computed cell, as in map.csv; raises ImportError, naming the extra."""

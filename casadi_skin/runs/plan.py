@@ -18,6 +18,7 @@ from casadi_skin.runs.request import Request
 from casadi_skin.runs.states import state_of
 from casadi_skin.runs.words import Lines, listed, named
 from casadi_skin.solve.estimates import ErrorEstimate
+from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.problem import Problem
 from casadi_skin.zero.request import FamilyRequest
 from casadi_skin.zero.shooting import ShootingProblem
@@ -289,7 +290,7 @@ def _unknowns(request: Request) -> str:
 
     method, model, problem = request.scene.methods, request.ode, request.problem
     intervals, degree = method.intervals or FIRST, method.degree or DEGREE
-    table = methods.COLLOCATION_TABLES[str(method.transcription)].load()(degree)
+    table = TABLES[str(method.transcription)](degree)
     columns = intervals * table.ends.size + 1
     unfolded = model.hamiltonian is not None and _symmetry(request) is SymmetryClass.FULL
     orbit = () if model.forced else (PERIOD, UNFOLDING) if unfolded else (PERIOD,)

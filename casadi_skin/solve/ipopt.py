@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable, Mapping
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.solve.corrector import Correction, Status
+from casadi_skin.solve.corrector import Correction, Corrector, Status
+from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.solve.nlp import SOLVED, nlp_solver
 from casadi_skin.solve.time_limit import heed, is_over
 from casadi_skin.zero.problem import Array, Evaluate, Problem
@@ -228,3 +230,9 @@ class IpoptCorrector:
         if status is not Status.CONVERGED:
             words = f"Ipopt: {words}; {self.problem.worst(guess)}"
         return Correction(z, status, iterations, words)
+
+
+CORRECTORS: Mapping[str, Callable[..., Corrector]] = {
+    "ipopt": IpoptCorrector,
+    "newton": NewtonCorrector,
+}

@@ -12,7 +12,6 @@ from dataclasses import replace
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.settings import Point
 from casadi_skin.follow.solution import Solution
-from casadi_skin.model import methods
 from casadi_skin.solve.guesses import Guess
 from casadi_skin.solve.refined import BoundaryError
 
@@ -78,7 +77,7 @@ def _found(space: BoundarySpace, guess: Guess, first: First) -> Solution | None:
 
 def _followed(easier: Solution, name: str, value: float) -> Solution | None:
     try:
-        branch = methods.TASKS["follow"].load()(easier, name, value, max_points=MOST_POINTS, until=_turns)
+        branch = easier.follow(name, value, max_points=MOST_POINTS, until=_turns)
     except BoundaryError:
         return None
     reached: Solution = branch.solutions[-1]

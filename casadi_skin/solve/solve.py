@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from typing import Any
 
@@ -12,7 +12,6 @@ import numpy as np
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.settings import Point
 from casadi_skin.follow.solution import Solution
-from casadi_skin.model import methods
 from casadi_skin.model.arguments import check_name, duration, number, short_repr
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.solve.corrector import Correction, Corrector
@@ -59,35 +58,21 @@ def space_of(statement: Statement, guess: Guess, options: Mapping[str, Any]) -> 
     return BoundarySpace(statement, tolerance, method, Sizes.of(statement, sampled(statement, guess, times)))
 
 
-def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
-    """The solution of a boundary-value problem near a guess; with an objective or bounds the local optimum.
-
-    Arguments:
-        statement: the problem.
-        guess: the states: numbers, one a state; a function of t; numbers or functions by state name; (t, x) with x of
-            shape (times, states); a simulation; another solution.
-        options: `tolerance`, which bounds the estimated error of each state relative to its largest value and of each
-            free parameter, and of methods `transcription` "gauss" or "radau" with `degree` stages,
-            `corrector`, `intervals` of the first mesh; `time_limit` in seconds, and `progress`, a function called
-            with the state of the solution in words.
-
-    Returns:
-        The solution with its estimated errors; `found_by` names the method where the corrector alone did not find it.
-
-    Raises:
-        ValueError: an argument is out of range.
-        JumpError: the equations jump along the solution; a ValueError.
-        BoundaryError: no solution is found to the tolerance.
-    """
+def limits_of(options: Mapping[str, Any]) -> tuple[float | None, Callable[[str], None] | None]:
+    """`time_limit` and `progress` of options; raises ValueError and TypeError."""
     limit, report = options.get("time_limit"), options.get("progress")
     duration("time_limit", limit)
     if report is not None and not callable(report):
         raise TypeError(f"progress: given {short_repr(report)}; accepted: a function of words")
-    if statement.optimises or statement.bounds:
-        if limit is not None or report is not None:
-            raise ValueError("time_limit: given with an objective or bounds; accepted: without, as is progress")
-        optimum: Solution = methods.TASKS["optimise"].load()(statement, guess, **options)
-        return optimum
+    return limit, report
+
+
+def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
+    """The solution of a boundary-value problem without objective and bounds near a guess.
+
+    Arguments and what is raised are those of `casadi_skin.optimise.boundary_nlp.solve`.
+    """
+    limit, report = limits_of(options)
     space = space_of(statement, guess, options)
     watch = (
         watched(limit, report) if limit is not None or report is not None else nullcontext()

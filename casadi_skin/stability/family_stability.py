@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import groupby
@@ -13,16 +13,20 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.settings import Point
-from casadi_skin.model import methods
 from casadi_skin.model.arguments import check_name
+from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.estimates import Refinement
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.threads import one_thread
+from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
+from casadi_skin.stability.gauss_flow import GaussFlow
 from casadi_skin.stability.multipliers import floquet_vectors, floquets, vectors_of_map
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.relative import RelativeFlow, complement
 from casadi_skin.stability.result import Floquet
+from casadi_skin.stability.rk4 import RungeKuttaFlow
+from casadi_skin.stability.splitting import SplittingFlow
 from casadi_skin.zero.coordinates import Coordinates
 from casadi_skin.zero.problem import Array, Buffers, Problem
 from casadi_skin.zero.request import FamilyRequest
@@ -33,6 +37,14 @@ if TYPE_CHECKING:
     from casadi_skin.zero.coordinates import Localised
 
 STABILITY_BATCH = 32  # points whose stability is computed at a time: an interruption writes none that wait for it
+
+
+FLOWS: Mapping[str, Callable[[OdeModel, float], FlowMap]] = {
+    "splitting": SplittingFlow,
+    "cvodes": CvodesFlow,
+    "gauss": GaussFlow,
+    "rk4": RungeKuttaFlow,
+}
 
 
 class FamilyStability(ABC):
@@ -85,8 +97,7 @@ class FamilyStability(ABC):
         return self._flow_of_all(name) if self.frame is None else RelativeFlow(self._flow_of_all(name), self.frame)
 
     def _flow_of_all(self, name: str) -> FlowMap:
-        flow: FlowMap = methods.FLOWS[name].load()(self.coordinates.scaled, self.tolerance)
-        return flow
+        return FLOWS[name](self.coordinates.scaled, self.tolerance)
 
     @cached_property
     def frame(self) -> Array | None:
@@ -120,7 +131,7 @@ class FamilyStability(ABC):
             ValueError: there is no such flow map.
         """
         if by is not None:
-            check_name("by", by, methods.FLOWS)
+            check_name("by", by, FLOWS)
         if self.coordinates.localised is not None:
             with one_thread():
                 return [self._localised(self.coordinates.localised, point, by) for point in points]

@@ -10,6 +10,7 @@ The error of a multiplier is its distance from that of a better solution, and wh
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -151,3 +152,9 @@ def _by_sensitivities(orbit: Closed, local: float, tolerance: float) -> Multipli
     trivial = orbit.trivial(tolerance)
     closed = replace(trivial, right=trivial.right[[0, -1]], left=trivial.left[[0, -1]])
     return multipliers_along(MapsAlong((matrix * units[:, None] / units)[None], closed, units))
+
+
+FULL_PERIOD_FLOWS: Mapping[str, Callable[[Closed, Closed | None, float], FullPeriodFloquet]] = {
+    "collocation": by_collocation,
+    "cvodes": by_cvodes,
+}

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, ClassVar
 
-from casadi_skin.follow.solution import Solution
-from casadi_skin.solve.guesses import Guess
-from casadi_skin.solve.solve import solve
+from casadi_skin.model.result import WithVerbs
 from casadi_skin.zero.statement import Statement
 
 
-class BoundaryValueProblem(Statement):
+class BoundaryValueProblem(WithVerbs, Statement):
     __doc__ = Statement.__doc__
     always_confirmed: ClassVar[bool] = False  # but where a solution does not meet Ipopt's own test
 
@@ -21,6 +20,5 @@ class BoundaryValueProblem(Statement):
         free = f"; free: {', '.join(self.free)}" if self.free else ""
         return f"<BoundaryValueProblem: {self.model.name} from {start} to {end}, {counts}{free}>"
 
-    def solve(self, guess: Guess, **options: Any) -> Solution:
-        """The solution near a guess, by `casadi_skin.solve.solve.solve`, with its guesses and options."""
-        return solve(self, guess, **options)
+    solve: ClassVar[Callable[..., Any]]
+    """The solution near a guess, with an objective or bounds the optimum: `casadi_skin.optimise.boundary_nlp.solve`."""

@@ -5,6 +5,7 @@ Tables come from numpy's Legendre polynomials, which keep digits that casadi.col
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -86,3 +87,6 @@ def _integrals(x: Array, degree: int) -> Array:
     integrals = (vandermonde[:, 1:] - below) / (2 * (2 * np.arange(degree) + 1))
     integrals[:, 0] = (x + 1.0) / 2.0
     return np.asarray(integrals)
+
+
+TABLES: Mapping[str, Callable[..., CollocationTable]] = {"gauss": gauss_table, "radau": radau_table}

@@ -11,9 +11,9 @@ from casadi_skin.follow.point_solver import PointSolver
 from casadi_skin.follow.sample import Sample
 from casadi_skin.follow.samples import sample_of
 from casadi_skin.follow.settings import ContinuationSettings, Point
-from casadi_skin.model import methods
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.corrector import Corrector
+from casadi_skin.solve.ipopt import CORRECTORS
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.rounding import RoundedCorrector
 from casadi_skin.zero.problem import Array, Problem
@@ -29,7 +29,7 @@ KEPT = 8  # samples that are kept
 def corrector_of(name: str, tolerance: float, problem: Problem) -> Corrector:
     """A corrector by name, for a hundredth of the tolerance where rounding allows it."""
     fine = float(np.clip(1e-2 * tolerance, 1e-13, 1e-6))
-    return RoundedCorrector(methods.CORRECTORS[name].load()(problem, fine, ITERATIONS))
+    return RoundedCorrector(CORRECTORS[name](problem, fine, ITERATIONS))
 
 
 @dataclass(frozen=True, eq=False)

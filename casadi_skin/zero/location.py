@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.boundary_solutions import BoundarySolutions
 from casadi_skin.follow.settings import Point
 from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS
 from casadi_skin.zero.boundary_choices import Sizes
@@ -39,12 +39,12 @@ class LocatedOrbit:
 
 def extended_space(
     critical: Critical,
-    old: BoundarySpace,
+    old: BoundarySolutions,
     values: Mapping[str, float],
     unit: float,
     parameter: str = "",
     to: float = 1.0,
-) -> BoundarySpace:
+) -> BoundarySolutions:
     """The space of solutions of an extended problem, at values of the parameters that are held."""
     statement = critical.statement()
     statement = replace(statement, parameters={**statement.parameters, **values})
@@ -53,10 +53,10 @@ def extended_space(
     )
     scalars = np.concatenate([old.sizes.scalars, [unit], np.ones(len(critical.added))])
     method = replace(old.method, corrector="newton")
-    return BoundarySpace(statement, old.tolerance, method, Sizes(states, scalars), None, parameter, to)
+    return BoundarySolutions(statement, old.tolerance, method, Sizes(states, scalars), None, parameter, to)
 
 
-def critical_of(kind: str, space: BoundarySpace, point: Point, angle: float, first: str) -> Critical:
+def critical_of(kind: str, space: BoundarySolutions, point: Point, angle: float, first: str) -> Critical:
     """Equations of a critical orbit beside those of any orbit, linearised at an orbit near it."""
     problem = point.problem
     assert isinstance(problem, BoundaryProblem)
@@ -74,7 +74,7 @@ def critical_of(kind: str, space: BoundarySpace, point: Point, angle: float, fir
     return Critical(kind, space.statement, first, sizes, normal, turn, autonomous, push, push_ends)
 
 
-def locate(space: BoundarySpace, kind: str, point: Point, angle: float = np.pi) -> LocatedOrbit | None:
+def locate(space: BoundarySolutions, kind: str, point: Point, angle: float = np.pi) -> LocatedOrbit | None:
     """The special orbit of a kind near an orbit of a branch; None where Newton's method finds none there.
 
     `angle` is that of the multipliers of a torus.
@@ -90,7 +90,7 @@ def locate(space: BoundarySpace, kind: str, point: Point, angle: float = np.pi) 
 
 
 def solved(
-    space: BoundarySpace, critical: Critical, point: Point, unit: float, angle: float = np.pi
+    space: BoundarySolutions, critical: Critical, point: Point, unit: float, angle: float = np.pi
 ) -> LocatedOrbit | None:
     """The solution of an extended problem near an orbit; `unit` is a usual change of the parameter found with it."""
     value, problem = space.parameters(point)[critical.first], point.problem
@@ -110,7 +110,7 @@ def solved(
     return LocatedOrbit(critical, found, float(found.z[index]), _error(extended, found, index))
 
 
-def _error(space: BoundarySpace, point: Point, index: int) -> float:
+def _error(space: BoundarySolutions, point: Point, index: int) -> float:
     """Estimated error of one of the unknown scalars: the difference to a finer level, rounding, and its last digit."""
     problem, better = point.problem, point.better
     assert better is not None
@@ -121,7 +121,7 @@ def _error(space: BoundarySpace, point: Point, index: int) -> float:
     return 2.0 * apart + abs(float(noise[index])) + EPSILON * abs(value)
 
 
-def point_of(located: LocatedOrbit, space: BoundarySpace, near: Point, kind: str) -> Point:
+def point_of(located: LocatedOrbit, space: BoundarySolutions, near: Point, kind: str) -> Point:
     """A special orbit as a point of a branch, with the tangent of one near it."""
     extended, count = located.point, len(space.statement.free)
     problem = space.levels.problem(extended.problem.resolution).with_constants(extended.problem.constants)
@@ -140,7 +140,7 @@ def point_of(located: LocatedOrbit, space: BoundarySpace, near: Point, kind: str
     )  # fmt: skip
 
 
-def special_orbit(space: BoundarySpace, kind: str, near: Point, angle: float = np.pi) -> Point | None:
+def special_orbit(space: BoundarySolutions, kind: str, near: Point, angle: float = np.pi) -> Point | None:
     """The special orbit of a kind near an orbit of a branch as a point of it; None where none is found."""
     located = locate(space, kind, near, angle)
     if located is None:
