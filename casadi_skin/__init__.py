@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from casadi_skin.fmu.archive import export_fmu
     from casadi_skin.fmu.model import import_fmu
     from casadi_skin.follow.branch import Branch
-    from casadi_skin.follow.find import find_equilibria, find_equilibrium
-    from casadi_skin.follow.find_orbit import find_orbit
+    from casadi_skin.follow.find import find_equilibria, find_equilibrium, find_orbit
     from casadi_skin.follow.follow import follow_family
     from casadi_skin.follow.orbit import Orbit
     from casadi_skin.lattice.chain import Chain
@@ -122,7 +121,7 @@ def __getattr__(name: str) -> Any:
         "export_fmu": "fmu.archive",
         "find_equilibria": "follow.find",
         "find_equilibrium": "follow.find",
-        "find_orbit": "follow.find_orbit",
+        "find_orbit": "follow.find",
         "follow_family": "follow.follow",
         "import_fmu": "fmu.model",
         "read_map": "runs.read_map",

@@ -12,9 +12,8 @@ from casadi_skin.dynamics.equations import GAUGE, PHYSICAL, EquationsOfMotion, M
 from casadi_skin.dynamics.evolution import Evolution, EvolutionError
 from casadi_skin.dynamics.splitting import symplectic
 from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.closed_curve import CosineSeries, Curve, cosine_curve
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.orbit import CosineSeries, Curve, Orbit, cosine_curve
 from casadi_skin.model.arguments import by_name, number, short_repr, state_by_name
 from casadi_skin.model.arrays import real_array
 from casadi_skin.model.cvodes import cvodes, stiff_cvodes

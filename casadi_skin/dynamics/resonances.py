@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.find_orbit import find_orbit
+from casadi_skin.follow.find import find_orbit
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.settings import Point

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Protocol
 import casadi as ca
 import numpy as np
 
-from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.settings import ContinuationSettings, Point, Target
 from casadi_skin.model.arguments import check_name
 from casadi_skin.model.jumps import STATE, TIME, JumpError

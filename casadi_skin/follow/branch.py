@@ -11,12 +11,12 @@ from typing import Any, ClassVar, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.follow.corners import PassedResonance, passed_resonances
 from casadi_skin.follow.ending import Ending
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.ledger import StabilityChange
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.passages import held_passage, passage
-from casadi_skin.follow.passed_resonances import PassedResonance, passed_resonances
 from casadi_skin.follow.settings import End, Point
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace

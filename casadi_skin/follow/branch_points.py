@@ -15,8 +15,8 @@ import numpy as np
 
 from casadi_skin.follow.crossed_branches import Bordered, closed, crossings, outer_eigenvalues, quiet
 from casadi_skin.follow.crossing_place import ONE_PLACE, crossing_places
-from casadi_skin.follow.hermite import LocalCurve
-from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.point import PointSolver
+from casadi_skin.follow.polynomials import LocalCurve
 from casadi_skin.follow.settings import Point
 from casadi_skin.follow.special_points import BRANCH_POINT
 from casadi_skin.zero.problem import EPSILON, Array, Problem, SingularError

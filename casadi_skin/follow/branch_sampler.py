@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.follow.hermite import interpolant
-from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.point import PointSolver
+from casadi_skin.follow.polynomials import interpolant
 from casadi_skin.follow.section_orbits import SectionOrbit, find_all, find_one
 from casadi_skin.follow.settings import Point
 from casadi_skin.follow.unresolved import Unresolved

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.settings import Point
 
 DOUBLE = "double branch point"

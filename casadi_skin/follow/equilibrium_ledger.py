@@ -17,7 +17,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.follow.hermite import LocalCurve
+from casadi_skin.follow.polynomials import LocalCurve
 from casadi_skin.follow.settings import Point
 from casadi_skin.follow.stretch import Stretch
 from casadi_skin.zero.equations import EquilibriumEquations

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.follow.arclength import ArclengthContinuation
-from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.point import PointSolver, with_small_components
 from casadi_skin.follow.series import TOGETHER, SeriesContinuation
 from casadi_skin.follow.settings import Continuation, End, Point, Target
-from casadi_skin.follow.small_components import with_small_components
 from casadi_skin.follow.special_points import folds_between
 from casadi_skin.model import methods
 from casadi_skin.model.arrays import site_numbers

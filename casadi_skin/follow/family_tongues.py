@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from casadi_skin.follow.arclength import with_what_lies_between
 from casadi_skin.follow.branch_sampler import OrbitSampler
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.narrow_resonances import with_what_lies_between
 from casadi_skin.follow.settings import Point
 from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.solve.threads import one_thread

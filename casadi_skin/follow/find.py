@@ -2,24 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Protocol, cast, runtime_checkable
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.follow.equilibrium import Equilibrium
+from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
+from casadi_skin.follow.solution import Equilibrium, Solution
 from casadi_skin.model import methods
-from casadi_skin.model.arguments import by_name, check_name, number, short_repr, state_by_name, whole
+from casadi_skin.model.arguments import by_name, check_name, number, short_repr, state_by_name, truth, whole
+from casadi_skin.model.conserved import quantities
+from casadi_skin.model.cvodes import stiff_cvodes
+from casadi_skin.model.expressions import Expression, expression_of
+from casadi_skin.model.forcing import check_forcing_period
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.symmetry import SymmetryClass, symmetry_class
+from casadi_skin.model.trajectory import IntegrationError
 from casadi_skin.solve.corrector import Correction
+from casadi_skin.solve.guesses import Guess, over_its_own_period, sampled
+from casadi_skin.solve.rank_deficiency import equilibrium_words
+from casadi_skin.solve.refined import BoundaryError, FamilyError
+from casadi_skin.solve.solve import solve
 from casadi_skin.solve.threads import one_thread
+from casadi_skin.zero.boundary_choices import Periodic
 from casadi_skin.zero.equations import corrector_of
+from casadi_skin.zero.orbit_statement import SAMPLES, TWO_PI, UNFOLDING, OrbitRequest, statement_of
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import sizes_at, sizes_of
+from casadi_skin.zero.stated_problem import PERIOD
+from casadi_skin.zero.statement import Bounds, Statement
 from casadi_skin.zero.statics import Statics
 
 TOLERANCES = (1e-13, 1e-2)
@@ -235,3 +252,237 @@ def _settled(statics: Statics, start: Array, transient: float, tolerance: float,
         words = f"the equilibrium found is {apart:.2g} of the state's size from where the simulation ends"
         raise EquilibriumError(f"{model.name}: the simulation does not settle: {words}; try a longer transient")
     return found
+
+
+# Periodic orbits of any model: autonomous, forced, conservative, reversible; closed or rotating -----------------------
+
+NOT_ZERO = 100.0  # tolerances that the unfolding parameter may differ from zero by
+LONGEST_RETURN, RETURN_SAMPLES = 8.0, 1601  # stated periods in which a motion may come back, and places looked at
+RETURN_TOLERANCE = 1e-6
+GONE, BACK = 0.5, 0.1  # of the ranges of the states: distance from the start that has left it, and that has come back
+OTHER = 0.1  # relative difference of the stated period and another one
+TRIALS, SAME_TIME = 3, 1e-9  # random points at which a field is compared with itself after one turn
+SHRUNK, STILL = 1e-6, 1e-12  # motion relative to that of the guess, and to the states, that counts as rest
+
+
+def find_orbit(
+    model: OdeModel,
+    guess: Guess,
+    period: float | None = None,
+    *,
+    parameters: Mapping[str, float] | None = None,
+    select: Expression | None = None,
+    section: Expression | None = None,
+    symmetric: bool = False,
+    cycles: int = 1,
+    rotations: Mapping[str, int] | None = None,
+    free: Sequence[str] = (),
+    bounds: Bounds | None = None,
+    objective: Expression | str | None = None,
+    running: Expression | None = None,
+    **options: Any,
+) -> Orbit:
+    """The periodic orbit near a guess, closed or rotating.
+
+    `guess` gives the states over one period from time 0 on, as in `BoundaryValueProblem.solve`; `period` guesses the
+    period of an autonomous model, where the guess (a cycle, another orbit) has none; the orbit of a forced one closes
+    after `cycles` periods of the forcing. A function that closes after another time near `period` is taken over that
+    time in its place.
+
+    `select`, an expression in states and parameters that vanishes at phase zero,
+    picks a member of the family in a model with a `hamiltonian` or where the orbit is `symmetric`: reversible, and then
+    only half of it is unknown, or a quarter with the half-period symmetry. `section` vanishes at phase zero in place of
+    the integral phase condition; without it phase zero is where the guess has it, so that a guess shifted in time makes
+    `select` pick another member of a family, unless its expression is conserved. It has an entry for each of the
+    `conserved` quantities without a symmetry; the guess fixes the phase of each one with a symmetry.
+
+    `rotations` are numbers of turns by the names of states that are angles: 2 pi times as much is added in a period.
+
+    Parameters that are `free` are solved for too: by `select`, or so that `objective` (at phase zero, or the word
+    "period") plus the mean of `running` over the period is smallest within `bounds` on states, free parameters and
+    "period". Expressions may be given as functions f(t, x, p) of CasADi's symbols. Options are those of
+    `BoundaryValueProblem.solve`. Raises ValueError and TypeError for arguments that do not fit the model, BoundaryError
+    where no orbit is found.
+    """
+    if not isinstance(model, OdeModel):
+        raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel")
+    turns = rotations_of(model, rotations, truth("symmetric", symmetric))
+    _check_orbit(model, period, select, section, symmetric, cycles, free)
+    first = model.first_order()
+    stated = {"section": section, "objective": objective, "running": running}
+    section, objective, running = (scalar_of(label, given, first) for label, given in stated.items())
+    length = 0.0 if model.forced else guessed_period(guess, period)
+    if not model.forced:
+        guess = over_its_own_period(guess, first.state_names, length, TWO_PI * turns)
+    symmetry = SymmetryClass.FULL
+    if symmetric:  # angles that rotate have no half-period symmetry
+        symmetry = SymmetryClass.HALF if np.any(turns) else symmetry_class(model)
+    request = OrbitRequest(
+        first, length, cycles, by_name("parameters", parameters), turns, guess, symmetry,
+        _column_of("select", select, first), section, tuple(free), by_name("bounds", bounds, "(lower, upper)"),
+        objective, running,
+    )  # fmt: skip
+    _check_selects(request)
+    statement = statement_of(request)
+    try:
+        solution = solve(statement, guess, **options)
+        if not model.forced:
+            _check_moves(model.name, solution, guess, length)
+    except BoundaryError as error:
+        apart = model.forced or isinstance(error, FamilyError)
+        words = "" if apart else _returning_words(statement, guess, first, length)
+        raise (BoundaryError(f"{error}; {words}") if words else error) from error.__cause__
+    space = cast(BoundarySpace, solution.space)
+    space = replace(space, periodic=Periodic(model, first, symmetry, tuple(int(k) for k in turns)))
+    orbit = Orbit(space, solution.point, solution.exact, solution.optimum)
+    if model.forced:
+        check_forcing_period(model, orbit, orbit.period, orbit.parameters)
+    if abs(orbit.unfolding) > NOT_ZERO * max(space.tolerance, orbit.error):
+        words = f"the unfolding parameter is {orbit.unfolding:.1e} in place of 0"
+        kept = " or ".join(f"the {name}" for name in quantities(model))
+        raise BoundaryError(f"{model.name}: {words}: {kept} is not conserved, or the orbit is degenerate")
+    return orbit
+
+
+def closed_statement(
+    model: OdeModel, guess: Guess, period: float, parameters: Mapping[str, float], turns: Sequence[int] = ()
+) -> Statement:
+    """The orbit of an autonomous model of first order, with an unknown period and the phase of a guess."""
+    rotations = np.array(turns, dtype=float) if len(turns) else np.zeros(model.full_size)
+    return statement_of(OrbitRequest(model, period, 1, dict(parameters), rotations, guess))
+
+
+def forced_statement(
+    model: OdeModel, cycles: int, parameters: Mapping[str, float], turns: Sequence[int] = ()
+) -> Statement:
+    """The orbit of a forced model of first order after a number of periods of the forcing."""
+    rotations = np.array(turns, dtype=float) if len(turns) else np.zeros(model.full_size)
+    return statement_of(OrbitRequest(model, 0.0, cycles, dict(parameters), rotations, np.zeros(model.full_size)))
+
+
+def rotations_of(model: OdeModel, given: Mapping[str, int] | None, symmetric: bool = False) -> Array:
+    """Turns of each state in a period, shape (states,); raises ValueError and TypeError unless states are angles."""
+    turns, names = np.zeros(model.full_size), model.state_names
+    known = by_name("rotations", given, "whole numbers by the names of states")
+    for name, k in known.items():
+        check_name("rotations", name, names)
+        if isinstance(k, bool) or not isinstance(k, int | np.integer):
+            raise TypeError(f"rotations: given {short_repr(k)} for {name}; accepted: a whole number of turns")
+        turns[names.index(name)] = k
+    field, generator, turned = model.vector_field, np.random.default_rng(0), [n for n, k in known.items() if k]
+    for _ in range(TRIALS if turned else 0):
+        t, x, p = (np.abs(generator.normal(size=n)) for n in (1, model.full_size, model.parameters.numel()))
+        here, there = (np.array(field(t, at, p)).ravel() for at in (x, x + TWO_PI * turns))
+        if not np.max(np.abs(there - here)) <= SAME_TIME * (1.0 + np.max(np.abs(here))):
+            why = f"in which {model.name} has no period 2 pi"
+            raise ValueError(f"rotations: given {' and '.join(turned)}, {why}; accepted: states that are angles")
+    if symmetric and model.reversal is not None:
+        for name, k, sign in zip(names, turns, model.reversal, strict=True):
+            if k and sign > 0:
+                accepted = "angles whose sign the reversal changes, where the orbit is symmetric"
+                raise ValueError(f"rotations: given {name}, which the reversal leaves as it is; accepted: {accepted}")
+    return turns
+
+
+def _check_selects(request: OrbitRequest) -> None:
+    """Raises ValueError where the number of entries of `select` is not the dimension of the family."""
+    given = 0 if request.select is None else int(request.select.numel())
+    if request.model.forced or request.free or given == request.selects:
+        return
+    if request.selects < 2 and given < 2:
+        return  # reported by name before
+    alone = [name for name in request.model.conserved if name not in request.symmetries]
+    why = f"; {', '.join(alone)} belong to no symmetry that is known (symmetries)" if alone else ""
+    raise ValueError(f"select: given {given} expressions; accepted: {request.selects}{why}")
+
+
+def _column_of(label: str, given: Any, model: OdeModel) -> Any:
+    """One or several expressions of an argument, as a column; None as it is."""
+    if given is None:
+        return None
+    symbols = [type(model.state).sym("t"), model.full_state, model.parameters]
+    return ca.vec(expression_of(label, given, symbols, constants=False))
+
+
+def scalar_of(label: str, given: Any, model: OdeModel) -> Any:
+    """A scalar expression of an argument, a function f(t, x, p) too; names and None as they are."""
+    if given is None or isinstance(given, str):
+        return given
+    time = type(model.state).sym("t") if model.time is None else model.time
+    symbols = [time, model.full_state, model.parameters]
+    expression = expression_of(label, given, symbols, constants=False)
+    if expression.numel() != 1:
+        raise ValueError(f"{label}: given shape {expression.shape}; accepted: a scalar expression")
+    return expression
+
+
+def _check_moves(name: str, solution: Solution, guess: Guess, length: float) -> None:
+    """Raises BoundaryError for an orbit at rest: an equilibrium solves the equations for any period."""
+    statement, states = solution.statement, solution.states
+    wanted = np.ptp(sampled(statement, guess, np.linspace(0.0, length, SAMPLES)), axis=0)
+    moved, size = np.ptp(states, axis=0), np.max(np.abs(states), axis=0)
+    if np.any(moved > np.maximum(SHRUNK * wanted, STILL * size)):
+        return
+    raise BoundaryError(f"{name}: {equilibrium_words(solution.problem, solution.point.z)}")
+
+
+def _returning_words(statement: Statement, guess: Guess, model: OdeModel, period: float) -> str:
+    """That the motion from the guess comes back after another time than the stated period; empty where it does not."""
+    times = np.linspace(0.0, LONGEST_RETURN * period, RETURN_SAMPLES)
+    try:
+        start = sampled(statement, guess, times[:1])[0]
+        p = np.array([statement.values[name] for name in model.parameter_names])
+        states = np.vstack([start[None], stiff_cvodes(model, p, start, times[1:], RETURN_TOLERANCE).states])
+    except IntegrationError:  # from there nothing comes back
+        return ""
+    away = np.linalg.norm((states - start) / np.maximum(np.ptp(states, axis=0), np.finfo(float).tiny), axis=1)
+    gone = int(np.argmax(away > GONE)) if np.any(away > GONE) else times.size
+    least = gone + np.flatnonzero((away[gone + 1 : -1] < away[gone:-2]) & (away[gone + 1 : -1] <= away[gone + 2 :])) + 1
+    back = least[away[least] < BACK]
+    if not back.size or abs(times[back[0]] / period - 1.0) < OTHER:
+        return ""
+    found = float(times[back[0]])
+    return f"from there the motion comes back after {found:.4g}, {found / period:.3g} times the given period"
+
+
+def guessed_period(guess: Guess, period: float | None) -> float:
+    """The period of the argument or of the guess; raises ValueError and TypeError where both are missing."""
+    found = number("period", getattr(guess, "period", None) if period is None else period, "a number > 0")
+    if found <= 0:
+        raise ValueError(f"period: given {period!r}; accepted: a number > 0")
+    return found
+
+
+def _check_orbit(
+    model: OdeModel,
+    period: float | None,
+    select: Expression | None,
+    section: Expression | None,
+    symmetric: bool,
+    cycles: int,
+    free: Sequence[str],
+) -> None:
+    whole("cycles", cycles, 1)
+    if not isinstance(free, list | tuple):
+        raise TypeError(f"free: given {short_repr(free)}; accepted: a list of names of parameters")
+    if model.forced:
+        given = [n for n, v in (("period", period), ("section", section)) if v is not None]
+        given += ["symmetric"] if symmetric else []
+        if given:
+            raise ValueError(f"{given[0]}: given for {model.name}, which is forced; accepted: cycles alone")
+        return
+    if cycles != 1:
+        raise ValueError(f"cycles: given {cycles} for {model.name}, which is autonomous; accepted: 1, with its period")
+    if symmetric and model.reversal is None:
+        raise ValueError(f"symmetric: given for {model.name}, which declares no reversal; accepted: with one")
+    family = symmetric or model.hamiltonian is not None or bool(model.conserved)
+    if family and select is None and not free:
+        why = "symmetric" if symmetric else "conservative"
+        raise ValueError(f"select: given none; accepted: an expression, for {why} orbits come in families")
+    if not family and select is not None and not free:
+        raise ValueError(f"select: given for {model.name}; accepted: with a hamiltonian, symmetric = True or free")
+    if symmetric and section is not None:
+        raise ValueError("section: given with symmetric = True, which fixes the phase; accepted: one of them")
+    for name in (PERIOD, UNFOLDING):
+        if name in model.parameter_names or name in model.state_names:
+            raise ValueError(f"{model.name}: given a state or parameter called {name}; accepted: other names")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.settings import Point
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.boundary_choices import Periodic, Sizes

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -298,3 +298,84 @@ class Orbit(Solution):
     def _boundary_space(self) -> BoundarySpace:
         assert isinstance(self.space, BoundarySpace)
         return self.space
+
+
+# An orbit as a closed curve in the space of states, and the distance of a state from it -------------------------------
+
+PHASES = 128  # of an orbit of a family, among which the nearest is sought first
+STEPS = 6  # of Gauss and Newton's refinement
+HARMONICS = (64, 128, 256, 512, 1024)  # of an orbit without the half-period symmetry
+NEGLIGIBLE = 1e-2  # of the tolerance: coefficients that a sum of cosines can do without
+
+
+class CosineSeries(Protocol):
+    """Interface of an orbit for distances from it, as an `Orbit` or a stored orbit has it."""
+
+    @property
+    def S(self) -> float: ...
+    @property
+    def Omega(self) -> float: ...
+    @property
+    def harmonics(self) -> int: ...
+    def coefficients(self, harmonics: int) -> Array: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A closed curve in the space of states, as a function of the phase.
+
+    Attributes:
+        points: points and their derivatives by the phase at phases theta, shape (len(theta), components) each.
+        phases: number of phases among which the nearest point is sought first.
+        unit: of distances.
+    """
+
+    points: Callable[[Array], tuple[Array, Array]]
+    phases: int
+    unit: float
+
+    def distances(self, states: Array) -> Array:
+        """Distance of states (many, components) to the nearest point of the curve, in its unit, shape (many,).
+
+        The nearest phase is sought among `phases` and refined by Gauss-Newton steps.
+        """
+        phases = 2.0 * np.pi * np.arange(self.phases) / self.phases
+        coarse, _ = self.points(phases)
+        theta = phases[np.argmax(states @ coarse.T - 0.5 * np.sum(coarse**2, axis=1), axis=1)]
+        nearest = np.full(len(states), np.inf)
+        for _ in range(STEPS):
+            point, tangent = self.points(theta)
+            nearest = np.minimum(nearest, np.linalg.norm(states - point, axis=1))
+            move = np.sum((states - point) * tangent, axis=1) / np.sum(tangent**2, axis=1)
+            theta = theta + np.clip(move, -np.pi / self.phases, np.pi / self.phases)
+        return np.asarray(nearest / self.unit)
+
+
+def cosine_curve(orbit: CosineSeries) -> Curve:
+    """The points (y, y'/Omega) of an orbit of a family, in units of sqrt(S)."""
+    if isinstance(orbit, Orbit) and orbit.symmetry is not SymmetryClass.QUARTER:
+        c = _cosines(orbit)
+        order = np.arange(len(c))
+    else:
+        c = orbit.coefficients(orbit.harmonics)
+        order = 2 * np.arange(len(c)) + 1
+
+    def points(theta: Array) -> tuple[Array, Array]:
+        cosine, sine = np.cos(np.outer(theta, order)), np.sin(np.outer(theta, order))
+        y, dy, ddy = cosine @ c, -(sine * order) @ c, -(cosine * order**2) @ c
+        return np.hstack([y, dy]), np.hstack([dy, ddy])
+
+    return Curve(points, PHASES, float(np.sqrt(orbit.S)))
+
+
+def _cosines(orbit: Orbit) -> Array:
+    """Coefficients of cos(k Omega t), k from 0, of an orbit of a family with both even and odd harmonics."""
+    from scipy.fft import dct
+
+    for harmonics in HARMONICS:
+        middles = (np.arange(harmonics) + 0.5) / (2 * harmonics)
+        c = dct(orbit.evaluate(orbit.period * middles), axis=0) / harmonics
+        c[0] *= 0.5
+        if np.max(np.abs(c[-harmonics // 4 :])) <= NEGLIGIBLE * orbit.space.tolerance * np.max(np.abs(c)):
+            break
+    return np.asarray(c)

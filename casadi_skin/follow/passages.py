@@ -16,7 +16,7 @@ import numpy as np
 
 from casadi_skin.follow.making import solution_at
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.settings import Point
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace

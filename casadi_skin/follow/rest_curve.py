@@ -9,11 +9,11 @@ from typing import cast
 
 import numpy as np
 
-from casadi_skin.follow.equilibrium import Equilibrium
 from casadi_skin.follow.follow import following_settings
 from casadi_skin.follow.rest_codimension_two import TAKENS, Followed, special_on_curve
 from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
 from casadi_skin.follow.settings import End, Point
+from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.special_points import SpecialPoint, check_second
 from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.solve.levels import Levels

@@ -11,9 +11,8 @@ import numpy as np
 
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.detection import special_between
-from casadi_skin.follow.equilibrium import Equilibrium
 from casadi_skin.follow.settings import Continuation, ContinuationSettings, End, Point, Target
-from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.solution import Equilibrium, Solution
 from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.model.jumps import PARAMETER, STATE
 from casadi_skin.model.result import NoQuantityError

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_skin.follow.point_solver import PointSolver
-from casadi_skin.follow.polishing import STACKED
+from casadi_skin.follow.point import PointSolver
+from casadi_skin.follow.series import STACKED
 from casadi_skin.solve.stacked import StackedSolver
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
 from casadi_skin.zero.problem import Array, Problem, SingularError, Solve

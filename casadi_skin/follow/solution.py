@@ -2,25 +2,60 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.follow.optimum import Optimum
 from casadi_skin.follow.settings import Point
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.model.arrays import at_instants, instants
+from casadi_skin.model.centred import centred_model
+from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import NoQuantityError, Result
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero import mesh
 from casadi_skin.zero.collocation import CollocationEquations
 from casadi_skin.zero.problem import Array
+from casadi_skin.zero.rest_linearised import ComplexArray
+from casadi_skin.zero.rest_problem import AlgebraicProblem
 from casadi_skin.zero.stated_problem import BoundaryProblem
 from casadi_skin.zero.statement import Statement
+from casadi_skin.zero.statics import Spectrum
+
+# The objective of a boundary-value problem at its solution, and how well the optimality conditions hold ---------------
+
+
+@dataclass(frozen=True)
+class Optimality:
+    """The Karush-Kuhn-Tucker conditions of a solution, evaluated apart from the solver.
+
+    `kkt` is the largest of stationarity and complementarity relative to the largest gradient or multiplier, `violation`
+    that of equations and bounds, and `active` are the bounds with a multiplier, in words. `curved` is true where the
+    curvature is that of a minimum; it is not known where the model holds a program, such as an FMU.
+    """
+
+    kkt: float
+    violation: float
+    active: tuple[str, ...]
+    curved: bool
+
+    def holds_states(self, names: Sequence[str]) -> bool:
+        """Whether bounds on any of the states named are active."""
+        return any(words.split()[0] in names for words in self.active)
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The smallest value of the objective, with its estimated error, and the optimality conditions there."""
+
+    objective: float
+    objective_error: float
+    optimality: Optimality
+
 
 SHOWN = 6  # parameters in a line
 
@@ -238,3 +273,99 @@ class Solution(Result):
     def follow_all(self, parameter: str, to: float, depth: int = 3, limit: int = 30, **options: Any) -> Any:
         """The branch through this solution, with all that leave it; options are those of `follow`."""
         return self.follow(parameter, to, **options).follow_all(depth=depth, limit=limit)
+
+
+# One equilibrium with its eigenvalues and its error -------------------------------------------------------------------
+
+
+class HasSpectrum(Protocol):
+    """Interface of the space of an equilibrium, beyond that of the space of any solution."""
+
+    def spectrum(self, point: Point) -> Spectrum:
+        """Eigenvalues at a point."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium(Solution):
+    """A state at which a model rests; dimensionless, or in the units of its model."""
+
+    def __repr__(self) -> str:
+        named = [f"{name} = {value:.6g}" for name, value in zip(self.space.state_names, self.positions, strict=True)]
+        values = [f"{name} = {value:.6g}" for name, value in self.parameters.items()]
+        words = f"; {', '.join(values)}" if values else ""
+        shown = ", ".join(named[:6]) + (", ..." if len(named) > 6 else "")
+        return f"<Equilibrium of {self.model.name}: {shown}{words}; {'stable' if self.stable else 'unstable'}>"
+
+    @property
+    def _equations(self) -> AlgebraicProblem:
+        return cast(AlgebraicProblem, self.point.problem)
+
+    @property
+    def positions(self) -> Array:
+        """The unknowns: the state, of a model of second order its positions, shape (state,)."""
+        return self._equations.state(self.point.z)
+
+    @property
+    def state(self) -> Array:
+        """The first-order state: of a model of second order positions and velocities, which vanish."""
+        at_rest = np.zeros(self.model.full_size - self.model.size)
+        return np.concatenate([self.positions, at_rest])
+
+    def evaluate(self, t: ArrayLike) -> Array:
+        """The state at any times, shape (time, component), or at one, shape (component,): it is the same at all."""
+        return at_instants(t, np.tile(self.state, (instants(t).size, 1)))
+
+    def __getitem__(self, name: str) -> float | Array:
+        """The value of a parameter or of a state; raises KeyError for other names."""
+        if name in self.parameters:
+            return self.parameters[name]
+        names = self.model.state_names
+        if name not in names:
+            raise KeyError(f"{name}; known: {', '.join((*names, *self.parameters))}")
+        return float(self.state[names.index(name)])
+
+    def centred_model(self) -> OdeModel:
+        """The model in displacements from this state, which rests at 0: families grow from its linear modes.
+
+        Its parameters have the values that they have here. A reversal that keeps the positions is kept.
+
+        Returns:
+            A model of second order, with the names of the states of this one.
+
+        Raises:
+            ValueError: the model is of first order, or forced.
+        """
+        return centred_model(self.model, self.positions, self.parameters)
+
+    # Stability ------------------------------------------------------------------------------------------------------
+
+    @property
+    def spectrum(self) -> Spectrum:
+        """Eigenvalues with their errors."""
+        return cast(HasSpectrum, self.space).spectrum(self.point)
+
+    @property
+    def eigenvalues(self) -> ComplexArray:
+        """Eigenvalues of the linearisation by descending real part, shape (components of the first-order state,)."""
+        return self.spectrum.values
+
+    @property
+    def eigenvalue_error(self) -> float:
+        """Largest estimated absolute error of the eigenvalues."""
+        return float(np.max(self.spectrum.errors))
+
+    @property
+    def stable(self) -> bool:
+        """Whether no eigenvalue has a positive real part, within estimated errors."""
+        return self.spectrum.stable
+
+    @property
+    def unstable(self) -> int:
+        """Number of eigenvalues with a positive real part, by more than estimated errors."""
+        return int(np.sum(self.spectrum.values.real > self.spectrum.errors))
+
+    @property
+    def parameter_error(self) -> float:
+        """0: no parameter is found with the state."""
+        return 0.0

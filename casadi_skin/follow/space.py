@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Protocol
 
-from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.settings import Continuation, End, Point, Target
 from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.model.symmetry import SymmetryClass

@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.follow.hermite import LocalCurve
+from casadi_skin.follow.polynomials import LocalCurve
 from casadi_skin.follow.sample import ComplexArray, Sample
 from casadi_skin.zero.problem import Array, Indices
 

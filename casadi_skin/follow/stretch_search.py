@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadi_skin.follow.exponents import Exponents, ExponentSampler
-from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.search import Event, Search
 from casadi_skin.follow.settings import Point
 from casadi_skin.follow.stretch import Stretch

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.settings import Point
 
 WITHIN = 0.47  # of a stretch: where it is looked at; not the middle, where symmetric functions agree by accident

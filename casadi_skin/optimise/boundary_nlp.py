@@ -14,7 +14,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.follow import optimum as of_solution
 from casadi_skin.follow import solution as solutions
 from casadi_skin.follow.boundary_solutions import ITERATIONS
 from casadi_skin.follow.boundary_space import BoundarySpace
@@ -147,12 +146,12 @@ class Refined:
     objective_error: float
 
     @property
-    def optimum(self) -> of_solution.Optimum:
+    def optimum(self) -> solutions.Optimum:
         """The optimum as a solution carries it."""
         first = self.optimality.kkt
         largest, active = max(first.stationarity, first.complementarity), self.optimality.active
-        conditions = of_solution.Optimality(largest, first.violation, active, self.nlp.exact)
-        return of_solution.Optimum(self.solution.objective, self.objective_error, conditions)
+        conditions = solutions.Optimality(largest, first.violation, active, self.nlp.exact)
+        return solutions.Optimum(self.solution.objective, self.objective_error, conditions)
 
     @property
     def point(self) -> Point:

@@ -21,8 +21,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.follow.closed_curve import cosine_curve
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.orbit import Orbit, cosine_curve
 from casadi_skin.optimise.nlp import Limits, Nlp, optimality
 from casadi_skin.optimise.optimum import CosineOrbit
 from casadi_skin.solve.iteration_callback import Monitor

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.find_orbit import find_orbit, guessed_period, scalar_of
+from casadi_skin.follow.find import find_orbit, guessed_period, scalar_of
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.model.arguments import accepted_names, short_repr, truth, whole
 from casadi_skin.model.expressions import Expression

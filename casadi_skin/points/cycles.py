@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.find_orbit import closed_statement
+from casadi_skin.follow.boundary_space import BoundarySpace, at_rest
+from casadi_skin.follow.find import closed_statement
 from casadi_skin.follow.settings import ContinuationSettings, Point
-from casadi_skin.follow.shrinking import at_rest
 from casadi_skin.model.symmetry import SymmetryClass
 from casadi_skin.solve.estimates import ErrorEstimate
 from casadi_skin.zero.boundary_choices import FIRST, Periodic, Sizes, boundary_method

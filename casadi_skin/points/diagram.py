@@ -10,11 +10,11 @@ import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.equilibrium import Equilibrium
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following, run_following
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.settings import End, Point
+from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, HOPF, SpecialPoint
 from casadi_skin.model.arguments import whole

@@ -16,7 +16,7 @@ import numpy as np
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.branch_sampler import flow_error
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.settings import ContinuationSettings, End, Point
 from casadi_skin.solve.estimates import ErrorEstimate
 from casadi_skin.solve.newton import NewtonCorrector

@@ -9,7 +9,7 @@ import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch_points import leaving_tangent
-from casadi_skin.follow.find_orbit import closed_statement, forced_statement
+from casadi_skin.follow.find import closed_statement, forced_statement
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.settings import ContinuationSettings, Point
 from casadi_skin.model.symmetry import SymmetryClass

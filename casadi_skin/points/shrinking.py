@@ -7,13 +7,13 @@ from typing import cast
 
 import numpy as np
 
-from casadi_skin.follow.equilibrium import Equilibrium
 from casadi_skin.follow.find import find_equilibrium
 from casadi_skin.follow.followed import Followed
 from casadi_skin.follow.following import Following, run_following
 from casadi_skin.follow.rest_curve import curve_space
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.settings import Point
+from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.special_points import FOLD, TORUS, SpecialPoint
 from casadi_skin.solve.estimates import ErrorEstimate
 from casadi_skin.zero.problem import Array

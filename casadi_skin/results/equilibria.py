@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.equilibrium import Equilibrium
+from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.results.dataset import unique_names
 from casadi_skin.results.quantity import CSV, Place, Quantity
 

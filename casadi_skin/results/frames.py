@@ -8,9 +8,8 @@ import numpy as np
 
 from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.equilibrium import Equilibrium
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.solution import Equilibrium, Solution
 from casadi_skin.points.diagram import Diagram
 from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.results import frames_analyses

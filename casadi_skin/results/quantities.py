@@ -15,9 +15,8 @@ import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.equilibrium import Equilibrium
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.solution import Equilibrium, Solution
 from casadi_skin.model.arguments import accepted_names
 from casadi_skin.results.branch_quantities import PHASES, branch_quantities
 from casadi_skin.results.dataset import Cell, Dataset, Variable, to_xarray

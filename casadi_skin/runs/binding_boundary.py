@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.follow.find_orbit import rotations_of
+from casadi_skin.follow.find import rotations_of
 from casadi_skin.model.loading import call
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.symmetry import pinned_components, symmetry_class

@@ -10,10 +10,10 @@ import numpy as np
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.curve import curve_space
-from casadi_skin.follow.equilibrium import Equilibrium
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.rest_curve import UnfoldingError
 from casadi_skin.follow.settings import End
+from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import DOUBLING, TORUS, SpecialPoint
 from casadi_skin.points.diagram import LEAVING, Further

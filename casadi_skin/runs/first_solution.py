@@ -12,8 +12,7 @@ import numpy as np
 from casadi_skin.dynamics.equations import PHYSICAL, EquationsOfMotion
 from casadi_skin.dynamics.evolution import Cycle, Evolution
 from casadi_skin.dynamics.evolve import simulate
-from casadi_skin.follow.find import find_equilibrium
-from casadi_skin.follow.find_orbit import find_orbit
+from casadi_skin.follow.find import find_equilibrium, find_orbit
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.conserved import HAMILTONIAN

@@ -9,9 +9,9 @@ import numpy as np
 
 from casadi_skin.certify.certificate import STABLE, UNDECIDED, UNSTABLE
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.equilibrium import Equilibrium
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.unresolved import count_in_words
 from casadi_skin.results.family_quantities import certified
 from casadi_skin.results.quantities import places_of

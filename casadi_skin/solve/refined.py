@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.settings import Point
 from casadi_skin.solve.corrector import Correction
 from casadi_skin.solve.rank_deficiency import in_family, rank_deficiency

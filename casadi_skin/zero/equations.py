@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.sample import Sample
 from casadi_skin.follow.samples import sample_of
 from casadi_skin.follow.settings import ContinuationSettings, Point

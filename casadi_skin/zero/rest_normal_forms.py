@@ -12,9 +12,9 @@ from typing import cast
 
 import numpy as np
 
-from casadi_skin.follow.equilibrium import Equilibrium
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.rest_space import EquilibriumSpace
+from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_linearised import ComplexArray, Linearised, NullSpace, balanced, upper_pair

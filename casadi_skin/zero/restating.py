@@ -7,7 +7,7 @@ from dataclasses import fields
 import casadi as ca
 
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.find_orbit import find_orbit
+from casadi_skin.follow.find import find_orbit
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.ode import OdeModel

@@ -24,7 +24,7 @@ from stopwatch import seconds
 
 from casadi_skin import BoundaryValueProblem
 from casadi_skin.follow.boundary_space import BoundaryError
-from casadi_skin.follow.find_orbit import find_orbit
+from casadi_skin.follow.find import find_orbit
 from casadi_skin.model.ode import OdeModel
 
 pytestmark = pytest.mark.benchmark

@@ -17,7 +17,7 @@ import pytest
 from apart import ended, killed
 from drawing import blank_pictures
 
-from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.point import PointSolver
 from casadi_skin.results.branch_records import BranchRecord, CycleRecord, PointRecord
 from casadi_skin.results.journal import FORMAT, HEADER, MARK, Journal, read_records
 from casadi_skin.runs import first_solution, writing

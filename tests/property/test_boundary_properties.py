@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from casadi_skin import BoundaryValueProblem
-from casadi_skin.follow.find_orbit import find_orbit
+from casadi_skin.follow.find import find_orbit
 from casadi_skin.model.ode import OdeModel
 
 few = examples(25, derandomize=True)

@@ -16,8 +16,8 @@ from casadi_skin.dynamics.closed_forms import duffing_displacement, duffing_freq
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following
-from casadi_skin.follow.hermite import LocalCurve, predictor
-from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.point import PointSolver
+from casadi_skin.follow.polynomials import LocalCurve, predictor
 from casadi_skin.follow.settings import End, Point
 from casadi_skin.solve.confirmed import ConfirmedCorrector
 from casadi_skin.solve.corrector import Correction, HeldState, Status

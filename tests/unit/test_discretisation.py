@@ -13,7 +13,7 @@ from scipy.sparse.linalg import splu
 
 from casadi_skin import BoundaryValueProblem
 from casadi_skin.follow.boundary_space import BoundaryError
-from casadi_skin.follow.find_orbit import find_orbit
+from casadi_skin.follow.find import find_orbit
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve import ipopt
 from casadi_skin.solve import time_limit as watch

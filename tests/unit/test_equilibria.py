@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from casadi_skin import OdeModel, find_orbit, simulate
-from casadi_skin.follow import find_orbit as finding
+from casadi_skin.follow import find as finding
 from casadi_skin.solve.refined import BoundaryError
 from casadi_skin.zero.statement import Statement
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain, follow_family
+from casadi_skin.follow.corners import PassedResonance, _Blocks, _counted, passed_resonances
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.passed_resonances import PassedResonance, _Blocks, _counted, passed_resonances
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.runs.program import main

@@ -15,7 +15,7 @@ from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipk
 
-from casadi_skin.follow.find_orbit import find_orbit
+from casadi_skin.follow.find import find_orbit
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.refined import BoundaryError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.follow.taylor import Stretch
+from casadi_skin.follow.polynomials import Stretch
 from casadi_skin.solve.bordered import BandLayout
 from casadi_skin.solve.stacked import StackedSolver
 from casadi_skin.zero.problem import Array
@@ -112,7 +112,7 @@ def test_a_family_is_the_same_where_its_places_are_polished_one_by_one(monkeypat
     def without(problem: TrigonometricProblem) -> None:
         calls.append(problem)
 
-    monkeypatch.setattr("casadi_skin.follow.polishing.StackedSolver.of", without)
+    monkeypatch.setattr("casadi_skin.follow.series.StackedSolver.of", without)
     one_by_one = follow_family(chain, 1, 3.0, at=(0.2, 1.0), corrector="newton")
     assert calls
     assert at_once.complete

@@ -16,7 +16,7 @@ from casadi_skin import Branch, Chain, Orbit, follow_family
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following
-from casadi_skin.follow.point_solver import PointSolver
+from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.series import SeriesContinuation
 from casadi_skin.follow.settings import ContinuationSettings, End, Point, Target
 from casadi_skin.model.symmetry import SymmetryClass

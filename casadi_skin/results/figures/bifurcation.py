@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.equilibrium import Equilibrium
 from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.results.extremes import extremes
 from casadi_skin.results.figures.branch_lines import LOOKS, MARKS, PLAIN, label_of, smooth, stability_pieces
 from casadi_skin.results.figures.style import amplitude_label, blank, colours, finished, plain, style

@@ -8,9 +8,8 @@ import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.closed_curve import cosine_curve
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.orbit import Orbit, cosine_curve
 from casadi_skin.follow.solution import Solution
 from casadi_skin.results.extremes import extremes
 from casadi_skin.results.figures.branch_lines import draw_lines, draw_marks, stability_pieces

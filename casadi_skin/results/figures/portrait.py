@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.equilibrium import Equilibrium
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.solution import Equilibrium, Solution
 from casadi_skin.results.figures.branch import times
 from casadi_skin.results.figures.style import DASHES, blank, colours, finished, plain, style
 from casadi_skin.results.figures.style import title as model_title

@@ -11,13 +11,14 @@ from itertools import groupby
 
 import numpy as np
 
-from casadi_skin.follow.hermite import LocalCurve
+from casadi_skin.follow.polynomials import LocalCurve
 from casadi_skin.follow.settings import ContinuationSettings, Point, Target
 from casadi_skin.solve.corrector import Correction, confirmations
 from casadi_skin.solve.estimates import ErrorEstimate, Measured, step_error
 from casadi_skin.solve.levels import Levels
 from casadi_skin.zero.orbit_problem import OrbitProblem
 from casadi_skin.zero.problem import Array, Problem, Scalar, SingularError, Solve
+from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 ROUND_OFF = 1e-7  # an estimate below this that a finer level does not halve
 COARSEN = 0.25  # of the tolerance: the error expected of a coarser level; less than 1, or it is left again at once
@@ -391,3 +392,35 @@ def _check_gain(climbed: list[tuple[int, float]], point: Point) -> None:
             f"resolutions {coarse} to {fine} leave an error of {now:.1e} at parameter {point.parameter:.6g}, Omega = "
             f"{point.Omega:.10g}: rounding is amplified there; try a tolerance above {now:.0e}"
         )
+
+
+# Components of an orbit that are far smaller than the largest, recomputed to relative accuracy ------------------------
+
+SMALL = 1e-7  # of the largest state: below it the corrector leaves errors relative to the largest
+SMALLEST = 1e-250  # of the largest state: below it doubles run out
+
+
+def with_small_components(point_solver: PointSolver, point: Point) -> tuple[Array, float]:
+    """Unknowns whose small components are right relative to themselves, and down to which size, of the largest.
+
+    Small components are left out of the guess of a Newton step, which then does not correct them but solves for them.
+    """
+    problem = point.problem
+    if not isinstance(problem, TrigonometricProblem):
+        return point.z, SMALL
+    states = np.abs(point.z[: problem.states])
+    small = np.flatnonzero(states < SMALL * np.max(states))
+    if small.size == 0:
+        return point.z, SMALLEST
+    guess = point.z.copy()
+    guess[small] = 0.0
+    row = point_solver.metric(problem, point.z) * point.tangent
+    residual, nonzeros = problem.evaluate(guess)
+    try:
+        solve = point_solver.levels.solver(problem).factor(guess, nonzeros, row)
+    except SingularError:
+        return point.z, SMALL
+    step = solve(np.append(residual, row @ (guess - point.z)))
+    z = point.z.copy()
+    z[small] = -step[small]
+    return z, SMALLEST
