@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from casadi_skin.lattice.chain import Chain
     from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
     from casadi_skin.lattice.long_lattice import LongLattice
+    from casadi_skin.model.conserved import SymmetryClass
     from casadi_skin.model.ode import OdeModel
     from casadi_skin.model.saved import read_model, save_model
-    from casadi_skin.model.symmetry import SymmetryClass
     from casadi_skin.optimise.kick import smallest_kick
     from casadi_skin.optimise.search_orbit import search_orbit
     from casadi_skin.results.saving import read_result, save_result
-    from casadi_skin.runs.read_map import read_map
+    from casadi_skin.runs.map_writing import read_map
     from casadi_skin.runs.run_map import run_map
     from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
 
@@ -63,9 +63,9 @@ __all__ = [
 
 VERBS = {  # of classes by name: each a method, and the function that it is, "module:function"
     "Result": {
-        "__str__": "results.described:lines",
-        "_repr_html_": "results.figures.notebook:html_table",
-        "plot": "results.figures.drawn:plot",
+        "__str__": "results.words:lines",
+        "_repr_html_": "results.figures.drawing:html_table",
+        "plot": "results.figures.drawing:plot",
         "save": "results.saving:save_result",
         "to_dataframe": "results.frames:result_to_dataframe",
         "to_xarray": "results.frames:result_to_xarray",
@@ -81,15 +81,15 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
     "Branch": {
         "certify": "certify.stretch:certify_branch",
         "certify_change": "certify.stability:certify_change",
-        "edge": "points.at_edges:edge",
-        "edges_left": "points.at_edges:edges_left",
+        "edge": "points.edge_orbits:edge",
+        "edges_left": "points.edge_orbits:edges_left",
         "follow_all": "points.diagram:follow_all",
         "quantity": "results.quantities:along",
         "quantity_of": "results.quantities:sought",
     },
     "BoundaryValueProblem": {"solve": "optimise.boundary_nlp:solve"},
     "Chain": {
-        "equations_of_motion": "lattice.chain_equations:equations_of_motion",
+        "equations_of_motion": "lattice.equations:equations_of_motion",
         "family_coordinates": "lattice.chain_coordinates:chain_coordinates",
         "threshold": "dynamics.resonances:threshold",
     },
@@ -115,7 +115,7 @@ def __getattr__(name: str) -> Any:
         "OdeModel": "model.ode",
         "Orbit": "follow.orbit",
         "Site": "lattice.lattice",
-        "SymmetryClass": "model.symmetry",
+        "SymmetryClass": "model.conserved",
         "Uniform": "lattice.lattice",
         "export_c": "export.c_code",
         "export_fmu": "fmu.archive",
@@ -124,7 +124,7 @@ def __getattr__(name: str) -> Any:
         "find_orbit": "follow.find",
         "follow_family": "follow.follow",
         "import_fmu": "fmu.model",
-        "read_map": "runs.read_map",
+        "read_map": "runs.map_writing",
         "read_model": "model.saved",
         "run_map": "runs.run_map",
         "read_result": "results.saving",

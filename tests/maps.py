@@ -11,8 +11,8 @@ from pathlib import Path
 
 import msgspec
 
-from casadi_skin.results.journal import read_records
-from casadi_skin.runs.map_records import MapRecord, TaskRecord
+from casadi_skin.results.store import read_records
+from casadi_skin.runs.map_grid import MapRecord, TaskRecord
 
 TINY = """[chain]
 sites = 2
@@ -110,7 +110,7 @@ def workers_of(process: int) -> list[int]:
     found = []
     for task in Path(f"/proc/{process}/task").glob("*/children"):
         for child in task.read_text(encoding="ascii").split():
-            if b"casadi_skin.runs.worker" in Path(f"/proc/{child}/cmdline").read_bytes():
+            if b"casadi_skin.runs.pool" in Path(f"/proc/{child}/cmdline").read_bytes():
                 found.append(int(child))
     return found
 

@@ -18,8 +18,8 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.model.arguments import number, short_repr
-from casadi_skin.model.symmetry import SymmetryClass
-from casadi_skin.solve.threads import one_thread
+from casadi_skin.model.conserved import SymmetryClass
+from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:

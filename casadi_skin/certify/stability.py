@@ -10,7 +10,7 @@ from casadi_skin.certify.certify import WEIGHT, best_attempt, reason_of
 from casadi_skin.certify.exponents import Linearised, enclosed_exponent, linearised, negative_eigenvalues
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.solve.threads import one_thread
+from casadi_skin.solve.watch import one_thread
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.stability.tongues.diagram import StabilityEdge

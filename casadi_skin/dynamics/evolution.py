@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.dynamics.equations import GAUGE, EquationsOfMotion
-from casadi_skin.model.arrays import at_instants, instants
-from casadi_skin.model.cvodes import stiff_cvodes
+from casadi_skin.model.expressions import at_instants, instants
+from casadi_skin.model.integrators import IntegrationError, stiff_cvodes
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import NoQuantityError, Result
-from casadi_skin.model.trajectory import IntegrationError
 from casadi_skin.zero.problem import Array
 
 # The cycle that an evolution settles on: where it returns to itself, followed on where its outputs do not show it -----

@@ -15,11 +15,9 @@ from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import CosineSeries, Curve, Orbit, cosine_curve
 from casadi_skin.model.arguments import by_name, number, short_repr, state_by_name
-from casadi_skin.model.arrays import real_array
-from casadi_skin.model.cvodes import cvodes, stiff_cvodes
-from casadi_skin.model.dop853 import dop853
+from casadi_skin.model.expressions import real_array
+from casadi_skin.model.integrators import IntegrationError, Integrator, Trajectory, cvodes, dop853, stiff_cvodes
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.trajectory import IntegrationError, Integrator, Trajectory
 from casadi_skin.zero.problem import Array
 
 SYMPLECTIC = "symplectic"

@@ -30,7 +30,7 @@ from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import ComplexArray
 from casadi_skin.lattice.tail import EDGE_ANGLE
 from casadi_skin.model.arguments import check_name
-from casadi_skin.solve.threads import one_thread
+from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.request import family_request
 
 SAMPLES = 512  # a period

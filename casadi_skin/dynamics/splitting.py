@@ -6,8 +6,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.lattice.uniform_chain import Array
-from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.trajectory import (
+from casadi_skin.model.integrators import (
     NOT_FINITE,
     IntegrationError,
     Trajectory,
@@ -15,7 +14,8 @@ from casadi_skin.model.trajectory import (
     finite_trajectory,
     size_of,
 )
-from casadi_skin.stability.srkn import ORDER, KicksAndDrifts, srkn_step
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.stability.splitting import ORDER, KicksAndDrifts, srkn_step
 
 LONGEST_FOLD = 4096  # steps in one call, so that an interruption is noticed
 RETRIES = 6

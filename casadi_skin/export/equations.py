@@ -23,7 +23,7 @@ from casadi_skin.export.exported_model import ExportedModel
 from casadi_skin.export.site_loops import called, definition
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.stability.srkn import srkn_coefficients
+from casadi_skin.stability.splitting import srkn_coefficients
 
 CONSTANTS = ("alpha", "gamma", "g")
 GIVEN = "double t, const double *x, const double *p"

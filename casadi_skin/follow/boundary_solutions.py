@@ -14,27 +14,24 @@ import numpy as np
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.settings import ContinuationSettings, Point, Target
 from casadi_skin.model.arguments import check_name
+from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
+from casadi_skin.model.integrators import IntegrationError
 from casadi_skin.model.jumps import STATE, TIME, JumpError
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import NoQuantityError
-from casadi_skin.model.symmetry import SymmetryClass, unfolded_phases
-from casadi_skin.model.trajectory import IntegrationError
-from casadi_skin.solve.arbitrated import ArbitratedCorrector
-from casadi_skin.solve.corrector import Corrector
-from casadi_skin.solve.estimates import Refinement
+from casadi_skin.solve.arbiter import ArbitratedCorrector
 from casadi_skin.solve.ipopt import CORRECTORS
-from casadi_skin.solve.levels import Levels
-from casadi_skin.solve.rounding import RoundedCorrector
-from casadi_skin.stability.flow import FlowError
+from casadi_skin.solve.levels import Levels, Refinement
+from casadi_skin.solve.newton import Corrector, RoundedCorrector
 from casadi_skin.stability.full_period import FULL_PERIOD_FLOWS, Closed
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
+from casadi_skin.stability.stepping import FlowError
 from casadi_skin.zero import mesh
-from casadi_skin.zero.boundary_choices import FIRST, Periodic, Sizes
 from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.closure import Closure, closure_of
-from casadi_skin.zero.coordinates import numbered
-from casadi_skin.zero.method import TWO_PI, Method
+from casadi_skin.zero.family import TWO_PI, Method, numbered
+from casadi_skin.zero.orbit import FIRST, Periodic, Sizes
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.zero.statement import Statement

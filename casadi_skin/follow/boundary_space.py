@@ -30,12 +30,12 @@ from casadi_skin.follow.turns import turning
 from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.points.period_limit import joined_words, unbounded
-from casadi_skin.solve.estimates import ErrorEstimate
+from casadi_skin.solve.levels import ErrorEstimate
 from casadi_skin.solve.refined import BoundaryError, refined
-from casadi_skin.zero.boundary_choices import Sizes
 from casadi_skin.zero.equations import EquilibriumEquations
+from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.location import special_orbit
-from casadi_skin.zero.method import TWO_PI
+from casadi_skin.zero.orbit import Sizes
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_location import Located, locate
 from casadi_skin.zero.rest_problem import AlgebraicProblem, sizes_of

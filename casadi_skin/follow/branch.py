@@ -25,9 +25,14 @@ from casadi_skin.follow.special_points import EDGE, FOLD, SpecialPoint
 from casadi_skin.follow.unresolved import STABILITY, Unresolved, count_in_words
 from casadi_skin.model.arguments import cut, number, whole
 from casadi_skin.model.result import Result
-from casadi_skin.solve.time_limit import Budget, TimeLimitError
-from casadi_skin.stability.tongues.diagram import Place, StabilityDiagram, StabilityEdge
-from casadi_skin.stability.tongues.localised_diagram import LocalisedChange, LocalisedDiagram
+from casadi_skin.solve.watch import Budget, TimeLimitError
+from casadi_skin.stability.tongues.diagram import (
+    LocalisedChange,
+    LocalisedDiagram,
+    Place,
+    StabilityDiagram,
+    StabilityEdge,
+)
 from casadi_skin.zero.problem import Array
 
 T = TypeVar("T")
@@ -297,9 +302,9 @@ class Branch(Result):
         return None if tongue is None else tongue.start
 
     edge: ClassVar[Callable[..., SpecialPoint]]
-    """The edge of a tongue of a family as a special point: `casadi_skin.points.at_edges.edge`."""
+    """The edge of a tongue of a family as a special point: `casadi_skin.points.edge_orbits.edge`."""
     edges_left: ClassVar[Callable[..., Iterator[SpecialPoint | Unresolved]]]
-    """Edges of tongues at which other orbits leave a family: `casadi_skin.points.at_edges.edges_left`."""
+    """Edges of tongues at which other orbits leave a family: `casadi_skin.points.edge_orbits.edges_left`."""
 
     # Special points ---------------------------------------------------------------------------------------------------
 

@@ -19,8 +19,8 @@ from casadi_skin.follow.section_orbits import SectionOrbit, find_all, find_one
 from casadi_skin.follow.settings import Point
 from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.solve.levels import Levels
-from casadi_skin.solve.time_limit import heed
-from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
+from casadi_skin.solve.watch import heed
+from casadi_skin.stability.stepping import FlowMap, OrbitState, Transition
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError, Samples
 from casadi_skin.zero.problem import Array, Problem
 

@@ -25,11 +25,15 @@ from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, FOLD, TORU
 from casadi_skin.follow.stretch import Stretch, height
 from casadi_skin.follow.stretch_search import StretchSearch
 from casadi_skin.follow.unresolved import Unresolved
-from casadi_skin.points.shrinking import shrunk
+from casadi_skin.points.ends import shrunk
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.zero.bend import quadratic_term
-from casadi_skin.zero.branch_forms import branching_equation, second_singular
-from casadi_skin.zero.normal_forms import critical_functions, terms_of
+from casadi_skin.zero.normal_forms import (
+    branching_equation,
+    critical_functions,
+    quadratic_term,
+    second_singular,
+    terms_of,
+)
 from casadi_skin.zero.problem import EPSILON, Array
 from casadi_skin.zero.stated_problem import PERIOD
 

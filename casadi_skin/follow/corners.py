@@ -18,9 +18,9 @@ import numpy as np
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import LocalCurve
 from casadi_skin.follow.settings import Point
-from casadi_skin.solve.corrector import Correction, Status
 from casadi_skin.solve.levels import Levels
-from casadi_skin.solve.time_limit import heed
+from casadi_skin.solve.newton import Correction, Status
+from casadi_skin.solve.watch import heed
 from casadi_skin.zero.cosines import cosine_matrix, second_derivative_matrix
 from casadi_skin.zero.problem import EPSILON, Array, Indices, Problem, SingularError
 from casadi_skin.zero.trigonometric import TrigonometricProblem

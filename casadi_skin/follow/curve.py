@@ -25,18 +25,17 @@ from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.model.arguments import check_name
 from casadi_skin.points.breaking import turns_of
 from casadi_skin.points.edge_crossing import CrossingWalk
-from casadi_skin.points.edge_curve import EdgeWalk, edge_curve
+from casadi_skin.points.edge_curve import EdgeCurve, EdgeWalk, edge_curve
 from casadi_skin.points.edge_orbits import parameters_of
-from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.solve.refined import BoundaryError
 from casadi_skin.stability.result import Floquet
+from casadi_skin.zero.augmented import KAPPA, PUSH, Critical, CriticalProblem
 from casadi_skin.zero.closure import Closure
 from casadi_skin.zero.linearised import Linearised
 from casadi_skin.zero.location import LocatedOrbit, extended_space, locate
 from casadi_skin.zero.normal_forms import on_circle
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.stated_problem import PERIOD
-from casadi_skin.zero.systems import KAPPA, PUSH, Critical, CriticalProblem
 
 KINDS = (FOLD, DOUBLING, TORUS, BRANCH_POINT)
 UNFOLDS = 1e-7  # of a step: a push that grows along a curve of branch points

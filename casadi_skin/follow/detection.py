@@ -19,7 +19,7 @@ from casadi_skin.follow.equilibrium_search import EquilibriumSearch
 from casadi_skin.follow.settings import Point
 from casadi_skin.follow.stretch import Signs, Stretch, crossings, height
 from casadi_skin.follow.unresolved import Unresolved
-from casadi_skin.solve.estimates import ErrorEstimate
+from casadi_skin.solve.levels import ErrorEstimate
 from casadi_skin.zero.equations import EquilibriumEquations
 from casadi_skin.zero.rest_location import BRANCH_POINT, FOLD, HOPF, Located, locate
 

@@ -14,8 +14,8 @@ from casadi_skin.follow.settings import End
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.lattice.spectrum import linear_frequencies
-from casadi_skin.model.symmetry import SymmetryClass
-from casadi_skin.zero.family_modes import nearest_resonance
+from casadi_skin.model.conserved import SymmetryClass
+from casadi_skin.zero.model_coordinates import nearest_resonance
 
 NEAR_LIMIT = 1e-6  # relative
 CLOSE = 1e-5  # relative difference of linear frequencies below which steps of the continuation may miss it

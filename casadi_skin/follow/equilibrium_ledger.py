@@ -22,9 +22,9 @@ from casadi_skin.follow.settings import Point
 from casadi_skin.follow.stretch import Stretch
 from casadi_skin.zero.equations import EquilibriumEquations
 from casadi_skin.zero.problem import EPSILON, Array, Indices, SingularError
-from casadi_skin.zero.rest_linearised import Linearised
 from casadi_skin.zero.rest_location import BRANCH_POINT, FOLD, HOPF
 from casadi_skin.zero.rest_problem import AlgebraicProblem
+from casadi_skin.zero.statics import Linearised
 
 PLACES = 1024  # over the range of the parameter
 OF_PROGRAMS = 128  # of a program, whose derivatives are differences and cost as much

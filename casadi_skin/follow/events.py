@@ -31,7 +31,7 @@ from casadi_skin.follow.stretch import Stretch, height
 from casadi_skin.follow.stretch_search import StretchSearch
 from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.follow.walk import snapped, target_of
-from casadi_skin.model.symmetry import SymmetryClass
+from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.zero.location import special_orbit
 

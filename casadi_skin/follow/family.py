@@ -16,15 +16,15 @@ from casadi_skin.follow.series import TOGETHER, SeriesContinuation
 from casadi_skin.follow.settings import Continuation, End, Point, Target
 from casadi_skin.follow.special_points import folds_between
 from casadi_skin.model import methods
-from casadi_skin.model.arrays import site_numbers
-from casadi_skin.model.symmetry import SymmetryClass, symmetry_class
-from casadi_skin.solve.confirmed import ConfirmedCorrector
-from casadi_skin.solve.corrector import Corrector
+from casadi_skin.model.conserved import SymmetryClass, symmetry_class
+from casadi_skin.model.expressions import site_numbers
+from casadi_skin.solve.arbiter import ConfirmedCorrector
 from casadi_skin.solve.ipopt import CORRECTORS
 from casadi_skin.solve.levels import Levels
+from casadi_skin.solve.newton import Corrector
 from casadi_skin.stability.family_stability import FamilyStability
 from casadi_skin.zero.butcher import TABLES
-from casadi_skin.zero.method import TWO_PI
+from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.orbit_collocation import CollocationProblem
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar
 from casadi_skin.zero.request import FamilyRequest

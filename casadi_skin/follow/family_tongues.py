@@ -12,8 +12,8 @@ from casadi_skin.follow.branch_sampler import OrbitSampler
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.settings import Point
 from casadi_skin.lattice.spectrum import linear_spectrum
-from casadi_skin.solve.threads import one_thread
-from casadi_skin.stability.account import Entry
+from casadi_skin.solve.watch import one_thread
+from casadi_skin.stability.judging import Entry
 from casadi_skin.stability.result import Floquet, ReversibleFloquet
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.stability.tongues.find_changes import find_changes

@@ -16,23 +16,20 @@ from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium, Solution
 from casadi_skin.model import methods
 from casadi_skin.model.arguments import by_name, check_name, number, short_repr, state_by_name, truth, whole
-from casadi_skin.model.conserved import quantities
-from casadi_skin.model.cvodes import stiff_cvodes
+from casadi_skin.model.conserved import SymmetryClass, quantities, symmetry_class
 from casadi_skin.model.expressions import Expression, expression_of
-from casadi_skin.model.forcing import check_forcing_period
+from casadi_skin.model.integrators import IntegrationError, stiff_cvodes
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.symmetry import SymmetryClass, symmetry_class
-from casadi_skin.model.trajectory import IntegrationError
-from casadi_skin.solve.corrector import Correction
+from casadi_skin.model.symmetries import check_forcing_period
+from casadi_skin.solve.first import solve
 from casadi_skin.solve.guesses import Guess, over_its_own_period, sampled
+from casadi_skin.solve.newton import Correction
 from casadi_skin.solve.rank_deficiency import equilibrium_words
 from casadi_skin.solve.refined import BoundaryError, FamilyError
-from casadi_skin.solve.solve import solve
-from casadi_skin.solve.threads import one_thread
-from casadi_skin.zero.boundary_choices import Periodic
+from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.equations import corrector_of
-from casadi_skin.zero.orbit_statement import SAMPLES, TWO_PI, UNFOLDING, OrbitRequest, statement_of
+from casadi_skin.zero.orbit import SAMPLES, TWO_PI, UNFOLDING, OrbitRequest, Periodic, statement_of
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import sizes_at, sizes_of
 from casadi_skin.zero.stated_problem import PERIOD

@@ -17,9 +17,9 @@ from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import BRANCH_POINT, FOLD
 from casadi_skin.model.arguments import check_name, check_options, duration, function_of, number, numbers, truth, whole
-from casadi_skin.model.forcing import check_forcing_period
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.zero.method import MAX_POINTS, Method
+from casadi_skin.model.symmetries import check_forcing_period
+from casadi_skin.zero.family import MAX_POINTS, Method
 from casadi_skin.zero.problem import Scalar
 from casadi_skin.zero.request import FamilyModel, family_request
 

@@ -8,11 +8,11 @@ from typing import Any, Protocol
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.settings import Point
 from casadi_skin.stability.result import Floquet
-from casadi_skin.zero.boundary_choices import Periodic, Sizes
+from casadi_skin.zero.augmented import Critical
 from casadi_skin.zero.linearised import Linearised
+from casadi_skin.zero.orbit import Periodic, Sizes
 from casadi_skin.zero.problem import Array, Indices
 from casadi_skin.zero.statement import Statement
-from casadi_skin.zero.systems import Critical
 
 
 class Followed(Protocol):

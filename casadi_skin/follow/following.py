@@ -23,9 +23,8 @@ from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.follow.walk import Walk
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.solve.threads import one_thread
-from casadi_skin.solve.time_limit import TimeLimitError, watched
-from casadi_skin.stability.flow import FlowError
+from casadi_skin.solve.watch import TimeLimitError, one_thread, watched
+from casadi_skin.stability.stepping import FlowError
 
 
 class Following:

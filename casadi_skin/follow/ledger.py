@@ -18,7 +18,7 @@ from casadi_skin.follow.making import solution_at
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.special_points import DOUBLING, TORUS
 from casadi_skin.follow.unresolved import Unresolved
-from casadi_skin.solve.time_limit import TimeLimitError
+from casadi_skin.solve.watch import TimeLimitError
 
 BESIDE_SPECIAL = 1e-2  # of the way from a special orbit to the next one: where its own multiplier has a side
 

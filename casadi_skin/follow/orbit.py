@@ -15,14 +15,14 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import whole
-from casadi_skin.model.arrays import at_instants, instants, site_numbers
+from casadi_skin.model.conserved import SymmetryClass
+from casadi_skin.model.expressions import at_instants, instants, site_numbers
 from casadi_skin.model.result import NoQuantityError
-from casadi_skin.model.symmetry import SymmetryClass
 from casadi_skin.stability.growth import TransientGrowth, transient_growth
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.zero.coordinates import LOG10
 from casadi_skin.zero.cosines import cosine_matrix, quarter_phases
-from casadi_skin.zero.first_order import FirstOrderProblem
+from casadi_skin.zero.family import LOG10
+from casadi_skin.zero.orbit import FirstOrderProblem
 from casadi_skin.zero.problem import Array, Indices
 from casadi_skin.zero.trigonometric import TrigonometricProblem
 

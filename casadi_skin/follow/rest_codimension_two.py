@@ -27,11 +27,10 @@ from casadi_skin.follow.stretch import Stretch, crossings, height, less
 from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.zero.equations import EquilibriumEquations
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest_linearised import ComplexArray, NullSpace
 from casadi_skin.zero.rest_location import BRANCH_POINT, FOLD, HOPF, jacobian_of
 from casadi_skin.zero.rest_normal_forms import critical_pair, lyapunov_terms
 from casadi_skin.zero.rest_systems import ExtendedSystem, HopfSystem
-from casadi_skin.zero.statics import Statics
+from casadi_skin.zero.statics import ComplexArray, NullSpace, Statics
 
 CUSP, TAKENS, ZERO_HOPF = "cusp", "bogdanov-takens", "zero-hopf"
 BAUTIN, HOPF_HOPF = "generalized hopf", "hopf-hopf"

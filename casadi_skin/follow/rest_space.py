@@ -16,8 +16,8 @@ from casadi_skin.follow.solution import Equilibrium, Solution
 from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.model.jumps import PARAMETER, STATE
 from casadi_skin.model.result import NoQuantityError
-from casadi_skin.solve.corrector import Correction
-from casadi_skin.solve.estimates import ErrorEstimate
+from casadi_skin.solve.levels import ErrorEstimate
+from casadi_skin.solve.newton import Correction
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.equations import EquilibriumEquations
 from casadi_skin.zero.problem import Array, Indices, Scalar, SingularError

@@ -10,8 +10,8 @@ import numpy as np
 from casadi_skin.follow.sample import Sample
 from casadi_skin.follow.settings import Point
 from casadi_skin.zero.problem import EPSILON, Array
-from casadi_skin.zero.rest_linearised import ROUNDING, Linearised
 from casadi_skin.zero.rest_problem import AlgebraicProblem
+from casadi_skin.zero.statics import ROUNDING, Linearised
 
 
 def sample_of(point: Point, weights: Array) -> Sample:

@@ -8,7 +8,7 @@ import numpy as np
 
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.series import STACKED
-from casadi_skin.solve.stacked import StackedSolver
+from casadi_skin.solve.bordered import StackedSolver
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
 from casadi_skin.zero.problem import Array, Problem, SingularError, Solve
 

@@ -19,11 +19,10 @@ from casadi_skin.follow.corners import CLOSE, Corner, Side, point_before, shifts
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import Stretch
 from casadi_skin.follow.settings import End, Point, Target, known_end
-from casadi_skin.solve.corrector import Correction, Status
-from casadi_skin.solve.estimates import Measured
-from casadi_skin.solve.stacked import StackedSolver, Steps
-from casadi_skin.zero.orbit_problem import OrbitProblem
-from casadi_skin.zero.problem import Array, Problem, Scalar, SingularError
+from casadi_skin.solve.bordered import StackedSolver, Steps
+from casadi_skin.solve.levels import Measured
+from casadi_skin.solve.newton import Correction, Status
+from casadi_skin.zero.problem import Array, OrbitProblem, Problem, Scalar, SingularError
 
 if TYPE_CHECKING:
     from casadi_skin.zero.recursion import Recursion

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from casadi_skin.solve.estimates import ErrorEstimate, Refinement
+from casadi_skin.solve.levels import ErrorEstimate, Refinement
 from casadi_skin.zero.problem import EPSILON, Array, Problem, Scalar
 
 SAME = 1e-12  # relative difference below which a point walked is the requested one

@@ -12,19 +12,17 @@ from numpy.typing import ArrayLike
 
 from casadi_skin.follow.settings import Point
 from casadi_skin.follow.space import SolutionSpace
-from casadi_skin.model.arrays import at_instants, instants
-from casadi_skin.model.centred import centred_model
-from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.expressions import at_instants, instants
+from casadi_skin.model.ode import OdeModel, centred_model
 from casadi_skin.model.result import NoQuantityError, Result
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero import mesh
 from casadi_skin.zero.collocation import CollocationEquations
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest_linearised import ComplexArray
 from casadi_skin.zero.rest_problem import AlgebraicProblem
 from casadi_skin.zero.stated_problem import BoundaryProblem
 from casadi_skin.zero.statement import Statement
-from casadi_skin.zero.statics import Spectrum
+from casadi_skin.zero.statics import ComplexArray, Spectrum
 
 # The objective of a boundary-value problem at its solution, and how well the optimality conditions hold ---------------
 

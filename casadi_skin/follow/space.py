@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.settings import Continuation, End, Point, Target
 from casadi_skin.follow.unresolved import Unresolved
-from casadi_skin.model.symmetry import SymmetryClass
+from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.levels import Levels
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet

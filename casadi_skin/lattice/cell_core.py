@@ -19,12 +19,10 @@ from casadi_skin.lattice.nonlinear_core import Core, core_model, core_of
 from casadi_skin.lattice.tail_parameter import Regime
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.model.methods import TRIGONOMETRIC
-from casadi_skin.stability.tongues.waves import Medium
-from casadi_skin.zero.coordinates import Localised, normalised
+from casadi_skin.stability.tongues.hill import Medium
 from casadi_skin.zero.cosines import cosine_matrix
-from casadi_skin.zero.family_modes import check_alone
-from casadi_skin.zero.method import Method
-from casadi_skin.zero.model_coordinates import DEEPEST, ModelCoordinates
+from casadi_skin.zero.family import Localised, Method, normalised
+from casadi_skin.zero.model_coordinates import DEEPEST, ModelCoordinates, check_alone
 from casadi_skin.zero.problem import Array, Indices, Problem
 from casadi_skin.zero.statement import named_values
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
 from casadi_skin.lattice.full_chain import ChainCoordinates, EdgeSite, FullChain
 from casadi_skin.model.methods import PAYS_FROM, TRIGONOMETRIC
-from casadi_skin.zero.family_modes import check_harmonics
+from casadi_skin.zero.model_coordinates import check_harmonics
 
 if TYPE_CHECKING:
-    from casadi_skin.zero.method import Method
+    from casadi_skin.zero.family import Method
 
 NARROWEST_BAND = 1e-10  # of its squared frequency, in which doubles distinguish modes; measured
 NEGLIGIBLE = 1e-16  # of the cubic term: the part that the tail may leave out

@@ -16,8 +16,8 @@ from casadi_skin.lattice.log_profile import continued_logarithms
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
-from casadi_skin.stability.tongues.waves import Medium
-from casadi_skin.zero.coordinates import Localised, normalised
+from casadi_skin.stability.tongues.hill import Medium
+from casadi_skin.zero.family import Localised, normalised
 from casadi_skin.zero.problem import Array, Indices, Problem
 
 FAR = 745.0  # of -log rho: beyond it displacements are below the smallest double

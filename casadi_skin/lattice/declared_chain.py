@@ -9,7 +9,7 @@ import casadi as ca
 
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.declaration import FIXED, Declaration
-from casadi_skin.model.array_expressions import expression
+from casadi_skin.model.expressions import expression
 from casadi_skin.model.polynomial import NotPolynomialError, polynomial_terms
 
 

@@ -16,8 +16,8 @@ from casadi_skin.lattice.uniform_chain import standing_wave
 from casadi_skin.model.methods import EVERY_SITE
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.stability.result import ReversibleFloquet
-from casadi_skin.zero.coordinates import Coordinates, normalised, numbered, shift_by_projection
 from casadi_skin.zero.cosines import quarter_phases
+from casadi_skin.zero.family import Coordinates, normalised, numbered, shift_by_projection
 from casadi_skin.zero.problem import Array, Indices, Problem
 
 if TYPE_CHECKING:

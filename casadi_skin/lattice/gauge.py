@@ -12,7 +12,7 @@ import numpy as np
 from casadi_skin.lattice.declaration import Array, Link
 from casadi_skin.lattice.equations import Equations
 from casadi_skin.lattice.trials import SAME, Trial
-from casadi_skin.model.array_expressions import antiderivative
+from casadi_skin.model.expressions import antiderivative
 
 DEEPEST = 50  # operations on operations in gains that are compared
 LARGEST = 600.0  # logarithm of a weight of the energy that is still a double when squared displacements multiply it

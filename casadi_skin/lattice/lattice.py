@@ -11,8 +11,7 @@ import numpy as np
 
 from casadi_skin.lattice.declaration import FIXED, Bond, Declaration, Site, Uniform, Value, listed
 from casadi_skin.lattice.declared_chain import declared_chain
-from casadi_skin.lattice.driving import forcing_period_of
-from casadi_skin.lattice.equations import Equations
+from casadi_skin.lattice.equations import Equations, forcing_period_of
 from casadi_skin.lattice.structure import Structure, structure_of
 from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.formula import Number
@@ -20,8 +19,7 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.statement import named_values
 
 if TYPE_CHECKING:
-    from casadi_skin.zero.coordinates import Coordinates
-    from casadi_skin.zero.method import Method
+    from casadi_skin.zero.family import Coordinates, Method
 
 __all__ = ["Bond", "Lattice", "Site", "Uniform"]
 

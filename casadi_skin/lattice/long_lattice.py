@@ -21,7 +21,7 @@ from casadi_skin.model.result import WithVerbs
 from casadi_skin.zero.statement import named_values
 
 if TYPE_CHECKING:
-    from casadi_skin.zero.coordinates import Coordinates
+    from casadi_skin.zero.family import Coordinates
 
 FIRST, LAST = "first", "last"
 SAMPLE = 6  # cells of a lattice from which the properties of one cell are read

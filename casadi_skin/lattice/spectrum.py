@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.zero.family_modes import modes_of
+from casadi_skin.zero.model_coordinates import modes_of
 from casadi_skin.zero.problem import Array
 
 

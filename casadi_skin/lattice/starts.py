@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.dynamics.equations import equations_of_motion
+from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.dynamics.evolve import checked_vector
-from casadi_skin.lattice.declaration import Array
-from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.declaration import PERIODIC, Array
+from casadi_skin.lattice.lattice import Bond, Lattice, Site
 from casadi_skin.lattice.linear import lattice_modes
 from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.model.arguments import number, short_repr
+from casadi_skin.model.result import Result
+from casadi_skin.zero.statement import named_values
 
 KINDS = ("mode", "site", "vector", "seed")
 
@@ -97,3 +103,108 @@ def _mode(model: Any, mode: int, parameters: Mapping[str, float] | None) -> Arra
     if square.imag != 0.0 or square.real < 0.0:
         raise ValueError(f"mode: given {mode}, of omega^2 = {square:.6g}; accepted: one with a real frequency")
     return np.asarray(direction * np.sign(direction[np.argmax(np.abs(direction))]))
+
+
+# The spreading of energy over a lattice in time: by site, its centre, participation number and second moment ----------
+
+
+@dataclass(frozen=True, eq=False)
+class Spreading(Result):
+    """The distribution of the energy of a lattice in time; dimensionless.
+
+    Attributes:
+        t: times, shape (time,).
+        energies: of the sites, half of a bond's at each of its ends, shape (time, sites). In a lattice with a gauge
+            they have its weights and add up to the energy that is conserved; without one weights are 1.
+        centre: mean cell along each direction, from 1, shape (time, directions); around a periodic direction the
+            angle of the mean of e^(i 2 pi n/N).
+        participation: (sum of e)^2 / sum of e^2: about the number of sites that hold the energy, shape (time,).
+        second_moment: mean square distance in cells from the centre, the shorter way round, shape (time,).
+    """
+
+    t: Array
+    energies: Array
+    centre: Array
+    participation: Array
+    second_moment: Array
+
+    def __repr__(self) -> str:
+        return f"<Spreading: {self.t.size} times to {self.t[-1]:g}, {self.energies.shape[1]} sites>"
+
+    @property
+    def total(self) -> Array:
+        """The sum over all sites, shape (time,)."""
+        return np.asarray(self.energies.sum(axis=1))
+
+
+def spreading(evolution: Evolution) -> Spreading:
+    """The distribution of the energy of a lattice in the course of a time evolution.
+
+    Arguments:
+        evolution: of a `Lattice`, or a `Chain` of finite length.
+
+    Returns:
+        Energies by site, their centre, participation number and second moment at all its times.
+
+    Raises:
+        TypeError: the model is no lattice.
+        ValueError: a force has no antiderivative that is known.
+    """
+    lattice = as_lattice(evolution.model)
+    energies = energies_by_site(lattice, evolution.states, evolution.parameters)
+    declaration = lattice.declaration
+    share = energies / energies.sum(axis=1, keepdims=True)
+    cells = np.array(list(declaration.all_cells()), dtype=float).repeat(len(declaration.sites), axis=0)
+    centre = np.empty((len(share), len(declaration.cells)))
+    square = np.zeros_like(share)
+    for k, (count, boundary) in enumerate(zip(declaration.cells, declaration.boundary, strict=True)):
+        if boundary == PERIODIC:
+            angle = np.angle(share @ np.exp(2j * np.pi * cells[:, k] / count))
+            centre[:, k] = np.mod(angle * count / (2.0 * np.pi), count)
+            off = np.abs(cells[:, k] - centre[:, [k]])
+            off = np.minimum(off, count - off)
+        else:
+            centre[:, k] = share @ cells[:, k]
+            off = cells[:, k] - centre[:, [k]]
+        square += off**2
+    second = np.sum(share * square, axis=1)
+    return Spreading(evolution.t, energies, centre + 1.0, 1.0 / np.sum(share**2, axis=1), second)
+
+
+def energies_by_site(lattice: Lattice, states: ArrayLike, parameters: Mapping[str, float] | None = None) -> Array:
+    """Energies of all sites.
+
+    Arguments:
+        lattice: the lattice.
+        states: positions, then velocities, shape (many, 2 sites).
+        parameters: values of parameters that are not the declared ones.
+
+    Returns:
+        Shape (many, sites); see `Spreading`.
+
+    Raises:
+        ValueError: a force has no antiderivative that is known, or the states do not fit.
+    """
+    equations, energies = lattice.equations, lattice.structure.energies
+    if energies is None:
+        raise ValueError("energies: given a force without an antiderivative that is known; accepted: one that has one")
+    z = np.atleast_2d(np.asarray(states, dtype=float))
+    n = lattice.declaration.size
+    if z.shape[1] != 2 * n:
+        raise ValueError(f"states: given shape {z.shape}; accepted: (many, {2 * n})")
+    function = ca.Function("e", [equations.y, equations.v, equations.parameters], [energies])
+    values = np.array(list(named_values(lattice, parameters or {}).values()))
+    return np.array(function.map(len(z))(z[:, :n].T, z[:, n:].T, np.tile(values[:, None], len(z)))).T
+
+
+def as_lattice(model: Any) -> Lattice:
+    """A lattice, or a chain of finite length as one; raises TypeError for another model."""
+    if isinstance(model, Lattice):
+        return model
+    if not isinstance(model, Chain) or model.infinite:
+        raise TypeError(f"model: given {short_repr(model)}; accepted: a Lattice, or a Chain of finite length")
+    bonds = [Bond("a", "a", (1,), "d", ("1 - gamma", "1 + gamma"))]
+    if abs(model.gamma) == 1.0:
+        raise ValueError(f"gamma: given {model.gamma!r}, whose bonds act one way; accepted: |gamma| < 1")
+    parameters = {"alpha": model.alpha, "gamma": model.gamma, "g": model.g}
+    return Lattice(model.sites, [Site("a", "alpha*y + g*y^3")], bonds, "fixed", parameters, "chain")

@@ -10,12 +10,10 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.lattice.tail_parameter import Regime, TailValues
-from casadi_skin.lattice.tail_recursion import TailRecursion
-from casadi_skin.lattice.tail_series import TailSeries
+from casadi_skin.lattice.tail_series import TailRecursion, TailSeries
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.cosines import cosine_matrix
-from casadi_skin.zero.orbit_problem import FREQUENCY_WEIGHT
-from casadi_skin.zero.problem import Array, Evaluate, Indices, Problem, Scalar
+from casadi_skin.zero.problem import FREQUENCY_WEIGHT, Array, Evaluate, Indices, Problem, Scalar
 from casadi_skin.zero.recursion import PolynomialForm
 from casadi_skin.zero.trigonometric import TrigonometricProblem
 

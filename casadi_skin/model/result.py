@@ -81,7 +81,7 @@ class Result(WithVerbs):
     """A result that prints as a few lines, draws itself, becomes tables and is saved; libraries load on first use."""
 
     plot: ClassVar[Callable[..., Any]]
-    """Draw the result into matplotlib axes: `casadi_skin.results.figures.drawn.plot`."""
+    """Draw the result into matplotlib axes: `casadi_skin.results.figures.drawing.plot`."""
     to_dataframe: ClassVar[Callable[..., Any]]
     """A pandas DataFrame: `casadi_skin.results.frames.result_to_dataframe`; needs the extra `pandas`."""
     to_xarray: ClassVar[Callable[..., Any]]

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.model.lifted import Program
+from casadi_skin.model.polynomial import Program
 from casadi_skin.native.addresses import address
 from casadi_skin.native.library import library
 

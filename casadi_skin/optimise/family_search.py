@@ -13,8 +13,7 @@ import numpy as np
 
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.model.arguments import accepted_names, number, short_repr
-from casadi_skin.model.arrays import real_array
-from casadi_skin.model.expressions import is_comparison
+from casadi_skin.model.expressions import is_comparison, real_array
 from casadi_skin.optimise.families import ChainFamily, FreeNumber, ModelFamily, Observables
 from casadi_skin.optimise.nlp import FLAT, Limits, Nlp, Solution, optimality
 from casadi_skin.optimise.optimum import CosineOrbit, Optimum, PlainCheck

@@ -24,9 +24,8 @@ import numpy as np
 from casadi_skin.follow.orbit import Orbit, cosine_curve
 from casadi_skin.optimise.nlp import Limits, Nlp, optimality
 from casadi_skin.optimise.optimum import CosineOrbit
-from casadi_skin.solve.iteration_callback import Monitor
-from casadi_skin.solve.nlp import SOLVED
-from casadi_skin.stability.srkn import srkn_step
+from casadi_skin.solve.ipopt import SOLVED, Monitor
+from casadi_skin.stability.splitting import srkn_step
 from casadi_skin.zero.problem import Array
 
 # The flow from a kicked orbit over many steps with exact derivatives, and its distance from the orbit -----------------

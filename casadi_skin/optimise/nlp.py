@@ -16,8 +16,7 @@ import numpy as np
 
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.solve.iteration_callback import IterationCallback, Monitor
-from casadi_skin.solve.nlp import SOLVED, nlp_solver
+from casadi_skin.solve.ipopt import SOLVED, IterationCallback, Monitor, nlp_solver
 from casadi_skin.zero.problem import Array, Indices
 
 BALLS = 8  # known optima that a solve keeps away from at a time

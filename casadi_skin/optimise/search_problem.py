@@ -11,7 +11,7 @@ import numpy as np
 
 from casadi_skin.optimise.nlp import STOPPED, Nlp, Solution, optimality
 from casadi_skin.optimise.optimum import Optimum
-from casadi_skin.solve.iteration_callback import Monitor
+from casadi_skin.solve.ipopt import Monitor
 from casadi_skin.zero.problem import Array
 
 CONVERGED = 1e-7  # residual of an optimum, whatever Ipopt says of it

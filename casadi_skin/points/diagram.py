@@ -19,7 +19,7 @@ from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, HOPF, SpecialPoint
 from casadi_skin.model.arguments import whole
 from casadi_skin.model.result import Result
-from casadi_skin.points.cycles import TOLERANCE
+from casadi_skin.points.leaving import TOLERANCE
 from casadi_skin.points.switch import leaving_space
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.stated_problem import PERIOD

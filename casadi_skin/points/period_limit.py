@@ -16,10 +16,20 @@ import numpy as np
 
 from casadi_skin.follow.settings import Point
 from casadi_skin.follow.special_points import HETEROCLINIC, HOMOCLINIC
-from casadi_skin.model.symmetry import SymmetryClass, pinned_components
-from casadi_skin.points.connecting import Connection, Pins, Side
-from casadi_skin.points.rests import BESIDE, CONVERGED, Course, Stay, in_a_period, in_the_part, stays
-from casadi_skin.zero.orbit_statement import UNFOLDING
+from casadi_skin.model.conserved import SymmetryClass, pinned_components
+from casadi_skin.points.rests import (
+    BESIDE,
+    CONVERGED,
+    Connection,
+    Course,
+    Pins,
+    Side,
+    Stay,
+    in_a_period,
+    in_the_part,
+    stays,
+)
+from casadi_skin.zero.orbit import UNFOLDING
 from casadi_skin.zero.problem import EPSILON, Array, Scalar
 
 if TYPE_CHECKING:

@@ -22,15 +22,12 @@ from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import DOUBLING, SpecialPoint
 from casadi_skin.model.arguments import duration
 from casadi_skin.points.breaking import breaking_space, start_of
-from casadi_skin.points.cycles import TOLERANCE, born_at
-from casadi_skin.points.leaving_orbits import leaving_orbits
-from casadi_skin.points.leaving_solutions import doubled_solutions, other_solutions
-from casadi_skin.zero.method import MAX_POINTS
+from casadi_skin.points.leaving import TOLERANCE, born_at, doubled_solutions, leaving_orbits, other_solutions
+from casadi_skin.zero.family import MAX_POINTS
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest_linearised import ROUNDED
 from casadi_skin.zero.rest_location import BRANCH_POINT, HOPF
 from casadi_skin.zero.rest_problem import AlgebraicProblem, Course, power_of_two, sizes_at
-from casadi_skin.zero.statics import Statics
+from casadi_skin.zero.statics import ROUNDED, Statics
 
 PROBE = 1e-2  # of the unit of length: a step along the branch that leaves, for the direction of its parameter
 SHORT = 1e-4  # of the range of the parameter: a step along the branch that leaves, for its units

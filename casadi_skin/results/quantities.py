@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import singledispatch
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,11 +19,10 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.solution import Equilibrium, Solution
 from casadi_skin.model.arguments import accepted_names
-from casadi_skin.results.branch_quantities import PHASES, branch_quantities
+from casadi_skin.results.branch_quantities import PHASES, branch_quantities, family_quantities
 from casadi_skin.results.dataset import Cell, Dataset, Variable, to_xarray
-from casadi_skin.results.equilibria import equilibrium_quantities
-from casadi_skin.results.family_quantities import family_quantities
 from casadi_skin.results.quantity import BOTH, COUNTED, CSV, NETCDF, Place, Quantity
+from casadi_skin.results.tables import equilibrium_quantities
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
@@ -153,3 +153,14 @@ def branch_to_xarray(branch: Branch) -> xarray.Dataset:
     if isinstance(space, Family):
         attributes = {**space.coordinates.attributes, "mode": space.coordinates.mode_number}
     return to_xarray(replace(dataset_of([branch]), attributes={**attributes, "tolerance": space.tolerance}), ("site",))
+
+
+# Tables of results, which modules register by class -------------------------------------------------------------------
+
+Columns = dict[str, Any]
+
+
+@singledispatch
+def table(result: Any) -> tuple[str, str, Columns]:
+    """The name of the first column, the meaning of the table, and its columns; raises TypeError for other objects."""
+    raise TypeError(f"no result: {type(result).__name__}")

@@ -3,23 +3,175 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from casadi_skin.follow.find import rotations_of
+from casadi_skin.model.conserved import pinned_components, symmetry_class
 from casadi_skin.model.jumps import JumpError
-from casadi_skin.model.loading import ModelFileError, named, read_source, run_file
+from casadi_skin.model.loading import ModelFileError, call, named, read_source, run_file
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.runs.faults import SceneError, check_known, refusal
-from casadi_skin.runs.lattice_tables import LatticeTable
-from casadi_skin.runs.model_tables import SELECTED, ContinuationTable, EquilibriumTable, ModelTable
+from casadi_skin.runs.faults import SceneError, check_known, refusal, toml_repr
+from casadi_skin.runs.model_tables import (
+    CONSERVED,
+    SELECTED,
+    ContinuationTable,
+    EquilibriumTable,
+    ModelTable,
+    OrbitTable,
+)
 from casadi_skin.runs.request import Request, chain_of, lattice_of
 from casadi_skin.runs.scene import Scene
-from casadi_skin.runs.states import check_state, values_of
+from casadi_skin.runs.scene_tables import LatticeTable
+from casadi_skin.solve.guesses import Guess
+from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
+from casadi_skin.zero.closure import closure_of
+from casadi_skin.zero.orbit import UNFOLDING
+from casadi_skin.zero.problem import Array
+from casadi_skin.zero.stated_problem import PERIOD
 
 if TYPE_CHECKING:
     pass
 
+
+# Values and states as a scene gives them, by name or in order ---------------------------------------------------------
+
 Numbers = Sequence[float] | Mapping[str, float]
+
+
+def values_of(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
+    """Values of all parameters of a model by name; raises SceneError."""
+    for name in given:
+        check_known("[model] parameters", name, model.parameter_names)
+    if model.order == 2 and model.normalisation is not None:  # the amplitude's parameter needs no value
+        return dict(given)
+    from casadi_skin.zero.statement import named_values
+
+    try:
+        return named_values(model, given)
+    except ValueError as error:
+        raise SceneError(f"[model] {error}") from None
+
+
+def state_of(given: Numbers, names: Sequence[str]) -> Array:
+    """A state from a list, or from a table by the names of states; those left out are 0."""
+    return np.array([given.get(name, 0.0) for name in names] if isinstance(given, Mapping) else given, dtype=float)
+
+
+def check_state(place: str, given: Numbers, names: Sequence[str]) -> None:
+    """Raises SceneError where a state does not fit these names."""
+    if isinstance(given, Mapping):
+        for name in given:
+            check_known(place, name, names)
+    elif len(given) != len(names):
+        raise refusal(place, f"a list of {len(given)}", f"{len(names)} numbers: {', '.join(names)}")
+
+
+# Checks of a scene's orbits and boundary-value problems of a model: names, shapes and symmetries ----------------------
+
+
+def check_orbit(request: Request, orbit: OrbitTable) -> None:
+    """Raises SceneError for states and parameters that the model does not have, or cannot be closed with."""
+    check_state("[orbit] start", orbit.start, request.ode.state_names)
+    (_check_forced if request.ode.forced else _check_autonomous)(request, orbit)
+    try:
+        rotations_of(request.ode, orbit.rotations, orbit.symmetric)
+    except ValueError as error:
+        raise SceneError(f"[orbit] {error}") from None
+
+
+def _check_forced(request: Request, orbit: OrbitTable) -> None:
+    given = {"period": orbit.period, "select": orbit.select, "section": orbit.section, "symmetric": orbit.symmetric}
+    for name, value in given.items():
+        if value:
+            words = f"with {request.ode.name}, which is forced"
+            raise refusal(f"[orbit] {name}", words, "start, transient and cycles")
+
+
+def _check_autonomous(request: Request, orbit: OrbitTable) -> None:
+    model = request.ode
+    for name in (PERIOD, UNFOLDING):
+        if name in (*model.parameter_names, *model.state_names):
+            raise refusal("[model]", f"{model.name} with a state or parameter called {name}", "other names")
+    if orbit.cycles != 1:
+        given = f"{orbit.cycles} with {model.name}, which is not forced"
+        raise refusal("[orbit] cycles", given, "1, or a forced model")
+    if orbit.period is None and orbit.transient is None:
+        which = "" if orbit.symmetric else " or transient"
+        raise SceneError(f"[orbit] period{which}: missing; accepted: with a model that is not forced a number > 0")
+    family = orbit.symmetric or model.hamiltonian is not None or bool(model.conserved)
+    names = (*model.state_names, *model.outputs)
+    if orbit.select is not None:
+        conserved = (*model.conserved, *(() if model.hamiltonian is None else (CONSERVED,)))
+        check_known("[orbit] select", next(iter(orbit.select)), (*names, *conserved))
+        if not family:
+            raise refusal("[orbit] select", f"with {model.name}", "with a hamiltonian, or with symmetric = true")
+    elif family:
+        why = "symmetric" if orbit.symmetric else "conservative"
+        raise SceneError(f"[orbit] select: missing; accepted: a table with one number: {why} orbits come in families")
+    if orbit.section is not None:
+        check_known("[orbit] section", next(iter(orbit.section)), names)
+    if orbit.symmetric:
+        _check_symmetric(model, orbit)
+
+
+def _check_symmetric(model: OdeModel, orbit: OrbitTable) -> None:
+    if model.reversal is None:
+        raise refusal("[orbit] symmetric", f"true with {model.name}", "true with a model that declares a reversal")
+    try:
+        first, _ = pinned_components(model, symmetry_class(model))
+    except ValueError as error:
+        raise SceneError(f"[orbit] symmetric: {error}") from None
+    name = next(iter(orbit.select or {}))
+    pinned = [model.state_names[i] for i in first]
+    if name in pinned:
+        accepted = f"a quantity that the reversal leaves free; it makes {', '.join(pinned)} vanish at phase zero"
+        raise refusal("[orbit] select", toml_repr(name), accepted)
+
+
+def bound_problem(
+    scene: Scene, table: ModelTable, path: Path, source: str, problem: BoundaryValueProblem, names: Mapping[str, Any]
+) -> Request:
+    """The request of a scene whose file states a boundary-value problem; raises SceneError."""
+    for name in ("equilibrium", "orbit", "family", "spectrum", "export", "search"):
+        if getattr(scene, name) is not None:
+            given = f"with {table.name}, a BoundaryValueProblem"
+            raise refusal(f"[{name}]", given, "[solution], or an OdeModel")
+    values = values_of(problem.model, {**problem.parameters, **table.parameters})
+    try:
+        problem = replace(problem, parameters=values)
+    except ValueError as error:  # an interval that is empty at these values
+        raise SceneError(f"[model] parameters: {error}") from None
+    if scene.stability is not None and closure_of(problem) is None:
+        raise refusal("[stability]", f"with {table.name}, which has other conditions", "x(end) = S x(start)")
+    guess = None if scene.solution is None else _guess(scene.solution.guess, path, problem, names)
+    return Request(scene, problem.model, values, path, source, problem, guess)
+
+
+def _guess(given: str | Numbers, path: Path, problem: BoundaryValueProblem, names: Mapping[str, Any]) -> Guess:
+    place, states = "[solution] guess", problem.model.state_names
+    if not isinstance(given, str):
+        check_state(place, given, states)
+        return state_of(given, states)
+    functions = [name for name, value in names.items() if callable(value) and not isinstance(value, type)]
+    check_known(place, given, [name for name in functions if not name.startswith("__")])
+
+    def guess(t: float) -> Array:
+        try:
+            return np.asarray(call(path, given, names[given], t), dtype=float).ravel()
+        except (TypeError, ValueError) as error:
+            raise SceneError(f"{place}: {error}") from None
+
+    start, _ = problem.span(np.array(list(problem.values.values())))
+    count = guess(start).size
+    if count != len(states):
+        raise refusal(place, f"{given}, which returns {count} numbers", f"{len(states)}: {', '.join(states)}")
+    return guess
+
+
 Files = dict[tuple[Path, str | None], tuple[str, dict[str, Any], Any]]  # text, names and model by file and name
 # Where the arguments of a family are in a scene; those of the chain itself are named after its keys.
 PLACES = {
@@ -41,8 +193,6 @@ def bind(scene: Scene, scene_path: Path, files: Files | None = None) -> Request:
     else:
         request = _bound_chain(scene) if scene.lattice is None else _bound_lattice(scene, scene.lattice)
     if scene.orbit is not None:
-        from casadi_skin.runs.binding_boundary import check_orbit
-
         check_orbit(request, scene.orbit)
     if scene.equilibrium is not None:
         _check_equilibrium(request, scene.equilibrium)
@@ -85,8 +235,6 @@ def _bound_file(scene: Scene, table: ModelTable, scene_path: Path, files: Files)
     except (ModelFileError, ValueError) as error:  # ValueError: a damaged .json file
         raise SceneError(f"[model] {error}") from None
     if isinstance(found, BoundaryValueProblem):
-        from casadi_skin.runs.binding_boundary import bound_problem
-
         return bound_problem(scene, table, path, source, found, names)
     if scene.solution is not None:
         given = f"with {table.name}, an OdeModel"
@@ -156,7 +304,7 @@ def _check_perturbation(request: Request) -> None:
     """Refuse a perturbation that the states of the model do not have."""
     table, model, scene = request.scene.dynamics, request.model, request.scene
     if table is not None and scene.family is None and scene.orbit is None:
-        from casadi_skin.runs.dynamics import start_near_rest
+        from casadi_skin.runs.tasks import start_near_rest
 
         try:
             start_near_rest(request)

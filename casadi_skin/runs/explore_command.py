@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from casadi_skin.runs.status import DONE, InputError
+from casadi_skin.runs.output import DONE, InputError
 
 Commands: TypeAlias = "argparse._SubParsersAction[Any]"
 PAGE = "explore.html"
@@ -36,7 +36,7 @@ def add_explore(commands: Commands) -> None:
 
 def explore(arguments: argparse.Namespace) -> int:
     """Write the page of a run."""
-    from casadi_skin.runs.explorer_page import write_page
+    from casadi_skin.runs.explorer import write_page
 
     source = arguments.directory
     if not source.exists():

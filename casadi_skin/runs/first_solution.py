@@ -19,9 +19,9 @@ from casadi_skin.model.conserved import HAMILTONIAN
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.branch_records import BranchRecord, CycleRecord, bytes_of, doubles_of
+from casadi_skin.runs.binding import state_of
 from casadi_skin.runs.model_tables import SELECTED, EquilibriumTable
 from casadi_skin.runs.request import Request
-from casadi_skin.runs.states import state_of
 
 SAMPLES = 801  # of the cycle that is the guess
 TRANSIENT_SAMPLES = 20_001  # of a transient whose cycle is not known before

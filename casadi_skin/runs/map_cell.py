@@ -17,13 +17,12 @@ from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.results.branch_records import BranchRecord
 from casadi_skin.runs.binding import Files, bind
 from casadi_skin.runs.branches import Branches
-from casadi_skin.runs.map_grid import Tables, Task, scene_at
-from casadi_skin.runs.map_records import FAILED, Result, Row
+from casadi_skin.runs.map_grid import FAILED, Result, Row, Tables, Task, scene_at
 from casadi_skin.runs.map_rows import Meanings, row_of_search, rows_of
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import Scene
-from casadi_skin.solve.threads import one_thread
+from casadi_skin.solve.watch import one_thread
 
 
 class Job(msgspec.Struct, frozen=True):
@@ -83,7 +82,7 @@ def started_at(scene: Scene, task: Task) -> Scene:
 
 def _searched(request: Request) -> Any:
     from casadi_skin.optimise.search import search
-    from casadi_skin.runs.search import family_search, search_table
+    from casadi_skin.runs.tasks import family_search, search_table
 
     problem, table = family_search(request), search_table(request.scene)
     return search(problem, problem.starts(table.starts, table.seed), deflate=table.deflate)

@@ -2,26 +2,116 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import time
-from collections.abc import Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Any
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.model.arguments import short_repr, whole
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.runs.engines import Engine, local_engine
-from casadi_skin.runs.map_grid import Cells, Grid, Task
-from casadi_skin.runs.map_records import FAILED as FAULT
-from casadi_skin.runs.map_records import LOST, Result
-from casadi_skin.runs.map_refine import UNKNOWN as UNLABELLED
-from casadi_skin.runs.map_refine import needed
+from casadi_skin.runs.map_grid import FAILED as FAULT
+from casadi_skin.runs.map_grid import LOST, Cells, Grid, Result, Task
 from casadi_skin.runs.map_store import ATTEMPTS, DONE, FAILED, UNKNOWN, Store
+from casadi_skin.runs.map_watch import UNKNOWN as UNLABELLED
+from casadi_skin.runs.map_watch import needed
+from casadi_skin.runs.pool import end_workers
 from casadi_skin.runs.progress import Progress
+
+# Engines that compute cells: threads of this process with a worker each, a dask cluster, or any executor --------------
+
+AHEAD = 3  # tasks a worker that are handed over before they are begun
+GIVEN = 64  # workers of an executor without a public number of workers
+CONNECT_LIMIT = 10.0  # seconds until a scheduler answers
+MOST_WORKERS = 256
+ASK = 5.0  # seconds between two questions about the workers of a cluster
+
+
+@dataclass(frozen=True)
+class Engine:
+    """An executor of tasks.
+
+    Attributes:
+        executor: the executor itself.
+        workers: how many tasks it computes at the same time, queried repeatedly.
+        lost: reason why it takes no more tasks; empty while it does.
+        close: ends it.
+    """
+
+    executor: Executor
+    workers: Callable[[], int]
+    lost: Callable[[], str]
+    close: Callable[[], None]
+
+    def width(self) -> int:
+        """Number of tasks handed over at the same time."""
+        return max(self.workers(), 1) + AHEAD * max(self.workers(), 1)
+
+
+def local_engine(workers: int) -> Engine:
+    """Worker processes on this machine."""
+    executor = ThreadPoolExecutor(workers, thread_name_prefix="map")
+
+    def close() -> None:
+        executor.shutdown(wait=False, cancel_futures=True)
+        end_workers()
+        executor.shutdown(wait=True)
+
+    return Engine(executor, lambda: workers, lambda: "", close)
+
+
+def dask_engine(address: str) -> Engine:
+    """A dask cluster; raises ImportError, naming the extra, and OSError where no scheduler answers."""
+    try:
+        import distributed
+    except ImportError as error:
+        raise ImportError(
+            'dask is not installed; it comes with the extra: pip install "casadi-skin[cluster]"'
+        ) from error
+    try:
+        client: Any = distributed.Client(address, timeout=CONNECT_LIMIT, set_as_default=False)
+    except OSError as error:
+        words = f"no scheduler answers within {CONNECT_LIMIT:g} s ({' '.join(str(error).split())})"
+        raise OSError(errno.ETIMEDOUT, words, address) from None
+    known, requested = 0, -math.inf
+
+    def workers() -> int:
+        nonlocal known, requested
+        if time.monotonic() - requested > ASK:
+            found: dict[str, Any] = client.scheduler_info(n_workers=-1).get("workers", {})
+            known, requested = sum(int(worker.get("nthreads", 1)) for worker in found.values()), time.monotonic()
+        return known
+
+    def lost() -> str:
+        return "" if client.status == "running" else f"the scheduler at {address} is lost"
+
+    return Engine(client.get_executor(pure=False), workers, lost, lambda: client.close(timeout=1.0))
+
+
+def given_engine(executor: Executor) -> Engine:
+    """An executor of the caller, who ends it; raises TypeError for other objects."""
+    if not isinstance(executor, Executor):
+        raise TypeError(f"executor: given {short_repr(executor)}; accepted: a concurrent.futures.Executor")
+    count = getattr(executor, "_max_workers", None)
+    workers = count if isinstance(count, int) else GIVEN
+
+    def lost() -> str:
+        return "the executor is broken" if getattr(executor, "_broken", False) else ""
+
+    return Engine(executor, lambda: workers, lost, lambda: None)
+
+
+def check_workers(name: str, workers: object) -> int:
+    """The number of workers; raises ValueError for other values."""
+    return whole(name, workers, 1, MOST_WORKERS)
+
 
 LOOK = 1.0  # seconds between two looks at an engine
 SHOW = 0.2  # seconds between two changes of the line of progress
@@ -135,7 +225,7 @@ class Drive:
             yield task
 
     def _submitted(self, task: Task) -> Future[bytes] | None:
-        from casadi_skin.runs.workers import compute
+        from casadi_skin.runs.pool import compute
 
         limit = None if self.cell_limit is None else self.cell_limit * len(task.cells)
         try:

@@ -10,7 +10,7 @@ from casadi_skin.fmu.unzip import Archive
 from casadi_skin.model.arguments import file_path
 from casadi_skin.model.files import TemporaryFolder, replacing
 from casadi_skin.runs.directory import SCENE
-from casadi_skin.runs.map_boundary import BOUNDARY
+from casadi_skin.runs.map_lines import BOUNDARY
 from casadi_skin.runs.map_store import JOURNALS
 
 PARTS = (SCENE, JOURNALS, BOUNDARY)

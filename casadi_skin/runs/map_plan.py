@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from casadi_skin.runs.map_boundary import check_boundary
 from casadi_skin.runs.map_cell import Computer, Job
 from casadi_skin.runs.map_drive import duration
 from casadi_skin.runs.map_grid import Grid, plain
-from casadi_skin.runs.map_names import check_quantities
+from casadi_skin.runs.map_lines import check_boundary
+from casadi_skin.runs.map_store import check_quantities
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import Scene
 

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from casadi_skin.model.arguments import check_name
 from casadi_skin.model.files import TemporaryFolder
 from casadi_skin.model.result import WithVerbs
-from casadi_skin.runs.map_columns import REASON, STATUS, Columns
 from casadi_skin.runs.map_one_file import save_map
-from casadi_skin.runs.map_store import DONE, ENDED, FAILED, UNKNOWN, Store
+from casadi_skin.runs.map_store import DONE, ENDED, FAILED, REASON, STATUS, UNKNOWN, Columns, Store
 
 if TYPE_CHECKING:
     import pandas

@@ -16,8 +16,8 @@ from casadi_skin.follow.solution import Solution
 from casadi_skin.optimise.search import SearchResult
 from casadi_skin.results.quantities import csv_row, quantities_of
 from casadi_skin.results.quantity import Place
-from casadi_skin.runs.map_names import LEFT_OUT, plain_kind
-from casadi_skin.runs.map_records import Row, Value
+from casadi_skin.runs.map_grid import Row, Value
+from casadi_skin.runs.map_store import LEFT_OUT, plain_kind
 
 
 class Meanings(dict[str, str]):

@@ -5,23 +5,43 @@ One journal of a map that one process drives, one for each part of a batch array
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import re
+import tempfile
+import weakref
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
-from casadi_skin.results.journal import Journal, mapped, record_at, scan
+from casadi_skin.follow.rest_codimension_two import CUSP, TAKENS, ZERO_HOPF
+from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, FOLD, HOPF, TORUS
+from casadi_skin.optimise.names import FREE, NAMED
+from casadi_skin.results.branch_quantities import FAMILY, FAMILY_ERRORS, FAMILY_PROOFS, FAMILY_STABILITY
+from casadi_skin.results.branch_quantities import FIXED as OF_BRANCHES
+from casadi_skin.results.store import Journal, mapped, record_at, scan
+from casadi_skin.results.tables import FIXED as OF_EQUILIBRIA
 from casadi_skin.runs.directory import DirectoryError
-from casadi_skin.runs.map_grid import Cells, Grid, Task
-from casadi_skin.runs.map_records import OUTSIDE, MapHead, MapRecord, MeaningsRecord, Result, Row, TaskRecord
-from casadi_skin.runs.map_refine import needed
-from casadi_skin.runs.map_watch import Watch
+from casadi_skin.runs.faults import SceneError, check_known
+from casadi_skin.runs.map_grid import (
+    OUTSIDE,
+    Cells,
+    Grid,
+    MapHead,
+    MapRecord,
+    MeaningsRecord,
+    Result,
+    Row,
+    Task,
+    TaskRecord,
+)
+from casadi_skin.runs.map_watch import Watch, needed
+from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import Scene
 
 DECODER = msgspec.msgpack.Decoder(MapRecord)
@@ -175,3 +195,138 @@ class Store:
         with suppress(ValueError):
             return None if record.kind else record.rows[record.cells.index(cell)]
         return None
+
+
+# The quantities of a map as columns on the disk: tables and pictures of any number of cells need no more memory -------
+
+REASON, STARTED_FROM = "reason", "started_from"
+STATUS = ("not computed", "done", "ended early", "failed")  # by state
+Places = NDArray[np.int64]  # where the text of a cell starts, and its length; shape (cells, 2)
+
+
+def scratch(kind: DTypeLike, shape: tuple[int, ...]) -> NDArray[Any]:
+    """An array of zeros on the disk, in a file that has no name and goes with it."""
+    with tempfile.TemporaryFile() as file:
+        return np.memmap(file, kind, "w+", shape=shape)
+
+
+class Columns:
+    """Columns of a map, one a quantity, in the order in which cells have them.
+
+    Attributes:
+        names: of quantities, in the order of the cells.
+        numbers: by name, NaN where there is none; shape (cells,).
+        texts: by name, places in a file.
+    """
+
+    def __init__(self, store: Store, wanted: Sequence[str] | None = None) -> None:
+        self.store = store
+        self.numbers, self.texts = dict[str, NDArray[np.float64]](), dict[str, Places]()
+        self._file = tempfile.TemporaryFile()  # noqa: SIM115  closed when this object goes
+        weakref.finalize(self, self._file.close)
+        self._known = dict[str, tuple[int, int]]()
+        first = dict[str, tuple[int, int]]()
+        axes = {axis.name for axis in store.grid.axes}
+        self._reasons: Places = scratch(np.int64, (store.grid.size, 2))
+        for cell, row, record in store.rows():
+            reason = record.reason if row is None else row.fault
+            if reason:
+                self._reasons[cell] = self._placed(reason)
+            if record.neighbour >= 0 and row is not None:
+                self._put(cell, STARTED_FROM, store.grid.name(record.neighbour))
+                first[STARTED_FROM] = (store.grid.size, 0)
+            for place, (name, value) in enumerate(() if row is None else row.values.items()):
+                if name not in axes and (wanted is None or name in wanted):
+                    first[name] = min(first.get(name, (cell, place)), (cell, place))
+                    self._put(cell, name, value)
+        self.names = sorted(first, key=first.__getitem__)
+
+    def _put(self, cell: int, name: str, value: float | int | str) -> None:
+        if isinstance(value, str):
+            self._column(name, str)[cell] = self._placed(value)
+        else:
+            self._column(name, float)[cell] = value
+
+    def _column(self, name: str, kind: type) -> NDArray[Any]:
+        held: dict[str, NDArray[Any]] = self.texts if kind is str else self.numbers
+        if name not in held:
+            size = self.store.grid.size
+            if kind is str:
+                held[name] = scratch(np.int64, (size, 2))
+            else:
+                held[name] = scratch(np.float64, (size,))
+                held[name][:] = np.nan
+        return held[name]
+
+    def _placed(self, text: str) -> tuple[int, int]:
+        """Where a text is in the file; one of the last few is not written again."""
+        if text not in self._known:
+            data = text.encode()
+            if len(self._known) >= 1000:
+                self._known.clear()
+            self._file.seek(0, 2)
+            self._known[text] = self._file.tell(), len(data)
+            self._file.write(data)
+        return self._known[text]
+
+    def text(self, name: str, cell: int) -> str:
+        """The text of a cell; empty where there is none."""
+        place, length = (self._reasons if name == REASON else self.texts[name])[cell].tolist()
+        self._file.seek(place)
+        return self._file.read(length).decode()
+
+    def lengths(self, name: str) -> NDArray[np.int64]:
+        """Lengths of the texts of a column in bytes, shape (cells,)."""
+        return (self._reasons if name == REASON else self.texts[name])[:, 1]
+
+    def is_whole(self, name: str) -> bool:
+        """Whether all numbers of a column are whole ones, as counts and flags are."""
+        values = self.numbers[name]
+        known = values[np.isfinite(values)]
+        return bool(np.all(known == np.round(known)) and np.all(np.abs(known) < 2**31))
+
+
+# Names of the quantities that cells of a scene may have, known before one is computed ---------------------------------
+
+KINDS = (FOLD, HOPF, BRANCH_POINT, DOUBLING, TORUS, CUSP, TAKENS, ZERO_HOPF, "generalized hopf", "hopf-hopf")
+OF_ALL = ("points", "end", "end_reason")
+STABILITY = ("first_instability", "first_instability_error", "first_tongue", "unresolved", "changes")
+LEFT_OUT = ("point", "requested", "special", "fold")  # marks of a place along a branch
+SUFFIX = re.compile(r"_(j?\d+)$")  # of a family or a branch among several
+
+
+def plain_kind(kind: str) -> str:
+    """A kind of special point as part of a name."""
+    return kind.replace(" ", "_").replace("-", "_")
+
+
+def known_names(request: Request) -> tuple[str, ...]:
+    """Names of quantities without the suffix that distinguishes several branches."""
+    scene = request.scene
+    if scene.search is not None:
+        return ("objective", "optima", "end", "end_reason", "Omega", *FREE, *NAMED)
+    if scene.family is not None:
+        tables = (FAMILY, FAMILY_STABILITY, FAMILY_ERRORS, FAMILY_PROOFS)
+        names = [quantity.name for table in tables for quantity in table]
+        return (*names, "regime", "threshold", *STABILITY, *OF_ALL)
+    states = request.equations.state_names
+    special = [
+        word for kind in map(plain_kind, KINDS) for word in (f"{kind}_count", f"first_{kind}", f"first_{kind}_error")
+    ]
+    extremes = [f"{name}_{end}" for name in request.ode.state_names for end in ("min", "max")]
+    fixed = OF_EQUILIBRIA if scene.equilibrium is not None else OF_BRANCHES
+    fixed = (*fixed, "energy") if scene.orbit is not None and request.ode.hamiltonian is not None else fixed
+    found = (*request.parameters, *states, *extremes, *fixed, *STABILITY, *special, *OF_ALL)
+    return tuple(name for name in dict.fromkeys(found) if name not in LEFT_OUT)
+
+
+def check_quantities(request: Request, grid: Grid) -> None:
+    """Raises SceneError for a quantity that [map] names and that no cell can have."""
+    table = request.scene.map
+    known = [name for name in known_names(request) if name not in [axis.name for axis in grid.axes]]
+    for key in ("quantities", "watch"):
+        for name in getattr(table, key) or ():
+            if SUFFIX.sub("", name) not in known:
+                check_known(f"[map] {key}", name, known)
+    if table is not None and table.growth and "first_instability" not in known:
+        raise SceneError("[map] growth: given without a quantity first_instability; accepted: beside a [family]")

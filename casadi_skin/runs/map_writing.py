@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casadi_skin.results.dataset import Cell, write_csv
-from casadi_skin.results.netcdf import EMPTY, characters, new_file, put_attributes, stored_name
-from casadi_skin.runs.map_columns import REASON, STATUS, Columns, scratch
-from casadi_skin.runs.map_grid import Axis
-from casadi_skin.runs.map_store import UNKNOWN
+from casadi_skin.model.arguments import file_path
+from casadi_skin.results.dataset import EMPTY, Cell, characters, new_file, put_attributes, stored_name, write_csv
+from casadi_skin.runs.directory import SCENE
+from casadi_skin.runs.faults import SceneError
+from casadi_skin.runs.map_grid import Axis, Grid
+from casadi_skin.runs.map_lines import BOUNDARY, read_boundary
+from casadi_skin.runs.map_one_file import unpacked
+from casadi_skin.runs.map_result import Map
+from casadi_skin.runs.map_store import REASON, STATUS, UNKNOWN, Columns, Store, scratch
+from casadi_skin.runs.progress import Progress
+from casadi_skin.runs.reading import parse_scene, read_text
 
 if TYPE_CHECKING:
     from scipy.io import netcdf_file
@@ -138,3 +145,57 @@ def _free(file: netcdf_file, name: str) -> str:
     while name in file.variables or name in file.dimensions:
         name = f"{name}_of_cell"
     return name
+
+
+# A map read back from its directory: the journals are the truth, tables and pictures are not needed -------------------
+
+ACCEPTED = "accepted: the directory of a map, with its scene.toml and journals, or a file of Map.save"
+
+
+def read_map(directory: str | Path) -> Map:
+    """Read a map that was computed, or is being computed, without its model and without computing anything.
+
+    Arguments:
+        directory: of its results, or one file that `Map.save` wrote.
+
+    Returns:
+        The map, with the values, the bits and the boundary that `run_map` gave; `complete` is False while cells are
+        missing.
+
+    Raises:
+        ValueError: there is no map, or its files cannot be read; the message names the place.
+        TypeError: the argument is no path.
+    """
+    source = file_path("directory", directory)
+    if not source.is_file():
+        return _in_directory(source, source)
+    folder = unpacked(source)
+    try:
+        return replace(_in_directory(folder.path, source), folder=folder)
+    except ValueError as error:
+        folder.remove()
+        raise ValueError(str(error).replace(str(folder.path), str(source))) from None
+    except BaseException:
+        folder.remove()
+        raise
+
+
+def _in_directory(directory: Path, shown: Path) -> Map:
+    """The map in a directory, which messages call by another name."""
+    if not (directory / SCENE).is_file():
+        raise ValueError(f"{shown}: holds no {SCENE}; {ACCEPTED}")
+    try:
+        scene = parse_scene(read_text(directory / SCENE), str(shown / SCENE))
+        if scene.map is None:
+            raise ValueError(f"{shown}: its {SCENE} has no [map]; {ACCEPTED}")
+        grid = Grid.of(scene)
+    except SceneError as error:
+        raise ValueError(f"{shown}: {error}; {ACCEPTED}") from None
+    with Progress() as progress, Store(directory, grid, scene, None, progress.report) as store:
+        columns = Columns(store, scene.map.quantities)
+    try:
+        boundary = read_boundary(grid, directory / BOUNDARY)
+    except (ValueError, KeyError, IndexError) as error:
+        accepted = "accepted: the file that the map wrote"
+        raise ValueError(f"{shown / BOUNDARY}: cannot be read ({error}); {accepted}") from None
+    return Map(directory, columns, store.complete, boundary=boundary)

@@ -10,14 +10,14 @@ import numpy as np
 from casadi_skin.follow.family import Family
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model import methods
+from casadi_skin.model.conserved import SymmetryClass, symmetry_class
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.symmetry import SymmetryClass, symmetry_class
+from casadi_skin.runs.binding import state_of
 from casadi_skin.runs.family_plan import SPECTRUM, FamilyPlan, chain_line, family_lines
 from casadi_skin.runs.model_tables import LEAVING, ContinuationTable, EquilibriumTable
+from casadi_skin.runs.output import Lines, listed, named
 from casadi_skin.runs.request import Request
-from casadi_skin.runs.states import state_of
-from casadi_skin.runs.words import Lines, listed, named
-from casadi_skin.solve.estimates import ErrorEstimate
+from casadi_skin.solve.levels import ErrorEstimate
 from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.problem import Problem
 from casadi_skin.zero.request import FamilyRequest
@@ -39,7 +39,7 @@ def plan_lines(request: Request, measure: bool) -> Lines:
     elif scene.orbit is not None or request.problem is not None:
         lines += _boundary_lines(request)
     elif scene.search is not None:
-        from casadi_skin.runs.search import plan_search
+        from casadi_skin.runs.tasks import plan_search
 
         lines += plan_search(request)
     else:
@@ -47,7 +47,7 @@ def plan_lines(request: Request, measure: bool) -> Lines:
     if scene.dynamics is not None:
         lines.append(("dynamics", _dynamics(request)))
     if scene.export is not None:
-        from casadi_skin.runs.export import plan_export
+        from casadi_skin.runs.tasks import plan_export
 
         lines += plan_export(request)
     if scene.time_limit is not None:
@@ -65,7 +65,7 @@ def _model_lines(request: Request) -> Lines:
     if isinstance(model, Chain):
         return [chain_line(model.sites, model.alpha, model.gamma, model.g)]
     if request.scene.lattice is not None:
-        from casadi_skin.runs.lattice_lines import lattice_lines
+        from casadi_skin.runs.family_points import lattice_lines
 
         return lattice_lines(model, request.parameters)
     assert isinstance(model, OdeModel)
@@ -284,8 +284,7 @@ def _problem_lines(request: Request) -> Lines:
 
 def _unknowns(request: Request) -> str:
     """States at the ends and stages of the intervals, and free parameters, on the first mesh."""
-    from casadi_skin.zero.boundary_choices import DEGREE, FIRST
-    from casadi_skin.zero.orbit_statement import UNFOLDING
+    from casadi_skin.zero.orbit import DEGREE, FIRST, UNFOLDING
     from casadi_skin.zero.stated_problem import PERIOD
 
     method, model, problem = request.scene.methods, request.ode, request.problem

@@ -23,11 +23,10 @@ from casadi_skin.runs.faults import (
     toml_repr,
     with_kind,
 )
-from casadi_skin.runs.lattice_tables import BondTable, SiteTable
-from casadi_skin.runs.map_reading import check_map, with_axes
 from casadi_skin.runs.scene import TABLES, Scene
 from casadi_skin.runs.scene_checks import check_scene
-from casadi_skin.runs.scene_tables import ChainTable, Table
+from casadi_skin.runs.scene_tables import BondTable, ChainTable, SiteTable, Table
+from casadi_skin.runs.task_checks import check_map, with_axes
 
 MODELS = ("chain", "lattice", "model")  # tables of which a scene has one
 LATTICE_PARTS: Mapping[str, type[Table]] = {"site": SiteTable, "bond": BondTable}

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.runs.lattice_tables import LatticeTable, UniformTable
 from casadi_skin.runs.model_tables import CONSERVED, OrbitTable
 from casadi_skin.runs.scene import Scene
-from casadi_skin.zero.method import Method, Targets
+from casadi_skin.runs.scene_tables import LatticeTable, UniformTable
+from casadi_skin.zero.family import Method, Targets
 from casadi_skin.zero.request import FamilyRequest
 
 if TYPE_CHECKING:  # a scene of a chain needs none of it

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,21 +11,78 @@ from typing import TYPE_CHECKING
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.model.files import replacing
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.results.family_quantities import certified
-from casadi_skin.runs.branches import Branches
+from casadi_skin.results.branch_quantities import certified
+from casadi_skin.results.dataset import Cell, write_csv
+from casadi_skin.results.quantities import csv_row, quantities_of
+from casadi_skin.results.quantity import Place
+from casadi_skin.runs.branches import Branches, Offshoots
 from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL, renew
-from casadi_skin.runs.offshoots import Offshoots
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
-from casadi_skin.runs.tables import Tables
 from casadi_skin.runs.writing import mode_of, origin, write_branches, write_spectrum
-from casadi_skin.solve.threads import one_thread
+from casadi_skin.solve.watch import one_thread
 
 if TYPE_CHECKING:
     from casadi_skin.dynamics import Evolution
     from casadi_skin.optimise.search import SearchResult
+
+
+# The tables of a run, a row a solution, rewritten as it goes on, so that results can be read meanwhile ----------------
+
+TABLE_PERIOD = 0.5  # seconds between two writings of the table while a run goes on
+
+
+@dataclass
+class Tables:
+    """Rows of every branch's table by the name of its file; those of families stand in one.
+
+    Attributes:
+        directory: where the tables are written.
+        with_stability: whether rows have the stability of their solution.
+        rows: by name of the file.
+    """
+
+    directory: Path
+    with_stability: bool
+    rows: dict[str, list[dict[str, Cell]]] = field(default_factory=dict)
+    _written: float = 0.0
+
+    def add(self, name: str, solutions: Sequence[Solution], space: SolutionSpace) -> None:
+        """Add rows to a table, which is replaced at most every TABLE_PERIOD."""
+        table, rows = table_of(name, space), self.rows.setdefault(table_of(name, space), [])
+        mode = space.coordinates.mode_number if isinstance(space, Family) else 0
+        for solution in solutions:
+            quantities = quantities_of(Branch(space, (solution,), with_stability=self.with_stability))
+            index = sum(row.get("mode", 0) == mode for row in rows)
+            place = Place(solution, index, mode, solution.point.requested, solution.point.special)
+            rows.append(csv_row(quantities, place))
+        if rows and time.monotonic() - self._written > TABLE_PERIOD:
+            self._write(table)
+
+    def count(self, name: str, space: SolutionSpace) -> int:
+        """Number of rows of the table that a branch stands in."""
+        return len(self.rows.get(table_of(name, space), ()))
+
+    def write(self) -> list[str]:
+        """Write every table that has rows; their names without the suffix."""
+        names = [name for name, rows in self.rows.items() if rows]
+        for name in names:
+            self._write(name)
+        return [name.removesuffix(".csv") for name in names]
+
+    def _write(self, name: str) -> None:
+        rows = self.rows[name]
+        write_csv(self.directory / name, list(rows[0]), rows)
+        self._written = time.monotonic()
+
+
+def table_of(name: str, space: SolutionSpace) -> str:
+    """The file that the rows of a branch stand in."""
+    return "family.csv" if isinstance(space, Family) else f"{name}.csv"
 
 
 @dataclass
@@ -113,7 +171,7 @@ class Run:
         """Whether a branch reached its requested end, or the natural end of a branch that leaves another one."""
         if not self.request.scene.has_diagram:
             return branch.complete
-        from casadi_skin.runs.diagram import ended_well
+        from casadi_skin.runs.branches import ended_well
 
         return ended_well(branch)
 
@@ -126,7 +184,7 @@ class Run:
         if scene.dynamics is None or not (self.branches or alone):
             return
         from casadi_skin.dynamics import EvolutionError
-        from casadi_skin.runs.dynamics import evolve_from_rest, evolve_scene, scene_orbit, write_dynamics
+        from casadi_skin.runs.tasks import evolve_from_rest, evolve_scene, scene_orbit, write_dynamics
 
         self.progress.say("time evolution")
         try:
@@ -146,7 +204,7 @@ class Run:
         """The exports of the scene; nothing of them is imported elsewhere."""
         if self.request.scene.export is None:
             return
-        from casadi_skin.runs.export import export_scene
+        from casadi_skin.runs.tasks import export_scene
 
         self.progress.say("exporting")
         try:
@@ -159,7 +217,7 @@ class Run:
         if self.request.scene.search is None:
             return
         from casadi_skin.optimise.search import SearchStatus
-        from casadi_skin.runs.search import COMPLETE, run_search, write_results
+        from casadi_skin.runs.tasks import COMPLETE, run_search, write_results
 
         self.search = run_search(self.request, self.directory / JOURNAL, self.progress)
         self.progress.say("writing the search")
@@ -192,7 +250,7 @@ class Run:
         """The table of points, and the files of whole branches."""
         names = self._tables.write()
         if self.request.scene.has_diagram:
-            from casadi_skin.runs.diagram import write_diagram
+            from casadi_skin.runs.branches import write_diagram
 
             write_diagram(self.request, names, branches, origin(self.request, self.scene_text), self.directory)
             return

@@ -22,29 +22,26 @@ from casadi_skin.runs.directory import (
     DirectoryError,
     Existing,
     check_same_source,
+    in_use,
     prepare,
     prepare_part,
 )
-from casadi_skin.runs.engines import Engine, check_workers, dask_engine, given_engine, local_engine
 from casadi_skin.runs.faults import SceneError
-from casadi_skin.runs.locking import in_use
-from casadi_skin.runs.map_boundary import BOUNDARY, OF_BOUNDARY, boundaries, check_boundary, write_boundary
 from casadi_skin.runs.map_cell import Job
-from casadi_skin.runs.map_columns import Columns
-from casadi_skin.runs.map_drive import Drive, Part
+from casadi_skin.runs.map_drive import Drive, Engine, Part, check_workers, dask_engine, given_engine, local_engine
 from casadi_skin.runs.map_grid import Grid, plain, scene_at
-from casadi_skin.runs.map_names import check_quantities
+from casadi_skin.runs.map_lines import BOUNDARY, OF_BOUNDARY, boundaries, check_boundary, write_boundary
 from casadi_skin.runs.map_pictures import write_pictures
 from casadi_skin.runs.map_result import Map
-from casadi_skin.runs.map_store import UNKNOWN, Store
-from casadi_skin.runs.map_table import MapTable
+from casadi_skin.runs.map_store import UNKNOWN, Columns, Store, check_quantities
 from casadi_skin.runs.map_writing import CSV, NETCDF, write_map, write_table
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.reading import parse_scene, read_text
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import Scene
+from casadi_skin.runs.scene_tables import MapTable
 from casadi_skin.runs.writing import origin
-from casadi_skin.solve.threads import one_thread
+from casadi_skin.solve.watch import one_thread
 
 ADDRESS = re.compile(r"inproc://\S+|(\w+://)?[^\s/]+:\d{1,5}")  # of a scheduler
 

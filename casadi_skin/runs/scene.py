@@ -8,25 +8,28 @@ import msgspec
 from msgspec import Meta
 
 from casadi_skin.model.methods import COLLOCATION, GAUSS, SPLITTING, TRIGONOMETRIC
-from casadi_skin.runs.lattice_tables import LatticeTable
-from casadi_skin.runs.map_table import MapTable
 from casadi_skin.runs.model_tables import (
     ContinuationTable,
+    DynamicsTable,
     EquilibriumTable,
+    ExportTable,
+    FiguresTable,
     ModelTable,
     OrbitTable,
+    SearchTable,
     SolutionTable,
 )
 from casadi_skin.runs.scene_tables import (
     AccuracyTable,
     ChainTable,
     FamilyTable,
+    LatticeTable,
+    MapTable,
     MethodTable,
     SpectrumTable,
     StabilityTable,
     Table,
 )
-from casadi_skin.runs.task_tables import DynamicsTable, ExportTable, FiguresTable, SearchTable
 
 
 class Scene(Table, frozen=True):

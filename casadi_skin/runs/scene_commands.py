@@ -12,11 +12,9 @@ from typing import TYPE_CHECKING
 from casadi_skin.lattice.stiffness import stiffness
 from casadi_skin.runs.family_plan import chain_lines
 from casadi_skin.runs.faults import SceneError
-from casadi_skin.runs.json_output import print_json, print_results
+from casadi_skin.runs.output import DONE, FAILED, INTERRUPTED, InputError, Lines, print_json, print_results
 from casadi_skin.runs.reading import parse_scene, read_text
 from casadi_skin.runs.scene import Scene
-from casadi_skin.runs.status import DONE, FAILED, INTERRUPTED, InputError
-from casadi_skin.runs.words import Lines
 
 if TYPE_CHECKING:
     from casadi_skin.runs.directory import Existing
@@ -39,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     existing = Existing.RESUME if arguments.resume else Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
     name_program(scene, arguments.scene, arguments.quiet, apart=arguments.json)
     request = bound(scene, arguments.scene)
-    from casadi_skin.runs.locking import in_use
+    from casadi_skin.runs.directory import in_use
     from casadi_skin.runs.progress import Progress
 
     with Progress(arguments.quiet) as progress, in_use(directory, progress.report):
@@ -198,7 +196,7 @@ def bound(scene: Scene, path: Path) -> Request:
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
     if scene.search is not None:
-        from casadi_skin.runs.search import check_search
+        from casadi_skin.runs.tasks import check_search
 
         try:
             check_search(request)

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from casadi_skin.runs.status import DONE, InputError
+from casadi_skin.runs.output import DONE, InputError
 
 Commands: TypeAlias = "argparse._SubParsersAction[Any]"
 KINDS = ("chain", "lattice", "model")

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from casadi_skin.model.methods import FORMATS
-from casadi_skin.runs.json_output import add_output, print_results
-from casadi_skin.runs.status import DONE, FAILED, INTERRUPTED, InputError
+from casadi_skin.runs.output import DONE, FAILED, INTERRUPTED, InputError, add_output, print_results
 
 if TYPE_CHECKING:
     from casadi_skin.studies.study import Study

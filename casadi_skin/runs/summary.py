@@ -13,10 +13,10 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.unresolved import count_in_words
-from casadi_skin.results.family_quantities import certified
+from casadi_skin.results.branch_quantities import certified
 from casadi_skin.results.quantities import places_of
-from casadi_skin.results.stability_tables import UNRESOLVED
-from casadi_skin.runs.text_table import TextTable
+from casadi_skin.results.tables import UNRESOLVED
+from casadi_skin.runs.output import TextTable
 from casadi_skin.runs.writing import mode_of
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 def print_summary(run: Run) -> None:
     """A table of the families, or of the points of another branch that a reader looks for; and where results are."""
     if run.search is not None:
-        from casadi_skin.runs.search import summary_lines
+        from casadi_skin.runs.tasks import summary_lines
 
         print("\n".join([*summary_lines(run.search, run.request), f"results in {run.directory}"]))
     for path in run.exported:

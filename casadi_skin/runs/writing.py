@@ -16,7 +16,7 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.results import figures
 from casadi_skin.results.dataset import Cell, unique_names, versions, write_csv, write_netcdf
 from casadi_skin.results.quantities import dataset_of
-from casadi_skin.results.stability_tables import (
+from casadi_skin.results.tables import (
     EVENT_COLUMNS,
     PROVED_COLUMNS,
     TONGUE_COLUMNS,
@@ -28,7 +28,7 @@ from casadi_skin.results.stability_tables import (
 from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
-from casadi_skin.zero.method import TWO_PI
+from casadi_skin.zero.family import TWO_PI
 
 PASSED_COLUMNS = ("mode", "S_before", "S_after", "Omega_before", "Omega_after", "changes", "meetings")
 
@@ -87,7 +87,7 @@ def _write_families(request: Request, branches: Sequence[Branch], directory: Pat
     picture(request.scene, directory / "profile", figures.profile_figure, branches)
     for branch in branches:
         if request.scene.chain is None:
-            from casadi_skin.results.figures.plane import plane_figure
+            from casadi_skin.results.figures.profiles import plane_figure
 
             picture(request.scene, directory / f"plane_j{mode_of(branch)}", plane_figure, branch)
         picture(request.scene, directory / f"multipliers_j{mode_of(branch)}", figures.multiplier_figure, branch)
@@ -108,7 +108,7 @@ def mode_of(branch: Branch) -> int:
 
 def _write_films(branches: Sequence[Branch], directory: Path, progress: Progress) -> None:
     """A film of each family's mode, at the last requested point or at the end."""
-    from casadi_skin.results.figures.animation import animate
+    from casadi_skin.results.figures.spacetime import animate
 
     for branch in branches:
         progress.say(f"film of j = {mode_of(branch)}")
@@ -159,7 +159,7 @@ def write_spectrum(request: Request, directory: Path) -> None:
     """spectrum.csv and the picture of the linear spectrum; of a lattice also where modes live, and its bands."""
     if request.scene.chain is None:
         from casadi_skin.lattice.lattice import Lattice
-        from casadi_skin.runs.lattice_spectrum import write_lattice_spectrum
+        from casadi_skin.runs.family_points import write_lattice_spectrum
 
         if isinstance(request.model, Lattice):
             write_lattice_spectrum(request.scene, request.model, request.parameters, directory)

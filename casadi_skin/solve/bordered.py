@@ -12,14 +12,107 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.native.bordered import BorderedKernel, bordered_kernel
-from casadi_skin.solve.factors import BandFactors, CompiledFactors, SparseFactors
 from casadi_skin.zero.problem import Array, Indices, Problem, SingularError, Solve
+
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import SuperLU
+
+
+# Solves with a factorised matrix: a band with its border, by LAPACK or compiled, or a sparse one by SuperLU -----------
+
+
+class BandFactors:
+    """Solves with a factorised band and its border: unknowns are eliminated in the band, then those of the border."""
+
+    def __init__(self, width: int, lu: Array, pivots: Indices, spread: Array, below: Array, border: Array) -> None:
+        from scipy.linalg.lapack import dgbtrs, dgetrf, dgetrs
+
+        self._width, self._lu, self._pivots, self._spread, self._below = width, lu, pivots, spread, below
+        self._band_solve, self._border_solve = dgbtrs, dgetrs
+        self._schur, self._order, info = dgetrf(border - below @ spread)
+        self.regular = info == 0
+
+    @property
+    def orientation(self) -> float:
+        """The sign of the determinant: the unknown and the row that pin the band do not change it."""
+        band, border = self._lu[2 * self._width], self._schur.diagonal()
+        negative = np.count_nonzero(band < 0.0) + np.count_nonzero(border < 0.0)
+        swaps = np.count_nonzero(self._pivots != np.arange(band.size))
+        swaps += np.count_nonzero(self._order != np.arange(border.size))
+        return -1.0 if (negative + swaps) % 2 else 1.0
+
+    def completed(self, inner: Array, outer: Array) -> Array:
+        """Solution, from that of the band alone for the first rows, shape (n, columns), and the remaining rows."""
+        n, edge = inner.shape[0], self._schur.shape[0]
+        right = np.zeros((edge, inner.shape[1]))
+        right[1:] = outer
+        right -= self._below @ inner
+        x, _ = self._border_solve(self._schur, self._order, right)
+        whole = np.empty((n + edge - 1, inner.shape[1]))
+        np.subtract(inner, self._spread @ x, out=whole[:n])
+        whole[n:] = x[1:]
+        return whole
+
+    def __call__(self, b: Array) -> Array:
+        n, columns = self._lu.shape[1], b.reshape(b.shape[0], -1)
+        inner, _ = self._band_solve(self._lu, self._width, self._width, columns[:n], self._pivots)
+        return self.completed(inner, columns[n:]).reshape(b.shape)
+
+
+class CompiledFactors:
+    """The same by the compiled kernel; `orientation` is the sign of the determinant."""
+
+    def __init__(self, kernel: BorderedKernel, memory: Array, orientation: float) -> None:
+        self.kernel, self.memory, self.orientation = kernel, memory, orientation
+
+    @property
+    def addresses(self) -> tuple[int, int, int]:
+        """Where the compiled solver, its layout and the factors begin."""
+        return self.kernel.solve_address, self.kernel.address, self.memory.ctypes.data
+
+    def __call__(self, b: Array) -> Array:
+        x = np.array(b.reshape(b.shape[0], -1).T, order="C")
+        self.kernel.solve(self.memory, x)
+        return x.T.reshape(b.shape)
+
+
+class SparseFactors:
+    """Solves with factors by SuperLU of a matrix whose columns are in another order and whose rows are scaled."""
+
+    def __init__(self, factors: SuperLU, order: Indices, scale: Array | None) -> None:
+        self._factors, self._columns, self._scale = factors, order, scale
+
+    def __call__(self, b: Array) -> Array:
+        if self._scale is None:
+            return np.asarray(self._factors.solve(b))
+        found = np.empty(b.shape)
+        found[self._columns] = self._factors.solve((self._scale * b.T).T)
+        return found
+
+    @property
+    def orientation(self) -> float:
+        """The sign of the determinant, 0 where it vanishes."""
+        factors, permutations = self._factors, [self._factors.perm_r, self._factors.perm_c, self._columns]
+        return float(np.prod([_parity(p) for p in permutations]) * np.prod(np.sign(factors.U.diagonal())))
+
+
+def _parity(permutation: Indices) -> float:
+    """1 for an even permutation, -1 for an odd one, by its cycles."""
+    seen, sign = np.zeros(permutation.size, dtype=bool), 1.0
+    for start in range(permutation.size):
+        length, place = 0, start
+        while not seen[place]:
+            seen[place], place, length = True, int(permutation[place]), length + 1
+        if length and length % 2 == 0:
+            sign = -sign
+    return sign
+
 
 SINGULAR = 1e12  # growth of a right-hand side of size 1 that only a singular matrix gives
 LONG = 1e-2  # factor of rows through most unknowns, as of integrals and of the arclength
@@ -254,3 +347,106 @@ class BorderedSolver:
 def long_rows(rows: NDArray[np.integer[Any]], size: int) -> Indices:
     """Those of the rows of all non-zeros that go through most unknowns."""
     return np.flatnonzero(np.bincount(rows) > 0.5 * size)
+
+
+# Newton steps at several states of one banded problem, as `BorderedSolver` takes them one by one ----------------------
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Solutions of [dR/dz; row] x = b at several states, each (states, unknowns), and the signs of the determinants.
+
+    `newton` is that for the residuals, that of the closing row among them, `along` for the closing row alone, and
+    `response` for residuals of size 1 in general position.
+    """
+
+    newton: Array
+    along: Array
+    response: Array
+    orientation: Array
+
+
+class StackedSolver:
+    """Solves for states of one problem at once."""
+
+    def __init__(self, problem: Problem, layout: BandLayout) -> None:
+        self._problem, self._layout = problem, layout
+        rows, columns = problem.pattern
+        self._by_rows = np.argsort(rows, kind="stable")
+        self._columns = columns[self._by_rows]
+        self._starts = np.searchsorted(rows[self._by_rows], np.arange(problem.size - 1))
+        self._kernel = layout.kernel(problem)
+
+    @staticmethod
+    def of(problem: Problem) -> StackedSolver | None:
+        """The one that serves all problems that differ in their constants only; None where there is no band."""
+        if "stacked" not in problem.shared:
+            layout = BandLayout.of(problem)
+            full = np.unique(problem.pattern[0]).size == problem.size - 1  # no equation without an unknown
+            problem.shared["stacked"] = StackedSolver(problem, layout) if layout is not None and full else None
+        found: StackedSolver | None = problem.shared["stacked"]
+        return found
+
+    def steps(self, z: Array, residuals: Array, nonzeros: Array, rows: Array) -> Steps | None:
+        """Solutions at states z, by residuals (states, unknowns); None where a matrix is singular but for rounding."""
+        if self._kernel is not None:
+            x = np.zeros((len(z), 3, z.shape[1]))
+            x[:, 0], x[:, 1, :-1], x[:, 2, -1] = residuals, self._problem.probe, 1.0
+            orientation = self._kernel.steps(z, nonzeros, rows, x)
+            newton, response, along = x.swapaxes(0, 1)
+            return None if orientation is None else Steps(newton, along, response, orientation)
+        return self._in_arrays(z, residuals, nonzeros, rows)
+
+    def _in_arrays(self, z: Array, residuals: Array, nonzeros: Array, rows: Array) -> Steps | None:
+        """The same without a compiled kernel."""
+        from scipy.linalg.lapack import dgbtrf, dgbtrs
+
+        layout, (count, size), n = self._layout, z.shape, self._problem.states
+        width, edge, each = layout.width, size - n + 1, np.arange(count)
+        storage, right = np.zeros((count, n, 3 * width + 1)), np.zeros((count, edge + 2, n))
+        below, corner = np.zeros((count, edge, n)), np.zeros((count, edge, edge))
+        layout.fill(storage, right, below, corner, nonzeros)
+        below[:, -1], corner[:, -1, 1:] = rows[:, :n], rows[:, n:]
+        pin = np.argmax(np.abs(z[:, :n]), axis=1)
+        raised = np.max(np.abs(storage[each, pin]), axis=1)
+        storage[each, pin, 2 * width] += raised
+        right[each, 0, pin], below[each, 0, pin], corner[:, 0, 0] = -raised, -1.0, 1.0
+        right[:, -2], right[:, -1] = residuals[:, :n], self._problem.probe[:n]
+
+        negative = np.zeros(count, dtype=np.int64)
+        for i in range(count):
+            lu, pivots, failed = dgbtrf(storage[i].T, width, width, overwrite_ab=True)
+            dgbtrs(lu, width, width, right[i].T, pivots, overwrite_b=True)
+            if failed:
+                return None
+            negative[i] = np.count_nonzero(lu[2 * width] < 0.0) + np.count_nonzero(pivots != np.arange(n))
+        spread, inner = right[:, :edge], right[:, edge:]
+        schur = corner - below @ spread.swapaxes(1, 2)
+        if not np.all(np.isfinite(schur)):
+            return None
+        sign, _ = np.linalg.slogdet(schur)
+        if not np.all(sign):
+            return None
+        outer = np.zeros((count, edge, 3))
+        outer[:, 1:, 0], outer[:, 1:-1, 1] = residuals[:, n:], self._problem.probe[n:]
+        outer[:, :, :2] -= below @ inner.swapaxes(1, 2)
+        outer[:, -1, 2] = 1.0
+        x = np.linalg.solve(schur, outer)
+        found = np.zeros((count, 3, size))
+        found[:, :2, :n] = inner
+        found[:, :, :n] -= x.swapaxes(1, 2) @ spread
+        found[:, :, n:] = x[:, 1:].swapaxes(1, 2)
+        newton, response, along = found.swapaxes(0, 1)
+        if not self._accurate(along, response, nonzeros, rows):
+            return None
+        return Steps(newton, along, response, np.where(negative % 2, -1.0, 1.0) * sign)
+
+    def _accurate(self, along: Array, response: Array, nonzeros: Array, rows: Array) -> bool:
+        """Whether all solutions reproduce their right-hand sides; a NaN fails every comparison."""
+        if not np.max(np.abs(response)) < SINGULAR:
+            return False
+        largest = np.max(np.abs(along), axis=1) * np.max(np.abs(nonzeros), axis=1)
+        products = np.take(nonzeros, self._by_rows, axis=1) * np.take(along, self._columns, axis=1)
+        defects = np.max(np.abs(np.add.reduceat(products, self._starts, axis=1)), axis=1)
+        closing = np.abs(np.einsum("ij,ij->i", rows, along) - 1.0)
+        return bool(np.all(defects <= ACCURATE * largest) and np.all(closing <= ACCURATE))

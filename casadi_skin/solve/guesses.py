@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.model.arguments import check_name, cut, number, short_repr
-from casadi_skin.model.arrays import real_array
+from casadi_skin.model.expressions import real_array
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.statement import Statement
 

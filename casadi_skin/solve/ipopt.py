@@ -4,16 +4,59 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.solve.corrector import Correction, Corrector, Status
-from casadi_skin.solve.newton import NewtonCorrector
-from casadi_skin.solve.nlp import SOLVED, nlp_solver
-from casadi_skin.solve.time_limit import heed, is_over
+from casadi_skin.solve.newton import Correction, Corrector, NewtonCorrector, Status
+from casadi_skin.solve.watch import heed, is_over
 from casadi_skin.zero.problem import Array, Evaluate, Problem
+
+# Nonlinear programs for Ipopt (Waechter and Biegler 2006): solvers are built, and their endings put in words, here ----
+
+SOLVED = "Solve_Succeeded"
+_NO_POINT = "no point near the guess satisfies conditions and bounds"
+_REASONS = {
+    "Infeasible_Problem_Detected": _NO_POINT,
+    "Restoration_Failed": _NO_POINT,
+    "Diverging_Iterates": "the objective is unbounded below, or the iteration diverges",
+    "Maximum_Iterations_Exceeded": "the iteration did not converge in the steps allowed",
+    "Search_Direction_Becomes_Too_Small": "no way on: conditions and bounds leave hardly a point, or degenerate there",
+    "Invalid_Number_Detected": "an expression has no finite value or derivative on the way",
+}
+
+
+def nlp_solver(
+    name: str, nlp: Mapping[str, Any], tolerance: float, particular: Mapping[str, Any], *, exact: bool = True
+) -> ca.Function:
+    """Ipopt on the program {x, p, f, g}, silent, with CasADi's options `particular` beside the common ones.
+
+    A failure comes back as a status. Where `exact`, constraints are met to the tolerance without scaling, bounds are
+    not relaxed, and no acceptable point ends the iteration before.
+    """
+    options: dict[str, Any] = {
+        "print_time": False,
+        "error_on_fail": False,
+        "show_eval_warnings": False,
+        "ipopt.print_level": 0,
+        "ipopt.sb": "yes",
+        "ipopt.tol": tolerance,
+    }
+    if exact:
+        options |= {
+            "ipopt.constr_viol_tol": tolerance,
+            "ipopt.bound_relax_factor": 0.0,
+            "ipopt.acceptable_iter": 0,
+        }
+    return ca.nlpsol(name, "ipopt", dict(nlp), options | dict(particular))
+
+
+def nlp_reason(status: str) -> str:
+    """Why Ipopt found no optimum, in words; the status itself where there are none."""
+    return _REASONS.get(status, status)
+
 
 STATUS = {
     SOLVED: Status.CONVERGED,
@@ -236,3 +279,50 @@ CORRECTORS: Mapping[str, Callable[..., Corrector]] = {
     "ipopt": IpoptCorrector,
     "newton": NewtonCorrector,
 }
+
+
+# The function that Ipopt calls at every iteration: it reports progress and can end the solve --------------------------
+
+Monitor = Callable[[int, float, float], bool]  # (iteration, objective, violation) -> whether to stop
+
+
+class IterationCallback(ca.Callback):  # type: ignore[misc]  # CasADi has no types
+    """Calls a monitor at every iteration of Ipopt, and ends the solve where it returns True or raises.
+
+    `failure` is the exception that the monitor raised: CasADi would report a failed evaluation in its place.
+    """
+
+    def __init__(self, unknowns: int, rows: int, parameters: int) -> None:
+        ca.Callback.__init__(self)
+        sizes = {"x": unknowns, "f": 1, "g": rows, "lam_x": unknowns, "lam_g": rows, "lam_p": parameters}
+        self._sizes = [sizes[name] for name in ca.nlpsol_out()]
+        self.begin(np.zeros(rows), np.zeros(rows), None)
+        self.construct("iteration", {})
+
+    def begin(self, low: Array, high: Array, monitor: Monitor | None) -> None:
+        """Prepare for another solve, with these bounds of the constraints."""
+        self._low, self._high, self._monitor, self._iteration = low, high, monitor, 0
+        self.failure: BaseException | None = None
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._sizes[i], 1) if self._sizes[i] else ca.Sparsity(0, 0)
+
+    def eval(self, arguments: list[ca.DM]) -> list[int]:
+        try:
+            return [int(self._monitor is not None and self._stops(dict(zip(ca.nlpsol_out(), arguments, strict=True))))]
+        except BaseException as error:
+            self.failure = error
+            return [1]
+
+    def _stops(self, values: dict[str, ca.DM]) -> bool:
+        assert self._monitor is not None
+        g = np.array(values["g"]).ravel()
+        violation = float(np.max(np.maximum(self._low - g, g - self._high), initial=0.0))
+        self._iteration += 1
+        return self._monitor(self._iteration - 1, float(values["f"]), violation)

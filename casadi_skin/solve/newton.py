@@ -3,13 +3,73 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Protocol
 
 import numpy as np
 
 from casadi_skin.solve.bordered import BorderedSolver
-from casadi_skin.solve.corrector import Correction, Status
-from casadi_skin.solve.time_limit import heed
-from casadi_skin.zero.problem import Array, Problem, SingularError
+from casadi_skin.solve.watch import heed
+from casadi_skin.zero.problem import Array, Problem, SingularError, Solve
+
+# The interface of correctors ------------------------------------------------------------------------------------------
+
+
+class Status(Enum):
+    """The end of a correction, in a readable sentence."""
+
+    CONVERGED = "converged"
+    TOO_MANY_ITERATIONS = "the iteration did not converge in the steps allowed"
+    DIVERGED = "the iteration left the neighbourhood of its guess"
+    SINGULAR = "the equations with their held condition are singular"
+    INFEASIBLE = "no point near the guess satisfies the equations"
+
+
+@dataclass(frozen=True)
+class Correction:
+    """A corrected point z, or where the corrector stopped; `message` adds the solver's own words.
+
+    `solve` has the factors of the closed Jacobian next to z, where the corrector had them.
+    """
+
+    z: Array
+    status: Status
+    iterations: int
+    message: str = ""
+    solve: Solve | None = None
+
+    @property
+    def converged(self) -> bool:
+        """Whether z satisfies the equations and the held condition."""
+        return self.status is Status.CONVERGED
+
+
+HeldState = tuple[Array, Array, float]  # unknowns z, and a row with the value of row . z
+
+
+class Corrector(Protocol):
+    """Solves R(z) = 0 together with one held linear condition row . z = value."""
+
+    problem: Problem
+
+    def on(self, problem: Problem) -> Corrector:
+        """This corrector for a problem that differs in its constants only; nothing is built again."""
+        ...
+
+    def correct(self, guess: Array, row: Array, value: float) -> Correction:
+        """Corrected point near `guess`, or a named failure; `row` has shape (size,)."""
+        ...
+
+
+def confirmations(corrector: Corrector, points: Sequence[HeldState]) -> list[Correction]:
+    """The last word of a corrector on solutions: each as it is where the corrector agrees, or has no other word."""
+    several, one = getattr(corrector, "confirm_all", None), getattr(corrector, "confirm", None)
+    if several is not None:
+        return list(several(points))
+    return [Correction(z, Status.CONVERGED, 0) if one is None else one(z, row, value) for z, row, value in points]
+
 
 CHORD = 1e-3  # step, relative to the state, after which the factors at hand serve the next: they cost the most
 FAST = 0.05  # of the step before: after a shorter one with new factors these shrink the next by about 2 FAST^2
@@ -96,3 +156,49 @@ class NewtonCorrector:
             return float(np.sum(np.abs(self.problem.evaluate(z)[0])) + abs(row @ z - value))
         except ArithmeticError:
             return np.inf
+
+
+# A corrector that takes residuals of the size of their rounding for converged -----------------------------------------
+
+TO_ROUNDING = "to rounding"
+ROUNDED = 4.0  # times the rounding of the largest term
+
+
+class RoundedCorrector:
+    """Another corrector, whose tolerance may lie below the rounding errors of residuals with large terms.
+
+    Where it stops at residuals that are rounding alone the equations are solved: the estimated error of the point
+    includes rounding and shows its accuracy.
+    """
+
+    def __init__(self, inner: Corrector) -> None:
+        self.inner, self.problem = inner, inner.problem
+
+    def on(self, problem: Problem) -> RoundedCorrector:
+        """This corrector for a problem that differs in its constants only; nothing is built again."""
+        return RoundedCorrector(self.inner.on(problem))
+
+    def correct(self, guess: Array, row: Array, value: float) -> Correction:
+        """Corrected point near `guess`, or a named failure; `row` has shape (size,)."""
+        return self._rounded(self.inner.correct(guess, row, value), row, value)
+
+    def confirm(self, z: Array, row: Array, value: float) -> Correction:
+        """A solution as the last word has it: z itself where the inner corrector has none, or agrees."""
+        confirm = getattr(self.inner, "confirm", None)
+        if confirm is None:
+            return Correction(z, Status.CONVERGED, 0)
+        found = self._rounded(confirm(z, row, value), row, value)
+        return replace(found, z=z) if found.message == TO_ROUNDING else found
+
+    def _rounded(self, correction: Correction, row: Array, value: float) -> Correction:
+        if correction.converged or correction.status is Status.SINGULAR:
+            return correction
+        z = correction.z
+        try:
+            residual = np.abs(self.problem.evaluate(z)[0])
+        except ArithmeticError:
+            return correction
+        held = abs(float(row @ z) - value) <= ROUNDED * np.finfo(float).eps * max(1.0, float(np.abs(row) @ np.abs(z)))
+        if held and np.all(residual <= ROUNDED * self.problem.rounding(z)):
+            return replace(correction, status=Status.CONVERGED, message=TO_ROUNDING)
+        return correction

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from casadi_skin.solve.bordered import LONG, long_rows
-from casadi_skin.zero.orbit_statement import UNFOLDING, Extended
+from casadi_skin.zero.orbit import UNFOLDING, Extended
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.stated_problem import BoundaryProblem
 

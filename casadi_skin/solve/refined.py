@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.settings import Point
-from casadi_skin.solve.corrector import Correction
+from casadi_skin.solve.newton import Correction
 from casadi_skin.solve.rank_deficiency import in_family, rank_deficiency
 from casadi_skin.zero.problem import Problem, Scalar, SingularError
 from casadi_skin.zero.stated_problem import BoundaryProblem

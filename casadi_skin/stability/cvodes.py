@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from casadi_skin.model.cvodes import CvodesError, CvodesOptions, run_cvodes
+from casadi_skin.model.conserved import symmetry_class
+from casadi_skin.model.integrators import CvodesError, CvodesOptions, run_cvodes
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.symmetry import symmetry_class
-from casadi_skin.stability.flow import FlowError, OrbitState, Transition, duration
+from casadi_skin.stability.stepping import FlowError, OrbitState, Transition, duration
 from casadi_skin.zero.problem import Array, Problem
 
 TIGHTEST = 1e-13

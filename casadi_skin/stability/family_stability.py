@@ -15,11 +15,9 @@ import numpy as np
 from casadi_skin.follow.settings import Point
 from casadi_skin.model.arguments import check_name
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.solve.estimates import Refinement
-from casadi_skin.solve.levels import Levels
-from casadi_skin.solve.threads import one_thread
+from casadi_skin.solve.levels import Levels, Refinement
+from casadi_skin.solve.watch import one_thread
 from casadi_skin.stability.cvodes import CvodesFlow
-from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
 from casadi_skin.stability.gauss_flow import GaussFlow
 from casadi_skin.stability.multipliers import floquet_vectors, floquets, vectors_of_map
 from casadi_skin.stability.reduction import ComplexArray
@@ -27,14 +25,15 @@ from casadi_skin.stability.relative import RelativeFlow, complement
 from casadi_skin.stability.result import Floquet
 from casadi_skin.stability.rk4 import RungeKuttaFlow
 from casadi_skin.stability.splitting import SplittingFlow
-from casadi_skin.zero.coordinates import Coordinates
+from casadi_skin.stability.stepping import FlowMap, OrbitState, Transition
+from casadi_skin.zero.family import Coordinates
 from casadi_skin.zero.problem import Array, Buffers, Problem
 from casadi_skin.zero.request import FamilyRequest
 
 if TYPE_CHECKING:
     from casadi_skin.stability.localised import LocalisedFloquet
-    from casadi_skin.stability.tongues.edge_hill import EdgeHill
-    from casadi_skin.zero.coordinates import Localised
+    from casadi_skin.stability.tongues.family_localised import EdgeHill
+    from casadi_skin.zero.family import Localised
 
 STABILITY_BATCH = 32  # points whose stability is computed at a time: an interruption writes none that wait for it
 
@@ -169,7 +168,7 @@ class FamilyStability(ABC):
     @cached_property
     def _edge(self) -> EdgeHill:
         """Hill's equations of orbits at the edge of the tail."""
-        from casadi_skin.stability.tongues.edge_hill import EdgeHill
+        from casadi_skin.stability.tongues.family_localised import EdgeHill
 
         return EdgeHill(self.coordinates)
 

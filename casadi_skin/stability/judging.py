@@ -6,11 +6,17 @@ as much.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from casadi_skin.stability.closed_maps import Multipliers
 from casadi_skin.stability.product_spectrum import Spectrum
+from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import LARGEST_LOGARITHM, FullPeriodFloquet
+from casadi_skin.stability.tongues.assembly import Group
+from casadi_skin.stability.tongues.interpolation import Gap
 from casadi_skin.zero.problem import Array
 
 SAFETY = 2.0  # distances to the better solution are the error up to the error of that
@@ -48,3 +54,70 @@ def _distances(found: Spectrum, better: Spectrum) -> Array:
         return distances
     partners = np.argmin(np.abs(values[:, None].conj() - values), axis=1)
     return np.asarray(np.maximum(distances, distances[partners]))
+
+
+# The account of a family: multipliers outside the unit circle at its orbits, each beside the tongue that it is in -----
+
+CLEARLY = 4.0  # errors of a mu that it is outside by, to be in the account
+LEAST = 1e-9  # of such a distance: rounding of two mu that nearly meet
+SAME_PLACE = 1e-13  # of a coordinate: rounding of sums
+NEAR = 1e-3  # distance of a mu at an orbit from that of its tongue there, beside ten errors
+UNBALANCED = (
+    "the account does not balance: multipliers outside the unit circle at an orbit are not those of its tongues"
+)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """All mu at an orbit, with their errors, and the coordinate of the orbit along the branch."""
+
+    coordinate: float
+    mu: ComplexArray
+    errors: Array
+
+
+def unbalanced(entries: Sequence[Entry], groups: Sequence[Group], gaps: Sequence[Gap]) -> list[Gap]:
+    """Stretches around orbits whose unstable mu are not those of the groups of segments there.
+
+    Each reaches from the last orbit before to the next one behind at which the account balances. Orbits in `gaps` are
+    in no account, and neither are mu that are outside by no more than errors.
+    """
+    segments = [segment for group in groups for segment in group.segments]
+    starts, ends = (np.array([getattr(segment, name) for segment in segments]) for name in ("start", "end"))
+    found: list[Gap] = []
+    balanced = True
+    last = entries[0].coordinate if entries else 0.0
+    for entry in entries:
+        if any(gap.start <= entry.coordinate <= gap.end for gap in gaps):
+            continue
+        slack = SAME_PLACE * abs(entry.coordinate)
+        here = np.flatnonzero((starts <= entry.coordinate + slack) & (entry.coordinate - slack <= ends))
+        parts = [segments[i].block.unstable_mu(segments[i], entry.coordinate) for i in here.tolist()]
+        fits = _fits(entry, np.concatenate([np.empty(0, complex), *parts]))
+        if not fits and balanced:
+            found.append(Gap(last, entry.coordinate, UNBALANCED))
+        elif not balanced:
+            found[-1] = Gap(found[-1].start, entry.coordinate, UNBALANCED)
+        balanced, last = fits, entry.coordinate
+    return found
+
+
+def _fits(entry: Entry, unstable: ComplexArray) -> bool:
+    """Whether all mu that are clearly outside at an orbit are near one of a tongue, and the other way round."""
+    if entry.mu.size == 0:
+        return True
+    own, theirs = (mu.real + 1j * np.abs(mu.imag) for mu in (entry.mu, unstable))
+    far = _outside(own) > CLEARLY * entry.errors + LEAST
+    if np.any(far) and unstable.size == 0:
+        return False
+    apart = np.abs(own[:, None] - theirs)
+    if np.any(np.min(apart[far], axis=1, initial=np.inf) > NEAR + 10.0 * entry.errors[far]):
+        return False
+    nearest = np.argmin(apart, axis=0)
+    clear = _outside(theirs) > CLEARLY * entry.errors[nearest] + LEAST
+    return bool(np.all(_outside(own[nearest[clear]]) > 0.0))
+
+
+def _outside(mu: ComplexArray) -> Array:
+    """Distances from [-1, 0]; 0 inside."""
+    return np.asarray(np.abs(mu - np.clip(mu.real, -1.0, 0.0)))

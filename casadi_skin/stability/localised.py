@@ -12,12 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_skin.stability.continuous import ContinuousSpectrum
-from casadi_skin.stability.flow import Transition
-from casadi_skin.stability.multipliers import flow_part_of, orbit_part_of, power_of, round_off_of
-from casadi_skin.stability.perturbation import eigenvalue_errors
+from casadi_skin.stability.multipliers import eigenvalue_errors, flow_part_of, orbit_part_of, power_of, round_off_of
 from casadi_skin.stability.reduction import ComplexArray, Eigensystems, Reflections, eigensystems, half_cosines
-from casadi_skin.stability.result import ReversibleFloquet
+from casadi_skin.stability.result import ContinuousSpectrum, ReversibleFloquet
+from casadi_skin.stability.stepping import Transition
 from casadi_skin.zero.problem import Array
 
 CORNER = 4  # cells at the cut, from which B^T C differs from that of a longer chain: farther in by less than their size

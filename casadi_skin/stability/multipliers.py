@@ -20,8 +20,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
-from casadi_skin.stability.perturbation import eigenvalue_errors
 from casadi_skin.stability.reduction import (
     ComplexArray,
     Eigensystems,
@@ -34,7 +32,80 @@ from casadi_skin.stability.reduction import (
 )
 from casadi_skin.stability.relative import complement
 from casadi_skin.stability.result import ReversibleFloquet
+from casadi_skin.stability.stepping import FlowMap, OrbitState, Transition
 from casadi_skin.zero.problem import Array
+
+# Errors of eigenvalues from estimated errors of their matrix: first order, and pairs that nearly meet -----------------
+
+Booleans = NDArray[np.bool_]
+LARGE = 128  # eigenvalues from which on only those that are close are coupled
+DECIDES = 0.01  # of an eigenvalue's error otherwise: couplings that matter
+MACHINE = float(np.finfo(float).eps)
+FLOOR = 0.1  # of the largest error in an orbit: W_ii can vanish where the error that it stands for does not
+
+
+def couplings(systems: Eigensystems, errors: Array) -> Array:
+    """|W| for errors of the matrices, shape (points, m, m); not finite at a defective eigenvalue."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return systems.couplings(errors @ systems.basis)
+
+
+def eigenvalue_errors(
+    systems: Eigensystems, parts: Sequence[Array], norms: Array, round_off: Array
+) -> tuple[Array, Array]:
+    """Estimated absolute errors of the eigenvalues, and |W_ii| of the first part alone, each (points, m).
+
+    Arguments:
+        systems: eigenvalues with their vectors.
+        parts: matrices like the errors of the matrices, each (points, m, m), whose moduli of W are added.
+        norms: Frobenius norms of all parts together, shape (points,).
+        round_off: norms of errors of which nothing more is known, shape (points,).
+
+    Of large matrices W is formed where two eigenvalues can be close enough for their coupling to matter.
+    """
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        images = [part @ systems.basis for part in parts]
+        left, chosen = systems.left_sizes, np.ones(systems.values.shape[1], dtype=bool)
+        large = chosen.size > LARGE
+        if large:
+            alone = [systems.expectations(image) for image in images]
+        else:
+            coupled = [systems.couplings(image) for image in images]
+            alone = [np.einsum("pii->pi", W).copy() for W in coupled]
+        first = sum(alone) + round_off[:, None] * left
+        rest = first + FLOOR * np.max(first, axis=1, keepdims=True)
+        if large:
+            moved = left * (sum(systems.sizes(image) for image in images) + round_off[:, None])
+            chosen = systems.whole_pairs(_close(systems.values.real, moved, DECIDES * rest))
+            rest = (1.0 + DECIDES) * rest
+        few = systems.of(chosen)
+        if large:
+            coupled = [few.couplings(image[:, :, chosen]) for image in images]
+        W = sum(coupled)
+        W = W + (round_off[:, None] * left[:, chosen])[:, :, None]
+        product = W * W.swapaxes(1, 2)
+        pairs = np.minimum(product / np.maximum(few.distances, MACHINE), np.sqrt(product))
+        np.einsum("pii->pi", pairs)[:] = 0.0
+        rest[:, chosen] += np.max(pairs, axis=2, initial=0.0)
+    # A pair moves by the root of the matrix's error at most, when it is defective; W is infinite there.
+    return np.asarray(np.fmin(rest, np.sqrt(norms + round_off)[:, None])), alone[0]
+
+
+def _close(values: Array, moved: Array, matters: Array) -> Booleans:
+    """Which eigenvalues, by ascending real parts, have another within the distance at which their coupling matters.
+
+    |W_ik| is at most the norm of the left vector times that of the image of the right one: |W_ik W_ki| is at most
+    `moved`[i] `moved`[k]. All arrays have shape (points, m); one result for all points.
+    """
+    radius = moved * np.max(moved, axis=1, keepdims=True) / matters
+    chosen = np.zeros(values.shape[1], dtype=bool)
+    for at, within in zip(values, np.where(np.isnan(radius), np.inf, radius), strict=True):
+        low, high = np.searchsorted(at, at - within, "left"), np.searchsorted(at, at + within, "right")
+        starts, ends = low[high - low > 1], high[high - low > 1]
+        edges = np.bincount(starts, minlength=at.size + 1) - np.bincount(ends, minlength=at.size + 1)
+        chosen |= np.cumsum(edges)[: at.size] > 0
+    return chosen
+
 
 ORBIT_SAFETY = 2.0
 ROUND_OFF = 4e-16  # of a transition matrix, relative to its norm, as it shows in mu
@@ -239,3 +310,69 @@ def vectors_of_map(transition: Transition, multipliers: ComplexArray, scale: Arr
     _, order = linear_sum_assignment(np.abs(multipliers[:, None] - values[None, :] ** power_of(transition)))
     vectors = np.concatenate([scale, scale])[:, None] * vectors[:, order]
     return np.asarray(vectors / np.max(np.abs(vectors), axis=0))
+
+
+# The matrices that decide stability, from transition matrices over half of the time that M takes ----------------------
+
+
+def reduced_matrices(
+    transitions: Array, errors: Array, directions: Array | None, symplectic: bool
+) -> tuple[Array, Array]:
+    """(K, P, Q), or K alone, without the trivial direction, and matrices like their errors; (points, 3 or 1, m, m).
+
+    Arguments:
+        transitions: Phi, shape (points, 2n, 2n).
+        errors: matrices like their errors, of one shape with them.
+        directions: the trivial ones, shape (points, n), None where there is none.
+        symplectic: whether Phi is.
+    """
+    make = _symplectic_matrices if symplectic else _reversible_matrices
+    values, changes = make(transitions, errors)
+    if directions is None:
+        return values, changes
+    frame = orthogonal_complements(directions)[:, None]
+    across = frame.swapaxes(2, 3)
+    return np.asarray(across @ values @ frame), np.asarray(across @ changes @ frame)
+
+
+def _symplectic_matrices(transitions: Array, errors: Array) -> tuple[Array, Array]:
+    """K = B^T C, P = A^T C, Q = B^T D, and their first-order changes."""
+    n = transitions.shape[1] // 2
+    A, B, C, D = _blocks(transitions, n)
+    dA, dB, dC, dD = _blocks(errors, n)
+    At, Bt, dAt, dBt = (block.swapaxes(1, 2) for block in (A, B, dA, dB))
+    values = [half_cosines(transitions), _symmetric(At @ C), _symmetric(Bt @ D)]
+    by_P, by_Q = dAt @ C + At @ dC, dBt @ D + Bt @ dD
+    changes = [half_cosine_errors(transitions, errors), _symmetric(by_P), _symmetric(by_Q)]
+    return np.stack(values, axis=1), np.stack(changes, axis=1)
+
+
+def _reversible_matrices(transitions: Array, errors: Array) -> tuple[Array, Array]:
+    """K = -B' C with B' the upper right block of the inverse of Phi, and its first-order change."""
+    n = transitions.shape[1] // 2
+    inverse = np.linalg.inv(transitions)
+    B, dB = inverse[:, :n, n:], -(inverse @ errors @ inverse)[:, :n, n:]
+    C, dC = transitions[:, n:, :n], errors[:, n:, :n]
+    return (-B @ C)[:, None], (-dB @ C - B @ dC)[:, None]
+
+
+def _blocks(matrices: Array, n: int) -> tuple[Array, Array, Array, Array]:
+    return matrices[:, :n, :n], matrices[:, :n, n:], matrices[:, n:, :n], matrices[:, n:, n:]
+
+
+def _symmetric(matrices: Array) -> Array:
+    return np.asarray(0.5 * (matrices + matrices.swapaxes(-1, -2)))
+
+
+def orthogonal_complements(directions: Array) -> Array:
+    """Orthonormal bases of the orthogonal complement of each direction, smooth along them; to (points, n, n - 1).
+
+    A reflection maps each direction to that of the middle one, whose complement is the same for all.
+    """
+    n = directions.shape[1]
+    unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    middle = unit[len(unit) // 2]
+    fixed = np.linalg.qr(np.column_stack([middle, np.eye(n)]))[0][:, 1:]
+    u = unit + middle
+    u = u / np.linalg.norm(u, axis=1, keepdims=True)
+    return np.asarray(fixed - 2.0 * u[:, :, None] * (u @ fixed)[:, None, :])

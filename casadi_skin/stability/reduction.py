@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.stability.banded import transposed_product
+from casadi_skin.stability.jacobian import transposed_product
 from casadi_skin.zero.problem import Array
 
 ComplexArray = NDArray[np.complex128]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadi_skin.stability.flow import FlowMap, OrbitState, Transition
+from casadi_skin.stability.stepping import FlowMap, OrbitState, Transition
 from casadi_skin.zero.problem import Array, Problem
 
 

@@ -18,9 +18,9 @@ import numpy as np
 
 from casadi_skin.zero import mesh
 from casadi_skin.zero.butcher import CollocationTable
-from casadi_skin.zero.defect import defect_table, missed
 from casadi_skin.zero.discretisation import Discretisation
 from casadi_skin.zero.formulation import Formulation
+from casadi_skin.zero.mesh import defect_table, missed
 from casadi_skin.zero.problem import Array, Evaluate, Indices, Problem, Solve, sparse_matrix
 
 Triplets = tuple[list[Indices], list[Indices], list[ca.MX]]

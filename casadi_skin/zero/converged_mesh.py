@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_skin.solve.corrector import Correction
 from casadi_skin.solve.levels import Levels
+from casadi_skin.solve.newton import Correction
 from casadi_skin.zero import mesh
 from casadi_skin.zero.problem import Array, SingularError
 from casadi_skin.zero.stated_problem import BoundaryProblem

@@ -12,10 +12,9 @@ from casadi_skin.follow.sample import Sample
 from casadi_skin.follow.samples import sample_of
 from casadi_skin.follow.settings import ContinuationSettings, Point
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.solve.corrector import Corrector
 from casadi_skin.solve.ipopt import CORRECTORS
 from casadi_skin.solve.levels import Levels
-from casadi_skin.solve.rounding import RoundedCorrector
+from casadi_skin.solve.newton import Corrector, RoundedCorrector
 from casadi_skin.zero.problem import Array, Problem
 from casadi_skin.zero.rest_problem import AlgebraicProblem, Course, ExactLevels
 from casadi_skin.zero.rest_systems import ExtendedSystem

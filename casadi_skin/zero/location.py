@@ -10,11 +10,10 @@ import numpy as np
 from casadi_skin.follow.boundary_solutions import BoundarySolutions
 from casadi_skin.follow.settings import Point
 from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS
-from casadi_skin.zero.boundary_choices import Sizes
+from casadi_skin.zero.augmented import Critical, component_sizes, critical_plane, normal_of, seen_push, started
+from casadi_skin.zero.orbit import Sizes
 from casadi_skin.zero.problem import EPSILON, Scalar
-from casadi_skin.zero.starting import component_sizes, critical_plane, normal_of, seen_push, started
 from casadi_skin.zero.stated_problem import BoundaryProblem
-from casadi_skin.zero.systems import Critical
 
 NEAR = 0.5  # of the longest step: how far from its approximate place a special orbit may be
 PUSHED = 1e-7  # of the null vector: a push of the field that is none

@@ -9,15 +9,20 @@ multiplier is outside the unit circle. A stated problem that closes its solution
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
 
+from casadi_skin.follow.followed import Followed
 from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.settings import Point
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.special_points import DOUBLING, FOLD, TORUS, SpecialPoint
 from casadi_skin.zero.closure import Closure
-from casadi_skin.zero.linearised import Linearised, Vector, null_vectors
+from casadi_skin.zero.linearised import Linearised, Vector, full_derivative, null_vectors
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_normal_forms import DECIDED, Critical
 from casadi_skin.zero.rest_normal_forms import critical as at_equilibrium
@@ -119,3 +124,79 @@ def _solved(matrix: Any, inner: Vector) -> Vector:
     right = np.zeros(factors.shape[0], dtype=inner.dtype)
     right[: inner.size] = inner
     return cast(Vector, factors.solve(right))
+
+
+# The quadratic term at folds of boundary-value problems along a curve of them: it vanishes where two of them meet -----
+
+
+def quadratic_term(space: Followed, beside: Point) -> Callable[[Point], float]:
+    """The quadratic term as a function of points of the curve; its sign goes on from a point beside them."""
+    reference = _normal(space, beside)[1]
+
+    def term(point: Point) -> float:
+        psi, normal = _normal(space, point)
+        linear = space.linearised(point)
+        v = linear.joined_vector
+        return float(0.5 * np.copysign(1.0, normal @ reference) * (psi @ full_derivative(linear, v, v)))
+
+    return term
+
+
+def _normal(space: Followed, point: Point) -> tuple[Array, Array]:
+    """The left null vector of norm 1, and its products with the derivatives by both parameters."""
+    linear = space.linearised(point)
+    psi = np.asarray(null_vectors(linear.jacobian)[1])
+    return psi, np.array([psi @ linear.by_scalar(len(linear.statement.free)), psi @ linear.by_scalar(-1)])
+
+
+# The branching equation at branch points that are followed in two parameters: where it degenerates --------------------
+
+SYMMETRIC = 1e-6  # of all terms: a quadratic coefficient that a symmetry makes zero
+
+
+@dataclass(frozen=True, eq=False)
+class BranchingEquation:
+    """Its coefficients at a solution of the extended equations of branch points, which is linearised there."""
+
+    linear: Linearised
+
+    @property
+    def coefficients(self) -> tuple[float, float]:
+        """The coefficients a and c."""
+        return float(np.sum(self._terms[0])), float(np.sum(self._terms[1]))
+
+    def symmetric(self, error: float) -> bool:
+        """Whether a is zero but for errors of the solution."""
+        quadratic, _ = self.coefficients
+        scale = sum(float(np.sum(np.abs(terms))) for terms in self._terms)
+        return abs(quadratic) <= max(SYMMETRIC, 100.0 * error) * scale
+
+    @cached_property
+    def _terms(self) -> tuple[Array, Array]:
+        """The terms of a and c."""
+        from scipy.sparse import bmat, csc_matrix
+        from scipy.sparse.linalg import splu
+
+        matrix, v = self.linear.jacobian, self.linear.joined_vector
+        psi = np.asarray(null_vectors(matrix)[1])
+        twice, thrice = full_derivative(self.linear, v, v), full_derivative(self.linear, v, v, v)
+        closed = bmat([[matrix, csc_matrix(psi[:, None])], [csc_matrix(v[None, :]), None]]).tocsc()
+        bent = np.asarray(splu(closed).solve(np.append(-twice, 0.0))[:-1])
+        over = psi @ self.linear.by_scalar(-2)  # by the push
+        cubic = [*(psi * thrice / 6.0), *(0.5 * psi * full_derivative(self.linear, v, bent))]
+        return 0.5 * psi * twice / over, np.array(cubic) / over
+
+
+def branching_equation(space: Followed, point: Point) -> BranchingEquation:
+    """The equation at a point of a curve of branch points."""
+    return BranchingEquation(space.linearised(point))
+
+
+def second_singular(space: Followed, point: Point) -> float:
+    """The smallest singular value of the Jacobian bordered by its null vectors."""
+    from scipy.sparse import bmat, csc_matrix
+
+    matrix = space.linearised(point).jacobian
+    right, left = null_vectors(matrix)
+    closed = bmat([[matrix, csc_matrix(left[:, None])], [csc_matrix(right[None, :]), None]]).tocsc()
+    return float(np.linalg.norm(closed @ null_vectors(closed)[0]))

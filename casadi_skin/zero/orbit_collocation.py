@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.symmetry import SymmetryClass, unfolded_phases
 from casadi_skin.zero.butcher import CollocationTable
+from casadi_skin.zero.closure import orbit_formulation
 from casadi_skin.zero.collocation import CollocationEquations
-from casadi_skin.zero.fields import orbit_formulation
-from casadi_skin.zero.first_order import FirstOrderProblem
+from casadi_skin.zero.orbit import FirstOrderProblem
 from casadi_skin.zero.problem import Array
 
 

@@ -12,8 +12,7 @@ from casadi_skin.follow.settings import ContinuationSettings, Target
 from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.methods import COLLOCATION_TABLES, FLOWS, TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.zero.coordinates import Coordinates
-from casadi_skin.zero.method import TOLERANCES, TWO_PI, Method, Targets
+from casadi_skin.zero.family import TOLERANCES, TWO_PI, Coordinates, Method, Targets
 from casadi_skin.zero.model_coordinates import ModelCoordinates
 from casadi_skin.zero.problem import Scalar
 

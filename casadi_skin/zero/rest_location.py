@@ -8,9 +8,9 @@ import numpy as np
 
 from casadi_skin.zero.equations import EquilibriumEquations, corrector_of
 from casadi_skin.zero.problem import EPSILON, Array, SingularError
-from casadi_skin.zero.rest_linearised import balanced
 from casadi_skin.zero.rest_problem import AlgebraicProblem, ExactLevels
 from casadi_skin.zero.rest_systems import BranchSystem, ExtendedSystem, FoldSystem, HopfSystem
+from casadi_skin.zero.statics import balanced
 
 FOLD, BRANCH_POINT, HOPF = "fold", "branch point", "hopf"
 SYSTEMS: dict[str, type[ExtendedSystem]] = {FOLD: FoldSystem, BRANCH_POINT: BranchSystem, HOPF: HopfSystem}

@@ -17,9 +17,8 @@ from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest_linearised import ComplexArray, Linearised, NullSpace, balanced, upper_pair
 from casadi_skin.zero.rest_location import FOLD, HOPF
-from casadi_skin.zero.statics import Statics
+from casadi_skin.zero.statics import ComplexArray, Linearised, NullSpace, Statics, balanced, upper_pair
 
 DECIDED = 1e-8  # of the terms that a coefficient is the sum of: one that is smaller has no known sign
 

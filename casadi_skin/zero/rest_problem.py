@@ -15,11 +15,10 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.model.expressions import Expression
-from casadi_skin.solve.corrector import Corrector
 from casadi_skin.solve.levels import Levels
+from casadi_skin.solve.newton import Corrector
 from casadi_skin.zero.problem import EPSILON, Array, Problem, Scalar
-from casadi_skin.zero.rest_linearised import ROUNDED, NullSpace, units_of
-from casadi_skin.zero.statics import Statics
+from casadi_skin.zero.statics import ROUNDED, NullSpace, Statics, units_of
 
 SMALLEST = 1e-3  # of a component's size: changes of smaller components are measured by that
 KEPT = 16  # places whose units are kept

@@ -15,9 +15,8 @@ import numpy as np
 
 from casadi_skin.model.expressions import Expression
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest_linearised import ComplexArray, Linearised, NullSpace, upper_pair
 from casadi_skin.zero.rest_problem import AlgebraicProblem, Course
-from casadi_skin.zero.statics import Statics
+from casadi_skin.zero.statics import ComplexArray, Linearised, NullSpace, Statics, upper_pair
 
 
 class ExtendedSystem(AlgebraicProblem):

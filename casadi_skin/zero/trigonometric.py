@@ -14,13 +14,17 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.model.lifted import Program, lifted
+from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.symmetry import SymmetryClass
-from casadi_skin.zero.cosine_equations import CompiledEquations, odd_cosine_equations
-from casadi_skin.zero.cosines import cosine_matrix, prolongation_matrix, quarter_phases
-from casadi_skin.zero.orbit_problem import OrbitProblem
-from casadi_skin.zero.problem import EPSILON, Array, Buffers, Evaluate, Indices, Problem
+from casadi_skin.model.polynomial import Program, lifted
+from casadi_skin.zero.cosines import (
+    CompiledEquations,
+    cosine_matrix,
+    odd_cosine_equations,
+    prolongation_matrix,
+    quarter_phases,
+)
+from casadi_skin.zero.problem import EPSILON, Array, Buffers, Evaluate, Indices, OrbitProblem, Problem
 from casadi_skin.zero.recursion import PolynomialForm, Recursion, TaylorRecursion
 
 MOST = 4000  # instructions of a model up to which it is worth while to compare them with those of others

@@ -14,7 +14,7 @@ import pytest
 from stopwatch import unit_seconds
 
 from casadi_skin import __version__
-from casadi_skin.solve.threads import one_thread
+from casadi_skin.solve.watch import one_thread
 
 HISTORY = Path(__file__).parent / "history.csv"
 COLUMNS = ("date", "version", "python", "numpy", "casadi", "case", "solves", "points", "solves_per_40_points")

@@ -20,8 +20,7 @@ from casadi_skin import Chain, Orbit, export_c, follow_family
 from casadi_skin.export.codegen import c_source
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability.jacobian import JacobianAlong
-from casadi_skin.stability.splitting import SplittingMap
-from casadi_skin.stability.srkn import srkn_coefficients
+from casadi_skin.stability.splitting import SplittingMap, srkn_coefficients
 from casadi_skin.zero.cosines import second_derivative_matrix
 
 pytestmark = [

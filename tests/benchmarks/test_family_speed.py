@@ -19,10 +19,9 @@ from stopwatch import seconds
 from casadi_skin import Chain
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following
-from casadi_skin.solve.bordered import BorderedSolver
-from casadi_skin.solve.confirmed import ConfirmedCorrector
+from casadi_skin.solve.arbiter import ConfirmedCorrector
+from casadi_skin.solve.bordered import BorderedSolver, StackedSolver
 from casadi_skin.solve.levels import Levels
-from casadi_skin.solve.stacked import StackedSolver
 from casadi_skin.stability import family_stability
 from casadi_skin.studies.paper.paper_data import MODES
 from casadi_skin.zero.recursion import TaylorRecursion

@@ -19,7 +19,7 @@ from drawing import blank_pictures
 
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.results.branch_records import BranchRecord, CycleRecord, PointRecord
-from casadi_skin.results.journal import FORMAT, HEADER, MARK, Journal, read_records
+from casadi_skin.results.store import FORMAT, HEADER, MARK, Journal, read_records
 from casadi_skin.runs import first_solution, writing
 from casadi_skin.runs.program import main
 from casadi_skin.runs.run import Run

@@ -12,7 +12,7 @@ from outputs import read_rows
 
 from casadi_skin import Chain, Orbit, follow_family
 from casadi_skin.runs.program import main
-from casadi_skin.stability.flow import FlowError
+from casadi_skin.stability.stepping import FlowError
 from casadi_skin.studies.calibration import study as study_module
 from casadi_skin.studies.calibration.cases import Case, Outcome, Quantity, draw, find, measure, reference_of
 from casadi_skin.studies.calibration.study import COLUMNS, QUANTITIES, ErrorCalibration, Tally

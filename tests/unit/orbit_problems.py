@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.symmetry import SymmetryClass
-from casadi_skin.solve.corrector import Corrector
 from casadi_skin.solve.ipopt import IpoptCorrector
-from casadi_skin.solve.newton import NewtonCorrector
+from casadi_skin.solve.newton import Corrector, NewtonCorrector
 from casadi_skin.zero.butcher import CollocationTable, gauss_table, radau_table
 from casadi_skin.zero.orbit_collocation import CollocationProblem
-from casadi_skin.zero.orbit_problem import OrbitProblem
+from casadi_skin.zero.problem import OrbitProblem
 from casadi_skin.zero.shooting import ShootingProblem
 
 Array = NDArray[np.float64]

@@ -24,7 +24,7 @@ from casadi_skin import (
     smallest_kick,
 )
 from casadi_skin.model.arguments import short_repr
-from casadi_skin.model.arrays import real_array, site_numbers
+from casadi_skin.model.expressions import real_array, site_numbers
 
 X, Y, MU, T = (ca.SX.sym(name) for name in ("x", "y", "mu", "t"))
 RHS = ca.vertcat(Y, MU * (1 - X**2) * Y - X)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from casadi_skin.stability.tongues import chebyshev
+from casadi_skin.stability.tongues.assembly import DISAGREEMENT, groups_of
 from casadi_skin.stability.tongues.blocks import blocks_of, comes_apart
 from casadi_skin.stability.tongues.decoupling import DEGREE, PROBES, contracts
-from casadi_skin.stability.tongues.groups import DISAGREEMENT, groups_of
 from casadi_skin.stability.tongues.small_blocks import Segment, SingleBlock, single_functions
 
 Array = np.ndarray

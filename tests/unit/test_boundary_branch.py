@@ -13,8 +13,7 @@ from casadi_skin.follow.following import Following
 from casadi_skin.follow.settings import End
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.results.branch_reading import known_of
-from casadi_skin.results.branch_records import BranchRecord, point_record, stability_record
+from casadi_skin.results.branch_records import BranchRecord, known_of, point_record, stability_record
 
 
 def buckling() -> BoundaryValueProblem:

@@ -10,7 +10,7 @@ from casadi_skin import Chain, follow_family
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.section_orbits import SectionOrbit, find_all, find_one
-from casadi_skin.stability.flow import OrbitState
+from casadi_skin.stability.stepping import OrbitState
 from casadi_skin.stability.tongues import chebyshev
 from casadi_skin.stability.tongues.decoupling import DEGREE
 from casadi_skin.stability.tongues.rotation import _to_the_nearest

@@ -16,15 +16,13 @@ from casadi_skin import Branch, Chain, Orbit
 from casadi_skin.dynamics.closed_forms import duffing_frequency
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following
-from casadi_skin.model.symmetry import SymmetryClass
-from casadi_skin.results.branch_reading import known_of
-from casadi_skin.results.branch_records import PointRecord, point_record
+from casadi_skin.model.conserved import SymmetryClass
+from casadi_skin.results.branch_records import PointRecord, known_of, point_record
 from casadi_skin.solve.ipopt import IpoptCorrector
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.butcher import gauss_table, radau_table
 from casadi_skin.zero.orbit_collocation import CollocationProblem
-from casadi_skin.zero.orbit_problem import OrbitProblem
-from casadi_skin.zero.problem import Scalar
+from casadi_skin.zero.problem import OrbitProblem, Scalar
 from casadi_skin.zero.request import family_request
 
 Array = NDArray[np.float64]

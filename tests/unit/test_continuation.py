@@ -19,9 +19,8 @@ from casadi_skin.follow.following import Following
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import LocalCurve, predictor
 from casadi_skin.follow.settings import End, Point
-from casadi_skin.solve.confirmed import ConfirmedCorrector
-from casadi_skin.solve.corrector import Correction, HeldState, Status
-from casadi_skin.solve.newton import NewtonCorrector
+from casadi_skin.solve.arbiter import ConfirmedCorrector
+from casadi_skin.solve.newton import Correction, HeldState, NewtonCorrector, Status
 from casadi_skin.zero.request import family_request
 
 Array = NDArray[np.float64]

@@ -16,14 +16,12 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
-from casadi_skin.model.symmetry import SymmetryClass
+from casadi_skin.model.conserved import SymmetryClass
+from casadi_skin.solve.arbiter import ConfirmedCorrector
 from casadi_skin.solve.bordered import BandLayout, BorderedSolver
-from casadi_skin.solve.confirmed import ConfirmedCorrector
-from casadi_skin.solve.corrector import Corrector, Status
 from casadi_skin.solve.ipopt import IpoptCorrector
-from casadi_skin.solve.newton import NewtonCorrector
-from casadi_skin.zero.orbit_problem import OrbitProblem
-from casadi_skin.zero.problem import SingularError, Solve
+from casadi_skin.solve.newton import Corrector, NewtonCorrector, Status
+from casadi_skin.zero.problem import OrbitProblem, SingularError, Solve
 from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from casadi_skin import Branch, Chain, OdeModel, find_equilibrium, find_orbit, f
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.settings import End
 from casadi_skin.follow.special_points import SpecialPoint
-from casadi_skin.points.leaving_orbits import _perturbation
+from casadi_skin.points.leaving import _perturbation
 
 
 def circle(t: float) -> list[float]:

@@ -15,14 +15,12 @@ from casadi_skin import BoundaryValueProblem
 from casadi_skin.follow.boundary_space import BoundaryError
 from casadi_skin.follow.find import find_orbit
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.solve import ipopt
-from casadi_skin.solve import time_limit as watch
-from casadi_skin.solve.arbitrated import SHRINK, ArbitratedCorrector
+from casadi_skin.solve import ipopt, watch
+from casadi_skin.solve.arbiter import SHRINK, ArbitratedCorrector
 from casadi_skin.solve.bordered import BorderedSolver
-from casadi_skin.solve.corrector import Correction, Status
+from casadi_skin.solve.first import packed, space_of
 from casadi_skin.solve.ipopt import IpoptCorrector
-from casadi_skin.solve.newton import NewtonCorrector
-from casadi_skin.solve.solve import packed, space_of
+from casadi_skin.solve.newton import Correction, NewtonCorrector, Status
 from casadi_skin.zero import butcher
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.problem import Problem

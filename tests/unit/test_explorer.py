@@ -16,12 +16,10 @@ import pytest
 from scipy.io import netcdf_file
 
 from casadi_skin import Chain, OdeModel, find_equilibrium, follow_family
-from casadi_skin.results.dataset import Dataset, Variable, write_csv, write_netcdf
-from casadi_skin.results.netcdf import stored_name
+from casadi_skin.results.dataset import Dataset, Variable, stored_name, write_csv, write_netcdf
 from casadi_skin.results.quantities import dataset_of
-from casadi_skin.results.stability_tables import EVENT_COLUMNS, event_rows
-from casadi_skin.runs.explorer_data import CHANGE, POINTS, page_data
-from casadi_skin.runs.explorer_map_data import map_data
+from casadi_skin.results.tables import EVENT_COLUMNS, event_rows
+from casadi_skin.runs.explorer import CHANGE, POINTS, map_data, page_data
 from casadi_skin.runs.program import main
 from casadi_skin.stability.tongues.diagram import Unresolved
 
@@ -225,7 +223,7 @@ def test_a_map_becomes_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 def test_a_large_map_is_thinned_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("casadi_skin.runs.explorer_map_data.CELLS", 400)
+    monkeypatch.setattr("casadi_skin.runs.explorer.CELLS", 400)
     write_map(tmp_path, 30, 20, "γ")
     data = map_data(tmp_path)
     sizes = [len(axis["values"]) for axis in data["axes"]]

@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit, read_result, save_result
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Solution
-from casadi_skin.stability.flow import FlowError
 from casadi_skin.stability.product_spectrum import spectrum_of
 from casadi_skin.stability.result import HugeMultiplierWarning, LostMultiplierWarning
+from casadi_skin.stability.stepping import FlowError
 
 
 def turning(exponents: list[float]) -> Solution:
@@ -73,7 +73,7 @@ def test_a_multiplier_beyond_doubles_is_named_and_saved_with_its_logarithm(tmp_p
 @pytest.mark.filterwarnings("ignore::casadi_skin.stability.result.HugeMultiplierWarning")
 def test_digits_that_no_number_of_parts_brings_back_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     solution = turning([800.0, -800.0, 0.7])
-    monkeypatch.setattr("casadi_skin.stability.interval_maps.MOST_PARTS", 100)
+    monkeypatch.setattr("casadi_skin.stability.full_period.MOST_PARTS", 100)
     with pytest.warns(LostMultiplierWarning, match="several multipliers are far from 1"):
         assert solution.floquet().lost
 

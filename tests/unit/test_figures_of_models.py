@@ -30,10 +30,9 @@ from casadi_skin.results.figures import (
     profile_figure,
     spectrum_figure,
 )
-from casadi_skin.results.figures.animation import animate
-from casadi_skin.results.figures.branch_lines import smooth
-from casadi_skin.results.figures.portrait import portrait_figure
-from casadi_skin.results.figures.spacetime import spacetime_figure
+from casadi_skin.results.figures.branch import smooth
+from casadi_skin.results.figures.profiles import portrait_figure
+from casadi_skin.results.figures.spacetime import animate, spacetime_figure
 from casadi_skin.runs.progress import Progress
 
 pytestmark = pytest.mark.usefixtures("pictures")

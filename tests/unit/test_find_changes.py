@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from symplectic_families import Entries, ReversibleFamily, SymplecticFamily, cluster, collision, cubic, passage, real
 
-from casadi_skin.stability.account import Entry
-from casadi_skin.stability.flow import FlowError
+from casadi_skin.stability.judging import Entry
+from casadi_skin.stability.stepping import FlowError
 from casadi_skin.stability.tongues import crossings
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.stability.tongues.find_changes import find_changes

@@ -21,18 +21,15 @@ from casadi_skin.follow.following import Following
 from casadi_skin.follow.settings import End, Point
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability import family_stability, splitting
-from casadi_skin.stability.banded import rows_of
 from casadi_skin.stability.cvodes import CvodesFlow
-from casadi_skin.stability.flow import FlowError, OrbitState, Transition
 from casadi_skin.stability.gauss_flow import GaussFlow, GaussMap
-from casadi_skin.stability.jacobian import JacobianAlong
-from casadi_skin.stability.multipliers import floquet
-from casadi_skin.stability.perturbation import LARGE, couplings, eigenvalue_errors
+from casadi_skin.stability.jacobian import JacobianAlong, rows_of
+from casadi_skin.stability.multipliers import LARGE, couplings, eigenvalue_errors, floquet
 from casadi_skin.stability.reduction import Eigensystems, Reflections, eigensystems, half_cosine_errors, half_cosines
 from casadi_skin.stability.result import Floquet, ReversibleFloquet
 from casadi_skin.stability.rk4 import RungeKuttaFlow, RungeKuttaMap
 from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
-from casadi_skin.stability.stepping import SteppedFlow, extrapolation
+from casadi_skin.stability.stepping import FlowError, OrbitState, SteppedFlow, Transition, extrapolation
 from casadi_skin.zero.request import family_request
 
 Array = NDArray[np.float64]

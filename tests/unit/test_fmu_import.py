@@ -35,8 +35,7 @@ from casadi_skin import (
 from casadi_skin.dynamics import evolve
 from casadi_skin.fmu.archive import export_fmu
 from casadi_skin.fmu.model import FmuModel
-from casadi_skin.model.cvodes import cvodes
-from casadi_skin.model.dop853 import dop853
+from casadi_skin.model.integrators import cvodes, dop853
 
 Array = NDArray[np.float64]
 CHAIN = Chain(sites=4, alpha=0.8, gamma=0.3, g=1.0)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from casadi_skin.model.array_expressions import antiderivative, expression
+from casadi_skin.model.expressions import antiderivative, expression
 from casadi_skin.model.formula import DEEPEST, FUNCTIONS, LONGEST, FormulaError, parse_formula
 
 NAMES = {"y": 0.7, "alpha": 1.5, "g": -0.4}

@@ -4,8 +4,7 @@ import pytest
 from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.textpath import TextPath
 
-from casadi_skin.results.figures.formulas import SYMBOLS, in_letters
-from casadi_skin.results.figures.style import style
+from casadi_skin.results.figures.style import SYMBOLS, in_letters, style
 
 WRITTEN = {
     "$S = 0.2$ (passage 2)": "𝑆 = 0.2 (passage 2)",

@@ -7,12 +7,10 @@ import pytest
 from lattices import GAINS, chain, dimer, fput, plane
 
 from casadi_skin import Bond, Chain, Lattice, Site, follow_family
-from casadi_skin.lattice.linear import bands, lattice_modes
-from casadi_skin.lattice.skin import brillouin_zone, winding_numbers
-from casadi_skin.results.figures.bands import band_figure
-from casadi_skin.results.figures.plane import plane_figure
-from casadi_skin.results.figures.skin import skin_figure
-from casadi_skin.runs.lattice_lines import lattice_lines
+from casadi_skin.lattice.linear import bands, brillouin_zone, lattice_modes, winding_numbers
+from casadi_skin.results.figures.bands import band_figure, skin_figure
+from casadi_skin.results.figures.profiles import plane_figure
+from casadi_skin.runs.family_points import lattice_lines
 
 
 def test_modes_of_the_chain_are_those_in_closed_form() -> None:

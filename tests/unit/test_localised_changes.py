@@ -18,16 +18,14 @@ from casadi_skin.follow.family import Family
 from casadi_skin.native import elimination
 from casadi_skin.native.library import without
 from casadi_skin.runs.program import main
-from casadi_skin.stability.continuous import ContinuousSpectrum
 from casadi_skin.stability.localised import LocalisedFloquet
+from casadi_skin.stability.result import ContinuousSpectrum
+from casadi_skin.stability.tongues.diagram import LocalisedDiagram
 from casadi_skin.stability.tongues.family_localised import EdgeOrbits, localised_changes
-from casadi_skin.stability.tongues.gaps import Layout, crossings
-from casadi_skin.stability.tongues.hill import Hill, Parity
+from casadi_skin.stability.tongues.hill import Hill, Layout, Medium, Parity, crossings
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
 from casadi_skin.stability.tongues.localised_changes import find_localised_changes
 from casadi_skin.stability.tongues.localised_counts import count, zeros_in
-from casadi_skin.stability.tongues.localised_diagram import LocalisedDiagram
-from casadi_skin.stability.tongues.waves import Medium
 
 Array = NDArray[np.float64]
 

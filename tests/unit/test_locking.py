@@ -14,14 +14,13 @@ import pytest
 from maps import TINY, write
 
 from casadi_skin import run_map
-from casadi_skin.runs.directory import DirectoryError
-from casadi_skin.runs.locking import in_use
+from casadi_skin.runs.directory import DirectoryError, in_use
 from casadi_skin.runs.program import main
 
 HOLD = """
 import os, sys, time
 from pathlib import Path
-from casadi_skin.runs.locking import in_use
+from casadi_skin.runs.directory import in_use
 with in_use(Path(sys.argv[1]), print):
     if not os.fork():
         print("held", flush=True)

@@ -22,20 +22,25 @@ from casadi_skin import Chain, follow_family, read_map, run_map
 from casadi_skin.results.figures.map import COLOURS, MapAxis, Panel, map_figure
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.faults import SceneError
-from casadi_skin.runs.map_boundary import OF_BOUNDARY, boundaries, check_boundary, read_boundary, write_boundary
 from casadi_skin.runs.map_cell import Computer, Job
-from casadi_skin.runs.map_columns import Columns
-from casadi_skin.runs.map_grid import Axis, Grid, plain, scene_at
-from casadi_skin.runs.map_names import SUFFIX, known_names
-from casadi_skin.runs.map_reading import values_of
-from casadi_skin.runs.map_records import Result, Row
-from casadi_skin.runs.map_refine import UNKNOWN, needed
+from casadi_skin.runs.map_grid import Axis, Grid, Result, Row, plain, scene_at
+from casadi_skin.runs.map_lines import (
+    OF_BOUNDARY,
+    Entry,
+    boundaries,
+    check_boundary,
+    checked,
+    lowest,
+    read_boundary,
+    write_boundary,
+)
 from casadi_skin.runs.map_result import Map
+from casadi_skin.runs.map_store import SUFFIX, Columns, Store, known_names
 from casadi_skin.runs.map_store import UNKNOWN as NOT_COMPUTED
-from casadi_skin.runs.map_store import Store
+from casadi_skin.runs.map_watch import UNKNOWN, needed
 from casadi_skin.runs.program import main
 from casadi_skin.runs.reading import parse_scene
-from casadi_skin.runs.tongue_lines import Entry, checked, lowest
+from casadi_skin.runs.task_checks import values_of
 
 BASE, _, AXES = TINY.partition("[map]\n")
 REFUSED = {
@@ -330,9 +335,9 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 import msgspec
 from casadi_skin.runs.map_grid import Task
-from casadi_skin.runs.map_records import Result, Row
+from casadi_skin.runs.map_grid import Result, Row
 from casadi_skin.runs.run_map import run_map
-from casadi_skin.results.journal import os
+from casadi_skin.results.store import os
 
 words = {f"quantity_{k}": float(k) for k in range(30)}
 meanings, peak = dict.fromkeys(words, "a number"), 0

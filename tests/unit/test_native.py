@@ -25,13 +25,11 @@ from casadi_skin.native.forms import forms_kernel
 from casadi_skin.native.graph import graph_kernel
 from casadi_skin.native.library import KernelWarning, cache_folder, library, without
 from casadi_skin.native.splitting import splitting_kernel
-from casadi_skin.solve.bordered import BorderedSolver
-from casadi_skin.solve.factors import CompiledFactors
+from casadi_skin.solve.bordered import BorderedSolver, CompiledFactors
 from casadi_skin.stability import splitting
-from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
-from casadi_skin.stability.stepping import SteppedFlow
+from casadi_skin.stability.stepping import OrbitState, SteppedFlow
 from casadi_skin.zero import recursion, trigonometric
 from casadi_skin.zero.recursion import PolynomialForm, TaylorRecursion
 from casadi_skin.zero.request import family_request

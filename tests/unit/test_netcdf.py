@@ -11,8 +11,7 @@ from maps import TINY, write
 from scipy.io import netcdf_file
 
 from casadi_skin import run_map
-from casadi_skin.results.dataset import Dataset, Variable, write_netcdf
-from casadi_skin.results.netcdf import EMPTY, read_name
+from casadi_skin.results.dataset import EMPTY, Dataset, Variable, read_name, write_netcdf
 from casadi_skin.runs.program import main
 
 

@@ -10,6 +10,7 @@ import msgspec
 import pytest
 
 from casadi_skin.runs.faults import SceneError
+from casadi_skin.runs.model_tables import DynamicsTable
 from casadi_skin.runs.reading import parse_scene, read_scene, scene_schema
 from casadi_skin.runs.scene_tables import (
     PRESET_TOLERANCES,
@@ -21,7 +22,6 @@ from casadi_skin.runs.scene_tables import (
     SpectrumTable,
     StabilityTable,
 )
-from casadi_skin.runs.task_tables import DynamicsTable
 
 CHAIN = "[chain]\nsites = 24\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
 FAMILY = "[family]\nmode = 1\namplitude_max = 3.0\n"

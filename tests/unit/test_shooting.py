@@ -32,11 +32,10 @@ from casadi_skin.follow.following import Following
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.settings import End
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.model.conserved import SymmetryClass, symmetry_class
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.symmetry import SymmetryClass, symmetry_class
-from casadi_skin.solve.corrector import Status
 from casadi_skin.solve.levels import Levels
-from casadi_skin.solve.newton import NewtonCorrector
+from casadi_skin.solve.newton import NewtonCorrector, Status
 from casadi_skin.zero.problem import SingularError
 from casadi_skin.zero.request import family_request
 from casadi_skin.zero.shooting import ShootingError, ShootingProblem

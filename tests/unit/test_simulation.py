@@ -11,7 +11,7 @@ import pytest
 import scipy.integrate
 
 from casadi_skin import OdeModel, find_orbit, simulate
-from casadi_skin.model.trajectory import IntegrationError
+from casadi_skin.model.integrators import IntegrationError
 
 X, Y, MU, T = (ca.SX.sym(name) for name in ("x", "y", "mu", "t"))
 VAN_DER_POL = OdeModel("van der Pol", ca.vertcat(X, Y), ca.vertcat(Y, MU * (1 - X**2) * Y - X), MU, nominal=(1.0,))

@@ -10,9 +10,8 @@ from lattices import GAINS, chain, dimer, plane
 from casadi_skin import Bond, Chain, Lattice, OdeModel, Site
 from casadi_skin.dynamics import EvolutionError, evolve
 from casadi_skin.lattice.linear import lattice_modes
-from casadi_skin.lattice.spreading import energies_by_site, spreading
-from casadi_skin.lattice.starts import initial_state
-from casadi_skin.results.figures.spreading import spreading_figure
+from casadi_skin.lattice.starts import energies_by_site, initial_state, spreading
+from casadi_skin.results.figures.profiles import spreading_figure
 
 
 def test_energies_of_sites_are_those_written_by_hand() -> None:

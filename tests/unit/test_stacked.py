@@ -7,8 +7,7 @@ import pytest
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow.polynomials import Stretch
-from casadi_skin.solve.bordered import BandLayout
-from casadi_skin.solve.stacked import StackedSolver
+from casadi_skin.solve.bordered import BandLayout, StackedSolver
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.trigonometric import TrigonometricProblem
 
@@ -77,7 +76,7 @@ def test_one_state_that_cannot_be_solved_leaves_all_to_the_solver_of_one(
     elif fault == "not a number":
         nonzeros[1, 7] = np.nan
     else:
-        monkeypatch.setattr("casadi_skin.solve.stacked.ACCURATE", 0.0)
+        monkeypatch.setattr("casadi_skin.solve.bordered.ACCURATE", 0.0)
         monkeypatch.setattr("casadi_skin.solve.bordered.ACCURATE", 0.0)
     assert solver_of(problem).steps(z, residuals, nonzeros, rows) is None
 

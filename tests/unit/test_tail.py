@@ -14,7 +14,7 @@ from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.dynamics.resonances import threshold
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.polynomials import Stretch
-from casadi_skin.lattice import tail_recursion
+from casadi_skin.lattice import tail_series as tail_recursion
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem

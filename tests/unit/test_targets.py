@@ -19,14 +19,11 @@ from casadi_skin.follow.following import Following
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.series import SeriesContinuation
 from casadi_skin.follow.settings import ContinuationSettings, End, Point, Target
-from casadi_skin.model.symmetry import SymmetryClass
-from casadi_skin.results.branch_reading import known_of
-from casadi_skin.results.branch_records import EndRecord, point_record
-from casadi_skin.solve.estimates import ErrorEstimate
-from casadi_skin.solve.levels import Levels
+from casadi_skin.model.conserved import SymmetryClass
+from casadi_skin.results.branch_records import EndRecord, known_of, point_record
+from casadi_skin.solve.levels import ErrorEstimate, Levels
 from casadi_skin.solve.newton import NewtonCorrector
-from casadi_skin.zero.orbit_problem import OrbitProblem
-from casadi_skin.zero.problem import Scalar, Solve
+from casadi_skin.zero.problem import OrbitProblem, Scalar, Solve
 from casadi_skin.zero.request import family_request
 
 Array = NDArray[np.float64]

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from casadi_skin.runs.text_table import TextTable
+from casadi_skin.runs.output import TextTable
 
 
 @pytest.fixture

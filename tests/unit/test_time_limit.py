@@ -13,7 +13,7 @@ import pytest
 import casadi_skin.follow.following as following
 from casadi_skin import Branch, Chain, OdeModel, find_orbit, follow_family
 from casadi_skin.follow.settings import End
-from casadi_skin.solve.time_limit import TimeLimitError, watched
+from casadi_skin.solve.watch import TimeLimitError, watched
 
 CHAIN = Chain(3, 1.0, 0.3, -1.0)
 

@@ -17,9 +17,9 @@ from scipy.integrate import solve_ivp
 from casadi_skin.dynamics.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.follow.family import Family
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.model.lifted import lifted
+from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.symmetry import SymmetryClass
+from casadi_skin.model.polynomial import lifted
 from casadi_skin.zero.cosines import cosine_matrix, second_derivative_matrix
 from casadi_skin.zero.request import family_request
 from casadi_skin.zero.trigonometric import TrigonometricProblem

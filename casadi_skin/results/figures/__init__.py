@@ -10,13 +10,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from casadi_skin.results.figures.bifurcation import bifurcation_figure, curves_figure, edges_figure
+    from casadi_skin.results.figures.bands import spectrum_figure
+    from casadi_skin.results.figures.bifurcation import (
+        bifurcation_figure,
+        curves_figure,
+        edges_figure,
+        frequency_figure,
+    )
     from casadi_skin.results.figures.branch import branch_figure, orbit_figure
-    from casadi_skin.results.figures.frequencies import frequency_figure
     from casadi_skin.results.figures.multipliers import multiplier_figure
-    from casadi_skin.results.figures.portrait import portrait_figure
-    from casadi_skin.results.figures.profiles import profile_figure
-    from casadi_skin.results.figures.spectrum import spectrum_figure
+    from casadi_skin.results.figures.profiles import portrait_figure, profile_figure
     from casadi_skin.results.figures.style import save
 
 __all__ = [
@@ -41,13 +44,13 @@ def __getattr__(name: str) -> Any:
         "branch_figure": "branch",
         "curves_figure": "bifurcation",
         "edges_figure": "bifurcation",
-        "frequency_figure": "frequencies",
+        "frequency_figure": "bifurcation",
         "multiplier_figure": "multipliers",
         "orbit_figure": "branch",
-        "portrait_figure": "portrait",
+        "portrait_figure": "profiles",
         "profile_figure": "profiles",
         "save": "style",
-        "spectrum_figure": "spectrum",
+        "spectrum_figure": "bands",
     }
     if name not in places:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.lattice.linear import bands, lattice_modes
-from casadi_skin.results.figures.style import blank, finished, style, title
+from casadi_skin.lattice.linear import bands, brillouin_zone, lattice_modes, winding_numbers
+from casadi_skin.lattice.spectrum import linear_spectrum
+from casadi_skin.results.figures.profiles import MARKED_SITES, moving
+from casadi_skin.results.figures.style import DASHES, blank, finished, number_sites, position_label, style, title
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,3 +55,103 @@ def band_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None)
         panels["c"].set_ylabel(r"Im $\omega^2$")
         figure.suptitle(title(lattice, parameters))
         return finished(figure, (), 1)
+
+
+# The skin effect of a lattice: its modes in the loops of the ring's spectrum, and the generalised Brillouin zone ------
+
+SKIN_RING_POINTS = 1001
+
+
+def skin_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None) -> Figure:
+    """omega^2 of the ring and of the modes by their winding numbers, and the factors beta of the modes' waves.
+
+    Arguments:
+        lattice: a lattice in one dimension whose cells are all alike.
+        parameters: values of parameters that are not the declared ones.
+
+    Returns:
+        The figure.
+
+    Raises:
+        ValueError: the lattice has two dimensions, or cells that differ.
+    """
+    ring = bands(lattice, parameters, SKIN_RING_POINTS, open_ends=False)
+    squares = lattice_modes(lattice, parameters).squares
+    windings = winding_numbers(lattice, squares, parameters)
+    zone = brillouin_zone(lattice, squares, parameters).ravel()
+    with style():
+        figure = blank(6.6, 3.2)
+        panels = figure.subplot_mosaic("ab")
+        panels["a"].plot(ring.squares.real, ring.squares.imag, ".", ms=1.0, color="0.6")
+        markers = {0.0: "x", 1.0: "o", -1.0: "s"}
+        for value in np.unique(windings[np.isfinite(windings)]):
+            chosen = squares[windings == value]
+            panels["a"].plot(
+                chosen.real, chosen.imag, markers.get(float(value), "^"), ms=3.5, mfc="white", color="black",
+                label=f"{value:+.0f}" if value else "0",
+            )  # fmt: skip
+        on_ring = squares[np.isnan(windings)]
+        if on_ring.size:
+            panels["a"].plot(on_ring.real, on_ring.imag, "|", ms=5, color="black", label="none: on the ring's")
+        panels["a"].legend(title="winding number", loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+        panels["a"].set_xlabel(r"Re $\omega^2$ (dots: of a ring)")
+        panels["a"].set_ylabel(r"Im $\omega^2$")
+        circle = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 201))
+        panels["b"].plot(circle.real, circle.imag, color="0.6", lw=0.8, ls=DASHES[1])
+        panels["b"].plot(zone.real, zone.imag, "o", ms=3, mfc="white", color="black")
+        panels["b"].set_aspect("equal")
+        panels["b"].set_xlabel(r"Re $\beta$ (dashed: $|\beta| = 1$)")
+        panels["b"].set_ylabel(r"Im $\beta$")
+        figure.suptitle(title(lattice, parameters))
+        return finished(figure, (), 1)
+
+
+# The linear spectrum and its two end modes (paper, Fig. 2a) -----------------------------------------------------------
+
+
+def spectrum_figure(model: Any, parameters: Mapping[str, float] | None = None) -> Figure:
+    """Linear frequencies against j, the cutoffs of an infinite lattice, and the modes 1 and N (paper, Fig. 2a).
+
+    Modes that do not oscillate (omega_j^2 <= 0) are left out. Modes have norm 1; of a long lattice the positions that
+    move.
+
+    Arguments:
+        model: a `Chain` of finite length, or an `OdeModel` of second order with an equilibrium at 0.
+        parameters: values of the parameters of an `OdeModel`, where they are not its nominal ones.
+
+    Returns:
+        The figure.
+
+    Raises:
+        ValueError: the model has no linear modes.
+    """
+    spectrum = linear_spectrum(model, parameters)
+    N = spectrum.squares.size
+    if N == 0:
+        raise ValueError("sites: given an infinite chain; accepted for its spectrum: a whole number >= 1")
+    j, n = np.arange(1, N + 1), position_label(model)
+    frequencies = np.sqrt(np.where(spectrum.squares > 0, spectrum.squares, np.nan))
+    with style():
+        figure = blank(6.8, 3.6)
+        panels = figure.subplot_mosaic("aab;aac" if N > 1 else "aab")
+        marker = "o" if N <= MARKED_SITES else ""
+        panels["a"].plot(j, frequencies, marker=marker, ms=4, lw=0.8, color="black", mfc="white", zorder=3)
+        cutoffs = zip(spectrum.cutoffs or (), ("min", "max"), (0.97, 0.03), (False, True), strict=False)
+        for square, name, x, below in cutoffs:
+            if square > 0:
+                omega, sides = float(np.sqrt(square)), ("left", "top") if below else ("right", "bottom")
+                panels["a"].axhline(omega, color="0.45", lw=0.9, ls="--")
+                panels["a"].annotate(
+                    rf"$\omega_\mathrm{{{name}}} = {omega:.4g}$", (x, omega), (0, -3 if below else 3),
+                    panels["a"].get_yaxis_transform(), "offset points", ha=sides[0], va=sides[1],
+                )  # fmt: skip
+        number_sites(panels["a"], 1, N, "mode $j$")
+        panels["a"].set_ylabel(r"linear frequency $\omega_j$")
+        for letter, mode in zip("bc", (N, 1)[-len(panels) + 1 :], strict=False):
+            u = spectrum.mode(mode)
+            panels[letter].axhline(0.0, color="0.45", lw=0.5)
+            panels[letter].plot(j, u, marker=marker, ms=2.5, lw=0.8, color="black")
+            panels[letter].set_ylabel(rf"$u_{{{mode},n}}$")
+            number_sites(panels[letter], *moving(u[None]), n if mode == 1 else "")
+        figure.suptitle(title(model, parameters))
+        return finished(figure, (), 1, plain=True)

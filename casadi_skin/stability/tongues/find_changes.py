@@ -7,12 +7,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from casadi_skin.follow.unresolved import Unresolved
-from casadi_skin.stability.account import Entry, unbalanced
-from casadi_skin.stability.copies import without_copies
-from casadi_skin.stability.tongues.assembly import edges_of, place_at, tongues_of
+from casadi_skin.stability.closed_maps import without_copies
+from casadi_skin.stability.judging import Entry, unbalanced
+from casadi_skin.stability.tongues.assembly import SAME_MU, edges_of, groups_of, place_at, tongues_of
 from casadi_skin.stability.tongues.crossings import NOT_LOOKED_AT, Crossings, find_crossings
 from casadi_skin.stability.tongues.diagram import Passage, StabilityDiagram
-from casadi_skin.stability.tongues.groups import SAME_MU, groups_of
 from casadi_skin.stability.tongues.interpolation import (
     FIRST_LENGTH,
     BranchSampler,

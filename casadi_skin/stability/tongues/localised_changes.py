@@ -13,10 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from casadi_skin.follow.unresolved import Unresolved
-from casadi_skin.stability.continuous import ContinuousSpectrum
-from casadi_skin.stability.tongues.gaps import HALF, START, Layout
-from casadi_skin.stability.tongues.localised_counts import CountError, Counts
-from casadi_skin.stability.tongues.localised_diagram import (
+from casadi_skin.stability.result import ContinuousSpectrum
+from casadi_skin.stability.tongues.diagram import (
     BAND_EDGE,
     COMPLEX,
     OVERLAP,
@@ -25,11 +23,21 @@ from casadi_skin.stability.tongues.localised_diagram import (
     LocalisedChange,
     LocalisedDiagram,
 )
-from casadi_skin.stability.tongues.localised_meetings import MeetingError, collision, resonance
+from casadi_skin.stability.tongues.hill import HALF, START, Layout
+from casadi_skin.stability.tongues.localised_counts import CountError, Counts
 from casadi_skin.stability.tongues.localised_samples import EdgeBranch
-from casadi_skin.stability.tongues.localised_search import FAILURES, FINEST, Search, mu_of
-from casadi_skin.stability.tongues.localised_stretches import stretches
-from casadi_skin.stability.tongues.localised_zeros import Zero, zeros_along
+from casadi_skin.stability.tongues.localised_search import (
+    FAILURES,
+    FINEST,
+    MeetingError,
+    Search,
+    Zero,
+    collision,
+    mu_of,
+    resonance,
+    stretches,
+    zeros_along,
+)
 
 NEAR = 0.1  # of an interval between points: from where on two that meet are sought by Newton's method
 

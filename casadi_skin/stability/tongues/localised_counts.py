@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadi_skin.stability.tongues import chebyshev
-from casadi_skin.stability.tongues.gaps import HALF, START, End, Layout
-from casadi_skin.stability.tongues.hill import Hill
+from casadi_skin.stability.tongues.hill import HALF, START, End, Hill, Layout
 from casadi_skin.zero.problem import Array
 
 FIRST = 12  # values of sigma under each part of an arc, at first

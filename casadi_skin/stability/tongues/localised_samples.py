@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
-from casadi_skin.stability.tongues.gaps import Layout
-from casadi_skin.stability.tongues.hill import Hill
+from casadi_skin.stability.tongues.hill import Hill, Layout
 from casadi_skin.stability.tongues.localised_counts import Counts, count, function_of
 from casadi_skin.zero.problem import Array
 

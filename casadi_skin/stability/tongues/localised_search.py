@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebroots
 
-from casadi_skin.stability.flow import FlowError
-from casadi_skin.stability.tongues.diagram import Place
-from casadi_skin.stability.tongues.gaps import Layout
-from casadi_skin.stability.tongues.hill import Hill
-from casadi_skin.stability.tongues.localised_diagram import LocalisedChange
-from casadi_skin.stability.tongues.localised_samples import EdgeBranch, Sample
+from casadi_skin.stability.stepping import FlowError
+from casadi_skin.stability.tongues import chebyshev
+from casadi_skin.stability.tongues.diagram import LocalisedChange, Place
+from casadi_skin.stability.tongues.hill import Hill, Layout, crossings
+from casadi_skin.stability.tongues.localised_counts import Counts, Gap, function_of, names_of
+from casadi_skin.stability.tongues.localised_samples import FILLS, NARROW_GAP, EdgeBranch, Sample, names_of_arcs
+from casadi_skin.zero.problem import Array
 
 PRECISE = 1e-12  # of an interval between points: where a zero is
 FINEST = 1e-7  # of such an interval: stretches that are halved no further
@@ -73,3 +77,274 @@ def layout_like(hill: Hill, sample: Sample) -> Layout:
 def mu_of(sigma: float, Omega: float) -> float:
     """mu of an exponent: lambda + 1/lambda = 2 + 4 mu for the multiplier of half the period."""
     return -float(np.sin(0.5 * np.pi * sigma / Omega) ** 2)
+
+
+# Places on a branch where two localised multipliers meet, or one leaves the arcs: two equations, solved by Newton -----
+
+STEPS = 12
+REACH = 0.1  # to either side of a pair: where D is a series
+DEGREE = 16
+PARTS = 8  # of an interval, by which a pair is followed
+DIFFERENCE = 1e-6  # of Omega, for derivatives
+ARC = 100  # values under an arc among which the smallest determinant is sought
+
+
+class MeetingError(ArithmeticError):
+    """No meeting is found."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two zeros of a determinant in the variable of a gap: their mean and the square of half their difference."""
+
+    mean: float
+    square: float
+
+
+def _values(hill: Hill, sigma: Array, scale: float) -> Array:
+    """D over exp(scale) at values of sigma."""
+    logs, phases = hill.determinant(sigma)
+    return np.asarray(phases * np.exp(logs - scale))
+
+
+def _pair_near(hill: Hill, gap: Gap, pair: Pair) -> Pair:
+    """The pair of zeros near another, real or conjugate; raises MeetingError."""
+    for _ in range(STEPS):
+        reach = max(REACH, 2.0 * float(np.sqrt(abs(pair.square))))
+        first, last = max(pair.mean - reach, -1.0), min(pair.mean + reach, 0.0 if gap.mirrored else 1.0)
+        if first >= last:
+            break
+        if gap.mirrored:
+            last = min(last, -0.05 * REACH)
+        middle, half = 0.5 * (first + last), 0.5 * (last - first)
+        series = chebyshev.transform(DEGREE) @ gap.values(hill, middle + half * chebyshev.nodes(DEGREE))
+        roots = middle + half * chebroots(series)
+        one, other = roots[np.argsort(np.abs(roots - pair.mean))[:2]]
+        found = Pair(float(np.real(0.5 * (one + other))), float(np.real(0.25 * (one - other) ** 2)))
+        if abs(np.imag(one + other)) > PRECISE:
+            break
+        if abs(found.mean - pair.mean) <= 0.5 * reach:
+            return found
+        pair = found
+    raise MeetingError("two multipliers that meet are not found")
+
+
+def _least_under_arcs(hill: Hill, intervals: list[tuple[float, float]]) -> float:
+    """The exponent under arcs at which a zero of the determinant is nearest, by |D / D'|."""
+    best, where = np.inf, 0.0
+    for start, end in intervals:
+        sigma = 0.5 * (start + end) - 0.5 * (end - start) * np.cos(np.pi * (np.arange(ARC) + 0.5) / ARC)
+        logs, phases = hill.determinant(sigma)
+        D = np.asarray(phases) * np.exp(logs - np.max(logs))
+        slope = np.gradient(D, sigma)
+        away = np.abs(D / slope)
+        if np.min(away) < best:
+            best, where = float(np.min(away)), float(sigma[np.argmin(away)])
+    return where
+
+
+def _zero_under_arc(
+    hill_at: Callable[[float], Hill], sigma: float, coordinate: float, width: float
+) -> tuple[float, float, Array]:
+    """Exponent and coordinate where the determinant has a zero under an arc, with the Jacobian; raises MeetingError."""
+    start, scale = coordinate, float(hill_at(coordinate).determinant(np.array([sigma]))[0][0])
+    step, off = DIFFERENCE * hill_at(coordinate).Omega, 1e-3 * width
+
+    def f(sigma: float, coordinate: float) -> Array:
+        value = _values(hill_at(coordinate), np.array([sigma]), scale)[0]
+        return np.array([value.real, np.imag(value)])
+
+    for _ in range(STEPS):
+        here = f(sigma, coordinate)
+        jacobian = np.column_stack(
+            [
+                (f(sigma + step, coordinate) - f(sigma - step, coordinate)) / (2.0 * step),
+                (f(sigma, coordinate + off) - f(sigma, coordinate - off)) / (2.0 * off),
+            ]
+        )
+        change = np.linalg.solve(jacobian, here)
+        sigma, coordinate = sigma - float(change[0]), coordinate - float(change[1])
+        if abs(coordinate - start) > 4.0 * width:
+            break
+        if abs(change[1]) <= 1e-9 * width or np.max(np.abs(change)) <= PRECISE:
+            return sigma, coordinate, jacobian
+    raise MeetingError("a multiplier that comes out of an arc is not found")
+
+
+def collision(
+    search: Search, a: float, before: Counts, b: float, after: Counts, gap: int
+) -> tuple[float, float, float]:
+    """Coordinate, error and exponent where two multipliers of a gap meet; raises MeetingError."""
+    from scipy.optimize import brentq
+
+    start, other, counts = (a, b, before) if before.off < after.off else (b, a, after)
+    zeros = [_gap(search, start, gap).place(sigma) for sigma in counts.zeros[gap]]
+    first, last = min(pairwise(zeros), key=lambda two: two[1] - two[0])
+    pairs = {start: Pair(0.5 * (first + last), 0.25 * (last - first) ** 2)}
+
+    def square(c: float) -> float:
+        near = min(pairs, key=lambda known: abs(known - c))
+        pairs[c] = _pair_near(search.at(c).hill, _gap(search, c, gap), pairs[near])
+        return pairs[c].square
+
+    for part in np.linspace(0.0, 1.0, PARTS + 1)[1:]:  # the pair, followed to the other end
+        if square(start + float(part) * (other - start)) < 0.0:
+            break
+    else:
+        raise MeetingError("two multipliers of a gap do not meet")
+    end = start + float(part) * (other - start)
+    at = float(brentq(lambda c: square(float(c)), start, end, xtol=PRECISE * abs(b - a), rtol=1e-15))
+    here = pairs[min(pairs, key=lambda known: abs(known - at))]
+    step = 1e-3 * (b - a)
+    slope = abs(square(at + step) - square(at - step)) / (2.0 * step)
+    sample = search.at(at)
+    compared = [(hill, Gap(*layout_like(hill, sample).gaps[gap])) for hill in others(sample)]
+    errors = [abs(_pair_near(hill, there, here).square - here.square) for hill, there in compared]
+    sigma = float(_gap(search, at, gap).sigma(np.array([here.mean]))[0])
+    return at, float((SAFETY * sum(errors) + ROUNDING) / slope) + PRECISE * (b - a), sigma
+
+
+def _gap(search: Search, coordinate: float, number: int) -> Gap:
+    return Gap(*search.at(coordinate).layout.gaps[number])
+
+
+def resonance(search: Search, a: float, b: float) -> tuple[float, float, float]:
+    """Coordinate, error and exponent where multipliers leave an arc; raises MeetingError."""
+    middle = search.at(0.5 * (a + b))
+    covered = [(s.sigma, e.sigma) for s, e, is_covered in middle.layout.intervals if is_covered]
+    sigma = _least_under_arcs(middle.hill, covered)
+    sigma, at, jacobian = _zero_under_arc(lambda c: search.at(c).hill, sigma, middle.coordinate, b - a)
+    sample = search.at(at)
+    size = float(np.max(np.abs(jacobian)))
+    reference = sample.hill
+    log = float(reference.determinant(np.array([sigma * (1.0 + 1e-3)]))[0][0])
+    off = [_values(hill, np.array([sigma]), log)[0] for hill in (reference, *others(sample))]
+    slope = _values(reference, np.array([sigma * (1.0 + 1e-6)]), log)[0] - off[0]
+    per_sigma = abs(slope) / (sigma * 1e-6)
+    ratio = float(np.linalg.norm(jacobian[:, 0])) / per_sigma  # of the two scales
+    moved = sum(abs(one - off[0]) for one in off[1:]) * ratio * SAFETY + ROUNDING * size
+    error = float(np.linalg.norm(np.linalg.inv(jacobian)[1])) * moved
+    return at, error + PRECISE * (b - a), sigma
+
+
+# Stretches of a branch on which ends of the arcs of its continuous spectrum keep their order --------------------------
+
+APART = 1e-3  # of an interval between points: where the frequency leaves a band, between two stretches
+INSIDE = 1e-6  # of an interval between points: how far from a meeting of arcs the ends of a stretch are
+FILLED = "the orbit fills the tail, so that its changes depend on the length"
+
+
+def stretches(search: Search) -> list[tuple[float, float]]:
+    """Coordinates between which the names of layouts are the same."""
+    places = search.branch.coordinates.tolist()
+    bounds = [places[0]]
+    for start, end in pairwise(places):
+        try:
+            found = _breaks(search, start, end)
+        except FAILURES as error:
+            found = [(start, end)]
+            search.gaps.append((start, end, str(error)))
+        for before, after in found:
+            bounds += [before, after]
+    bounds.append(places[-1])
+    pairs = zip(bounds[::2], bounds[1::2], strict=True)
+    return [(a, b) for a, b in pairs if b > a and _sought(search, a, b)]
+
+
+def _sought(search: Search, start: float, end: float) -> bool:
+    """Whether changes are sought on a stretch; one that is filled, or whose arcs are not found, is a gap."""
+    try:
+        names = names_of_arcs(search.layout(start))
+    except FAILURES as error:
+        search.gaps.append((start, end, str(error)))
+        return False
+    if names == (FILLS,):
+        search.gaps.append((start, end, FILLED))
+    return names not in ((FILLS,), (NARROW_GAP,))
+
+
+def _breaks(search: Search, start: float, end: float) -> list[tuple[float, float]]:
+    """Places between two points at which names change, from just before to just behind."""
+    first, last = search.layout(start), search.layout(end)
+    if names_of_arcs(first) == names_of_arcs(last) and not crossings(first, last):
+        return []
+    meetings = [start, *(_at_Omega(search, start, end, Omega) for Omega in crossings(first, last)), end]
+    apart, found = INSIDE * (end - start), list[tuple[float, float]]()
+    for number, (a, b) in enumerate(pairwise(meetings)):
+        if number:
+            found.append((a - apart, a + apart))
+            a += apart
+        if number < len(meetings) - 2:
+            b -= apart
+        found += _by_halving(search, a, b)
+    return sorted(found)
+
+
+def _at_Omega(search: Search, start: float, end: float, Omega: float) -> float:
+    from scipy.optimize import brentq
+
+    return float(brentq(lambda c: search.layout(float(c)).Omega - Omega, start, end, xtol=1e-14, rtol=1e-14))
+
+
+def _by_halving(search: Search, start: float, end: float) -> list[tuple[float, float]]:
+    """Places at which the orbit's frequency leaves a band, or the gap beside it becomes wide enough."""
+    if names_of_arcs(search.layout(start)) == names_of_arcs(search.layout(end)):
+        return []
+    if end - start <= APART:
+        return [(start, end)]
+    middle = 0.5 * (start + end)
+    return [*_by_halving(search, start, middle), *_by_halving(search, middle, end)]
+
+
+# Zeros, along a branch, of the functions that vanish where a localised multiplier passes an end of a gap --------------
+
+BEND = 0.3  # of the smaller end: what a function may do in between without being looked at
+
+
+@dataclass(frozen=True)
+class Zero:
+    """A zero of one of the functions: its coordinate with error, and the function's name."""
+
+    coordinate: float
+    error: float
+    name: str
+
+
+def zeros_along(search: Search, places: Sequence[float]) -> list[Zero]:
+    """All zeros of the functions on a stretch on which ends of arcs keep their order, ascending."""
+    found = []
+    for name in names_of(search.at(places[len(places) // 2]).layout):
+        for a, b in pairwise(places):
+            found += [_zero(search, name, *ends) for ends in _brackets(search, name, a, b)]
+    return sorted(found, key=lambda zero: zero.coordinate)
+
+
+def _brackets(search: Search, name: str, a: float, b: float) -> list[tuple[float, float]]:
+    """Intervals at whose ends a function has opposite signs, after halving where it may come near zero."""
+    first, last = (search.at(c).function(name) for c in (a, b))
+    if first * last < 0.0:
+        return [(a, b)]
+    if b - a <= FINEST or min(abs(first), abs(last)) > 0.5 * max(abs(first), abs(last)) > 0.0:
+        return []
+    middle = 0.5 * (a + b)
+    bend = abs(first + last - 2.0 * search.at(middle).function(name))
+    if bend <= BEND * min(abs(first), abs(last)):
+        return []
+    return [*_brackets(search, name, a, middle), *_brackets(search, name, middle, b)]
+
+
+def _zero(search: Search, name: str, a: float, b: float) -> Zero:
+    """The zero between two places with values of opposite signs."""
+    from scipy.optimize import brentq
+
+    def value(c: float) -> float:
+        return search.at(c).function(name)
+
+    ends = [value(a), value(b)]
+    at = float(brentq(lambda c: value(float(c)), a, b, xtol=PRECISE * (b - a), rtol=4e-16 * 4))
+    sample, step = search.at(at), 1e-3 * (b - a)
+    low, high = np.clip([at - step, at + step], a, b).tolist()
+    slope = abs(value(high) - value(low)) / (high - low)
+    away = sum(abs(function_of(hill, layout_like(hill, sample), name) - value(at)) for hill in others(sample))
+    error = SAFETY * away + abs(value(at)) + ROUNDING * max(map(abs, ends))
+    return Zero(at, float(error / slope) + PRECISE * (b - a), name)

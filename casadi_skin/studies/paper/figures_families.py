@@ -14,12 +14,12 @@ from casadi_skin.dynamics import Evolution
 from casadi_skin.dynamics import closed_forms as multiple_scales
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.results.figures.frequencies import draw_band, family_path, family_pieces, label_ends
+from casadi_skin.results.figures.bifurcation import draw_band, family_path, family_pieces, label_ends
 from casadi_skin.results.figures.profiles import LINES, MARKERS
 from casadi_skin.results.figures.spacetime import draw_spacetime
 from casadi_skin.results.figures.style import AMPLITUDE, blank, colours, finished, number, number_sites, style, title
 from casadi_skin.results.quantities import csv_row, places_of, quantities_of
-from casadi_skin.results.stability_tables import EVENT_COLUMNS, event_rows
+from casadi_skin.results.tables import EVENT_COLUMNS, event_rows
 from casadi_skin.studies.paper.paper_data import (
     ALPHA,
     AMPLITUDE_MAX,

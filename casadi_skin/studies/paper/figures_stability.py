@@ -13,8 +13,8 @@ from casadi_skin.dynamics import Evolution, simulate_orbit
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.results.figures.multipliers import MODULUS, draw_plane
+from casadi_skin.results.figures.multipliers import moduli as moduli_line
 from casadi_skin.results.figures.style import AMPLITUDE, blank, finished, number, style, title
-from casadi_skin.results.figures.tongues import moduli as moduli_line
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.studies.paper.figures_families import (
     Drawn,

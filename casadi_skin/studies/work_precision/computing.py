@@ -11,9 +11,9 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following, run_following
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.stability.flow import OrbitState
 from casadi_skin.stability.multipliers import floquets
 from casadi_skin.stability.result import ReversibleFloquet
+from casadi_skin.stability.stepping import OrbitState
 from casadi_skin.studies.work_precision.settings import Setting
 
 

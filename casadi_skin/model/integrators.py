@@ -1,0 +1,263 @@
+"""Common results, errors and starts of all integrators."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.lattice.uniform_chain import Array
+from casadi_skin.model.interrupts import interrupts_deferred
+from casadi_skin.model.ode import OdeModel
+
+LONGEST = 1e8  # radians that may be followed: a thousand times 10^4 periods of a chain
+NOT_FINITE = "it is not finite then"
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """States at the requested times, shape (time, 2n), evaluations of the forces, and the step where it is fixed."""
+
+    states: Array
+    evaluations: int
+    step: float | None = None
+
+
+class IntegrationError(ArithmeticError):
+    """An integrator gave up: the message says where and why in one line, `trajectory` holds the states before that."""
+
+    def __init__(self, method: str, reason: str, trajectory: Trajectory, t: Array, origin: float = 0.0) -> None:
+        count = len(trajectory.states)
+        reached = t[count - 1] if count else origin
+        super().__init__(f"{method}: the state was followed to t = {reached:.6g} of {t[-1]:.6g}: {reason}")
+        self.reason, self.trajectory = reason, trajectory
+
+
+Integrator = Callable[[OdeModel, Array, Array, Array, float], Trajectory]
+
+
+def finite_trajectory(method: str, trajectory: Trajectory, t: Array, origin: float = 0.0) -> Trajectory:
+    """The trajectory; raises IntegrationError where a state is missing or not finite."""
+    finite = np.append(np.all(np.isfinite(trajectory.states), axis=1), False)
+    count = int(np.argmin(finite))
+    if count < t.size:
+        whole = Trajectory(trajectory.states[:count], trajectory.evaluations, trajectory.step)
+        raise IntegrationError(method, NOT_FINITE, whole, t, origin)
+    return trajectory
+
+
+def fastest_frequency(model: OdeModel, parameters: Array, start: Array, end: float) -> float:
+    """Bound of the largest frequency or rate at the start and at rest, from the row sums of df/dx at time 0.
+
+    Raises ValueError where `end` is out of reach of any integrator.
+    """
+    slope, fastest = model.function("slope", ca.jacobian(model.rhs, model.state)), 0.0
+    for x in (start, np.zeros(start.size)):
+        jacobian = ca.DM(slope(0.0, x, parameters))
+        rows = np.array(jacobian.sparsity().row(), dtype=int)
+        sums = np.bincount(rows, np.abs(jacobian.nonzeros()), minlength=model.size)
+        if x is start or np.all(np.isfinite(sums)):  # a model need not be defined at rest
+            fastest = max(fastest, float(sums.max()))
+    frequency = float(np.sqrt(fastest)) if model.order == 2 else fastest
+    if not frequency * end <= LONGEST:
+        radians = f"{frequency * end:.2g} radians of the fastest vibration"
+        raise ValueError(f"t: given up to {end:.6g}, which is {radians} at the start; accepted: up to {LONGEST:g}")
+    return frequency or 1.0
+
+
+def size_of(start: Array) -> float:
+    """Largest component, to which tolerances are relative; 1 at rest."""
+    return float(np.abs(start).max()) or 1.0
+
+
+# SUNDIALS CVODES through CasADi (Hindmarsh et al. 2005): every use of it is set up, run and reported here -------------
+
+SHARE, TIGHTEST = 1e-3, 1e-15  # measured: results of CVODES are up to 1500 of its local tolerances off
+TIGHT_ITERATION = 1e-3  # share of a step's error left to the iteration; at the default, 0.1, the order falls to 5
+STEPS = 200  # allowed per radian of the stiffest vibration: ten times the need of the tightest run
+GAP = 100.0  # radians from output to output
+STIFF_SHARE = 1e-2  # local tolerance of BDF per tolerance: errors of steps add up
+STIFF_STEPS = 100_000  # of BDF, from output to output
+STRETCHES = 1000  # of an evolution by BDF, with an output after each: its end may need more steps than one stretch
+
+
+class CvodesError(ArithmeticError):
+    """CVODES did not reach the end: the message names its return value, as in "it returned CV_TOO_MUCH_WORK"."""
+
+
+@dataclass(frozen=True)
+class CvodesOptions:
+    """Local tolerances and formulas of CVODES.
+
+    `max_steps` counts from output to output. A `stiff` problem takes BDF formulas with Newton's iteration, another one
+    Adams formulas with functional iteration, which stops at `iteration` of a step's error (CVODES' default is 0.1).
+    Where sensitivities are computed, `sensitivity_errors` makes them part of the error that steps are chosen by.
+    """
+
+    rtol: float
+    atol: float
+    max_steps: int
+    stiff: bool = False
+    iteration: float | None = None
+    sensitivity_errors: bool = False
+
+    def integrator(self, name: str, dae: dict[str, Any], times: Sequence[float]) -> ca.Function:
+        """CasADi's integrator of a DAE (x, p, ode, and t where it is forced) from the first time to all others."""
+        options: dict[str, Any] = {
+            "reltol": self.rtol,
+            "abstol": self.atol,
+            "max_num_steps": self.max_steps,
+            "disable_internal_warnings": True,
+            "show_eval_warnings": False,
+        }
+        if not self.stiff:
+            options |= {"linear_multistep_method": "adams", "nonlinear_solver_iteration": "functional"}
+        if self.iteration is not None:
+            options["nonlin_conv_coeff"] = self.iteration
+        if self.sensitivity_errors:
+            options["fsens_err_con"] = True
+        return ca.integrator(name, "cvodes", dae, float(times[0]), [float(t) for t in times[1:]], options)
+
+    def transition(self, name: str, dae: dict[str, Any]) -> ca.Function:
+        """Function (x0, p) -> state at the time 1 and its derivative with respect to x0 at the time 0."""
+        return self.integrator(name, dae, (0.0, 1.0)).factory(name, ["x0", "p"], ["xf", "jac:xf:x0"])
+
+
+def run_cvodes(function: ca.Function, start: Array, parameters: Array, end_solver: bool = False) -> dict[str, ca.DM]:
+    """Results by name of an integrator, or of the `transition` of one; raises CvodesError.
+
+    An interruption waits for the result, or ends CVODES at once where `end_solver`.
+    """
+    try:
+        with interrupts_deferred(end_solver):
+            results: dict[str, ca.DM] = function(x0=start, p=parameters)
+            return results
+    except RuntimeError as error:
+        raise CvodesError(f"it {cvodes_reason(error)}") from error
+
+
+def cvodes_reason(error: RuntimeError) -> str:
+    """The outcome of CVODES, as in "returned CV_TOO_MUCH_WORK", from CasADi's message of several lines."""
+    flags = re.findall(r'returned "?(CV_\w+)', str(error))
+    return f"returned {flags[-1]}" if flags else "failed"
+
+
+def followed_by_cvodes(
+    dae: dict[str, Any],
+    parameters: Array,
+    start: Array,
+    t: Array,
+    options: CvodesOptions,
+    origin: float = 0.0,
+    gap: float | None = None,
+) -> Trajectory:
+    """States at the times t > `origin`, where the state is `start`; raises IntegrationError where CVODES fails.
+
+    With a `gap`, CVODES puts out states at least as often: its limit of steps holds from output to output, so that a
+    blow-up is noticed soon.
+    """
+    grid = t if gap is None else np.union1d(t, np.arange(origin + gap, t[-1], gap))
+    integrator = options.integrator("evolution", dae, (origin, *grid))
+    try:
+        states = np.array(run_cvodes(integrator, start, parameters, end_solver=True)["xf"]).T
+    except CvodesError as error:
+        before = t[t <= integrator.stats()["tcur"]]
+        whole = Trajectory(np.empty((0, start.size)), 0)
+        if before.size:  # CasADi gives nothing of a run that fails: its good part is done again
+            whole = followed_by_cvodes(dae, parameters, start, before, options, origin, gap)
+        raise IntegrationError("cvodes", str(error), whole, t, origin) from error
+    found = Trajectory(states[np.searchsorted(grid, t)], int(integrator.stats()["nfevals"]))
+    return finite_trajectory("cvodes", found, t, origin)
+
+
+def cvodes(model: OdeModel, parameters: Array, start: Array, t: Array, tolerance: float) -> Trajectory:
+    """States at the times t > 0 by CVODES: Adams formulas for the vibrations of models of second order, else BDF.
+
+    Raises IntegrationError where CVODES fails, with the last time it reached.
+    """
+    if model.order == 1:
+        return stiff_cvodes(model, parameters, start, t, tolerance, gap=float(t[-1]) / STRETCHES)
+    local = max(SHARE * tolerance, TIGHTEST)
+    options = CvodesOptions(local, local * size_of(start), int(STEPS * GAP), iteration=TIGHT_ITERATION)
+    gap = GAP / fastest_frequency(model, parameters, start, t[-1])
+    first = model.first_order()
+    dae = {"x": first.state, "p": first.parameters, "ode": first.rhs}
+    if first.forced:
+        dae["t"] = first.time
+    return followed_by_cvodes(dae, parameters, start, t, options, gap=gap)
+
+
+def stiff_cvodes(
+    model: OdeModel,
+    parameters: Array,
+    start: Array,
+    t: Array,
+    tolerance: float,
+    origin: float = 0.0,
+    gap: float | None = None,
+) -> Trajectory:
+    """States at the times t > `origin` by CVODES with BDF formulas, of any model: stiff, forced, or from an FMU.
+
+    There is an output at least every `gap`. Raises IntegrationError where CVODES fails.
+    """
+    kind = type(model.state)
+    time, x, p = kind.sym("t"), kind.sym("x", model.full_size), kind.sym("p", parameters.size)
+    local = max(STIFF_SHARE * tolerance, TIGHTEST)
+    options = CvodesOptions(local, local * size_of(start), STIFF_STEPS, stiff=True)
+    dae = {"t": time, "x": x, "p": p, "ode": model.field_at(time, x, p)}
+    return followed_by_cvodes(dae, parameters, start, t, options, origin, gap)
+
+
+# The Dormand-Prince method of order 8 (Hairer, Norsett and Wanner 1993, II.5) of scipy on CasADi functions ------------
+
+
+def solve_dop853(
+    field: ca.Function,
+    parameters: Array,
+    start: Array,
+    end: float,
+    tolerance: float,
+    t: Array | None = None,
+    rate: float = 1.0,
+) -> Any:
+    """Solution by scipy of x' = rate field(rate t, x, p) from 0 to `end`: at the times t, or a dense one without t.
+
+    `field` has a dense result. Tolerances are relative to the largest component of the start.
+    """
+    from scipy.integrate import solve_ivp
+
+    time, state, result = np.empty(1), np.empty(start.size), np.empty(start.size)
+    held = np.array(parameters, dtype=float)
+    buffer, evaluate = field.buffer()  # arguments and result live in arrays of our own: calls convert nothing
+    for i, argument in enumerate((time, state, held)):
+        buffer.set_arg(i, argument.data)
+    buffer.set_res(0, result.data)
+
+    def right_hand_side(t: float, x: Array) -> Array:
+        time[0], state[:] = rate * t, x
+        evaluate()
+        return rate * result
+
+    options: dict[str, Any] = {"rtol": tolerance, "atol": tolerance * size_of(start), "dense_output": t is None}
+    with np.errstate(all="ignore"):  # a state that runs away overflows before the step is found too small
+        return solve_ivp(right_hand_side, (0.0, end), start, "DOP853", t, **options)
+
+
+def dop853_reason(solution: Any) -> str:
+    """Why scipy's solution ended early, in lower case and without a full stop."""
+    return str(solution.message).strip(" .").lower()
+
+
+def dop853(model: OdeModel, parameters: Array, start: Array, t: Array, tolerance: float) -> Trajectory:
+    """States at the times t > 0; the paper's integrator. Raises IntegrationError where the step becomes too small."""
+    fastest_frequency(model, parameters, start, t[-1])
+    solution = solve_dop853(model.vector_field, parameters, start, t[-1], tolerance, t)
+    states = np.asarray(solution.y).T if len(solution.t) else np.empty((0, start.size))
+    trajectory = Trajectory(states, int(solution.nfev))
+    if not solution.success:
+        raise IntegrationError("dop853", dop853_reason(solution), trajectory, t)
+    return finite_trajectory("dop853", trajectory, t)

@@ -1,0 +1,208 @@
+"""Quantities of equilibria: columns of branch.csv and variables of branch.nc."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.dynamics.evolution import Evolution
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.solution import Equilibrium
+from casadi_skin.follow.unresolved import Unresolved
+from casadi_skin.results.dataset import Cell, Variable, unique_names
+from casadi_skin.results.quantity import CSV, Place, Quantity
+from casadi_skin.stability.tongues.diagram import (
+    LocalisedChange,
+    LocalisedDiagram,
+    StabilityDiagram,
+    StabilityEdge,
+    Tongue,
+)
+from casadi_skin.zero.problem import Array
+
+FIXED = ("point", "requested", "special", "stable", "unstable", "max_growth", "error", "eigenvalue_error", "residual")
+
+
+def equilibrium_quantities(branch: Branch) -> list[Quantity]:
+    """Quantities of equilibria in the order of the columns, parameters followed first.
+
+    Names that users chose are distinguished from those of the table by " (of the model)".
+    """
+    first = _equilibrium(Place(branch.solutions[0], 0))
+    quantities = [
+        Quantity("point", "place along the branch", lambda p: p.index, where=CSV),
+        Quantity("requested", "1 where the value of the parameter was asked for", lambda p: int(p.requested)),
+        Quantity("special", "kind of a special point; empty elsewhere", lambda p: p.special or "", where=CSV),
+    ]
+    taken = set(FIXED)
+
+    def add(name: str, meaning: str, of: Callable[[Place], Any]) -> None:
+        (unique,) = unique_names([name], taken)
+        taken.add(unique)
+        quantities.append(Quantity(unique, meaning, of, where=CSV))
+
+    followed = [name for name in (branch.parameter, *branch.space.free) if name]
+    for name in [*followed, *(name for name in first.parameters if name not in followed)]:
+        add(name, f"the parameter {name}", lambda p, name=name: p.solution.parameters[name])  # type: ignore[misc]
+    for i, name in enumerate(first.space.state_names):
+        add(name, f"the state {name}", lambda p, i=i: float(_equilibrium(p).positions[i]))  # type: ignore[misc]
+    return [
+        *quantities,
+        Quantity("stable", "1 where no eigenvalue has a positive real part", lambda p: int(p.solution.stable)),
+        Quantity("unstable", "eigenvalues with a positive real part", lambda p: _equilibrium(p).unstable),
+        Quantity("max_growth", "largest real part of an eigenvalue", lambda p: float(_spectrum(p).real.max())),
+        Quantity("error", "estimated error of the state, relative to each component", lambda p: p.solution.error),
+        Quantity(
+            "eigenvalue_error", "largest estimated error of an eigenvalue", lambda p: _equilibrium(p).eigenvalue_error
+        ),
+        Quantity("residual", "largest residual relative to the largest term", lambda p: p.solution.residual),
+        Quantity("states", "the state; names: state_name", lambda p: _equilibrium(p).positions, ("state",)),
+        Quantity("eigenvalues", "eigenvalues by descending real part", _spectrum, ("eigenvalue",)),
+        *_parameters(first),
+    ]
+
+
+def _parameters(first: Equilibrium) -> list[Quantity]:
+    names = list(first.parameters)
+
+    def values(place: Place) -> NDArray[np.float64]:
+        return np.array([place.solution.parameters[name] for name in names])
+
+    meaning = "values of the parameters; names: parameter_name"
+    return [Quantity("parameters", meaning, values, ("parameter",))] if names else []
+
+
+def _equilibrium(place: Place) -> Equilibrium:
+    return cast(Equilibrium, place.solution)
+
+
+def _spectrum(place: Place) -> NDArray[np.complex128]:
+    return _equilibrium(place).eigenvalues
+
+
+# A time evolution as a table: columns and rows of dynamics.csv, variables of dynamics.nc ------------------------------
+
+
+def known_energy(evolution: Evolution) -> Array | None:
+    """The energy, shape (time,); None where the model declares none."""
+    return evolution.energy if evolution.has_energy else None
+
+
+def evolution_columns(evolution: Evolution) -> list[str]:
+    """Columns of dynamics.csv: t, the energy where there is one, positions, or states of a model of first order."""
+    shown = evolution.equations.positions or evolution.equations.size
+    fixed = ["t"] if known_energy(evolution) is None else ["t", "energy"]
+    return [*fixed, *unique_names(evolution.names[:shown], ("t", "energy"))]
+
+
+def evolution_rows(evolution: Evolution) -> Iterator[dict[str, Cell]]:
+    """Rows of dynamics.csv, one a time."""
+    columns, energy = evolution_columns(evolution), known_energy(evolution)
+    known = [evolution.t] if energy is None else [evolution.t, energy]
+    table = np.column_stack([*known, evolution.states])
+    for row in table[:, : len(columns)].tolist():
+        yield dict(zip(columns, row, strict=True))
+
+
+def evolution_variables(evolution: Evolution) -> list[Variable]:
+    """Variables of dynamics.nc along the dimension `time`."""
+    variables, energy = [Variable("t", ("time",), evolution.t, "time")], known_energy(evolution)
+    if energy is not None:
+        variables.append(Variable("energy", ("time",), energy, "the conserved quantity"))
+    if evolution.equations.positions:
+        return [
+            *variables,
+            Variable("displacements", ("time", "site"), evolution.displacements, "displacements y_n"),
+            Variable("velocities", ("time", "site"), evolution.velocities, "velocities of y_n"),
+        ]
+    return [
+        *variables,
+        Variable("states", ("time", "state"), evolution.states, "states; names: state_name"),
+        Variable("state_name", ("state",), np.array(evolution.names), "names along `state`"),
+    ]
+
+
+# Tables of a family's stability: its changes, edges inside unstable stretches, and tongues ----------------------------
+
+EVENT_COLUMNS = (
+    "mode", "S", "Omega", "kind", "stable_before", "stable_after", "mu", "S_width",
+    "S_error", "multiplier_real", "multiplier_imaginary", "signatures", "tongue", "tongue_width", "tongue_growth",
+)  # fmt: skip
+PROVED_COLUMNS = ("proved_S_lower", "proved_S_upper")  # of events.csv, where proofs are requested
+TONGUE_COLUMNS = (
+    "mode", "tongue", "kind", "S_start", "S_start_error", "S_end", "S_end_error", "width", "growth",
+    "max_abs_multiplier", "S_deepest", "modes", "order", "decided",
+)  # fmt: skip
+UNRESOLVED = "unresolved"  # kind of the rows of stretches that are not known
+
+
+def event_rows(
+    mode: int,
+    diagram: StabilityDiagram | LocalisedDiagram,
+    prove: Callable[[Any], tuple[float, float] | None] | None = None,
+) -> list[dict[str, Cell]]:
+    """Rows of events.csv: changes of stability in order, and stretches on which some may be missing.
+
+    With `prove`, which gives two S between which a change is proved or None, they have the columns for it.
+    """
+    rows = [*edge_rows(mode, diagram, diagram.changes), *(_unresolved(mode, u) for u in diagram.unresolved)]
+    if prove is not None:
+        brackets = [prove(edge) for edge in diagram.changes] + [None] * len(diagram.unresolved)
+        for row, ends in zip(rows, brackets, strict=True):
+            row.update(zip(PROVED_COLUMNS, ends or ("", ""), strict=True))
+    return sorted(rows, key=lambda row: row["S"] if isinstance(row["S"], float) else -1.0)
+
+
+def further_rows(mode: int, diagram: StabilityDiagram | LocalisedDiagram) -> list[dict[str, Cell]]:
+    """Rows of further_events.csv: places where orbits are unstable on both sides, or stable on both."""
+    return list(edge_rows(mode, diagram, diagram.further))
+
+
+def edge_rows(
+    mode: int, diagram: StabilityDiagram | LocalisedDiagram, edges: Sequence[StabilityEdge | LocalisedChange]
+) -> Iterator[dict[str, Cell]]:
+    """Rows of edges of tongues, and of changes of localised multipliers, which bound none."""
+    for e in edges:
+        signatures = "".join("+" if sign > 0 else "-" for sign in e.signatures)
+        values: tuple[Cell, ...] = (
+            mode, e.S, e.Omega, e.kind, int(e.stable_before), int(e.stable_after), e.mu, e.S_width,
+            e.S_error, e.multiplier.real, e.multiplier.imag, signatures, *_of_tongue(diagram, e),
+        )  # fmt: skip
+        yield dict(zip(EVENT_COLUMNS, values, strict=True))
+
+
+def _of_tongue(
+    diagram: StabilityDiagram | LocalisedDiagram, edge: StabilityEdge | LocalisedChange
+) -> tuple[Cell, Cell, Cell]:
+    """Number, width and growth of the tongue that an edge bounds."""
+    if isinstance(diagram, LocalisedDiagram) or isinstance(edge, LocalisedChange):
+        return "", "", ""
+    return edge.tongue + 1, edge.width, diagram.tongues[edge.tongue].growth
+
+
+def _unresolved(mode: int, stretch: Unresolved) -> dict[str, Cell]:
+    known = np.isfinite([stretch.S_start, stretch.S_end]).all()
+    row: dict[str, Cell] = dict.fromkeys(EVENT_COLUMNS, "")
+    start, width = (stretch.S_start, abs(stretch.S_end - stretch.S_start)) if known else ("", "")
+    return {**row, "mode": mode, "S": start, "kind": UNRESOLVED, "S_width": width}
+
+
+def tongue_rows(mode: int, diagram: StabilityDiagram | LocalisedDiagram) -> list[dict[str, Cell]]:
+    """Rows of tongues.csv: every tongue, also those too narrow to decide whether they open."""
+    if isinstance(diagram, LocalisedDiagram):
+        return []
+    decided = [_tongue(mode, number, tongue) for number, tongue in enumerate(diagram.tongues, start=1)]
+    rows = [*decided, *(_tongue(mode, "", tongue) for tongue in diagram.undecided)]
+    return sorted(rows, key=lambda row: float(row["S_start"]))
+
+
+def _tongue(mode: int, number: Cell, t: Tongue) -> dict[str, Cell]:
+    start, end = ("" if t.open_start else t.start.S_error), ("" if t.open_end else t.end.S_error)
+    values: tuple[Cell, ...] = (
+        mode, number, t.kind, t.start.S, start, t.end.S, end, t.width, t.growth, t.max_abs_multiplier, t.S_deepest,
+        "" if t.modes is None else f"{t.modes[0]} {t.modes[1]}", "" if t.order is None else t.order, int(t.decided),
+    )  # fmt: skip
+    return dict(zip(TONGUE_COLUMNS, values, strict=True))

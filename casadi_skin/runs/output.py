@@ -1,0 +1,116 @@
+"""Output of a command that is not for a reader: nothing, or its results as JSON."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+Value = float | int | str | None
+
+
+def add_output(parser: argparse.ArgumentParser) -> None:
+    """Add --quiet and --json, one of which may be given."""
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    either.add_argument("--json", action="store_true", help="print the results as JSON, and nothing else")
+
+
+def print_json(value: object) -> None:
+    """Print a value as JSON on one line; numbers that are not finite are refused, as JSON has none."""
+    import json  # here: --help does not need it
+
+    print(json.dumps(value, ensure_ascii=False, allow_nan=False))
+
+
+def print_results(directory: Path, complete: bool, reasons: Sequence[str]) -> None:
+    """Print the results that a run or a study has left in its directory.
+
+    Arguments:
+        directory: where its files are.
+        complete: whether every requested result was found.
+        reasons: why not, in a line each.
+    """
+    files = sorted(path.name for path in directory.iterdir() if not path.name.startswith("."))
+    tables = {name.removesuffix(".csv"): _rows(directory / name) for name in files if name.endswith(".csv")}
+    place = str(directory)
+    print_json({"directory": place, "complete": complete, "reasons": list(reasons), "files": files, "tables": tables})
+
+
+def _rows(path: Path) -> list[dict[str, Value]]:
+    """The rows of a table; an empty cell is None."""
+    import csv
+
+    with path.open(encoding="utf-8", newline="") as file:
+        return [{name: _value(cell) for name, cell in row.items()} for row in csv.DictReader(file)]
+
+
+def _value(cell: str) -> Value:
+    """A cell as the number it is, or as text."""
+    for kind in (int, float):
+        try:
+            value: float = kind(cell)
+        except ValueError:
+            continue
+        return value if abs(value) < float("inf") else cell
+    return cell or None
+
+
+# Tables on standard output, without the time that a library for terminals takes to load -------------------------------
+
+BOLD, PLAIN = "\033[1m", "\033[0m"
+
+
+@dataclass
+class TextTable:
+    """A title, columns by name, and rows of cells; printed right-justified, with bold names on a terminal."""
+
+    title: str | None
+    columns: Sequence[str]
+    rows: list[tuple[str, ...]] = field(default_factory=list)
+
+    def add_row(self, *cells: str) -> None:
+        """Add a row; cells that are left out are empty."""
+        self.rows.append((*cells, *[""] * (len(self.columns) - len(cells))))
+
+    def lines(self) -> list[str]:
+        """The names of the columns, and the rows."""
+        widths = [max(map(len, column)) for column in zip(self.columns, *self.rows, strict=True)]
+        cells = [zip(row, widths, strict=True) for row in (self.columns, *self.rows)]
+        return [" " + "  ".join(cell.rjust(width) for cell, width in row).rstrip() for row in cells]
+
+    def print(self) -> None:
+        """Write the table to standard output."""
+        if self.title:
+            print(self.title)
+        names, *rows = self.lines()
+        print("\n".join([f"{BOLD}{names}{PLAIN}" if sys.stdout.isatty() else names, *rows]))
+
+
+# Exit status of commands, and wrong input -----------------------------------------------------------------------------
+
+DONE, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+class InputError(ValueError):
+    """Something the user gave is wrong; the message is one line."""
+
+
+# Names and values in the lines that `check` prints --------------------------------------------------------------------
+
+Lines = list[tuple[str, str]]  # pairs (subject, text)
+MOST_WORDS = 16  # that a line of the plan lists
+
+
+def named(values: Mapping[str, float]) -> str:
+    """Names and values, one after the other."""
+    return listed([f"{name} = {value:g}" for name, value in values.items()])
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words one after the other; of many the first and the last."""
+    if len(words) <= MOST_WORDS:
+        return ", ".join(words)
+    return f"{', '.join(words[:2])}, ..., {words[-1]} ({len(words)} in all)"

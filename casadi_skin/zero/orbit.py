@@ -1,0 +1,435 @@
+"""A periodic orbit as a boundary-value problem: its closure, its phase conditions, its unfolding.
+
+An orbit of an autonomous model has an unknown period and a phase that an integral condition fixes (Doedel 1981): the
+orbit is orthogonal to the derivative of a reference, here a trigonometric polynomial made from the guess, beside what a
+rotation adds in proportion to time. In a conservative model orbits come in families at fixed parameters, so that a
+condition selects one, and the equations are made regular by a multiple of the gradient of each conserved quantity that
+comes back as zero (Sepulchre and MacKay 1997; Munoz-Almaraz et al. 2003). A symmetry that belongs to one of them has a
+phase of its own.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.model import methods
+from casadi_skin.model.arguments import short_repr
+from casadi_skin.model.conserved import (
+    HAMILTONIAN,
+    SymmetryClass,
+    directions,
+    independent,
+    is_odd,
+    pinned_components,
+    quantities,
+)
+from casadi_skin.model.expressions import Expression
+from casadi_skin.model.jumps import Jumps
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.solve.guesses import Guess, known_times, sampled
+from casadi_skin.zero.family import Method
+from casadi_skin.zero.problem import Array, OrbitProblem
+from casadi_skin.zero.stated_problem import PERIOD
+from casadi_skin.zero.statement import Bounds, Statement, check_expressions
+
+UNFOLDING = "unfolding"  # of the hamiltonian; of another quantity with its name after it
+SAMPLES = 256  # of the guess over a period
+LARGEST = 1e150  # state of a guess
+HARMONICS = 12  # of the reference of the phase
+DEPENDENT = 0.05  # relative: gradients of conserved quantities along a guess that count as dependent
+TWO_PI = 2.0 * np.pi
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Extended(OdeModel):
+    """A model with more parameters; its values are as good as those of the one that it is made of."""
+
+    inner: OdeModel
+
+    @property
+    def rounding(self) -> float:
+        return self.inner.rounding
+
+    @cached_property
+    def jumps(self) -> Jumps:
+        """Those of the model that it is made of: time does not enter."""
+        return self.inner.jumps
+
+
+def extended(model: OdeModel, length: float, unfolded: Mapping[str, Expression]) -> Extended:
+    """A model with its period, nominally `length`, and the unfolding coefficients among the parameters.
+
+    Time goes from 0 to the period.
+    """
+    kind, names = type(model.state), (*model.parameter_names, PERIOD, *unfolded)
+    p, count = kind.sym("p", len(names)), int(model.parameters.numel())
+    rhs = model.field_at(0.0, model.state, p[:count])
+    for k, quantity in enumerate(unfolded.values(), start=1):
+        slope = model.function("slope", ca.gradient(quantity, model.state))
+        rhs = rhs + p[count + k] * slope(0.0, model.state, p[:count])
+    nominal = [*(model.nominal or ()), length, *(0.0 for _ in unfolded)]
+    return Extended(
+        model.name, model.state, rhs, p, time=kind.sym("t"), forcing_period=p[count], checked=False,
+        nominal=tuple(nominal) if len(nominal) == len(names) else None,
+        state_labels=model.state_names, parameter_labels=names, inner=model,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """One period of a guess as a trigonometric polynomial in the turn, from 0 to 1, beside its rotation.
+
+    `complex` coefficients have shape (harmonics, states), `mean` and `rotation` (what is added in a period) (states,).
+    """
+
+    coefficients: Any
+    mean: Array
+    rotation: Array
+
+    @property
+    def _order(self) -> Array:
+        return np.arange(1.0, len(self.coefficients) + 1)
+
+    def state(self, turn: Expression) -> Expression:
+        """The reference at a turn, without its rotation."""
+        angle = TWO_PI * turn * ca.DM(self._order)
+        waves = ca.cos(angle).T @ ca.DM(self.coefficients.real) - ca.sin(angle).T @ ca.DM(self.coefficients.imag)
+        return waves.T + ca.DM(self.mean)
+
+    def slope(self, turn: Expression) -> Expression:
+        """Its derivative by the angle 2 pi turn, of the rotation too."""
+        order = self._order
+        angle, c = TWO_PI * turn * ca.DM(order), order[:, None] * self.coefficients
+        waves = -ca.sin(angle).T @ ca.DM(c.real) - ca.cos(angle).T @ ca.DM(c.imag)
+        return waves.T + ca.DM(self.rotation / TWO_PI)
+
+    @property
+    def size(self) -> float:
+        """Mean square of the slope over a period."""
+        waves = np.sum(self._order[:, None] ** 2 * np.abs(self.coefficients) ** 2) / 2.0
+        return float(waves + np.sum((self.rotation / TWO_PI) ** 2))
+
+
+@dataclass(frozen=True, eq=False)
+class OrbitRequest:
+    """A first-order model, a guessed period, parameters, and the conditions on the orbit.
+
+    `rotations` are how many times 2 pi is added to each state in a period, shape (states,).
+    """
+
+    model: OdeModel
+    length: float
+    cycles: int
+    values: Mapping[str, float]
+    rotations: Array
+    guess: Guess
+    symmetry: SymmetryClass = SymmetryClass.FULL
+    select: Expression | None = None
+    section: Expression | None = None
+    free: tuple[str, ...] = ()
+    bounds: Bounds | None = None
+    objective: Expression | str | None = None
+    running: Expression | None = None
+
+    # Unfolding --------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def unfolded(self) -> dict[str, Expression]:
+        """Conserved quantities that are unfolded, by the names of their coefficients.
+
+        Of a reversible orbit those that change sign with the reversal: the others do not repeat what it closes by.
+        Where gradients depend on each other along the guess, as where a symmetry moves it as time does, one is enough.
+        """
+        known = quantities(self.model)
+        if self.symmetry is not SymmetryClass.FULL:
+            odd = [name for name in self._phases if is_odd(self.model, name)]
+            return {_unfolding(name): known[name] for name in odd}
+        if len(known) > 1:
+            slopes = [ca.densify(ca.gradient(quantity, self.model.state)) for quantity in known.values()]
+            gradients = self.model.function("slopes", *slopes)
+            _, values = self.sampled
+            p = [self.values_of(self.model)[name] for name in self.model.parameter_names]
+            along = [np.array([np.array(g) for g in gradients(0.0, x, p)]).reshape(len(known), -1) for x in values]
+            kept = independent(np.hstack(along), DEPENDENT)
+            known = {name: quantity for i, (name, quantity) in enumerate(known.items()) if i in kept}
+        return {_unfolding(name): quantity for name, quantity in known.items()}
+
+    @cached_property
+    def _phases(self) -> dict[str, Expression]:
+        return directions(self.model) if self.model.conserved else {}
+
+    @property
+    def symmetries(self) -> dict[str, Expression]:
+        """Directions of the symmetries whose phase has to be fixed, by the names of the conserved quantities."""
+        return {name: way for name, way in self._phases.items() if _unfolding(name) in self.unfolded}
+
+    @property
+    def selects(self) -> int:
+        """Number of conditions that pick an orbit among those at fixed parameters."""
+        if self.symmetry is not SymmetryClass.FULL:
+            return 1
+        return len(self.unfolded) - len(self.symmetries)
+
+    # The model ------------------------------------------------------------------------------------------------------
+
+    def extended(self) -> OdeModel:
+        """The model with its period and the unfolding coefficients among the parameters."""
+        return extended(self.model, self.length, self.unfolded)
+
+    def at_start(self, model: OdeModel, label: str, expression: Expression) -> Expression:
+        """An expression in states and parameters of the model, at phase zero of the extended one."""
+        check_expressions([(label, expression)], [self.model.state, self.model.parameters])
+        count = int(self.model.parameters.numel())
+        function = ca.Function("condition", [self.model.state, self.model.parameters], [expression])
+        return function(model.ends[0], model.parameters[:count])
+
+    def values_of(self, model: OdeModel) -> dict[str, float]:
+        """Values of the parameters, those that were added among them, by name."""
+        known = dict(zip(self.model.parameter_names, self.model.nominal or (), strict=False)) | {PERIOD: self.length}
+        known |= dict.fromkeys(model.parameter_names[len(self.model.parameter_names) + 1 :], 0.0)
+        return {name: known[name] for name in model.parameter_names if name in known} | dict(self.values)
+
+    def minimised(self, model: OdeModel, period: Expression) -> dict[str, Any]:
+        """Objective and running cost of the statement, in the extended model."""
+        found: dict[str, Any] = {"bounds": self.bounds or {}}
+        if isinstance(self.objective, str):
+            if self.objective != PERIOD:
+                raise ValueError(
+                    f"objective: given {short_repr(self.objective)}; accepted: an expression, or {PERIOD!r}"
+                )
+            found["objective"] = type(model.state)(period)
+        elif self.objective is not None:
+            found["objective"] = self.at_start(model, "objective", self.objective)
+        if self.running is not None:
+            symbols = [self.model.state, self.model.parameters, *([self.model.time] if self.model.forced else [])]
+            check_expressions([("running", self.running)], symbols)
+            along = self.model.function("running", self.running)
+            time = model.time if self.model.forced else 0.0
+            count = int(self.model.parameters.numel())
+            found["running"] = along(time, model.state, model.parameters[:count]) / period
+        return found
+
+    # The guess ------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def sampled(self) -> tuple[Array, Array]:
+        """Times over the guessed period and states of the guess there; raises ValueError for other guesses."""
+        model, span = self.model, (0.0, self.length)
+        statement = Statement(model, [model.start(model.state)], interval=span, parameters=self.values_of(model))
+        times = known_times(statement, self.guess, SAMPLES + 1)
+        states = sampled(statement, self.guess, times)
+        largest = float(np.max(np.abs(states)))
+        if largest > LARGEST:
+            raise ValueError(
+                f"guess: given states up to {largest:.3g}; accepted: up to {LARGEST:g}, whose squares are finite"
+            )
+        return times, states
+
+    @cached_property
+    def reference(self) -> Reference:
+        """The guess as a reference of phases; raises ValueError for one that does not move."""
+        times, values = self.sampled
+        turn, rotation = times / self.length, TWO_PI * self.rotations
+        values = values - turn[:, None] * rotation
+        waves = np.exp(-1j * TWO_PI * np.outer(np.arange(1, HARMONICS + 1), turn))
+        c = 2.0 * np.trapezoid(waves[:, :, None] * values, turn, axis=1)
+        found = Reference(c, np.asarray(np.trapezoid(values, turn, axis=0)), rotation)
+        if not found.size > 1e-24 * float(np.max(np.abs(values))) ** 2:
+            raise ValueError("guess: given a state that does not move; accepted: one period of an orbit")
+        return found
+
+
+def _unfolding(name: str) -> str:
+    return UNFOLDING if name == HAMILTONIAN else f"{UNFOLDING}_{name}"
+
+
+def statement_of(request: OrbitRequest) -> Statement:
+    """The boundary-value problem whose solution is the requested orbit."""
+    if request.model.forced:
+        return _forced(request)
+    return _closed(request) if request.symmetry is SymmetryClass.FULL else _symmetric(request)
+
+
+def _forced(request: OrbitRequest) -> Statement:
+    """Whole periods of the forcing, closed."""
+    model = request.model
+    assert model.forcing_period is not None
+    period = request.cycles * model.forcing_period
+    conditions = [_closure(request, model)]
+    conditions += [] if request.select is None else [request.at_start(model, "select", request.select)]
+    return Statement(
+        model, conditions, (), (0.0, period), request.values, request.free, **request.minimised(model, period)
+    )  # fmt: skip
+
+
+def _closed(request: OrbitRequest) -> Statement:
+    """The whole period, closed, with its phases; unfolded where the model is conservative."""
+    model = request.extended()
+    period = model.parameters[model.parameter_names.index(PERIOD)]
+    conditions = [_closure(request, model)]
+    if request.select is not None:
+        conditions.append(request.at_start(model, "select", request.select))
+    integrals = []
+    if request.section is not None:
+        conditions.append(request.at_start(model, "section", request.section))
+    else:
+        slope = request.reference.slope(model.time / period)
+        integrals.append(ca.dot(slope, _without_rotation(request, model, period)) / request.reference.size / period)
+    integrals += _symmetry_phases(request, model, period)
+    free = [PERIOD, *request.unfolded, *request.free]
+    return Statement(
+        model, conditions, integrals, (0.0, period), request.values_of(model), free, **request.minimised(model, period)
+    )  # fmt: skip
+
+
+def _symmetric(request: OrbitRequest) -> Statement:
+    """Half or a quarter of the period, from one fixed set of the reversal to the other."""
+    first, last = pinned_components(request.model, request.symmetry)
+    model = request.extended()
+    period = model.parameters[model.parameter_names.index(PERIOD)]
+    turned = np.pi * request.rotations[last]  # half of the change in a period
+    conditions = [model.start(model.state)[first], model.end(model.state)[last] - ca.DM(turned)]
+    conditions += [] if request.select is None else [request.at_start(model, "select", request.select)]
+    minimised, part = request.minimised(model, period), request.symmetry.value
+    if "running" in minimised:
+        minimised["running"] = minimised["running"] / part
+    phases = [phase / part for phase in _symmetry_phases(request, model, period)]
+    free = [PERIOD, *request.unfolded, *request.free]
+    return Statement(
+        model, conditions, phases, (0.0, part * period), request.values_of(model), free, **minimised
+    )  # fmt: skip
+
+
+def _closure(request: OrbitRequest, model: OdeModel) -> Expression:
+    """Expression that vanishes where the orbit returns to its start, turned by its rotations."""
+    closure = model.end(model.state) - model.start(model.state)
+    return closure - ca.DM(TWO_PI * request.rotations) if np.any(request.rotations) else closure
+
+
+def _without_rotation(request: OrbitRequest, model: OdeModel, period: Expression) -> Expression:
+    """The state without its rotation, which is proportional to time, and without the mean of the reference then."""
+    if not np.any(request.rotations):
+        return model.state
+    reference = request.reference
+    return model.state - ca.DM(reference.rotation) * (model.time / period) - ca.DM(reference.mean)
+
+
+def _symmetry_phases(request: OrbitRequest, model: OdeModel, period: Expression) -> list[Expression]:
+    """For each symmetry the distance from the reference along it, whose mean vanishes."""
+    found, reference = [], request.reference if request.symmetries else None
+    for name, way in request.symmetries.items():
+        assert reference is not None
+        turn, count = model.time / period, int(request.model.parameters.numel())
+        at, moved = reference.state(turn), request.model.function(name, ca.densify(way))
+        along = moved(0.0, at, model.parameters[:count])
+        away = model.state - ca.DM(reference.rotation) * turn - at
+        _, states = request.sampled
+        p = [request.values_of(request.model)[entry] for entry in request.model.parameter_names]
+        size = float(np.mean([float(ca.sumsqr(moved(0.0, x, p))) for x in states]))
+        found.append(ca.dot(along, away) / size / period)
+    return found
+
+
+# Choices for a boundary-value problem: methods, scales of its unknowns, and the data of orbits ------------------------
+
+DEGREE, FIRST = 6, 12  # of the polynomials, and intervals of the first mesh, by default
+
+
+def boundary_method(options: Mapping[str, Any]) -> Method:
+    """The methods of a boundary-value problem, every choice made; raises ValueError for values out of range."""
+    for name, accepted, first in (
+        ("transcription", tuple(methods.COLLOCATION_TABLES), "gauss"),
+        ("flow", tuple(methods.FULL_PERIOD_FLOWS), "collocation"),
+        ("walker", ("arclength",), "arclength"),
+    ):
+        options = {name: first, **options}
+        if not isinstance(options[name], str) or options[name] not in accepted:
+            raise ValueError(f"{name}: given {short_repr(options[name])}; accepted: {', '.join(accepted)}")
+    method = Method(**{"degree": DEGREE, "intervals": FIRST, **options})
+    method.check_degree(1)
+    return method
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Least scales of the components of the state and of the free parameters."""
+
+    states: Array
+    scalars: Array
+
+    @classmethod
+    def of(cls, statement: Statement, guess: Array) -> Sizes:
+        """A thousandth of each component of the guess, as components have units; 1 for a guess of zeros."""
+        states = 1e-3 * np.max(np.abs(guess), axis=0) if np.any(guess) else np.ones(guess.shape[1])
+        values = np.array([statement.values[name] for name in statement.free])
+        return cls(states, np.where(values == 0.0, 1.0, 1e-3 * np.abs(values)))
+
+
+@dataclass(frozen=True, eq=False)
+class Periodic:
+    """Data of an orbit: the model as declared, that of first order, the part of the period solved for.
+
+    `turns` are the rotations of the states in a period, none where it is empty.
+    """
+
+    given: OdeModel
+    model: OdeModel
+    symmetry: SymmetryClass
+    turns: tuple[int, ...] = ()
+
+    def rotated(self, theta: Array) -> Array:
+        """Additions of rotations at phases to states of the solved part, mirrored or not, shape (phases, states)."""
+        turn = np.asarray(theta, dtype=float) / (2.0 * np.pi)
+        mirrored = np.mod(turn, 1.0) > self.symmetry.value
+        return np.asarray(2.0 * np.pi * np.outer(np.floor(turn) + mirrored, self.turns))
+
+
+# Common parts of transcriptions in full states: the models that they take, and the order of their unknowns ------------
+
+
+class FirstOrderProblem(OrbitProblem):
+    """Unknowns are full states in the order of time, Omega, the free parameter and the unfolding parameter.
+
+    The last is there for the full period only: the coefficient of a damping that a conservative model does not have,
+    which makes the equations regular (Sepulchre and MacKay 1997; Munoz-Almaraz et al. 2003); it comes back as zero. The
+    phase is where the model's normalisation is stationary along the flow. Raises ValueError for missing symmetries.
+    """
+
+    def __init__(self, model: OdeModel, resolution: int, symmetry: SymmetryClass) -> None:
+        if model.parameters.numel() != 1 or model.normalisation is None:
+            raise ValueError(f"{model.name}: a family needs one free parameter and a normalisation")
+        if symmetry is SymmetryClass.FULL and model.order == 1 and model.hamiltonian is None:
+            raise ValueError(f"{model.name}: the full period unfolds a conserved quantity; declare its hamiltonian")
+        self.model, self.resolution, self.symmetry = model, resolution, symmetry
+        self.pinned = pinned_components(model, symmetry)
+        self.unfolded = symmetry is SymmetryClass.FULL
+
+    @property
+    def size(self) -> int:
+        return self.states + 2 + int(self.unfolded)
+
+    @property
+    def damping_index(self) -> int:
+        """Place of the unfolding parameter among the unknowns (full period only)."""
+        return self.states + 2
+
+    @abstractmethod
+    def phases(self) -> Array:
+        """Phases theta of the full states among the unknowns, in their order."""
+
+    def _spread(self, factors: Array) -> Array:
+        return np.tile(factors, self.states // factors.size)  # velocities are shown as positions are
+
+    def pack(self, positions: Array, Omega: float, parameter: float) -> Array:
+        theta = self.phases()
+        state = np.outer(np.cos(theta), positions)
+        if self.model.order == 2:
+            state = np.hstack([state, np.outer(-Omega * np.sin(theta), positions)])
+        return np.concatenate([state.ravel(), [Omega, parameter], np.zeros(int(self.unfolded))])
