@@ -22,7 +22,7 @@ from casadi_skin.model.integrators import IntegrationError, stiff_cvodes
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.symmetries import check_forcing_period
-from casadi_skin.solve.first import solve
+from casadi_skin.optimise.boundary_nlp import solve
 from casadi_skin.solve.guesses import Guess, over_its_own_period, sampled
 from casadi_skin.solve.newton import Correction
 from casadi_skin.solve.rank_deficiency import equilibrium_words

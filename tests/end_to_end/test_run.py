@@ -18,6 +18,7 @@ from apart import ended, killed
 from outputs import read_rows
 
 from casadi_skin.runs.program import main
+from casadi_skin.stability.family_stability import FLOWS
 
 pytestmark = pytest.mark.usefixtures("blank")
 
@@ -113,8 +114,8 @@ def test_without_stability_no_variational_system_is_built(tmp_path: Path, monkey
     def refuse(*_: object) -> None:
         raise AssertionError("a variational system was built")
 
-    monkeypatch.setattr("casadi_skin.stability.splitting.SplittingFlow", refuse)
-    monkeypatch.setattr("casadi_skin.stability.cvodes.CvodesFlow", refuse)
+    for flow in FLOWS:
+        monkeypatch.setitem(FLOWS, flow, refuse)
     scene = write_scene(tmp_path / "small.toml")
     assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
     assert not set(STABILITY_COLUMNS) & set(read_rows(tmp_path / "out" / "family.csv")[0])
