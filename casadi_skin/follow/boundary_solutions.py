@@ -11,8 +11,11 @@ from typing import Any, ClassVar, Protocol
 import casadi as ca
 import numpy as np
 
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.settings import ContinuationSettings, Point, Target
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import ORBITS, SOLUTIONS, SolutionSpace
 from casadi_skin.model.arguments import check_name
 from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
 from casadi_skin.model.integrators import IntegrationError
@@ -50,7 +53,7 @@ class ParentBranch(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class BoundarySolutions:
+class BoundarySolutions(SolutionSpace):
     """Solutions of a statement by their unknowns.
 
     Attributes:
@@ -82,14 +85,17 @@ class BoundarySolutions:
     problem_class: ClassVar[type[BoundaryProblem]] = BoundaryProblem
 
     @property
+    def connects(self) -> str:
+        return SOLUTIONS if self.periodic is None else ORBITS
+
+    @property
     def model(self) -> OdeModel:
         """The model that the solutions belong to, of first order; of an orbit without the added parameters."""
         return self.statement.model if self.periodic is None else self.periodic.model
 
     @property
-    def stability_included(self) -> bool:
-        """Whether stability is computed with every solution."""
-        return False
+    def optimises(self) -> bool:
+        return self.statement.optimises
 
     @property
     def free(self) -> Sequence[str]:
@@ -188,28 +194,30 @@ class BoundarySolutions:
 
     def target(self, name: str, value: float) -> Target:
         """Condition that the continuation parameter, or an unknown period or frequency, has a value."""
-        if name == self.parameter:
-            return Target(Scalar.PARAMETER, self._fraction(value))
-        if name not in self.held_names:
-            raise ValueError(f"at: given {name}; accepted: {', '.join(self.held_names)}")
+        if name == self.parameter or name not in self.held_names:
+            return super().target(name, value)
         if not 0 < value < math.inf:
             raise ValueError(f"at: given {name} = {value!r}; accepted: a finite number > 0")
         return Target(Scalar.OMEGA, value if name == "Omega" else TWO_PI / value)
 
-    def _fraction(self, value: float) -> float:
-        start = self.statement.values[self.parameter]
-        return (value - start) / (self.to - start)
-
-    def requested_values(self) -> Mapping[str, Sequence[float]]:
-        return {self.parameter: self.at}
+    @property
+    def begins(self) -> float:
+        """Value of the parameter followed at the start."""
+        return self.statement.values[self.parameter]
 
     def value(self, name: str, point: Point) -> float:
         if name == self.parameter:
-            requested = {self._fraction(value): value for value in (*self.at, self.to)}
-            u = point.parameter
-            return requested[u] if u in requested else float(self.parameters(point)[name])
+            return super().value(name, point)
         period = self.parameters(point)[PERIOD]
         return period if name == PERIOD else TWO_PI / period
+
+    def solution(
+        self, point: Point, floquet: Floquet | None = None, exact: Mapping[str, float] | None = None
+    ) -> Solution:
+        """The orbit or solution of a point, with its stability where that is known and values that it has exactly."""
+        if exact is None:
+            exact = {self.parameter: self.value(self.parameter, point)} if self.parameter else {}
+        return (Solution if self.periodic is None else Orbit)(self, point, exact, known_floquet=floquet)
 
     # Orbits ---------------------------------------------------------------------------------------------------------
 
@@ -246,10 +254,6 @@ class BoundarySolutions:
         p = [values[name] for name in model.parameter_names]
         start = self.states_at(point, np.zeros(1), None)[0]
         return float(model.function("H", ca.densify(model.hamiltonian))(0.0, start, p))
-
-    @property
-    def stability_batch(self) -> int:
-        return 1
 
     def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
         """Multipliers of orbits over the full period.

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.boundary_solutions import BoundarySolutions
 from casadi_skin.follow.branch_points import branch_points_between
 from casadi_skin.follow.crossing_place import ONE_PLACE
-from casadi_skin.follow.settings import Continuation, ContinuationSettings, End, Point
+from casadi_skin.follow.settings import ContinuationSettings, End, Point
+from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.special_points import (
     BOUND,
     BRANCH_POINT,
@@ -231,9 +231,10 @@ BESIDE = 1e-3  # of the way from a branch point: where the search for other spec
 class BoundarySpace(BoundarySolutions):
     """The branch of solutions of a statement in one parameter (see `SolutionSpace`)."""
 
-    start_is_limit: bool = field(default=False, init=False)
-    locates_folds: bool = field(default=True, init=False)
-    S_rate: float = field(default=1.0, init=False)
+    @property
+    def has_ledger(self) -> bool:
+        """Whether changes of stability are located between two solutions."""
+        return not self.kind
 
     # The branch -----------------------------------------------------------------------------------------------------
 
@@ -253,10 +254,6 @@ class BoundarySpace(BoundarySolutions):
         if not correction.converged:
             raise BoundaryError(f"the start of the branch: {correction.status.value}; {problem.worst(correction.z)}")
         return replace(refined(self.point_solver, problem, correction), step=self.point_solver.settings.first_step)
-
-    def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
-        """Pseudo-arclength continuation from its last points, and from points reported after these."""
-        return ArclengthContinuation(self.point_solver, history, reported)
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
         """Folds on the stretch between two points, and the Hopf point where an orbit shrinks to an equilibrium.

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from casadi_skin.follow.corners import PassedResonance, passed_resonances
 from casadi_skin.follow.ending import Ending
-from casadi_skin.follow.family import Family
 from casadi_skin.follow.ledger import StabilityChange
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.passages import held_passage, passage
 from casadi_skin.follow.settings import End, Point
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.follow.special_of_families import folds_of_family, special_point
 from casadi_skin.follow.special_points import EDGE, FOLD, SpecialPoint
 from casadi_skin.follow.unresolved import STABILITY, Unresolved, count_in_words
@@ -177,11 +176,11 @@ class Branch(Result):
 
         Computed on first use, from the course of the family and not from its points.
         """
-        if not (self._seeks_changes and isinstance(self.space, Family)) or self.space.coordinates.localised is not None:
+        if not (self._seeks_changes and self._family) or self._family.coordinates.localised is not None:
             return None
         from casadi_skin.follow.family_tongues import family_tongues
 
-        family, points = self.space, (self.start, *(solution.point for solution in self.solutions))
+        family, points = self._family, (self.start, *(solution.point for solution in self.solutions))
         stability = (None, *(orbit.known_floquet for orbit in self.orbits))
         return self._within_time(STABILITY, lambda: family_tongues(family, points, stability=stability))
 
@@ -191,7 +190,7 @@ class Branch(Result):
         cut = STABILITY in self._cut
         return (
             cut
-            or not isinstance(self.space, Family)
+            or self.space.connects != FAMILY
             or not {"stability_diagram", "localised_diagram"}.isdisjoint(
                 name for name, value in vars(self).items() if value is not None
             )
@@ -203,12 +202,17 @@ class Branch(Result):
 
         Computed on first use. Weak instabilities of waves in the tail depend on its length, and are not among them.
         """
-        if not (self._seeks_changes and isinstance(self.space, Family)) or self.space.coordinates.localised is None:
+        if not (self._seeks_changes and self._family) or self._family.coordinates.localised is None:
             return None
         from casadi_skin.stability.tongues.family_localised import localised_changes
 
-        family, points = self.space, [solution.point for solution in self.solutions]
+        family, points = self._family, [solution.point for solution in self.solutions]
         return self._within_time(STABILITY, lambda: localised_changes(family, points))
+
+    @property
+    def _family(self) -> Any:
+        """The space of a family; None of other branches."""
+        return self.space if self.space.connects == FAMILY else None
 
     @property
     def _seeks_changes(self) -> bool:
@@ -269,9 +273,9 @@ class Branch(Result):
         is not sought: without odd cosines, or where the Jacobian is not symmetric; and where the time limit ends the
         search.
         """
-        if not isinstance(self.space, Family):
+        if self.space.connects != FAMILY:
             return None
-        family, points = self.space, [solution.point for solution in self.solutions]
+        family, points = self._family, [solution.point for solution in self.solutions]
         return self._within_time(
             "internal resonance",
             lambda: passed_resonances(family.point_solver, points, lambda point: family.value("S", point)),

@@ -19,7 +19,7 @@ from casadi_skin.follow.following import Following, run_following
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.settings import ContinuationSettings, End, Point
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.space import FAMILY, ORBITS, SolutionSpace
 from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS, SpecialPoint, check_second
 from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.model.arguments import check_name
@@ -218,9 +218,9 @@ def curve_space(
     """The space of the curve of a special point in a second parameter; raises ValueError as `curve` does."""
     options: dict[str, Any] = {"at": at, "max_points": max_points, "max_step": max_step, "back_to": back_to}
     solution = point.solution
-    stated = type(solution.space) is BoundarySpace
+    stated = solution.space.has_ledger
     if not (stated and point.kind in KINDS):
-        if isinstance(solution, Orbit):
+        if solution.space.connects in (FAMILY, ORBITS):
             raise ValueError(f"curve: given a {point.kind} of orbits; accepted: {', '.join(KINDS)} of a branch")
         return of_equilibria.curve_space(point, parameter, to, **options)
     check_second(point, parameter)

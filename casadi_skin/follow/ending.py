@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
-from casadi_skin.follow.family import SLOW, Family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.settings import End
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.lattice.spectrum import linear_frequencies
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.zero.model_coordinates import nearest_resonance
@@ -20,6 +19,7 @@ from casadi_skin.zero.model_coordinates import nearest_resonance
 NEAR_LIMIT = 1e-6  # relative
 CLOSE = 1e-5  # relative difference of linear frequencies below which steps of the continuation may miss it
 UNBOUNDED = "grows without bound"
+SLOW = 3.0  # times the period of the linear mode
 STILL = 1e-2  # a relative change of S, per that of Omega, below which S has come to a limit
 
 
@@ -50,14 +50,14 @@ class Ending:
             return self.detail or "interrupted"
         if self.end is End.REACHED:
             return str(self.end.value)
-        if not isinstance(self.space, Family):
+        if self.space.connects != FAMILY:
             return f"{self._end_words()}: {self.detail}".rstrip(". :")
         near = near_resonance(self.space, CLOSE)
         if not self.solutions:
             return f"{self._end_words()}: {self.detail}".rstrip(". :") + near
         last = self.orbits[-1]
         where = f"(S = {last.S:.10g}, Omega = {last.Omega:.6g})"
-        softened = self._softened(self.space, self.space.request.amplitude_max)
+        softened = self._softened(self.space, self.space.to)
         if self.end is End.FLOW and UNBOUNDED in softened:
             return f"{softened.removeprefix('; ')} {where}; {self._end_words()}: {self.detail}"
         words = f"{self._end_words()} {where}"
@@ -68,11 +68,11 @@ class Ending:
         return words + softened + near
 
     def _end_words(self) -> str:
-        if self.end is End.RETURNED and not isinstance(self.space, Family):
+        if self.end is End.RETURNED and self.space.connects != FAMILY:
             return "the branch came back to the value of the parameter that it started from"
         return str(self.end.value) if self.end is not None else ""
 
-    def _softened(self, family: Family, S: float) -> str:
+    def _softened(self, family: Any, S: float) -> str:
         """The slow last orbit in words: its period, and whether S has come to a limit short of the requested S."""
         last = self.orbits[-1]
         slower = family.coordinates.frequency / last.point.Omega
@@ -91,20 +91,20 @@ class Ending:
             values = np.array([solution.value(name) for solution in self.solutions])
             passed = [v for v in missed if values.size and values.min() <= v <= values.max()]
             beyond = [v for v in missed if v not in passed]
-            what = "orbit" if isinstance(self.space, Family) else "solution"
-            whole = "family" if isinstance(self.space, Family) else "branch"
+            what = "orbit" if self.space.connects == FAMILY else "solution"
+            whole = "family" if self.space.connects == FAMILY else "branch"
             if passed:
                 yield f"no {what} was found at {name} = {_listed(passed)}, which the {whole} passes"
             if beyond:
                 covered = f"from {values.min():.6g} to {values.max():.15g}" if values.size else "nowhere"
                 yield f"no {what} was found at {name} = {_listed(beyond)}: the {whole} was followed {covered} in {name}"
         missed_S = self.misses.get(self.space.parameter, ())
-        if missed_S and self.solutions and isinstance(self.space, Family):
+        if missed_S and self.solutions and self.space.connects == FAMILY:
             softened = self._softened(self.space, missed_S[-1])
             if softened:
                 yield f"{softened.removeprefix('; ')}; ask for at_period or at_Omega, and end at a period_max"
 
-    def _wandering(self, family: Family) -> str:
+    def _wandering(self, family: Any) -> str:
         """The course of a family that used up its points, with advice on the next request."""
         request, S = family.request, np.array([orbit.S for orbit in self.orbits])
         slowest = min(orbit.Omega for orbit in self.orbits)
@@ -127,7 +127,7 @@ class Ending:
         return f"{words}; try {less}a period_max, a smaller amplitude_max, or {more}"
 
 
-def near_resonance(family: Family, within: float) -> str:
+def near_resonance(family: Any, within: float) -> str:
     """The resonance of a family's linear mode with another one, within a relative distance, in words; empty without."""
     coordinates, request = family.coordinates, family.request
     try:

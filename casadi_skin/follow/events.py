@@ -16,13 +16,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.exponents import Exponents, is_real
-from casadi_skin.follow.making import solution_at
 from casadi_skin.follow.sample import Sample
 from casadi_skin.follow.settings import Point
 from casadi_skin.follow.solution import Solution
@@ -71,19 +70,20 @@ class Crossing(NamedTuple):
 def at_requested_value(solution: Solution) -> Solution:
     """A solution at a requested value; where one of its multipliers crosses there, the special orbit in its place."""
     space, point = solution.space, solution.point
-    if type(space) is not BoundarySpace or point.walked or point.special or not solution.floquet().others.size:
+    if not space.has_ledger or point.walked or point.special or not solution.floquet().others.size:
         return solution
     others = solution.floquet().others
     nearest = complex(others[np.argmin(np.abs(Exponents.from_floquet(solution.floquet()).values.real))])
     if abs(np.log(abs(nearest))) > CRITICAL:
         return solution
     kind = TORUS if nearest.imag else DOUBLING if nearest.real < 0.0 else BRANCH_POINT
-    found: Point | None = special_orbit(space, kind, point, abs(float(np.angle(nearest))))
+    found = special_orbit(cast(BoundarySpace, space), kind, point, abs(float(np.angle(nearest))))
     target = None if found is None else target_of(space, found)
     if found is None or target is None or target.value != point.parameter:
         return solution
     there = replace(snapped(found, target, requested=True), along=point.along)
-    return solution_at(space, there, space.floquets([there])[0])
+    critical: Solution = space.solution(there, space.floquets([there])[0])
+    return critical
 
 
 def events_between(space: BoundarySpace, before: Solution, after: Solution) -> Iterator[Event | Unresolved]:
@@ -198,7 +198,7 @@ class _OrbitSearch(StretchSearch[Event | Unresolved]):
         return at / self.length if low - slack <= at <= high + slack else None
 
     def event(self, place: float, point: Point, crossing: Crossing) -> Event:
-        solution = solution_at(self.space, point, self.space.floquets([point])[0])
+        solution = self.space.solution(point, self.space.floquets([point])[0])
         return Event(place, solution, crossing.kind, crossing.angle, crossing.jump)
 
     def by_root(self, stretch: Stretch, crossing: Crossing) -> Event | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.follow.arclength import ArclengthContinuation
+from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.point import PointSolver, with_small_components
 from casadi_skin.follow.series import TOGETHER, SeriesContinuation
 from casadi_skin.follow.settings import Continuation, End, Point, Target
+from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.follow.special_points import folds_between
 from casadi_skin.model import methods
 from casadi_skin.model.conserved import SymmetryClass, symmetry_class
@@ -23,6 +25,7 @@ from casadi_skin.solve.ipopt import CORRECTORS
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import Corrector
 from casadi_skin.stability.family_stability import FamilyStability
+from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.orbit_collocation import CollocationProblem
@@ -52,16 +55,15 @@ SLOW = 3.0  # times the period of the linear mode
 UNCHANGED = 1e-13  # a relative change of S, per that of Omega, that no longer shows
 
 
-class Family(FamilyStability):
-    """The equations of one family and how their unknowns are read (see `orbits.space.SolutionSpace`).
+class Family(FamilyStability, SolutionSpace):
+    """The equations of one family and how their unknowns are read (see `SolutionSpace`).
 
     Each part is built on first use; one object serves any number of continuations of the same request.
     """
 
+    connects = FAMILY
     parameter = "S"
     start_is_limit = True  # the linear mode at S = 0 is not an orbit of the family
-    free: Sequence[str] = ()
-    stability_included = False
     locates_folds = False  # while the family is followed; `Branch.special_points` locates them on first use
 
     def __init__(self, request: FamilyRequest) -> None:
@@ -189,9 +191,6 @@ class Family(FamilyStability):
             return self.request.S_of(point.parameter)
         return point.Omega if name == "Omega" else self.request.period_of(point.Omega)
 
-    def singular_near(self, guess: Point) -> None:
-        """None: special points of a family are sought on first use."""
-
     def special_between(self, before: Point, after: Point) -> Iterator[Point]:
         """Folds on the stretch between two points, where S turns back."""
         yield from folds_between(self.point_solver, before, after)
@@ -214,6 +213,10 @@ class Family(FamilyStability):
         return (End.LIMIT if at_limit else None), ""
 
     # Values ---------------------------------------------------------------------------------------------------------
+
+    def solution(self, point: Point, floquet: Floquet | None = None, exact: Mapping[str, float] | None = None) -> Orbit:
+        """The orbit of a point, with its stability where that is known and values that it has exactly."""
+        return Orbit(self, point, exact or {}, known_floquet=floquet)
 
     @property
     def state_names(self) -> tuple[str, ...]:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, cast
 
 import numpy as np
 
-from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following, run_following
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.settings import ContinuationSettings, Target
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.follow.special_points import BRANCH_POINT, FOLD
 from casadi_skin.model.arguments import check_name, check_options, duration, function_of, number, numbers, truth, whole
 from casadi_skin.model.ode import OdeModel
@@ -22,17 +21,6 @@ from casadi_skin.model.symmetries import check_forcing_period
 from casadi_skin.zero.family import MAX_POINTS, Method
 from casadi_skin.zero.problem import Scalar
 from casadi_skin.zero.request import FamilyModel, family_request
-
-
-@runtime_checkable
-class Follows(Protocol):
-    """A space whose solutions can be followed in a parameter."""
-
-    def following(
-        self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
-    ) -> SolutionSpace:
-        """The space of the branch through one of its solutions; raises ValueError where there is none."""
-        ...
 
 
 def follow_family(
@@ -147,7 +135,7 @@ def follow(
     _check_choices(stability, events, until, progress)
     seconds = duration("time_limit", time_limit)
     space = following_space(solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to)
-    if stability and isinstance(space, BoundarySpace) and not space.closes:
+    if stability and not space.closes:
         accepted = "for orbits, and for conditions x(end) = S x(start)"
         raise ValueError(f"stability: given for solutions that are no orbits; accepted: {accepted}")
     return run_following(Following(space, stability, events, until=until, time_limit=seconds), progress)
@@ -158,24 +146,22 @@ def following_space(
     back_to: float | None = None,
 ) -> SolutionSpace:  # fmt: skip
     """The space of the branch through a solution in a parameter; raises ValueError as `follow` does."""
-    if isinstance(solution, Orbit) and isinstance(solution.space, Family):
+    if solution.space.connects == FAMILY:
         from casadi_skin.zero.restating import restated
 
-        solution = restated(solution, parameter)
-    space = solution.space
-    if isinstance(space, BoundarySpace) and space.statement.optimises:
+        solution = restated(cast(Orbit, solution), parameter)
+    if solution.space.optimises:
         raise ValueError("follow: given a solution with an objective; accepted: one without")
     settings = following_settings(
         solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
     )
     _check_regular(solution, parameter)
-    assert isinstance(space, Follows)
-    return space.following(solution, parameter, float(to), tuple(float(np.float64(v)) for v in at), settings)
+    return solution.space.following(solution, parameter, float(to), tuple(float(np.float64(v)) for v in at), settings)
 
 
 def _check_regular(solution: Solution, parameter: str) -> None:
     """Raises ValueError for a fold or a branch point, where equations at a held parameter are singular."""
-    kind = getattr(solution.space, "kind", "") or solution.point.special
+    kind = solution.space.kind or solution.point.special
     if kind in (FOLD, BRANCH_POINT):
         why = f"where the equations at a held {parameter} are singular"
         accepted = f"a solution beside it, or `curve` of the {kind} itself"

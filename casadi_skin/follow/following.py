@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -15,8 +15,6 @@ from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.events import at_requested_value
 from casadi_skin.follow.ledger import Ledger
-from casadi_skin.follow.making import solution_at
-from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.settings import End, Point, Target
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
@@ -53,7 +51,7 @@ class Following:
         stability = stability and not space.stability_included
         events = events and stability
         self.space, self.stability, self.events, self.until = space, stability, events, until
-        self._ledger = Ledger(space) if events and type(space) is BoundarySpace else None
+        self._ledger = Ledger(cast(BoundarySpace, space)) if events and space.has_ledger else None
         self._waiting: deque[Point] = deque(waiting)  # reached, but not yet among the solutions
         self._keep = keep
         self._time_limit, self._end_time = time_limit, time.monotonic() + time_limit
@@ -150,7 +148,7 @@ class Following:
 
     def _critical(self, solution: Solution) -> Solution:
         """A solution, or the special one at a requested value."""
-        if not (self.events and _closes(solution)):
+        if not (self.events and solution.space.closes):
             return solution
         try:
             return at_requested_value(solution)
@@ -163,7 +161,7 @@ class Following:
             return
         before = self.solutions[-1]
         leaving = self._ledger.space.leaves and len(self.solutions) == 1
-        if _closes(before) and _closes(solution):
+        if before.space.closes and solution.space.closes:
             yield from self._ledger.between(before, solution, leaving)
 
     def _with_stability(self) -> Iterable[Solution]:
@@ -173,12 +171,12 @@ class Following:
         """
         points = list(self._waiting)
         if not (points and self.stability):
-            return [solution_at(self.space, point) for point in points]
+            return [self.space.solution(point) for point in points]
         try:
             known = self.space.floquets(points)
         except FlowError:  # of one of them: those before it are computed by themselves
-            return (solution_at(self.space, point, self.space.floquets([point])[0]) for point in points)
-        return [solution_at(self.space, point, result) for point, result in zip(points, known, strict=True)]
+            return (self.space.solution(point, self.space.floquets([point])[0]) for point in points)
+        return [self.space.solution(point, result) for point, result in zip(points, known, strict=True)]
 
     def branch(self) -> Branch:
         """The branch computed so far."""
@@ -197,12 +195,6 @@ class Following:
             stopped or self._stopped, self.events, tuple(dict.fromkeys([*self._walk.unresolved, *unresolved])),
             max(self._end_time - time.monotonic(), 0.0),
         )  # fmt: skip
-
-
-def _closes(solution: Solution) -> bool:
-    """Whether a solution is an orbit, or one of a boundary-value problem whose conditions close it."""
-    space = solution.space
-    return isinstance(solution, Orbit) or (isinstance(space, BoundarySpace) and space.closes)
 
 
 def run_following(following: Following, progress: Callable[[Any], None] | None) -> Branch:

@@ -14,7 +14,6 @@ import numpy as np
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.events import KREIN, Event, events_between
 from casadi_skin.follow.exponents import Exponents
-from casadi_skin.follow.making import solution_at
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.special_points import DOUBLING, TORUS
 from casadi_skin.follow.unresolved import Unresolved
@@ -123,7 +122,7 @@ class Ledger:
     def _beside(self, before: Solution, after: Solution, fraction: float) -> Solution | None:
         """The orbit at a fraction of the way between two."""
         point = self.space.point_solver.along(before.point, after.point, fraction)
-        return None if point is None else solution_at(self.space, point, self.space.floquets([point])[0])
+        return None if point is None else self.space.solution(point, self.space.floquets([point])[0])
 
     def _name(self, before: Solution, after: Solution, reason: str) -> None:
         start, end = (self.space.value(self.space.parameter, one.point) for one in (before, after))

@@ -10,9 +10,8 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.family import Family
 from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import FAMILY
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import whole
 from casadi_skin.model.conserved import SymmetryClass
@@ -42,7 +41,7 @@ class Orbit(Solution):
 
     def __repr__(self) -> str:
         name = getattr(self.model, "name", None) or repr(self.model)
-        S = f"S = {self.S:.6g}, " if isinstance(self.space, Family) else ""
+        S = f"S = {self.S:.6g}, " if self._grown else ""
         return f"<Orbit of {name}: {S}Omega = {self.Omega:.10g}, period = {self.period:.10g}; error {self.error:.1e}>"
 
     @property
@@ -53,7 +52,7 @@ class Orbit(Solution):
     @property
     def Omega(self) -> float:
         """Frequency."""
-        return self.point.Omega if isinstance(self.space, Family) else 2.0 * np.pi / self.period
+        return self.point.Omega if self._grown else 2.0 * np.pi / self.period
 
     @property
     def period(self) -> float:
@@ -66,7 +65,7 @@ class Orbit(Solution):
     @property
     def Omega_error(self) -> float:
         """Estimated absolute error of Omega."""
-        return self.point.error.Omega if isinstance(self.space, Family) else self.parameter_error * self.Omega
+        return self.point.error.Omega if self._grown else self.parameter_error * self.Omega
 
     @property
     def period_error(self) -> float:
@@ -75,7 +74,7 @@ class Orbit(Solution):
 
     @property
     def parameter_error(self) -> float:
-        if isinstance(self.space, Family):
+        if self._grown:
             return self.point.error.Omega / self.point.Omega
         return super().parameter_error
 
@@ -113,7 +112,7 @@ class Orbit(Solution):
     @cached_property
     def states(self) -> Array:
         """States at `t`, shape (time, component); of an orbit of a family displacements at `output_sites`."""
-        return self.evaluate(self.t, self.output_sites) if isinstance(self.space, Family) else super().states
+        return self.evaluate(self.t, self.output_sites) if self._grown else super().states
 
     # Shape ----------------------------------------------------------------------------------------------------------
 
@@ -136,9 +135,9 @@ class Orbit(Solution):
 
     def _at_phases(self, theta: Array, sites: ArrayLike | None = None) -> Array:
         numbers = site_numbers(sites)
-        if isinstance(self.space, Family):
-            return self._scale * self.space.positions(self.point, theta, numbers)
-        return self._boundary_space().states_at(self.point, theta, numbers)
+        if self._grown:
+            return np.asarray(self._scale * self._family().positions(self.point, theta, numbers))
+        return np.asarray(self._boundary_space.states_at(self.point, theta, numbers))
 
     @cached_property
     def _scale(self) -> float:
@@ -162,9 +161,9 @@ class Orbit(Solution):
         A model with a normalisation has the S of that in its place. Raises ValueError for an orbit of a model
         without positions.
         """
-        if isinstance(self.space, Family):
+        if self._grown:
             return self.exact["S"] if "S" in self.exact else self.space.value("S", self.point)
-        space = self._boundary_space()
+        space = self._boundary_space
         positions = space.positions
         if not positions:
             raise NoQuantityError("S: an orbit of a model of first order has no amplitude of positions")
@@ -233,7 +232,7 @@ class Orbit(Solution):
         The fundamental harmonic of the equations projected on the linear mode gives Omega^2 - omega^2 as a ratio of
         sums over the nonlinear terms, with no cancellation.
         """
-        return self._family().coordinates.Omega_shift(self.point.problem, self.point.z)
+        return float(self._family().coordinates.Omega_shift(self.point.problem, self.point.z))
 
     certify: ClassVar[Callable[..., Any]]
     """A proof that the orbit exists, with enclosures: `casadi_skin.certify.certify.certify`."""
@@ -290,13 +289,18 @@ class Orbit(Solution):
         free = coordinates.free_motions
         return transient_growth(transition, acceleration, coordinates.log_scale, self.period, quarters, free)
 
-    def _family(self) -> Family:
-        if not isinstance(self.space, Family):
+    @property
+    def _grown(self) -> bool:
+        """Whether the orbit is one of a family that grows from a linear mode."""
+        return self.space.connects == FAMILY
+
+    def _family(self) -> Any:
+        if not self._grown:
             raise NoQuantityError("this quantity is that of an orbit of a family that grows from a linear mode")
         return self.space
 
-    def _boundary_space(self) -> BoundarySpace:
-        assert isinstance(self.space, BoundarySpace)
+    @property
+    def _boundary_space(self) -> Any:
         return self.space
 
 

@@ -14,7 +14,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from casadi_skin.follow.making import solution_at
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.settings import Point
@@ -107,7 +106,7 @@ def passage(
     """
     name, value = wanted
     values = np.array([of(solution) for solution in solutions])
-    found = _sought(space, solutions, lambda point: of(solution_at(space, point)) - value, values - value)
+    found = _sought(space, solutions, lambda point: of(space.solution(point)) - value, values - value)
     passed = 0
     try:
         for solution in found:
@@ -133,7 +132,7 @@ def _sought(
         if k and np.isfinite(values[k - 1 : k + 1]).all():
             low, high = float(values[k - 1]), float(value)
             stretch = _Stretch(space, of, (points[k - 1], point), (low, high), _reach(places, values, k))
-            yield from (solution_at(space, stretch.point(fraction)) for fraction in stretch.roots())
+            yield from (space.solution(stretch.point(fraction)) for fraction in stretch.roots())
         if value == 0.0 and k >= limits:
             yield solutions[k - limits]
 
@@ -166,7 +165,7 @@ def held_passage(space: SolutionSpace, solutions: Sequence[Solution], name: str,
             continue
         if point is None:
             raise ArithmeticError(f"at: no {_kind(solutions)} was found at {name} = {value:g}, which the branch passes")
-        return solution or solution_at(space, point, exact={name: value})
+        return solution or space.solution(point, exact={name: value})
     values = np.array([solution.value(name) for solution in solutions])
     raise ValueError(_not_passed(name, value, which, values, passed))
 

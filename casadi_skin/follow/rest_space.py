@@ -1,18 +1,18 @@
-"""Equilibria of one model as the solutions that a branch connects (see `orbits.space.SolutionSpace`)."""
+"""Equilibria of one model as the solutions that a branch connects (see `SolutionSpace`)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NoReturn
 
 import numpy as np
 
-from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.detection import special_between
-from casadi_skin.follow.settings import Continuation, ContinuationSettings, End, Point, Target
+from casadi_skin.follow.settings import ContinuationSettings, End, Point
 from casadi_skin.follow.solution import Equilibrium, Solution
+from casadi_skin.follow.space import EQUILIBRIA, SolutionSpace
 from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.model.jumps import PARAMETER, STATE
 from casadi_skin.model.result import NoQuantityError
@@ -34,7 +34,7 @@ class EquilibriumError(ArithmeticError):
 
 
 @dataclass(frozen=True, eq=False)
-class EquilibriumSpace(EquilibriumEquations):
+class EquilibriumSpace(EquilibriumEquations, SolutionSpace):
     """Equilibria of a model; where `parameter` is named they are followed in it from a start.
 
     Attributes:
@@ -46,9 +46,8 @@ class EquilibriumSpace(EquilibriumEquations):
     at: tuple[float, ...] = ()
     first: Point | None = None
     leaves: bool = False
-    start_is_limit: bool = field(default=False, init=False)
-    locates_folds: bool = field(default=True, init=False)
-    S_rate: float = field(default=1.0, init=False)
+    connects = EQUILIBRIA
+    stability_included = True
 
     def refined(self, correction: Correction) -> Point:
         """The equilibrium of a correction with u held; raises EquilibriumError where it is not regular."""
@@ -83,10 +82,6 @@ class EquilibriumSpace(EquilibriumEquations):
             raise EquilibriumError(f"the start of the branch: {why}")
         return replace(self.refined(correction), step=step)
 
-    def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
-        """Pseudo-arclength continuation from the last points of it, and those reported after these."""
-        return ArclengthContinuation(self.point_solver, history, reported)
-
     def following(
         self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
     ) -> EquilibriumSpace:
@@ -109,28 +104,10 @@ class EquilibriumSpace(EquilibriumEquations):
                 before, after = (beside, after) if point is before else (before, beside)
         yield from special_between(self, before, after)
 
-    def singular_near(self, guess: Point) -> None:
-        """None: all special points are sought on every stretch."""
-
     @property
-    def held_names(self) -> tuple[str, ...]:
-        """Names of the quantities that `target` accepts."""
-        return (self.parameter,)
-
-    def target(self, name: str, value: float) -> Target:
-        """Condition that the continuation parameter has a value."""
-        if name != self.parameter or self.course is None:
-            raise ValueError(f"at: given {name}; accepted: {self.parameter}")
-        return Target(Scalar.PARAMETER, self.course.fraction(value))
-
-    def requested_values(self) -> Mapping[str, Sequence[float]]:
-        return {self.parameter: self.at}
-
-    def value(self, name: str, point: Point) -> float:
-        assert self.course is not None
-        requested = {self.course.fraction(value): value for value in (*self.at, self.to)}
-        u = point.parameter
-        return requested[u] if u in requested else float(self.course.at(u))
+    def begins(self) -> float:
+        """Value of the parameter followed at the start."""
+        return self.statics.values[self.parameter]
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         """JUMP where the equations jump at the point, or between the start of the branch and the point."""
@@ -164,11 +141,6 @@ class EquilibriumSpace(EquilibriumEquations):
         """Numbers of the unknowns, from 1."""
         return np.arange(1, self.statics.size + 1)
 
-    @property
-    def free(self) -> tuple[str, ...]:
-        """Parameters that are solved for with the state: none here."""
-        return ()
-
     def parameters(self, point: Point) -> dict[str, float]:
         assert isinstance(point.problem, AlgebraicProblem)
         return point.problem.named(point.z)
@@ -180,7 +152,9 @@ class EquilibriumSpace(EquilibriumEquations):
     def span(self, point: Point) -> tuple[float, float]:
         return 0.0, 0.0
 
-    def solution(self, point: Point, exact: Mapping[str, float] | None) -> Solution:
+    def solution(
+        self, point: Point, floquet: Floquet | None = None, exact: Mapping[str, float] | None = None
+    ) -> Equilibrium:
         """The equilibrium of a point."""
         if exact is None:
             exact = {self.parameter: self.value(self.parameter, point)} if self.parameter else {}
@@ -191,15 +165,6 @@ class EquilibriumSpace(EquilibriumEquations):
         return abs(point.error.parameter * (self.to - self.statics.values[self.parameter])) if self.parameter else 0.0
 
     # Stability ------------------------------------------------------------------------------------------------------
-
-    @property
-    def stability_included(self) -> bool:
-        """Whether stability is computed with every solution."""
-        return True
-
-    @property
-    def stability_batch(self) -> int:
-        return 1
 
     def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
         raise NoQuantityError(NO_ORBIT)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Protocol, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -276,14 +276,6 @@ class Solution(Result):
 # One equilibrium with its eigenvalues and its error -------------------------------------------------------------------
 
 
-class HasSpectrum(Protocol):
-    """Interface of the space of an equilibrium, beyond that of the space of any solution."""
-
-    def spectrum(self, point: Point) -> Spectrum:
-        """Eigenvalues at a point."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class Equilibrium(Solution):
     """A state at which a model rests; dimensionless, or in the units of its model."""
@@ -341,7 +333,8 @@ class Equilibrium(Solution):
     @property
     def spectrum(self) -> Spectrum:
         """Eigenvalues with their errors."""
-        return cast(HasSpectrum, self.space).spectrum(self.point)
+        found: Spectrum = cast(Any, self.space).spectrum(self.point)
+        return found
 
     @property
     def eigenvalues(self) -> ComplexArray:

@@ -1,129 +1,222 @@
-"""Interface of a branch: the equations of its solutions by resolution, and how their unknowns are read."""
+"""What a branch connects: solutions of one kind, as the zeros F(z) = 0 of equations with one unknown more than rows.
+
+A space has the equations by resolution (`levels`), the solver of points on them, the start, and how unknowns are read:
+as parameters, as the interval, as a solution. The kinds differ in these and in the special points that they locate:
+
+    family       orbits that grow from a linear mode, in S: `Family`
+    orbits       periodic orbits in a parameter of the model: `BoundarySpace` with conditions of periodicity
+    solutions    solutions of any other boundary-value problem in a parameter: `BoundarySpace`
+    equilibria   states at rest in a parameter: `EquilibriumSpace`
+
+Special points in a second parameter are spaces of the last three whose `kind` is that of the points.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.settings import Continuation, End, Point, Target
+from casadi_skin.follow.arclength import ArclengthContinuation
+from casadi_skin.follow.settings import Continuation, ContinuationSettings, End, Point, Target
 from casadi_skin.follow.unresolved import Unresolved
-from casadi_skin.model.conserved import SymmetryClass
-from casadi_skin.solve.levels import Levels
-from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.result import Floquet
-from casadi_skin.zero.problem import Indices
+from casadi_skin.zero.problem import Scalar
+
+if TYPE_CHECKING:
+    from casadi_skin.follow.point import PointSolver
+    from casadi_skin.model.conserved import SymmetryClass
+    from casadi_skin.solve.levels import Levels
+    from casadi_skin.stability.reduction import ComplexArray
+    from casadi_skin.stability.result import Floquet
+    from casadi_skin.zero.problem import Indices
+
+FAMILY, ORBITS, SOLUTIONS, EQUILIBRIA = "family", "orbits", "solutions", "equilibria"
 
 
-class SolutionSpace(Protocol):
-    """Solutions of one kind that a branch connects: orbits of a family, or solutions of a boundary-value problem.
+class SolutionSpace(ABC):
+    """Solutions of one kind that a branch connects.
 
     Attributes:
+        connects: FAMILY, ORBITS, SOLUTIONS or EQUILIBRIA.
         parameter: name of the continuation parameter.
-        start_is_limit: whether `start` is a limit of the solutions and none of them.
-        locates_folds: whether special points are located while the branch is followed.
-        tolerance: relative error allowed in the solutions.
         to: value of `parameter` at which the branch ends.
-        stability_included: whether stability is computed with every solution, requested or not.
-        free: names of parameters that are solved for with the state.
+        tolerance: relative error allowed in the solutions.
+        model: the model that they belong to.
+        levels, point_solver: discretisations from coarse to fine, and the solver of points on them.
+        start: the first point.
         state_names, output_sites: names and numbers of the components in files and pictures.
         symmetry: which part of the period is unknown.
-        S_rate: the relative change of S per that of the free parameter.
     """
 
+    if TYPE_CHECKING:  # fields of data or properties of each kind
+
+        @property
+        def connects(self) -> str: ...
+        @property
+        def parameter(self) -> str: ...
+        @property
+        def to(self) -> float: ...
+        @property
+        def tolerance(self) -> float: ...
+        @property
+        def model(self) -> Any: ...
+        @property
+        def levels(self) -> Levels: ...
+        @property
+        def point_solver(self) -> PointSolver: ...
+        @property
+        def start(self) -> Point: ...
+        @property
+        def state_names(self) -> tuple[str, ...]: ...
+        @property
+        def output_sites(self) -> Indices: ...
+        @property
+        def symmetry(self) -> SymmetryClass: ...
+
+    # What most kinds have in common -----------------------------------------------------------------------------------
+
     @property
-    def parameter(self) -> str: ...
+    def kind(self) -> str:
+        """Of special points that are followed in a second parameter; empty of others."""
+        return ""
+
     @property
-    def start_is_limit(self) -> bool: ...
+    def start_is_limit(self) -> bool:
+        """Whether `start` is a limit of the solutions and none of them."""
+        return False
+
     @property
-    def locates_folds(self) -> bool: ...
+    def locates_folds(self) -> bool:
+        """Whether special points are located while the branch is followed."""
+        return True
+
     @property
-    def tolerance(self) -> float: ...
+    def has_ledger(self) -> bool:
+        """Whether changes of stability are located between two solutions, where stability is computed beside them."""
+        return False
+
     @property
-    def to(self) -> float: ...
+    def stability_included(self) -> bool:
+        """Whether stability is computed with every solution, requested or not."""
+        return False
+
     @property
-    def stability_included(self) -> bool: ...
+    def stability_batch(self) -> int:
+        """Number of points whose stability is best computed together."""
+        return 1
+
     @property
-    def free(self) -> Sequence[str]: ...
+    def closes(self) -> bool:
+        """Whether solutions have a stability: all but those of boundary-value problems that do not close them."""
+        return True
+
     @property
-    def model(self) -> Any: ...
+    def optimises(self) -> bool:
+        """Whether solutions have an objective, so that they are not followed."""
+        return False
+
     @property
-    def levels(self) -> Levels: ...
+    def free(self) -> Sequence[str]:
+        """Names of parameters that are solved for with the state."""
+        return ()
+
     @property
-    def point_solver(self) -> PointSolver: ...
-    @property
-    def start(self) -> Point: ...
-    @property
-    def stability_batch(self) -> int: ...
-    @property
-    def state_names(self) -> tuple[str, ...]: ...
-    @property
-    def output_sites(self) -> Indices: ...
-    @property
-    def symmetry(self) -> SymmetryClass: ...
-    @property
-    def S_rate(self) -> float: ...
+    def S_rate(self) -> float:
+        """The relative change of S per that of the free parameter."""
+        return 1.0
 
     def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
         """The continuation from its last points, the start among them, and from points reported after these."""
-        ...
-
-    @property
-    def held_names(self) -> tuple[str, ...]:
-        """Names of the quantities that `target` accepts."""
-        ...
-
-    def target(self, name: str, value: float) -> Target:
-        """Condition that a quantity has a value; raises ValueError for quantities that cannot be held."""
-        ...
-
-    def requested_values(self) -> Mapping[str, Sequence[float]]:
-        """Values at which solutions are wanted, by the name of the quantity."""
-        ...
-
-    def value(self, name: str, point: Point) -> float:
-        """A quantity that can be held at a point; exactly the requested value at a requested point."""
-        ...
+        return ArclengthContinuation(self.point_solver, history, reported)
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         """End of a branch at a point, with the reason in words; None where it goes on."""
-        ...
+        return None, ""
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
         """Special points between two points in order, each marked by its kind, and parts where some may be missing.
 
-        Raises NotLocatedError.
+        None are sought unless a kind says otherwise. Raises NotLocatedError.
         """
-        ...
+        yield from ()
 
     def singular_near(self, guess: Point) -> Point | None:
         """The branch point near a guess that `special_between` does not find; None where there is none."""
-        ...
+        return None
 
+    # The continuation parameter as u from 0, at the start, to 1 -------------------------------------------------------
+
+    @property
+    def at(self) -> Sequence[float]:
+        """Values of the continuation parameter at which solutions are wanted."""
+        return ()
+
+    @property
+    def begins(self) -> float:
+        """Value of the continuation parameter at the start."""
+        raise NotImplementedError
+
+    def fraction(self, value: float) -> float:
+        """The u of a value of the continuation parameter."""
+        return (value - self.begins) / (self.to - self.begins)
+
+    @property
+    def held_names(self) -> tuple[str, ...]:
+        """Names of the quantities that `target` accepts."""
+        return (self.parameter,)
+
+    def target(self, name: str, value: float) -> Target:
+        """Condition that a quantity has a value; raises ValueError for quantities that cannot be held."""
+        if name != self.parameter or not name:
+            raise ValueError(f"at: given {name}; accepted: {', '.join(self.held_names)}")
+        return Target(Scalar.PARAMETER, self.fraction(value))
+
+    def requested_values(self) -> Mapping[str, Sequence[float]]:
+        """Values at which solutions are wanted, by the name of the quantity."""
+        return {self.parameter: self.at}
+
+    def value(self, name: str, point: Point) -> float:
+        """A quantity that can be held at a point; exactly the requested value at a requested point."""
+        requested = {self.fraction(value): value for value in (*self.at, self.to)}
+        u = point.parameter
+        return requested[u] if u in requested else float(self.parameters(point)[name])
+
+    # What each kind has of its own ------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def solution(self, point: Point, floquet: Floquet | None = None, exact: Mapping[str, float] | None = None) -> Any:
+        """The solution of a point, with its stability where that is known and values that it has exactly."""
+
+    @abstractmethod
     def parameter_error(self, point: Point) -> float:
         """Estimated absolute error of the continuation parameter at a special point."""
-        ...
 
+    @abstractmethod
     def parameters(self, point: Point) -> dict[str, float]:
         """Values of all parameters by name."""
-        ...
 
+    @abstractmethod
     def interval(self, point: Point) -> tuple[float, float]:
         """Start and end of the interval, or the period from phase zero."""
-        ...
 
+    @abstractmethod
     def span(self, point: Point) -> tuple[float, float]:
         """Start and end of the part of the interval that is unknown."""
-        ...
 
+    @abstractmethod
     def energy(self, point: Point) -> float:
         """The conserved quantity of an orbit; raises NoQuantityError where the model declares none."""
-        ...
 
+    @abstractmethod
     def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
         """Stability of several points; raises FlowError, and ValueError where the solutions are no orbits."""
-        ...
 
+    @abstractmethod
     def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
         """Floquet vectors at phase zero, one a column in the order of the multipliers."""
-        ...
+
+    def following(
+        self, solution: Any, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
+    ) -> SolutionSpace:
+        """The space of the branch through one of the solutions in a parameter; raises ValueError without one."""
+        raise ValueError(f"follow: given one of a {self.connects}; accepted: an orbit that was restated")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
-from casadi_skin.follow.making import solution_at
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import FOLD, NotLocatedError, SpecialPoint
@@ -24,6 +23,6 @@ def folds_of_family(space: SolutionSpace, solutions: Sequence[Solution]) -> Iter
     for before, after in pairwise(solutions):
         try:
             for found in space.special_between(before.point, after.point):
-                yield found if isinstance(found, Unresolved) else special_point(space, solution_at(space, found))
+                yield found if isinstance(found, Unresolved) else special_point(space, space.solution(found))
         except NotLocatedError as error:
             yield Unresolved(before.value(space.parameter), after.value(space.parameter), str(error), FOLD)

@@ -8,7 +8,6 @@ from typing import Any, cast
 
 import numpy as np
 
-from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following, run_following
@@ -102,7 +101,7 @@ def follow_all(
     """
     whole("depth", depth, 0)
     whole("limit", limit, 1)
-    if isinstance(branch.space, Family) or not branch.parameter or hasattr(branch.space, "kind"):
+    if isinstance(branch.space, Family) or not branch.parameter or branch.space.kind:
         what = "a family" if isinstance(branch.space, Family) else "another one"
         raise ValueError(f"follow_all: given {what}; accepted: a branch in one parameter")
     further = Further(branch, LEAVING, depth, {"max_points": max_points, "max_step": max_step, "tolerance": tolerance})
@@ -111,7 +110,7 @@ def follow_all(
         if len(names) == limit:
             complete = False
             break
-        closes = not isinstance(space, BoundarySpace) or space.closes
+        closes = space.closes
         with_stability = stability and closes and not space.stability_included
         further.add(run_following(Following(space, with_stability), None), space, point)
         names.append(name)

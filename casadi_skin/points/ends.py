@@ -154,7 +154,7 @@ class Left:
         values = self.space.parameters(found)
         for place, name in enumerate(own.statement.free, start=problem.states):
             z[place] = values[name] * (self.turns if name == PERIOD else 1)
-        z[-1] = own._fraction(values[own.parameter])
+        z[-1] = own.fraction(values[own.parameter])
         error = self.space.parameter_error(found) / abs(own.to - own.statement.values[own.parameter])
         return replace(
             near, z=z, error=replace(found.error, parameter=error / problem.parameter_size(z)), better=None,
@@ -179,5 +179,5 @@ class Left:
             states[late] = self.signs * self._parts(own, near, places[late] - self.shift)[0]
         values = own.parameters(near)
         free = [values[name] / (self.turns if name == PERIOD else 1) for name in space.statement.free]
-        z = np.concatenate([states.ravel(), free, [space._fraction(values[space.parameter])]])
+        z = np.concatenate([states.ravel(), free, [space.fraction(values[space.parameter])]])
         return replace(near, problem=problem, z=z, tangent=np.zeros(problem.size), better=None, special="")

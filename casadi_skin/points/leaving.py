@@ -44,7 +44,7 @@ def leaving_orbits(
 
     Twice at a period doubling, whose critical multiplier is -1; once at a branch point, where it is 1.
     """
-    old = orbit._boundary_space()
+    old = cast(BoundarySpace, orbit.space)
     periodic = old.periodic
     assert periodic is not None
     model, period = periodic.model, orbit.period
@@ -98,7 +98,7 @@ def _floors(orbit: Orbit) -> Array:
 
 def _left(orbit: Orbit, turns: int) -> Left | None:
     """The orbits that the leaving branch may come back to; None where no symmetry is lost."""
-    space = orbit._boundary_space()
+    space = cast(BoundarySpace, orbit.space)
     if turns == 2:
         return Left(space, 2, np.ones(orbit.model.full_size), 0.5)
     lost = next(iter(lost_operations(orbit)), None)
@@ -107,7 +107,7 @@ def _left(orbit: Orbit, turns: int) -> Left | None:
 
 def _other(space: BoundarySpace, first: Point, orbit: Orbit, side: int) -> Array:
     """The tangent of the other branch at a branch point."""
-    old, problem = orbit._boundary_space(), first.problem
+    old, problem = cast(BoundarySpace, orbit.space), first.problem
     along = orbit.problem.prolong(orbit.point.tangent, problem).copy()
     along[-1] *= (old.to - old.statement.values[old.parameter]) / (space.to - space.statement.values[space.parameter])
     return leaving_tangent(space.point_solver, replace(first, tangent=along), side)
@@ -127,7 +127,7 @@ def _perturbation(orbit: Orbit, values: dict[str, float], t: Array) -> Array:
     """The perturbation that the orbit turns to its opposite in a period; shape (time, component)."""
     from scipy.integrate import solve_ivp
 
-    model = orbit._boundary_space().model
+    model = cast(BoundarySpace, orbit.space).model
     time = type(model.state).sym("t") if model.time is None else model.time
     rhs = model.vector_field(time, model.full_state, model.parameters)
     jacobian = model.function("J", ca.densify(ca.jacobian(rhs, model.full_state)))

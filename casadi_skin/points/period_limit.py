@@ -92,7 +92,7 @@ def _marked(space: BoundarySolutions, orbit: Point, limit: Limit, period: Sequen
     own = 0.0 if limit.solved else orbit.error.relative(1.0)
     z = orbit.z.copy()
     if limit.solved:
-        z[orbit.problem.parameter_index] = space._fraction(limit.parameter)
+        z[orbit.problem.parameter_index] = space.fraction(limit.parameter)
     kind = HOMOCLINIC if len(places_of(space, period)) == 1 else HETEROCLINIC
     error = replace(orbit.error, parameter=limit.error / size + own)
     return replace(orbit, z=z, error=error, special=kind, walked=False, requested=False)

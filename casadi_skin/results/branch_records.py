@@ -10,7 +10,6 @@ from typing import Protocol
 import msgspec
 import numpy as np
 
-from casadi_skin.follow.making import solution_at
 from casadi_skin.follow.settings import End, Point, Target
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
@@ -245,9 +244,9 @@ def known_of(records: Sequence[BranchRecord], branch: str, space: SolutionSpace,
             if stability:
                 known.waiting.append(point)
             else:
-                known.solutions.append(solution_at(space, point))
+                known.solutions.append(space.solution(point))
         elif isinstance(record, StabilityRecord):
-            known.solutions.append(solution_at(space, known.waiting.pop(0), _floquet(record.floquet)))
+            known.solutions.append(space.solution(known.waiting.pop(0), _floquet(record.floquet)))
         else:
             known.end, known.unresolved = record, record.unresolved
         known.kept += 1

@@ -126,7 +126,7 @@ def _(result: Branch) -> tuple[str, Rows]:
         known = result.with_events and result.changes_known
         changes = found([f"{c.value:.8g}" for c in result.changes], result.unresolved) if known else ""
         rows += [("changes of stability", changes)] if known else []
-    elif result.solutions and not result.space.stability_included and getattr(result.space, "closes", True):
+    elif result.solutions and not result.space.stability_included and result.space.closes:
         rows.append(("stability", "not computed; stability=True in follow computes it"))
     special = result.special_points if result.space.locates_folds else ()
     if special:

@@ -17,7 +17,6 @@ from casadi_skin.follow.curve import curve_space
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.follow import following_space
 from casadi_skin.follow.following import Following
-from casadi_skin.follow.making import solution_at
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.rest_curve import UnfoldingError
 from casadi_skin.follow.settings import End, Point
@@ -128,7 +127,7 @@ def _at_rest(point: SpecialPoint) -> bool:
 
 def _passes(curve: Branch, point: SpecialPoint) -> bool:
     """Whether a curve that came back to the value of its parameter did so at another special point."""
-    if curve.end is not End.RETURNED or getattr(curve.space, "kind", "") != point.kind:
+    if curve.end is not End.RETURNED or curve.space.kind != point.kind:
         return False
     try:
         found = curve.at(point.parameters[curve.parameter], which=1)
@@ -143,7 +142,7 @@ def _passes(curve: Branch, point: SpecialPoint) -> bool:
 
 def is_further(branch: Branch) -> bool:
     """Whether a branch left another one, or is a curve in two parameters."""
-    return bool(getattr(branch.space, "leaves", False) or getattr(branch.space, "kind", ""))
+    return bool(getattr(branch.space, "leaves", False) or branch.space.kind)
 
 
 def ended_well(branch: Branch) -> bool:
@@ -168,7 +167,7 @@ def write_diagram(
     columns = diagram_columns(first)
     rows = [row for name, branch in zip(names, branches, strict=True) for row in diagram_rows(name, branch, columns)]
     write_csv(directory / "special_points.csv", columns, rows)
-    in_one = [branch for branch in branches if not getattr(branch.space, "kind", "")]
+    in_one = [branch for branch in branches if not branch.space.kind]
     picture(request.scene, directory / "branch", figures.bifurcation_figure, in_one, title)
     chosen = chosen_solutions(in_one)
     if chosen:
@@ -374,7 +373,7 @@ class Branches:
         if self._with_stability and not solution.space.stability_included:
             try:
                 found = solution.space.floquets([solution.point])[0]
-                solution = solution_at(solution.space, solution.point, found, solution.exact)
+                solution = solution.space.solution(solution.point, found, solution.exact)
             except FlowError as error:
                 end, words = End.FLOW, str(error)
         return Branch(solution.space, (solution,), (), self._with_stability, end, words)

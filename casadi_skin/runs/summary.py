@@ -120,7 +120,7 @@ def _diagram(run: Run, branches: list[Branch]) -> TextTable:
             rows.append((UNRESOLVED, {**first.parameters, name: stretch.start}, width, stretch.kind))
         if len(branch) > 1:
             rows.append(("end", last.parameters, "", _stability(branch, -1)))
-        curve = bool(getattr(branch.space, "kind", ""))
+        curve = bool(branch.space.kind)
         what = "curve" if curve else "cycles" if isinstance(first, Orbit) else "solutions"
         what = "equilibria" if isinstance(first, Equilibrium) and not curve else what
         for kind, values, error, words in rows:

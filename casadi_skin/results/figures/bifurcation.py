@@ -112,14 +112,14 @@ def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
     Raises:
         ValueError: a branch is no curve in these two parameters.
     """
-    planes = {(curve.parameter, *curve.space.free[:1]) for curve in curves if getattr(curve.space, "kind", "")}
+    planes = {(curve.parameter, *curve.space.free[:1]) for curve in curves if curve.space.kind}
     if len(planes) != 1 or len(next(iter(planes))) != 2:
         raise ValueError("curves: given branches of other kinds or in other parameters; accepted: curves in one plane")
     second, first = next(iter(planes))
     with style():
         figure = blank(6.0, 4.4)
         axes = figure.subplots()
-        looks = [(str(curve.space.kind), isinstance(curve.solutions[0], Orbit)) for curve in curves]  # type: ignore[attr-defined]
+        looks = [(curve.space.kind, isinstance(curve.solutions[0], Orbit)) for curve in curves]
         order = [look for look in CURVES if look in looks]
         for curve, look in zip(curves, looks, strict=True):
             words, dashes = CURVES[look]

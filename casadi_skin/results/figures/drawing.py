@@ -106,7 +106,7 @@ def _look(branch: Branch, stable: bool | None) -> dict[str, Any]:
     if isinstance(branch.space, Family):
         return LOOKS[stable]
     orbits = isinstance(branch.solutions[0], Orbit)
-    curve = CURVES.get((str(getattr(branch.space, "kind", "")), orbits))
+    curve = CURVES.get((branch.space.kind, orbits))
     if curve is not None:
         return {"lw": 1.8, "ls": curve[1], "label": curve[0]}
     kind = "orbits" if orbits else "equilibria" if isinstance(branch.solutions[0], Equilibrium) else "solutions"
