@@ -87,7 +87,7 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
         "quantity": "results.quantities:along",
         "quantity_of": "results.quantities:sought",
     },
-    "BoundaryValueProblem": {"solve": "optimise.boundary_nlp:solve"},
+    "Statement": {"solve": "optimise.boundary_nlp:solve"},
     "Chain": {
         "equations_of_motion": "lattice.equations:equations_of_motion",
         "family_coordinates": "lattice.chain_coordinates:chain_coordinates",

@@ -22,7 +22,6 @@ from casadi_skin.model.integrators import IntegrationError, stiff_cvodes
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.symmetries import check_forcing_period
-from casadi_skin.optimise.boundary_nlp import solve
 from casadi_skin.solve.guesses import Guess, over_its_own_period, sampled
 from casadi_skin.solve.newton import Correction
 from casadi_skin.solve.rank_deficiency import equilibrium_words
@@ -322,7 +321,7 @@ def find_orbit(
     _check_selects(request)
     statement = statement_of(request)
     try:
-        solution = solve(statement, guess, **options)
+        solution = statement.solve(guess, **options)
         if not model.forced:
             _check_moves(model.name, solution, guess, length)
     except BoundaryError as error:

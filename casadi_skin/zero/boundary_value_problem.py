@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from casadi_skin.model.result import WithVerbs
 from casadi_skin.zero.statement import Statement
 
 
-class BoundaryValueProblem(WithVerbs, Statement):
+class BoundaryValueProblem(Statement):
     __doc__ = Statement.__doc__
     always_confirmed: ClassVar[bool] = False  # but where a solution does not meet Ipopt's own test
 
@@ -19,6 +17,3 @@ class BoundaryValueProblem(WithVerbs, Statement):
         counts = f"{conditions} conditions, {integrals} integrals"
         free = f"; free: {', '.join(self.free)}" if self.free else ""
         return f"<BoundaryValueProblem: {self.model.name} from {start} to {end}, {counts}{free}>"
-
-    solve: ClassVar[Callable[..., Any]]
-    """The solution near a guess, with an objective or bounds the optimum: `casadi_skin.optimise.boundary_nlp.solve`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property, wraps
 from inspect import Parameter, signature
@@ -16,6 +16,7 @@ import numpy as np
 from casadi_skin.model.arguments import by_name, check_name, number, short_repr
 from casadi_skin.model.expressions import Expression, expression_of, in_scalars, is_comparison, product, total
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.result import WithVerbs
 from casadi_skin.zero.formulation import Formulation
 from casadi_skin.zero.problem import Array
 
@@ -47,7 +48,7 @@ def arguments_once(cls: type[Kind]) -> type[Kind]:
 
 @arguments_once
 @dataclass(frozen=True, eq=False)
-class Statement:
+class Statement(WithVerbs):
     """x' = f(t, x, p) on an interval, with `conditions` and `integrals` that vanish and parameters that are `free`.
 
     `conditions` are expressions in `model.start(x)`, `model.end(x)` and the parameters, or a function f(start, end, p)
@@ -72,6 +73,8 @@ class Statement:
     objective: Expression | None = None
     running: Expression | None = None
     always_confirmed: ClassVar[bool] = True  # by a call of Ipopt, as every orbit is
+    solve: ClassVar[Callable[..., Any]]
+    """The solution near a guess, with an objective or bounds the optimum: `casadi_skin.optimise.boundary_nlp.solve`."""
 
     def __post_init__(self) -> None:
         self._check_kinds()

@@ -8,7 +8,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from casadi_skin import OdeModel, find_orbit, simulate
-from casadi_skin.follow import find as finding
 from casadi_skin.solve.refined import BoundaryError
 from casadi_skin.zero.statement import Statement
 
@@ -39,14 +38,14 @@ def test_an_equilibrium_that_meets_the_tolerance_is_no_orbit_either(monkeypatch:
     """What the solver hands back is looked at whatever it says of it."""
     x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
     model = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu)
-    solve = finding.solve
+    solve = Statement.solve
 
     def at_rest(statement: Statement, guess: object, **options: object) -> object:
         solution = solve(statement, guess, **options)  # type: ignore[arg-type]
         solution.point.z[: solution.problem.states] *= 1e-10
         return solution
 
-    monkeypatch.setattr(finding, "solve", at_rest)
+    monkeypatch.setattr(Statement, "solve", at_rest)
     with pytest.raises(BoundaryError, match=r"the orbit has shrunk to it \(x = .*, y = .*, at mu = 1\)"):
         find_orbit(model, lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6, parameters={"mu": 1.0})
 

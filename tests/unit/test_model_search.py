@@ -224,7 +224,7 @@ def test_a_model_that_was_pickled_is_the_same_model() -> None:
 def test_what_cannot_be_meant_is_refused_before_any_solve(
     changes: dict[str, Any], words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("casadi_skin.follow.find.solve", lambda *_, **__: pytest.fail("solved"))
+    monkeypatch.setattr("casadi_skin.zero.statement.Statement.solve", lambda *_, **__: pytest.fail("solved"))
     with pytest.raises((ValueError, TypeError), match=words) as caught:
         search(**changes)
     assert len(str(caught.value).splitlines()) == 1
