@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from casadi_skin.model.equations import Array
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
-from casadi_skin.zero.problem import Array
 
 
 @dataclass(frozen=True, eq=False)

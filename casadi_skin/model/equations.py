@@ -88,3 +88,8 @@ class Equations:
         """Function (t, x, p) of the first-order state x with the given expressions as results."""
         time = type(self.state).sym("t") if self.time is None else self.time
         return ca.Function(name, [time, self.full_state, self.parameters], list(results))
+
+    @cached_property
+    def vector_field(self) -> ca.Function:
+        """Function (t, x, p) -> dense time derivative of the first-order state x."""
+        return self.function("field", ca.densify(self.full_rhs))

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.lattice.uniform_chain import Array
+from casadi_skin.model.equations import Array
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.model.ode import OdeModel
 

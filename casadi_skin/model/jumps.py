@@ -15,16 +15,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from operator import or_
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.model.arguments import cut
-from casadi_skin.model.equations import Array
-
-if TYPE_CHECKING:
-    from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.equations import Array, Equations
 
 Values: TypeAlias = Callable[[Array], Array]  # at places, one a row
 TIME, STATE, PARAMETER, INPUT = 1, 2, 4, 8  # by what an operation switches, as bits
@@ -180,7 +177,7 @@ def _value(code: int, a: list[ca.SX], result: ca.SX) -> ca.SX:
 class Jumps:
     """The operations of a model's right-hand side that may jump."""
 
-    model: OdeModel
+    model: Equations
 
     @cached_property
     def _found(self) -> tuple[list[ca.SX], list[Switch]]:

@@ -16,6 +16,7 @@ from casadi_skin.model.declarations import check_declarations, declarations
 from casadi_skin.model.equations import Equations
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.jumps import Jumps
+from casadi_skin.model.pickled import reduced
 from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
 from casadi_skin.model.symmetries import check_symmetries
 
@@ -62,11 +63,6 @@ class OdeModel(Equations):
     def rounding(self) -> float:
         """Relative error of the right-hand side's values: that of doubles, unless a model declares a larger one."""
         return EPSILON
-
-    @cached_property
-    def vector_field(self) -> ca.Function:
-        """Function (t, x, p) -> dense time derivative of the first-order state x."""
-        return self.function("field", ca.densify(self.full_rhs))
 
     @cached_property
     def jumps(self) -> Jumps:
@@ -149,9 +145,7 @@ class OdeModel(Equations):
 
     def __reduce__(self) -> str | tuple[Any, ...]:
         """Pickled as `save_model` writes it, subclasses too, so that processes can share it."""
-        from casadi_skin.model.saved import reduced
-
-        return reduced(self)
+        return reduced(self, OdeModel)
 
 
 # A model of second order in displacements from a state at which it rests ----------------------------------------------

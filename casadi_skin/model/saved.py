@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,19 +14,15 @@ import casadi as ca
 import msgspec
 
 from casadi_skin.model.arguments import cut, file_path, short_repr
-from casadi_skin.model.expressions import Expression
 from casadi_skin.model.files import replacing
 from casadi_skin.model.loading import read_source
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.operations import from_operations, to_operations
+from casadi_skin.model.pickled import PLAIN, column, equations_of, made
 
 FORMAT = "casadi_skin model 2"
 ACCEPTED = f"accepted: a file of format {FORMAT!r}, as save_model writes it"
-PROGRAMS = ("CallbackInternal", "GenericExternal", "External")  # CasADi's classes of functions that are not symbolic
-PLAIN = ("name", "order", "reversal", "half_period", "output_scale", "nominal")
-OPTIONAL = ("normalisation", "hamiltonian")
 MOST_RESULTS = 10_000  # CasADi warns of more
-GROUPS = {"outputs": "output ", "conserved": "conserved ", "symmetries": "symmetry "}  # before names among the results
 
 Sign = Literal[1, -1]
 
@@ -91,7 +86,7 @@ def save_model(model: OdeModel, path: str | Path) -> Path:
 
 def dumps(model: OdeModel) -> str:
     """A model as JSON text; raises ValueError as `save_model`."""
-    labels, function = _equations(model)
+    labels, function = equations_of(model)
     try:
         operations, entries = to_operations(function)
     except ValueError as error:
@@ -107,11 +102,6 @@ def checksum(model: dict[str, Any]) -> str:
     """SHA-256 of a model's entry in a file, of its JSON text without spaces and with sorted keys."""
     text = json.dumps(model, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def programs_in(function: ca.Function) -> list[str]:
-    """Names of the functions inside that are programs, as those of an FMU, and no expressions."""
-    return [inner.name() for inner in function.find_functions() if inner.class_name() in PROGRAMS]
 
 
 def read_model(path: str | Path) -> OdeModel:
@@ -165,75 +155,4 @@ def _model_of(saved: SavedModel) -> OdeModel:
     expressions = from_operations([*time, *states, *parameters], saved.operations, list(saved.results.values()))
     declared = {key: getattr(saved, key) for key in PLAIN}
     results = dict(zip(saved.results, expressions, strict=True))
-    return _made(declared, results, (time[0], _column(states), _column(parameters)), saved.forced)
-
-
-def _column(symbols: Sequence[ca.SX]) -> ca.SX:
-    return ca.vertcat(*symbols) if symbols else ca.SX(0, 1)
-
-
-# Files and pickle -----------------------------------------------------------------------------------------------------
-
-
-def _equations(model: OdeModel) -> tuple[list[str], ca.Function]:
-    """A model's equations by name as one function (t, x, p); raises ValueError where they are those of a program."""
-    expressions = {"rhs": model.rhs} | {k: v for k in OPTIONAL if (v := getattr(model, k)) is not None}
-    for group, before in GROUPS.items():
-        expressions |= {f"{before}{name}": expression for name, expression in getattr(model, group).items()}
-    if model.forcing_period is not None:
-        expressions["forcing_period"] = type(model.state)(model.forcing_period)
-    function = model.function("model", *expressions.values())
-    programs = programs_in(function)
-    if programs:
-        raise ValueError(f"{model.name}: cannot be saved: its equations are those of a program, {', '.join(programs)}")
-    return list(expressions), function
-
-
-def _made(
-    declared: dict[str, Any],
-    results: dict[str, Expression],
-    symbols: tuple[Expression, Expression, Expression],
-    forced: bool,
-) -> OdeModel:
-    """A model from its declarations, equations by name, and the symbols of time, full state and parameters."""
-    time, full, parameters = symbols
-    rest: dict[str, Any] = dict(results)
-    groups: dict[str, Any] = {}
-    for group, before in GROUPS.items():
-        groups[group] = {k.removeprefix(before): rest.pop(k) for k in list(rest) if k.startswith(before)}
-    unknown = sorted(set(rest) - {"rhs", "forcing_period", *OPTIONAL})
-    if unknown or "rhs" not in rest:
-        raise ValueError(f"results: given {short_repr(unknown)}" if unknown else "results: no right-hand side")
-    state = full
-    if declared["order"] == 2:
-        half = full.numel() // 2
-        state, rest["velocity"] = full[:half], full[half:]
-    rest |= {"state": state, "parameters": parameters, "time": time if forced else None}
-    return OdeModel(**declared, **rest, **groups)
-
-
-def reduced(model: OdeModel) -> tuple[Any, ...]:
-    """Pickled form of a model: CasADi's own function, of any kind but programs."""
-    labels, function = _equations(model)
-    declared = {key: getattr(model, key) for key in (*PLAIN, "state_labels", "parameter_labels")}
-    names = model.state_names, model.parameter_names
-    return _unpickled, (declared, labels, function, isinstance(model.state, ca.MX), names, model.forced)
-
-
-def _unpickled(
-    declared: dict[str, Any],
-    labels: list[str],
-    function: ca.Function,
-    matrix: bool,
-    names: tuple[Sequence[str], Sequence[str]],
-    forced: bool,
-) -> OdeModel:
-    states, parameters = names
-    symbols: tuple[Expression, Expression, Expression] = tuple(
-        _column([ca.SX.sym(name) for name in names]) for names in (("t",), states, parameters)
-    )
-    if matrix:
-        symbols = ca.MX.sym("t"), ca.MX.sym("x", len(states)), ca.MX.sym("p", len(parameters))
-        declared = declared | {"state_labels": states, "parameter_labels": parameters}
-    results = dict(zip(labels, function.call(list(symbols), True, False), strict=True))
-    return _made(declared, results, symbols, forced)
+    return made(OdeModel, declared, results, (time[0], column(states), column(parameters)), saved.forced)

@@ -18,7 +18,7 @@ from casadi_skin.follow import solution as solutions
 from casadi_skin.follow.boundary_solutions import ITERATIONS
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.settings import Point
-from casadi_skin.model.saved import programs_in
+from casadi_skin.model.pickled import programs_in
 from casadi_skin.optimise.nlp import FLAT, Limits, Nlp, Optimality, Solution, optimality
 from casadi_skin.optimise.search_arguments import Condition
 from casadi_skin.solve.first import limits_of, packed, space_of

@@ -17,8 +17,8 @@ from casadi_skin.model.result import Result
 from casadi_skin.optimise.kick_nlp import KickedFlow, KickNlp, KickOptimum
 from casadi_skin.optimise.kick_verify import Escape, escape, sampled, size_to_escape
 from casadi_skin.optimise.nlp import STOPPED
-from casadi_skin.runs.pool import Report, Runner
 from casadi_skin.solve.ipopt import Monitor, nlp_reason
+from casadi_skin.solve.processes import Report, Runner
 from casadi_skin.zero.problem import Array, Indices
 
 FLOW_ERROR = 1e-6  # of the distance, against CVODES; the steps are halved until it is met

@@ -17,7 +17,7 @@ from casadi_skin.model.result import Result
 from casadi_skin.optimise.nlp import FLAT
 from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.optimise.search_problem import FEASIBLE, Ending, Outcome, SearchProblem, Start, nearest, solve_start
-from casadi_skin.runs.pool import Report, Runner
+from casadi_skin.solve.processes import Report, Runner
 
 # Result of a search: its distinct optima, best first, each with its checks, and the outcome of every start ------------
 

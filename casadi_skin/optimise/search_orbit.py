@@ -19,7 +19,7 @@ from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.optimise.orbit_search import OrbitSearch
 from casadi_skin.optimise.search import SearchResult, SearchStatus, search
 from casadi_skin.optimise.search_problem import SearchProblem
-from casadi_skin.runs.pool import Report
+from casadi_skin.solve.processes import Report
 from casadi_skin.zero.problem import Array
 
 STARTS = 8

@@ -26,7 +26,8 @@ from casadi_skin.model.arguments import cut, file_path, short_repr
 from casadi_skin.model.files import replacing
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.operations import from_operations, to_operations
-from casadi_skin.model.saved import dumps, loads, programs_in
+from casadi_skin.model.pickled import programs_in
+from casadi_skin.model.saved import dumps, loads
 from casadi_skin.optimise.nlp import Solution
 from casadi_skin.optimise.optimum import CosineOrbit, Optimum
 from casadi_skin.optimise.search import SearchResult

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.pickled import programs_in
 from casadi_skin.model.result import Result
-from casadi_skin.model.saved import programs_in
 from casadi_skin.zero.problem import EPSILON, Array
 from casadi_skin.zero.statement import named_values
 

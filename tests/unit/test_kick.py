@@ -24,7 +24,7 @@ from casadi_skin.optimise.kick import KickSearch, KickStart, SmallestKick, disti
 from casadi_skin.optimise.kick_nlp import KickedFlow, Loop
 from casadi_skin.optimise.kick_verify import Escape, escape
 from casadi_skin.optimise.optimum import CosineOrbit
-from casadi_skin.runs.pool import SearchProgress, unpickled
+from casadi_skin.solve.processes import SearchProgress, unpickled
 
 
 @cache

@@ -23,7 +23,7 @@ from casadi_skin.optimise.search_orbit import pareto_front, stated_search
 from casadi_skin.optimise.search_problem import Ending, Outcome, solve_start
 from casadi_skin.results.saving import outcome_record, write_search
 from casadi_skin.results.saving import restored_search as restored
-from casadi_skin.runs.pool import SearchProgress
+from casadi_skin.solve.processes import SearchProgress
 
 Q, V, OMEGA, T = (ca.SX.sym(name) for name in ("q", "v", "omega", "t"))
 FIELD = ca.vertcat(V, -Q - Q**3 - 0.2 * V + 0.1 * ca.cos(OMEGA * T))

@@ -20,7 +20,7 @@ from casadi_skin.optimise.nlp import optimality
 from casadi_skin.optimise.search import SearchResult, SearchStatus
 from casadi_skin.optimise.search_orbit import pareto_front
 from casadi_skin.optimise.search_problem import Ending
-from casadi_skin.runs.pool import SearchProgress
+from casadi_skin.solve.processes import SearchProgress
 
 SHORT = Chain(sites=6, alpha=1.0, gamma=0.3, g=1.0)
 
@@ -334,7 +334,7 @@ def test_what_cannot_be_meant_is_refused_before_any_solve(
     def refuse(*_: object) -> None:
         raise AssertionError("something was solved")
 
-    monkeypatch.setattr("casadi_skin.runs.pool.Runner.run", refuse)
+    monkeypatch.setattr("casadi_skin.solve.processes.Runner.run", refuse)
     monkeypatch.setattr("casadi_skin.optimise.family_search.FamilySearch.members", refuse)
     with pytest.raises(kind, match=words) as caught:
         search(**changes)

@@ -18,7 +18,7 @@ from casadi_skin import Chain, OdeModel, search_orbit
 PARENT = """
 import os, sys, time
 from dataclasses import dataclass
-from casadi_skin.runs.pool import Runner
+from casadi_skin.solve.processes import Runner
 
 @dataclass(frozen=True)
 class Job:
