@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from casadi_skin.certify.balls import ROUNDING, Enclosed, above, rounded_up, size
 from casadi_skin.certify.certificate import Constants
-from casadi_skin.certify.system import ROUNDING, CosineSeries, CosineSystem, Enclosed, above, rounded_up, size
-from casadi_skin.certify.tail import TailSize
+from casadi_skin.certify.system import CosineSeries, CosineSystem
+from casadi_skin.certify.tailed import TailSize
 from casadi_skin.zero.problem import Array, Indices
 
 if TYPE_CHECKING:

@@ -14,19 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from casadi_skin.certify.balls import ROUNDING, Enclosed, above, below, rounded_up
 from casadi_skin.certify.bounds import curvature, proved_radius, series_norms
 from casadi_skin.certify.certificate import Constants
-from casadi_skin.certify.system import (
-    ROUNDING,
-    CosineSeries,
-    CosineSystem,
-    Enclosed,
-    above,
-    below,
-    potential,
-    rounded_up,
-    weights_of,
-)
+from casadi_skin.certify.system import CosineSeries, CosineSystem, potential, weights_of
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.zero.problem import Array
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_skin.certify import system as balls
+from casadi_skin.certify import balls
 from casadi_skin.certify.certificate import STABLE, UNDECIDED, UNSTABLE, ProvedStability
 from casadi_skin.certify.certify import WEIGHT, best_attempt, reason_of
 from casadi_skin.certify.exponents import Linearised, enclosed_exponent, linearised, negative_eigenvalues

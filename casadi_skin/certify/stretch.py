@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.fft import dct
 
-from casadi_skin.certify import system as balls
+from casadi_skin.certify import balls
+from casadi_skin.certify.balls import ROUNDING, above, ball, exact, rounded_up, size
 from casadi_skin.certify.bounds import (
     LARGEST_RADIUS,
     FiniteInverse,
@@ -36,17 +37,7 @@ from casadi_skin.certify.certify import (
     refined,
     step_of,
 )
-from casadi_skin.certify.system import (
-    ROUNDING,
-    CosineSeries,
-    CosineSystem,
-    above,
-    ball,
-    exact,
-    rounded_up,
-    size,
-    system_of,
-)
+from casadi_skin.certify.system import CosineSeries, CosineSystem, system_of
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit

@@ -1,93 +1,36 @@
-"""Balls of python-flint, and their enclosures by doubles.
+"""Equations of cosine series: lambda k^2 a_nk + [force_n(q)]_k = 0 and h(q(0)) = S, evaluated in balls.
 
-A ball is a midpoint with a radius and encloses a real number; results computed from balls enclose those that would be
-computed from the numbers (Johansson 2017). Matrices are products of doubles, whose rounding is bounded beforehand.
+Positions are y_n = d_n q_n with fixed numbers d_n, q_n = sum over k of a_nk cos(k theta), theta = Omega t, and lambda =
+Omega^2. The harmonics are k = 1, 3, 5, ... (step 2) or 0, 1, 2, ... (step 1). Products of cosine series are products of
+polynomials: with z = exp(i theta) each series is z^-K times a polynomial in z^step, K its highest harmonic.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
+from casadi_skin.certify.balls import (
+    ball,
+    exact,
+)
+from casadi_skin.certify.tail import LinearTail
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.formula import Number
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import NotPolynomialError, constants, exact_terms
 from casadi_skin.zero.family import Coordinates
-from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
     from flint import arb, arb_poly
-
-    from casadi_skin.certify.tail import LinearTail
-
-PRECISION = 128  # bits of balls
-ROUNDING = 2.0**-51  # four times the unit roundoff, for each operation of a sum
-UNDERFLOW = 2.0**-900  # more than all operations of a bound can lose below the smallest double
-
-
-def flint() -> Any:
-    """The module python-flint; raises ImportError, naming the extra, where it is missing."""
-    try:
-        import flint
-    except ImportError:
-        extra = 'install casadi-skin with the extra "certify", as in: pip install "casadi-skin[certify]"'
-        raise ImportError(f"certify: python-flint is missing; {extra}") from None
-    return flint
-
-
-def above(value: arb) -> float:
-    """A double that no number in a ball exceeds."""
-    return float(np.nextafter(float(value.upper()), np.inf))
-
-
-def below(value: arb) -> float:
-    """A double that no number in a ball falls below."""
-    return float(np.nextafter(float(value.lower()), -np.inf))
-
-
-def size(value: arb) -> float:
-    """A double that the modulus of no number in a ball exceeds."""
-    return above(abs(value))
-
-
-def rounded_up(value: Array, operations: int) -> Array:
-    """An upper bound of sums of products of numbers >= 0, from their value in doubles after so many operations.
-
-    Holds in any order of the sums, with and without fused operations (Higham 2002, chapter 3).
-    """
-    return np.asarray(value * (1.0 + (operations + 8) * ROUNDING) + UNDERFLOW)
-
-
-@dataclass(frozen=True, eq=False)
-class Enclosed:
-    """Real numbers within `radius` of the doubles `middle`, arrays of one shape."""
-
-    middle: Array
-    radius: Array
-
-    @classmethod
-    def of(cls, balls: Iterable[arb]) -> Enclosed:
-        """Doubles around balls, shape (balls,)."""
-        from flint import arb
-
-        values = list(balls)
-        middle = np.array([float(value.mid()) for value in values])
-        radius = np.array([size(v - arb(m)) for v, m in zip(values, middle.tolist(), strict=True)])
-        return cls(middle, radius)
-
-    @property
-    def largest(self) -> Array:
-        """Upper bounds of the moduli."""
-        return np.nextafter(np.abs(self.middle) + self.radius, np.inf)
 
 
 # Equations of cosine series: lambda k^2 a_nk + [force_n(q)]_k = 0 and h(q(0)) = S, evaluated in balls -----------------
@@ -246,18 +189,6 @@ class CosineSeries:
 
 
 # The exact polynomials of a model: forces, amplitude and conserved quantity, as fractions -----------------------------
-
-
-def exact(value: float, decimals: bool) -> Fraction:
-    """Exact value of a double: itself, or the shortest decimal that rounds to it."""
-    return Fraction(repr(value)) if decimals else Fraction(value)
-
-
-def ball(number: Fraction) -> arb:
-    """A ball around a fraction."""
-    from flint import arb, fmpq
-
-    return arb(fmpq(number.numerator, number.denominator))
 
 
 @dataclass(frozen=True, eq=False)

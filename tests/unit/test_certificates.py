@@ -15,7 +15,7 @@ from casadi_skin import Chain, OdeModel, follow_family
 
 flint = pytest.importorskip("flint")
 
-from casadi_skin.certify import system as balls
+from casadi_skin.certify import balls
 from casadi_skin.certify.bounds import Constants, FiniteInverse, holds, proved_radius, uniqueness_radius
 from casadi_skin.certify.certify import attempt_of, computed_series, cosine_coefficients, distance, step_of
 from casadi_skin.certify.system import CosineSeries, system_of

@@ -22,7 +22,7 @@ from casadi_skin.zero.stated_problem import BoundaryProblem
 
 flint = pytest.importorskip("flint")
 
-from casadi_skin.certify import system as balls
+from casadi_skin.certify import balls
 from casadi_skin.certify.bounds import FiniteInverse
 from casadi_skin.certify.certify import cosine_coefficients, step_of
 from casadi_skin.certify.system import CosineSeries, system_of

@@ -11,7 +11,7 @@ from casadi_skin import Chain, follow_family
 
 flint = pytest.importorskip("flint")
 
-from casadi_skin.certify import system as balls
+from casadi_skin.certify import balls
 from casadi_skin.certify.certify import best_attempt
 from casadi_skin.certify.exponents import (
     Linearised,

@@ -12,8 +12,8 @@ from casadi_skin import Chain, OdeModel, follow_family
 
 flint = pytest.importorskip("flint")
 
+from casadi_skin.certify import balls
 from casadi_skin.certify import stretch as polynomial_piece
-from casadi_skin.certify import system as balls
 from casadi_skin.certify.bounds import FiniteInverse, proved_radius
 from casadi_skin.certify.certify import attempt_near, distance, provable, step_of
 from casadi_skin.certify.stretch import _fault, _joined, _only_one, _piece, _Stretch, piece_constants

@@ -11,10 +11,10 @@ from casadi_skin.lattice.full_chain import FullChain
 
 flint = pytest.importorskip("flint")
 
-from casadi_skin.certify import system as balls
+from casadi_skin.certify import balls
 from casadi_skin.certify.bounds import FiniteInverse
 from casadi_skin.certify.system import CosineSeries, system_of
-from casadi_skin.certify.tail import tailed_system
+from casadi_skin.certify.tailed import tailed_system
 
 INFINITE = float("inf")
 
