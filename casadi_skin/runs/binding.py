@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.loading import ModelFileError, call, named, read_source, run_file
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.runs.faults import SceneError, check_known, refusal, toml_repr
+from casadi_skin.runs.first_solution import first_solution, start_near_rest
 from casadi_skin.runs.model_tables import (
     CONSERVED,
     SELECTED,
@@ -26,6 +27,7 @@ from casadi_skin.runs.model_tables import (
 from casadi_skin.runs.request import Request, chain_of, lattice_of
 from casadi_skin.runs.scene import Scene
 from casadi_skin.runs.scene_tables import LatticeTable
+from casadi_skin.runs.states import Numbers, check_state, state_of, values_of
 from casadi_skin.solve.guesses import Guess
 from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
 from casadi_skin.zero.closure import closure_of
@@ -38,36 +40,6 @@ if TYPE_CHECKING:
 
 
 # Values and states as a scene gives them, by name or in order ---------------------------------------------------------
-
-Numbers = Sequence[float] | Mapping[str, float]
-
-
-def values_of(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
-    """Values of all parameters of a model by name; raises SceneError."""
-    for name in given:
-        check_known("[model] parameters", name, model.parameter_names)
-    if model.order == 2 and model.normalisation is not None:  # the amplitude's parameter needs no value
-        return dict(given)
-    from casadi_skin.zero.statement import named_values
-
-    try:
-        return named_values(model, given)
-    except ValueError as error:
-        raise SceneError(f"[model] {error}") from None
-
-
-def state_of(given: Numbers, names: Sequence[str]) -> Array:
-    """A state from a list, or from a table by the names of states; those left out are 0."""
-    return np.array([given.get(name, 0.0) for name in names] if isinstance(given, Mapping) else given, dtype=float)
-
-
-def check_state(place: str, given: Numbers, names: Sequence[str]) -> None:
-    """Raises SceneError where a state does not fit these names."""
-    if isinstance(given, Mapping):
-        for name in given:
-            check_known(place, name, names)
-    elif len(given) != len(names):
-        raise refusal(place, f"a list of {len(given)}", f"{len(names)} numbers: {', '.join(names)}")
 
 
 # Checks of a scene's orbits and boundary-value problems of a model: names, shapes and symmetries ----------------------
@@ -290,8 +262,6 @@ def _check_jumps(request: Request) -> None:
         return
     if scene.equilibrium is None and scene.orbit is None and scene.solution is None:
         return
-    from casadi_skin.runs.first_solution import first_solution
-
     try:
         first_solution(request)
     except JumpError as error:
@@ -304,8 +274,6 @@ def _check_perturbation(request: Request) -> None:
     """Refuse a perturbation that the states of the model do not have."""
     table, model, scene = request.scene.dynamics, request.model, request.scene
     if table is not None and scene.family is None and scene.orbit is None:
-        from casadi_skin.runs.tasks import start_near_rest
-
         try:
             start_near_rest(request)
         except (TypeError, ValueError) as error:

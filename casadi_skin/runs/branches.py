@@ -41,7 +41,10 @@ from casadi_skin.results.figures.profiles import chosen_solutions
 from casadi_skin.results.quantities import dataset_of
 from casadi_skin.results.store import Journal
 from casadi_skin.results.tables import UNRESOLVED
+from casadi_skin.runs.family_points import follow_edges, leaving_spaces
+from casadi_skin.runs.first_solution import cycle, cycle_record, first_solution, known_cycle
 from casadi_skin.runs.model_tables import ContinuationTable
+from casadi_skin.runs.offshoots import Offshoots
 from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
@@ -51,26 +54,11 @@ from casadi_skin.zero.rest_location import BRANCH_POINT, FOLD, HOPF
 from casadi_skin.zero.stated_problem import PERIOD
 
 if TYPE_CHECKING:
-    from casadi_skin.points.edge_curve import EdgeCurve
+    pass
 
 
 # A bifurcation diagram: branches that leave a branch, curves in two parameters, and the files of all of them ----------
 
-NATURAL = (
-    End.HOPF,
-    End.REJOINED,
-    End.UNBOUNDED,
-    End.BOUND,
-    End.TAKENS,
-    End.CLOSED,
-    End.RETURNED,
-    End.AWAY,
-    End.BAUTIN,
-    End.HOPF_HOPF,
-    End.ZERO_HOPF,
-    End.RESONANCE_ONE,
-    End.RESONANCE_TWO,
-)  # ends of branches that leave another one, or are followed in two parameters
 CYCLES, OTHER, CURVE = "cycles", "other", "curve"
 FOLLOWED = (FOLD, HOPF, DOUBLING, TORUS)  # kinds that curves in two parameters have
 EMPTY: Cell = ""
@@ -140,16 +128,6 @@ def _passes(curve: Branch, point: SpecialPoint) -> bool:
     return bool(np.max(np.abs(x - y)) <= SAME * max(1.0, float(np.max(np.abs(x)))))
 
 
-def is_further(branch: Branch) -> bool:
-    """Whether a branch left another one, or is a curve in two parameters."""
-    return bool(getattr(branch.space, "leaves", False) or branch.space.kind)
-
-
-def ended_well(branch: Branch) -> bool:
-    """Whether a branch reached its requested end, or its natural end where it left another one."""
-    return branch.complete or (is_further(branch) and branch.end in NATURAL and not any(branch.misses.values()))
-
-
 def write_diagram(
     request: Request,
     names: Sequence[str],
@@ -214,19 +192,6 @@ def _critical(point: SpecialPoint) -> list[Cell]:
 
 
 # Branches and edges that a run follows from families ------------------------------------------------------------------
-
-
-@dataclass
-class Offshoots:
-    """Branches and edges followed from families; the lists fill as a run goes on.
-
-    Attributes:
-        leaving: branches that leave families, with their names.
-        edges: edges of tongues with the number of the mode, the table that they are in, and their places there from 1.
-    """
-
-    leaving: list[tuple[str, Branch]] = field(default_factory=list)
-    edges: list[tuple[int, str, int, EdgeCurve]] = field(default_factory=list)
 
 
 BUILTIN = (ZeroDivisionError, OverflowError, FloatingPointError)
@@ -295,8 +260,6 @@ class Branches:
         table = self.request.scene.continuation
         if self.request.scene.family is None or table is None:
             return
-        from casadi_skin.runs.family_points import follow_edges, leaving_spaces
-
         families = [branch for branch in self.branches if len(branch)]
         for name, space in leaving_spaces(families, table, self.failures):
             self.progress.say(name)
@@ -334,8 +297,6 @@ class Branches:
         scene, table = self.request.scene, self.request.scene.continuation
         if scene.equilibrium is None and scene.orbit is None and scene.solution is None:
             return
-        from casadi_skin.runs.first_solution import cycle, cycle_record, first_solution, known_cycle
-
         simulated = None
         if scene.orbit is not None:
             simulated = known_cycle(journal.records, self.request.ode, self.request.parameters)

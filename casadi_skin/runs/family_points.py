@@ -27,14 +27,14 @@ from casadi_skin.results.figures.bands import band_figure, skin_figure
 from casadi_skin.results.frames import edge_columns
 from casadi_skin.results.quantities import dataset_of
 from casadi_skin.results.saving import SavedResult, restored, saved
-from casadi_skin.runs.branches import Offshoots, ended_well
 from casadi_skin.runs.model_tables import ContinuationTable
+from casadi_skin.runs.offshoots import Offshoots, ended_well
+from casadi_skin.runs.origins import mode_of
 from casadi_skin.runs.output import Lines, named
 from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import Scene
-from casadi_skin.runs.writing import mode_of
 
 EVENTS, FURTHER = "events.csv", "further_events.csv"  # where edges are listed
 POINT_COLUMNS = ("branch", "kind", "S", "error", "Omega", "period", "mu", "loses")

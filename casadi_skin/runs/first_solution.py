@@ -15,13 +15,15 @@ from casadi_skin.dynamics.evolve import simulate
 from casadi_skin.follow.find import find_equilibrium, find_orbit
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Solution
+from casadi_skin.lattice.starts import initial_state
 from casadi_skin.model.conserved import HAMILTONIAN
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.branch_records import BranchRecord, CycleRecord, bytes_of, doubles_of
-from casadi_skin.runs.binding import state_of
-from casadi_skin.runs.model_tables import SELECTED, EquilibriumTable
+from casadi_skin.runs.model_tables import SELECTED, DynamicsTable, EquilibriumTable
 from casadi_skin.runs.request import Request
+from casadi_skin.runs.states import state_of
+from casadi_skin.zero.problem import Array
 
 SAMPLES = 801  # of the cycle that is the guess
 TRANSIENT_SAMPLES = 20_001  # of a transient whose cycle is not known before
@@ -201,3 +203,19 @@ def _known(condition: tuple[Expression, float] | None) -> tuple[Expression, floa
 
 def _vanishing(condition: tuple[Expression, float] | None) -> Expression | None:
     return None if condition is None else condition[0] - condition[1]
+
+
+def dynamics_table(request: Request) -> DynamicsTable:
+    if request.scene.dynamics is None:
+        raise ValueError("scene: given one without [dynamics]; accepted: one with it")
+    return request.scene.dynamics
+
+
+def start_near_rest(request: Request) -> tuple[Array, Array | None]:
+    """The state that a scene without an orbit starts from; raises ValueError for one that the model does not have."""
+    dynamics = dynamics_table(request)
+    parameters = request.parameters if isinstance(request.model, OdeModel) else None
+    return initial_state(
+        request.model, dynamics.size or 0.0, mode=dynamics.mode, site=dynamics.site, vector=dynamics.vector,
+        seed=dynamics.seed, moving=dynamics.moving, parameters=parameters,
+    )  # fmt: skip

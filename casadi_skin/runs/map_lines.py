@@ -23,7 +23,7 @@ from casadi_skin.runs.faults import SceneError
 from casadi_skin.runs.first_solution import first_solution
 from casadi_skin.runs.map_cell import followed
 from casadi_skin.runs.map_grid import Axis, Grid, Tables, scene_at
-from casadi_skin.runs.map_pictures import Plane, Points, planes
+from casadi_skin.runs.map_planes import Plane, Points, planes
 from casadi_skin.runs.map_store import DONE, UNKNOWN, Columns
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import Scene

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -14,14 +13,13 @@ from casadi_skin.model.arguments import check_name, cut, short_repr
 from casadi_skin.results.figures.map import MapAxis, Panel, draw_map, map_figure, panel_title
 from casadi_skin.results.figures.style import save
 from casadi_skin.results.words import listed
-from casadi_skin.runs.map_grid import Axis, Grid
+from casadi_skin.runs.map_grid import Axis
+from casadi_skin.runs.map_result import Map
 from casadi_skin.runs.map_store import ENDED, UNKNOWN
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from casadi_skin.runs.map_result import Map
 
 LEFT_OUT = ("points", "at_round_off", "residual", "profile_error", "S_error", "intervals")
 
@@ -178,42 +176,3 @@ def filled(values: NDArray[np.float64], states: NDArray[np.int8], strides: list[
 
 
 # Planes of a map's two ranges, one for each combination of values of its other axes -----------------------------------
-
-Points = NDArray[np.float64]  # shape (points, 2)
-
-
-@dataclass(frozen=True)
-class Plane:
-    """The two ranges of a map, and which cells lie on them where the other axes have certain places."""
-
-    grid: Grid
-    along: tuple[int, int]
-    chosen: tuple[int, ...]
-
-    @property
-    def axes(self) -> tuple[Axis, Axis]:
-        """The two ranges."""
-        return self.grid.axes[self.along[0]], self.grid.axes[self.along[1]]
-
-    def cell(self, i: int, j: int) -> int:
-        """The cell at places along the two ranges."""
-        others = iter(self.chosen)
-        place = [
-            i if k == self.along[0] else j if k == self.along[1] else next(others) for k in range(len(self.grid.axes))
-        ]
-        return int(np.ravel_multi_index(place, self.grid.shape))
-
-    @property
-    def cells(self) -> NDArray[np.int64]:
-        """All cells, shape of the two ranges."""
-        n, m = (len(axis.values) for axis in self.axes)
-        return np.array([[self.cell(i, j) for j in range(m)] for i in range(n)])
-
-
-def planes(grid: Grid) -> list[Plane]:
-    """A plane for each combination of values of the axes that are no ranges; none where there are not two ranges."""
-    ranges = [i for i, axis in enumerate(grid.axes) if axis.numeric]
-    if len(ranges) != 2:
-        return []
-    others = [range(len(axis.values)) for axis in grid.axes if not axis.numeric]
-    return [Plane(grid, (ranges[0], ranges[1]), chosen) for chosen in product(*others)]

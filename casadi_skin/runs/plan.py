@@ -12,11 +12,11 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.model import methods
 from casadi_skin.model.conserved import SymmetryClass, symmetry_class
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.runs.binding import state_of
 from casadi_skin.runs.family_plan import SPECTRUM, FamilyPlan, chain_line, family_lines
 from casadi_skin.runs.model_tables import LEAVING, ContinuationTable, EquilibriumTable
 from casadi_skin.runs.output import Lines, listed, named
 from casadi_skin.runs.request import Request
+from casadi_skin.runs.states import state_of
 from casadi_skin.solve.levels import ErrorEstimate
 from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.problem import Problem

@@ -19,11 +19,13 @@ from casadi_skin.results.branch_quantities import certified
 from casadi_skin.results.dataset import Cell, write_csv
 from casadi_skin.results.quantities import csv_row, quantities_of
 from casadi_skin.results.quantity import Place
-from casadi_skin.runs.branches import Branches, Offshoots
+from casadi_skin.runs.branches import Branches
 from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL, renew
+from casadi_skin.runs.offshoots import Offshoots
+from casadi_skin.runs.origins import mode_of, origin
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
-from casadi_skin.runs.writing import mode_of, origin, write_branches, write_spectrum
+from casadi_skin.runs.writing import write_branches, write_spectrum
 from casadi_skin.solve.watch import one_thread
 
 if TYPE_CHECKING:
@@ -171,7 +173,7 @@ class Run:
         """Whether a branch reached its requested end, or the natural end of a branch that leaves another one."""
         if not self.request.scene.has_diagram:
             return branch.complete
-        from casadi_skin.runs.branches import ended_well
+        from casadi_skin.runs.offshoots import ended_well
 
         return ended_well(branch)
 

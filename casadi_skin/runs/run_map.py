@@ -35,12 +35,12 @@ from casadi_skin.runs.map_pictures import write_pictures
 from casadi_skin.runs.map_result import Map
 from casadi_skin.runs.map_store import UNKNOWN, Columns, Store, check_quantities
 from casadi_skin.runs.map_writing import CSV, NETCDF, write_map, write_table
+from casadi_skin.runs.origins import origin
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.reading import parse_scene, read_text
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import Scene
 from casadi_skin.runs.scene_tables import MapTable
-from casadi_skin.runs.writing import origin
 from casadi_skin.solve.watch import one_thread
 
 ADDRESS = re.compile(r"inproc://\S+|(\w+://)?[^\s/]+:\d{1,5}")  # of a scheduler

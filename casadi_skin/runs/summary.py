@@ -16,8 +16,8 @@ from casadi_skin.follow.unresolved import count_in_words
 from casadi_skin.results.branch_quantities import certified
 from casadi_skin.results.quantities import places_of
 from casadi_skin.results.tables import UNRESOLVED
+from casadi_skin.runs.origins import mode_of
 from casadi_skin.runs.output import TextTable
-from casadi_skin.runs.writing import mode_of
 
 if TYPE_CHECKING:
     from casadi_skin.runs.run import Run

@@ -22,7 +22,7 @@ from casadi_skin.lattice.declaration import INDICES
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import lattice_modes
 from casadi_skin.lattice.long_lattice import LongLattice
-from casadi_skin.lattice.starts import Spreading, initial_state, spreading
+from casadi_skin.lattice.starts import Spreading, spreading
 from casadi_skin.lattice.uniform_chain import Array
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.optimise.families import ChainFamily, ModelFamily
@@ -39,12 +39,13 @@ from casadi_skin.results.saving import restored_search as restored
 from casadi_skin.results.store import Journal
 from casadi_skin.results.tables import evolution_columns, evolution_rows, evolution_variables
 from casadi_skin.runs.directory import EXPORT
+from casadi_skin.runs.first_solution import dynamics_table, start_near_rest
 from casadi_skin.runs.model_tables import DynamicsTable, ExportTable, SearchTable
+from casadi_skin.runs.origins import mode_of, origin
 from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import Scene
-from casadi_skin.runs.writing import mode_of, origin
 
 PER_PERIOD, FEWEST, MOST = 20, 401, 4001
 
@@ -54,7 +55,7 @@ def scene_orbit(request: Request, branches: Sequence[Branch]) -> Orbit:
 
     Raises ValueError where the branch does not reach S, ArithmeticError where no orbit is found there.
     """
-    dynamics = _table(request)
+    dynamics = dynamics_table(request)
     if not isinstance(branches[0].space, Family):
         return branches[0].orbits[-1]
     found = [b for b in branches if dynamics.mode in (None, mode_of(b))]
@@ -69,21 +70,11 @@ def evolve_scene(request: Request, orbit: Orbit) -> Evolution:
 
     Raises ValueError where the time is out of reach, EvolutionError where the integrator fails.
     """
-    dynamics = _table(request)
+    dynamics = dynamics_table(request)
     return simulate_orbit(
         orbit, sample_times(dynamics, orbit.period), dynamics.size or 0.0,
         site=dynamics.site, vector=dynamics.vector, seed=dynamics.seed,
         method=dynamics.method, tolerance=dynamics.tolerance,
-    )  # fmt: skip
-
-
-def start_near_rest(request: Request) -> tuple[Array, Array | None]:
-    """The state that a scene without an orbit starts from; raises ValueError for one that the model does not have."""
-    dynamics = _table(request)
-    parameters = request.parameters if isinstance(request.model, OdeModel) else None
-    return initial_state(
-        request.model, dynamics.size or 0.0, mode=dynamics.mode, site=dynamics.site, vector=dynamics.vector,
-        seed=dynamics.seed, moving=dynamics.moving, parameters=parameters,
     )  # fmt: skip
 
 
@@ -92,7 +83,7 @@ def evolve_from_rest(request: Request) -> Evolution:
 
     Sampled by the period of the fastest linear mode, where there are such modes.
     """
-    dynamics, model = _table(request), request.model
+    dynamics, model = dynamics_table(request), request.model
     if isinstance(model, LongLattice):
         raise ValueError("lattice: given one with a linear tail; accepted: all its cells, without edge")
     parameters = request.parameters if isinstance(model, OdeModel) else None
@@ -103,12 +94,6 @@ def evolve_from_rest(request: Request) -> Evolution:
     times = sample_times(dynamics, 2.0 * np.pi / fastest if fastest > 0.0 else dynamics.duration or 1.0)
     start = start_near_rest(request)
     return evolve(model, *start, times, dynamics.method, dynamics.tolerance, parameters=parameters)
-
-
-def _table(request: Request) -> DynamicsTable:
-    if request.scene.dynamics is None:
-        raise ValueError("scene: given one without [dynamics]; accepted: one with it")
-    return request.scene.dynamics
 
 
 def _direction(dynamics: DynamicsTable) -> str:
@@ -142,7 +127,7 @@ def write_dynamics(
     request: Request, scene_text: str, orbit: Orbit | None, evolution: Evolution, directory: Path
 ) -> None:
     """dynamics.csv, dynamics.nc and the space-time picture; of a lattice also where its energy is."""
-    dynamics = _table(request)
+    dynamics = dynamics_table(request)
     write_csv(directory / "dynamics.csv", evolution_columns(evolution), evolution_rows(evolution))
     start, title = _origin_of(orbit, dynamics)
     how = {"method": evolution.method, "tolerance": evolution.tolerance, "coordinates": evolution.coordinates}

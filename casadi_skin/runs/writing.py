@@ -10,11 +10,9 @@ from pathlib import Path
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.spectrum import linear_frequencies
-from casadi_skin.model.ode import OdeModel
 from casadi_skin.results import figures
-from casadi_skin.results.dataset import Cell, unique_names, versions, write_csv, write_netcdf
+from casadi_skin.results.dataset import Cell, unique_names, write_csv, write_netcdf
 from casadi_skin.results.quantities import dataset_of
 from casadi_skin.results.tables import (
     EVENT_COLUMNS,
@@ -25,6 +23,8 @@ from casadi_skin.results.tables import (
     further_rows,
     tongue_rows,
 )
+from casadi_skin.runs.family_points import write_lattice_spectrum
+from casadi_skin.runs.origins import mode_of, origin
 from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
@@ -49,19 +49,6 @@ def write_branches(
             _write_films(branches, directory, progress)
     else:
         _write_branch(request, branches[0], directory)
-
-
-def origin(request: Request, scene_text: str, branch: Branch | None = None) -> dict[str, float | str]:
-    """The request, its model, and the versions that computed it."""
-    known: dict[str, float | str] = {"title": request.scene.title or "", "scene": scene_text, **versions()}
-    if branch is not None and isinstance(branch.space, Family) and request.scene.chain is not None:
-        return {**known, **branch.space.coordinates.attributes}
-    if request.scene.chain is not None:
-        chain = request.scene.chain
-        return {**known, "sites": chain.sites, "alpha": chain.alpha, "gamma": chain.gamma, "g": chain.g}
-    file = request.scene.model.file if request.scene.model is not None else ""
-    name = request.ode.name if isinstance(request.model, Chain | OdeModel) else request.model.name
-    return {**known, "model": name, "model_file": file, "model_source": request.source}
 
 
 def _write_families(request: Request, branches: Sequence[Branch], directory: Path) -> None:
@@ -98,12 +85,6 @@ def passed_rows(branch: Branch) -> list[dict[str, Cell]]:
     found = branch.passed_resonances or ()
     rows = [(mode_of(branch), *one.S, *one.Omega, one.changes, one.met) for one in found]
     return [dict(zip(PASSED_COLUMNS, row, strict=True)) for row in rows]
-
-
-def mode_of(branch: Branch) -> int:
-    """Number of the linear mode of a family."""
-    assert isinstance(branch.space, Family)
-    return branch.space.coordinates.mode_number
 
 
 def _write_films(branches: Sequence[Branch], directory: Path, progress: Progress) -> None:
@@ -159,7 +140,6 @@ def write_spectrum(request: Request, directory: Path) -> None:
     """spectrum.csv and the picture of the linear spectrum; of a lattice also where modes live, and its bands."""
     if request.scene.chain is None:
         from casadi_skin.lattice.lattice import Lattice
-        from casadi_skin.runs.family_points import write_lattice_spectrum
 
         if isinstance(request.model, Lattice):
             write_lattice_spectrum(request.scene, request.model, request.parameters, directory)
