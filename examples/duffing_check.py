@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.dynamics.closed_forms import duffing_frequency
+from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.results.figures.style import style
 
 TOLERANCES = 10.0 ** -np.arange(4, 14)

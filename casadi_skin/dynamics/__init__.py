@@ -1,8 +1,8 @@
 """Time evolution of any model, from any start or near an orbit."""
 
-from casadi_skin.dynamics.equations import EquationsOfMotion, equations_of_motion
 from casadi_skin.dynamics.evolution import Evolution, EvolutionError
 from casadi_skin.dynamics.evolve import distance_from_orbit, evolve, perturbed, simulate_orbit
+from casadi_skin.lattice.motion import EquationsOfMotion, equations_of_motion
 
 __all__ = [
     "EquationsOfMotion",

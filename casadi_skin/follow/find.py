@@ -22,12 +22,12 @@ from casadi_skin.model.integrators import IntegrationError, stiff_cvodes
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.symmetries import check_forcing_period
-from casadi_skin.solve.guesses import Guess, over_its_own_period, sampled
 from casadi_skin.solve.newton import Correction
 from casadi_skin.solve.rank_deficiency import equilibrium_words
 from casadi_skin.solve.refined import BoundaryError, FamilyError
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.equations import corrector_of
+from casadi_skin.zero.guesses import Guess, over_its_own_period, sampled
 from casadi_skin.zero.orbit import SAMPLES, TWO_PI, UNFOLDING, OrbitRequest, Periodic, statement_of
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import sizes_at, sizes_of

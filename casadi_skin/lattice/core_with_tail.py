@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from casadi_skin.dynamics import closed_forms as multiple_scales
 from casadi_skin.follow.settings import Point
+from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
 from casadi_skin.lattice.full_chain import ChainCoordinates
 from casadi_skin.lattice.log_profile import continued_logarithms

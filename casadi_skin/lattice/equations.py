@@ -9,9 +9,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.dynamics.equations import EquationsOfMotion, Gauge
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.declaration import INDICES, Declaration, Link, read_formula
+from casadi_skin.lattice.motion import EquationsOfMotion, Gauge
 from casadi_skin.model.expressions import expression
 from casadi_skin.model.formula import Name, Operation, Tree
 from casadi_skin.model.ode import OdeModel

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.dynamics import closed_forms as multiple_scales
 from casadi_skin.follow.settings import Point
+from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.log_profile import continued_logarithms
 from casadi_skin.lattice.uniform_chain import standing_wave

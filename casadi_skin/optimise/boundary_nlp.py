@@ -23,10 +23,10 @@ from casadi_skin.optimise.nlp import FLAT, Limits, Nlp, Optimality, Solution, op
 from casadi_skin.optimise.search_arguments import Condition
 from casadi_skin.solve.first import limits_of, packed, space_of
 from casadi_skin.solve.first import solve as without_objective
-from casadi_skin.solve.guesses import Guess
 from casadi_skin.solve.ipopt import SOLVED, nlp_reason
 from casadi_skin.solve.levels import SAFETY, ErrorEstimate
 from casadi_skin.solve.refined import BoundaryError
+from casadi_skin.zero.guesses import Guess
 from casadi_skin.zero.problem import Array, Indices
 from casadi_skin.zero.stated_problem import BoundaryProblem
 from casadi_skin.zero.statement import Statement

@@ -22,8 +22,8 @@ from casadi_skin.optimise.optimum import Optimum, PlainCheck
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
 from casadi_skin.optimise.search_problem import Outcome, Start, sampled_starts
 from casadi_skin.solve.first import accuracy_of
-from casadi_skin.solve.guesses import Guess, sampled
 from casadi_skin.solve.refined import BoundaryError
+from casadi_skin.zero.guesses import Guess, sampled
 from casadi_skin.zero.orbit import Sizes
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem

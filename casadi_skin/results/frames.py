@@ -8,12 +8,12 @@ import numpy as np
 
 from casadi_skin.certify.certificate import Certificate, ProvedStability, ProvedStretch
 from casadi_skin.dynamics.evolution import Evolution
+from casadi_skin.dynamics.starts import Spreading
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.solution import Equilibrium, Solution
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.lattice.linear import Bands, LatticeModes
-from casadi_skin.lattice.starts import Spreading
 from casadi_skin.optimise.kick import SmallestKick
 from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.optimise.search import SearchResult

@@ -95,7 +95,7 @@ PLACES = {  # of every class that a file may name, with its own name where that 
     "Solution": "follow.solution",
     "SpecialPoint": "follow.special_points",
     "Spectrum": "zero.statics",
-    "Spreading": "lattice.starts",
+    "Spreading": "dynamics.starts",
     "StabilityChange": "follow.ledger",
     "StabilityDiagram": "stability.tongues.diagram",
     "StabilityEdge": "stability.tongues.diagram",

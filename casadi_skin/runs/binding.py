@@ -28,9 +28,9 @@ from casadi_skin.runs.request import Request, chain_of, lattice_of
 from casadi_skin.runs.scene import Scene
 from casadi_skin.runs.scene_tables import LatticeTable
 from casadi_skin.runs.states import Numbers, check_state, state_of, values_of
-from casadi_skin.solve.guesses import Guess
 from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
 from casadi_skin.zero.closure import closure_of
+from casadi_skin.zero.guesses import Guess
 from casadi_skin.zero.orbit import UNFOLDING
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.stated_problem import PERIOD

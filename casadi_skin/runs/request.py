@@ -20,8 +20,8 @@ from casadi_skin.zero.request import FamilyRequest
 if TYPE_CHECKING:  # a scene of a chain needs none of it
     from casadi_skin.lattice.lattice import Lattice
     from casadi_skin.lattice.long_lattice import LongLattice
-    from casadi_skin.solve.guesses import Guess
     from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
+    from casadi_skin.zero.guesses import Guess
 
 
 @dataclass(frozen=True, eq=False)

@@ -317,3 +317,13 @@ class Levels:
             return None
         better = OnFiner(finer, long_z, steps.newton, lambda: problem.roundings(z)[:, None] * steps.response)
         return estimated(problem, z, better, tangents, along, held)
+
+
+class ExactLevels(Levels):
+    """The one level of equations that are not discretised: errors are those of the corrector, and rounding."""
+
+    def __init__(self, problem: Problem, correct_with: Callable[[Problem], Corrector]) -> None:
+        super().__init__(lambda _: problem, correct_with, (1,))
+
+    def finer(self, problem: Problem, z: Array | None = None, excess: float = 1.0) -> Problem:
+        return problem

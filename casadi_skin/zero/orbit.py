@@ -33,8 +33,8 @@ from casadi_skin.model.conserved import (
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.jumps import Jumps
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.solve.guesses import Guess, known_times, sampled
 from casadi_skin.zero.family import Method
+from casadi_skin.zero.guesses import Guess, known_times, sampled
 from casadi_skin.zero.problem import Array, OrbitProblem
 from casadi_skin.zero.stated_problem import PERIOD
 from casadi_skin.zero.statement import Bounds, Statement, check_expressions

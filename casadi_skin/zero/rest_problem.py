@@ -15,8 +15,6 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.model.expressions import Expression
-from casadi_skin.solve.levels import Levels
-from casadi_skin.solve.newton import Corrector
 from casadi_skin.zero.problem import EPSILON, Array, Problem, Scalar
 from casadi_skin.zero.statics import ROUNDED, NullSpace, Statics, units_of
 
@@ -307,13 +305,3 @@ class AlgebraicProblem(Problem):
     def _together(self) -> ca.Function:
         """The function at `TOGETHER` states, whose residuals and Jacobians are columns one beside the other."""
         return self.compiled.map(TOGETHER)
-
-
-class ExactLevels(Levels):
-    """The one level of equations that are not discretised: errors are those of the corrector, and rounding."""
-
-    def __init__(self, problem: Problem, correct_with: Callable[[Problem], Corrector]) -> None:
-        super().__init__(lambda _: problem, correct_with, (1,))
-
-    def finer(self, problem: Problem, z: Array | None = None, excess: float = 1.0) -> Problem:
-        return problem

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from casadi_skin.dynamics import closed_forms as multiple_scales
+from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.studies.paper.claim import Claim, Verdict, rounds_to
 from casadi_skin.studies.paper.claims_families import LARGE, decay_rate, power_of_r
 from casadi_skin.studies.paper.paper_data import PaperData

@@ -9,7 +9,7 @@ import pytest
 from outputs import read_rows
 
 from casadi_skin import Chain
-from casadi_skin.dynamics import closed_forms as multiple_scales
+from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.runs.program import main
 from casadi_skin.studies.paper import paper_data
 from casadi_skin.studies.paper.figures_families import sensitivity_figure

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from casadi_skin import Branch, Chain, Orbit, SymmetryClass, follow_family
-from casadi_skin.dynamics import closed_forms as multiple_scales
+from casadi_skin.lattice import closed_forms as multiple_scales
 
 Array = NDArray[np.float64]
 

@@ -255,7 +255,7 @@ def test_every_kind_of_guess_leads_to_the_solution(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["function", "samples", "by name", "evaluated", "numbers", "solution"])
 def test_guesses_are_what_they_say_at_every_time(kind: str) -> None:
-    from casadi_skin.solve.guesses import sampled
+    from casadi_skin.zero.guesses import sampled
 
     t = np.linspace(0.0, 1.0, 33)
     lifted, fine = Lifted(), np.linspace(0.0, 1.0, 65)
@@ -272,7 +272,7 @@ def test_guesses_are_what_they_say_at_every_time(kind: str) -> None:
 
 
 def test_samples_beyond_their_times_keep_the_last_value() -> None:
-    from casadi_skin.solve.guesses import sampled
+    from casadi_skin.zero.guesses import sampled
 
     found = sampled(bratu(), ([0.25, 0.75], [[1.0, 2.0], [3.0, 4.0]]), np.array([0.0, 0.5, 1.0]))
     np.testing.assert_allclose(found, [[1.0, 2.0], [2.0, 3.0], [3.0, 4.0]])

@@ -12,13 +12,13 @@ import pytest
 from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit, SymmetryClass, follow_family
-from casadi_skin.dynamics.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import LocalCurve, predictor
 from casadi_skin.follow.settings import End, Point
+from casadi_skin.lattice.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.solve.arbiter import ConfirmedCorrector
 from casadi_skin.solve.newton import Correction, HeldState, NewtonCorrector, Status
 from casadi_skin.zero.request import family_request

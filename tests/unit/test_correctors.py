@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 from orbit_problems import gauss_problem
 
-from casadi_skin.dynamics.closed_forms import duffing_frequency
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from casadi_skin.dynamics.closed_forms import duffing_displacement, duffing_frequency
+from casadi_skin.lattice.closed_forms import duffing_displacement, duffing_frequency
 
 ORBITS = [
     (3.0, 0.0, 2.0),  # harmonic

@@ -31,8 +31,8 @@ from casadi_skin import (
     smallest_kick,
 )
 from casadi_skin.dynamics import evolve
+from casadi_skin.dynamics.starts import spreading
 from casadi_skin.lattice.linear import bands, lattice_modes
-from casadi_skin.lattice.starts import spreading
 from casadi_skin.model.result import Result
 from casadi_skin.optimise.search_orbit import pareto_front
 

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from casadi_skin import Branch, Chain, follow_family
-from casadi_skin.dynamics import closed_forms as multiple_scales
+from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.results.figures import frequency_figure, multiplier_figure, profile_figure, save, spectrum_figure
 from casadi_skin.results.figures.style import blank, finished, style
 

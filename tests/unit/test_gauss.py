@@ -23,8 +23,8 @@ from orbit_problems import (
 )
 from scipy.integrate import quad, solve_ivp
 
-from casadi_skin.dynamics.closed_forms import duffing_frequency
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.model.conserved import SymmetryClass, pinned_components, symmetry_class
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.newton import NewtonCorrector

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
-from casadi_skin.dynamics import closed_forms as multiple_scales
+from casadi_skin.lattice import closed_forms as multiple_scales
 
 DIGITS = 50
 

@@ -12,7 +12,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from casadi_skin import Chain, follow_family, search_orbit
-from casadi_skin.dynamics.closed_forms import duffing_frequency
+from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.optimise.families import ChainFamily, Observables
 from casadi_skin.optimise.family_search import FamilyNlp, FamilySearch
 from casadi_skin.optimise.names import NAMED

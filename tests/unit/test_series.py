@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from casadi_skin import Branch, Chain, Orbit, follow_family
-from casadi_skin.dynamics.closed_forms import duffing_frequency
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import Stretch
 from casadi_skin.follow.series import SeriesContinuation
 from casadi_skin.follow.settings import End, Point
+from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.zero import recursion
 from casadi_skin.zero.problem import SingularError
 from casadi_skin.zero.recursion import PolynomialForm, TaylorRecursion

@@ -25,13 +25,13 @@ from orbit_problems import (
 )
 from scipy.integrate import solve_ivp
 
-from casadi_skin.dynamics.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.follow.family import DIGITS, Family
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.following import Following
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.settings import End
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.model.conserved import SymmetryClass, symmetry_class
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.levels import Levels

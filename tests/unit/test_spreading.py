@@ -9,8 +9,8 @@ from lattices import GAINS, chain, dimer, plane
 
 from casadi_skin import Bond, Chain, Lattice, OdeModel, Site
 from casadi_skin.dynamics import EvolutionError, evolve
+from casadi_skin.dynamics.starts import energies_by_site, initial_state, spreading
 from casadi_skin.lattice.linear import lattice_modes
-from casadi_skin.lattice.starts import energies_by_site, initial_state, spreading
 from casadi_skin.results.figures.profiles import spreading_figure
 
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from orbit_problems import check_jacobian, linear_mode, solved
 from scipy.integrate import solve_ivp
 
-from casadi_skin.dynamics.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.follow.family import Family
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import lifted

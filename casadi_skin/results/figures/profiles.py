@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from casadi_skin.dynamics.starts import Spreading
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Equilibrium, Solution
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.lattice.starts import Spreading
 from casadi_skin.results.figures.branch import times
 from casadi_skin.results.figures.style import (
     DASHES,

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from casadi_skin.dynamics import closed_forms as multiple_scales
 from casadi_skin.follow.branch import Branch
+from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.lattice import uniform_chain as linear
 from casadi_skin.studies.paper.claim import Claim, Verdict, claim, rounds_to
 from casadi_skin.studies.paper.paper_data import (

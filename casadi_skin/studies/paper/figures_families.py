@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
 from casadi_skin.dynamics import Evolution
-from casadi_skin.dynamics import closed_forms as multiple_scales
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.orbit import Orbit
+from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.results.figures.bifurcation import draw_band, family_path, family_pieces, label_ends
 from casadi_skin.results.figures.profiles import LINES, MARKERS
 from casadi_skin.results.figures.spacetime import draw_spacetime

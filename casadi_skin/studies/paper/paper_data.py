@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from casadi_skin.dynamics import Evolution, simulate_orbit
-from casadi_skin.dynamics import closed_forms as multiple_scales
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.orbit import Orbit
+from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.stability.growth import TransientGrowth
 from casadi_skin.studies.study import Rows, table

@@ -9,12 +9,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from casadi_skin.dynamics.closed_forms import duffing_frequency, frequency_slope
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.harmonics import harmonic_shares
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.closed_forms import duffing_frequency, frequency_slope
 from casadi_skin.studies.calibration.cases import reference_of
 from casadi_skin.studies.exact import exact_linear_frequency, exact_orbit, many_digits
 from casadi_skin.studies.exact_multipliers import exact_mu, paired, reduced
