@@ -9,7 +9,7 @@ from numpy.polynomial.chebyshev import chebroots
 
 from casadi_skin.native.decoupling import decoupling_kernel
 from casadi_skin.native.library import without
-from casadi_skin.stability.tongues import blocks, chebyshev, decoupling
+from casadi_skin.stability.tongues import chebyshev, decoupling
 from casadi_skin.stability.tongues.decoupling import DEGREE
 
 needs_compiler = pytest.mark.skipif(without() is not None, reason="no C compiler here")
@@ -74,52 +74,15 @@ def test_kernel_and_numpy_find_the_same(size: int, dtype: type, monkeypatch: pyt
     assert decoupling_kernel() is not None
     K, same, columns = random_intervals(size, dtype)
     compiled, apart = decoupling._invariant(K, same, columns), decoupling.contracts(K, same)
-    for kernel in ("decoupling_kernel", "graph_kernel"):
-        monkeypatch.setattr(decoupling, kernel, lambda: None)
+    monkeypatch.setattr(decoupling, "decoupling_kernel", lambda: None)
     plain = decoupling._invariant(K, same, columns)
     assert np.array_equal(compiled[1], plain[1])
     assert apart.tolist() == decoupling.contracts(K, same).tolist()
     np.testing.assert_allclose(compiled[0][:5], plain[0][:5], rtol=0, atol=1e-12)
 
 
-def forms_of(size: int, dtype: type, forms: int) -> decoupling.Forms:
-    """Forms on blocks of K, of random matrices; some columns have left bases of their own."""
-    generator = np.random.default_rng(5)
-    K, same, columns = random_intervals(size, dtype)
-    vectors = generator.normal(size=(6, size, size)).astype(dtype)
-    if dtype is complex:
-        vectors += 1j * generator.normal(size=vectors.shape)
-    matrices = generator.normal(size=(6, DEGREE + 1, forms, size, size))
-    matrices += matrices.swapaxes(3, 4)
-    near, order = np.arange(size) % 3 == np.arange(6)[:, None] % 3, np.array([3, 1, 0, 5, 4, 2])
-    return decoupling.decoupled(
-        K, same, columns, near, vectors, np.linalg.inv(vectors), matrices, 1e-9 * matrices, order
-    )
-
-
-@needs_compiler
-@pytest.mark.parametrize("forms", [1, 3])
-@pytest.mark.parametrize("dtype", [float, complex])
-@pytest.mark.parametrize("size", [2, 3, 8, 23])
-def test_kernel_and_numpy_make_the_same_forms(
-    size: int, dtype: type, forms: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    compiled = forms_of(size, dtype, forms)
-    monkeypatch.setattr(decoupling, "forms_kernel", lambda: None)
-    plain = forms_of(size, dtype, forms)
-    assert compiled.found.tolist() == plain.found.tolist() == [True] * 5 + [False]
-    for name in ("values", "changes", "squares"):
-        one, other = getattr(compiled, name), getattr(plain, name)
-        assert np.any(other[0] != 0.0)
-        np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-10 * np.max(np.abs(other)))
-        assert not np.any(one[5])
-
-
-@pytest.mark.parametrize("kernel", [pytest.param(True, marks=needs_compiler), False])
-def test_forms_have_the_eigenvalues_of_their_columns(kernel: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_forms_have_the_eigenvalues_of_their_columns() -> None:
     """K between its left and right bases is block diagonal, with mu of K, in whatever coordinates it is given."""
-    if not kernel:
-        monkeypatch.setattr(decoupling, "forms_kernel", lambda: None)
     own, same, columns = (each[:5] for each in random_intervals(8, float))
     vectors = np.random.default_rng(2).normal(size=(5, 8, 8))
     inverse = np.linalg.inv(vectors)
@@ -133,43 +96,6 @@ def test_forms_have_the_eigenvalues_of_their_columns(kernel: bool, monkeypatch: 
             assert np.max(np.abs(np.where(same[i, :count, :count], 0.0, block))) < 1e-8
             exact = np.linalg.eigvals(own[i, node])
             assert max(np.min(np.abs(exact - mu)) for mu in np.linalg.eigvals(block)) < 1e-8
-
-
-@needs_compiler
-@pytest.mark.parametrize("dtype", [float, complex])
-@pytest.mark.parametrize("size", [1, 2, 5, 23])
-def test_kernel_and_numpy_join_the_same_mu(size: int, dtype: type, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By distances, by couplings, by what a meeting outside of the interval leaves, and through others."""
-    generator, x = np.random.default_rng(6), chebyshev.nodes(DEGREE)[:, None, None]
-    linear = generator.normal(size=(300, 1, size, size)).astype(dtype)
-    if dtype is complex:
-        linear += 1j * generator.normal(size=linear.shape)
-    couplings = 10.0 ** generator.uniform(-7.0, 0.0, size=(300, 1, 1, 1)) + np.eye(size) * generator.uniform(0.0, 0.5)
-    K = np.diag(np.arange(size) + 0.1 * generator.normal(size=size)) + x * linear * couplings
-    glued = np.zeros((300, size, size), dtype=bool)
-    glued[0, :1, -1:] = glued[0, -1:, :1] = True
-    compiled, shifts = blocks._graph(K, glued)
-    monkeypatch.setattr(blocks, "graph_kernel", lambda: None)
-    plain, others = blocks._graph(K, glued)
-    assert np.array_equal(compiled, plain)
-    assert np.array_equal(compiled, compiled.swapaxes(1, 2))
-    np.testing.assert_allclose(shifts, others, rtol=1e-10, atol=0)
-    assert {1, size} <= set(np.sum(compiled, axis=2).ravel().tolist())
-
-
-@needs_compiler
-def test_kernel_and_numpy_agree_on_what_stays_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Some cross, others come near each other between the probes, and blocks need not stay apart inside."""
-    generator = np.random.default_rng(4)
-    values = np.arange(4.0) + 0.8 * generator.normal(size=(60, decoupling.PROBES.size, 4))
-    same = np.tile(np.eye(4, dtype=bool), (60, 1, 1))
-    same[::2, :2, :2] = True
-    for numbers in (values, values + 0.1j * generator.normal(size=values.shape)):
-        compiled = decoupling._stay_apart(numbers, same)
-        with monkeypatch.context() as patched:
-            patched.setattr(decoupling, "graph_kernel", lambda: None)
-            assert compiled.tolist() == decoupling._stay_apart(numbers, same).tolist()
-        assert 5 < np.count_nonzero(compiled) < 55
 
 
 @needs_compiler

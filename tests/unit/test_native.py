@@ -21,8 +21,6 @@ from casadi_skin.native import bordered, elimination, tail, taylor
 from casadi_skin.native import jacobian as native_jacobian
 from casadi_skin.native import library as native
 from casadi_skin.native.decoupling import decoupling_kernel
-from casadi_skin.native.forms import forms_kernel
-from casadi_skin.native.graph import graph_kernel
 from casadi_skin.native.library import KernelWarning, cache_folder, library, without
 from casadi_skin.native.splitting import splitting_kernel
 from casadi_skin.solve.bordered import BorderedSolver, CompiledFactors
@@ -51,8 +49,6 @@ def forget() -> None:
         library,
         splitting_kernel,
         decoupling_kernel,
-        forms_kernel,
-        graph_kernel,
         taylor._functions,
         native_jacobian._function,
         bordered._functions,

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_skin.native.graph import graph_kernel
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues import chebyshev
 from casadi_skin.stability.tongues.decoupling import (
@@ -225,9 +224,6 @@ def _make_real(vectors: Numbers, mu: ComplexArray, chosen: Booleans) -> None:
 
 def _graph(K: Numbers, glued: Booleans) -> tuple[Booleans, Array]:
     """Which mu have to stay in one block, (intervals, m, m), and what the others move each by, (intervals, m)."""
-    kernel = graph_kernel()
-    if kernel is not None:
-        return kernel.joined(K, glued, APART, COUPLED, RESOLVED)
     diagonal = np.diagonal(K, axis1=2, axis2=3)
     size = diagonal.shape[-1]
     middle = diagonal[:, MIDDLE, :, None] - diagonal[:, MIDDLE, None, :]

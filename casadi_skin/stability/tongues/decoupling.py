@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.native.decoupling import decoupling_kernel
-from casadi_skin.native.forms import forms_kernel
-from casadi_skin.native.graph import graph_kernel
 from casadi_skin.stability.tongues import chebyshev
 from casadi_skin.zero.problem import Array
 
@@ -24,7 +22,6 @@ STEPS = 12  # at most, until all of one are small
 SMALL = 1e-3  # steps below this converge
 LARGEST = 1e3  # step of an iteration that converges
 BETWEEN = 32  # degree of the nodes at which distances are looked at between the probes
-COMPILED = 64  # mu at most, whose forms the kernel makes: products of larger matrices are left to BLAS
 NEARER = 0.25  # of the least square of a distance at the probes: the least one between them
 
 Booleans = NDArray[np.bool_]
@@ -87,9 +84,7 @@ def _steps_from_identity(K: Numbers, same: Booleans) -> tuple[Numbers, Booleans]
 
 def _stay_apart(values: Numbers, same: Booleans) -> Booleans:
     """Whether mu of different blocks, (intervals, probes, m), stay apart between the probes as well."""
-    kernel, weights = graph_kernel(), chebyshev.refinement(len(PROBES) - 1, BETWEEN)
-    if kernel is not None:
-        return kernel.apart(values, same, weights, NEARER)
+    weights = chebyshev.refinement(len(PROBES) - 1, BETWEEN)
     squares = (values[:, :, :, None] - values[:, :, None, :]) ** 2
     least = np.min(np.abs(squares), axis=1)
     between = np.tensordot(weights, squares, (1, 1))
@@ -146,9 +141,6 @@ def decoupled(
     if special.any():
         S, by_left = _invariant(K.swapaxes(2, 3), same, _columns_of(columns, special))
         found &= by_left
-    kernel = forms_kernel() if K.shape[2] <= COMPILED else None
-    if kernel is not None:
-        return Forms(*kernel(matrices, errors, numbers, (vectors, inverse), same, columns, special, (T, S), found))
     matrices, errors = matrices[numbers], None if errors is None else errors[numbers]
     right = vectors[:, None] @ T
     if matrices.shape[2] == 1:
