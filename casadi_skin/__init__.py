@@ -73,10 +73,10 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
     "Solution": {"follow": "follow.follow:follow"},
     "Orbit": {"certify": "certify.certify:certify", "certify_stability": "certify.stability:certify_stability"},
     "SpecialPoint": {
-        "curve": "follow.curve:curve",
+        "curve": "points.curves:curve",
         "follow": "points.switch:switch",
         "lost_symmetries": "points.lost_symmetry:lost_at",
-        "normal_form": "zero.normal_forms:critical",
+        "normal_form": "follow.normal_forms:critical",
     },
     "Branch": {
         "certify": "certify.stretch:certify_branch",

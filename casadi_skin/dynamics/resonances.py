@@ -22,7 +22,6 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.find import find_orbit
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.settings import Point
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.lattice.declaration import Array
@@ -32,6 +31,7 @@ from casadi_skin.lattice.tail import EDGE_ANGLE
 from casadi_skin.model.arguments import check_name
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.request import family_request
+from casadi_skin.zero.settings import Point
 
 SAMPLES = 512  # a period
 HARMONICS = 48  # of a guess

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from casadi_skin.follow.corners import Corner, Side, point_before, shifts, side_of, turned
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import HISTORY, predicting, predictor
-from casadi_skin.follow.settings import End, Point, Target, known_end
 from casadi_skin.solve.newton import Correction
 from casadi_skin.zero.problem import Array, Problem, Scalar, SingularError
+from casadi_skin.zero.settings import End, Point, Target, known_end
 
 START_FRACTION = 1e-3  # of the first point walked: where the family's first point, of tiny amplitude, is placed
 

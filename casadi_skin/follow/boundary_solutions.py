@@ -13,7 +13,6 @@ import numpy as np
 
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.settings import ContinuationSettings, Point, Target
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import ORBITS, SOLUTIONS, SolutionSpace
 from casadi_skin.model.arguments import check_name
@@ -24,7 +23,7 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import NoQuantityError
 from casadi_skin.solve.arbiter import ArbitratedCorrector
 from casadi_skin.solve.ipopt import CORRECTORS
-from casadi_skin.solve.levels import Levels, Refinement
+from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import Corrector, RoundedCorrector
 from casadi_skin.stability.full_period import FULL_PERIOD_FLOWS, Closed
 from casadi_skin.stability.reduction import ComplexArray
@@ -36,6 +35,7 @@ from casadi_skin.zero.closure import Closure, closure_of
 from casadi_skin.zero.family import TWO_PI, Method, numbered
 from casadi_skin.zero.orbit import FIRST, Periodic, Sizes
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
+from casadi_skin.zero.settings import ContinuationSettings, Point, Refinement, Target
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.zero.statement import Statement
 

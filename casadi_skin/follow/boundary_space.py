@@ -13,7 +13,10 @@ import numpy as np
 from casadi_skin.follow.boundary_solutions import BoundarySolutions
 from casadi_skin.follow.branch_points import branch_points_between
 from casadi_skin.follow.crossing_place import ONE_PLACE
-from casadi_skin.follow.settings import ContinuationSettings, End, Point
+from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
+from casadi_skin.follow.location import special_orbit
+from casadi_skin.follow.refined import BoundaryError, refined
+from casadi_skin.follow.rest_location import Located, locate
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.special_points import (
     BOUND,
@@ -27,20 +30,16 @@ from casadi_skin.follow.special_points import (
     fold_between,
 )
 from casadi_skin.follow.turns import turning
-from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.points.period_limit import joined_words, unbounded
-from casadi_skin.solve.levels import ErrorEstimate
-from casadi_skin.solve.refined import BoundaryError, refined
-from casadi_skin.zero.equations import EquilibriumEquations
 from casadi_skin.zero.family import TWO_PI
-from casadi_skin.zero.location import special_orbit
 from casadi_skin.zero.orbit import Sizes
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest_location import Located, locate
 from casadi_skin.zero.rest_problem import AlgebraicProblem, sizes_of
+from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.zero.statics import Statics
+from casadi_skin.zero.unresolved import Unresolved
 
 if TYPE_CHECKING:
     from casadi_skin.follow.boundary_solutions import BoundarySolutions

@@ -16,12 +16,10 @@ from casadi_skin.follow.ending import Ending
 from casadi_skin.follow.ledger import StabilityChange
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.passages import held_passage, passage
-from casadi_skin.follow.settings import End, Point
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.follow.special_of_families import folds_of_family, special_point
 from casadi_skin.follow.special_points import EDGE, FOLD, SpecialPoint
-from casadi_skin.follow.unresolved import STABILITY, Unresolved, count_in_words
 from casadi_skin.model.arguments import cut, number, whole
 from casadi_skin.model.result import Result
 from casadi_skin.solve.watch import Budget, TimeLimitError
@@ -33,6 +31,8 @@ from casadi_skin.stability.tongues.diagram import (
     StabilityEdge,
 )
 from casadi_skin.zero.problem import Array
+from casadi_skin.zero.settings import End, Point
+from casadi_skin.zero.unresolved import STABILITY, Unresolved, count_in_words
 
 T = TypeVar("T")
 
@@ -204,7 +204,7 @@ class Branch(Result):
         """
         if not (self._seeks_changes and self._family) or self._family.coordinates.localised is None:
             return None
-        from casadi_skin.stability.tongues.family_localised import localised_changes
+        from casadi_skin.follow.family_localised import localised_changes
 
         family, points = self._family, [solution.point for solution in self.solutions]
         return self._within_time(STABILITY, lambda: localised_changes(family, points))

@@ -17,9 +17,9 @@ from casadi_skin.follow.crossed_branches import Bordered, closed, crossings, out
 from casadi_skin.follow.crossing_place import ONE_PLACE, crossing_places
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import LocalCurve
-from casadi_skin.follow.settings import Point
 from casadi_skin.follow.special_points import BRANCH_POINT
 from casadi_skin.zero.problem import EPSILON, Array, Problem, SingularError
+from casadi_skin.zero.settings import Point
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix

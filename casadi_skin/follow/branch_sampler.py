@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import interpolant
 from casadi_skin.follow.section_orbits import SectionOrbit, find_all, find_one
-from casadi_skin.follow.settings import Point
-from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.watch import heed
 from casadi_skin.stability.stepping import FlowMap, OrbitState, Transition
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError, Samples
 from casadi_skin.zero.problem import Array, Problem
+from casadi_skin.zero.settings import Point
+from casadi_skin.zero.unresolved import Unresolved
 
 STEEPEST = 0.6  # cosine of the angle between the branch and the direction of its section, at least
 NEARBY = 0.3  # of the distance of neighbouring points: how far an orbit may be from where they predict it

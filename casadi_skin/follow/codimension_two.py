@@ -18,24 +18,24 @@ from numpy.typing import NDArray
 from casadi_skin.follow.double_points import double_between, interpolated
 from casadi_skin.follow.exponents import STEP, TURN, Exponents, beside_on_tangent, is_real, nearest_order, turned
 from casadi_skin.follow.followed import Followed
-from casadi_skin.follow.rest_codimension_two import CUSP, DEGENERATE_PITCHFORK, DEGENERATE_TRANSCRITICAL
-from casadi_skin.follow.sample import Sample
-from casadi_skin.follow.settings import End, Point
-from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS, NotLocatedError, zero_between
-from casadi_skin.follow.stretch import Stretch, height
-from casadi_skin.follow.stretch_search import StretchSearch
-from casadi_skin.follow.unresolved import Unresolved
-from casadi_skin.points.ends import shrunk
-from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.zero.normal_forms import (
+from casadi_skin.follow.normal_forms import (
     branching_equation,
     critical_functions,
     quadratic_term,
     second_singular,
     terms_of,
 )
+from casadi_skin.follow.rest_codimension_two import CUSP, DEGENERATE_PITCHFORK, DEGENERATE_TRANSCRITICAL
+from casadi_skin.follow.sample import Sample
+from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS, NotLocatedError, zero_between
+from casadi_skin.follow.stretch import Stretch, height
+from casadi_skin.follow.stretch_search import StretchSearch
+from casadi_skin.points.ends import shrunk
+from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.zero.problem import EPSILON, Array
+from casadi_skin.zero.settings import End, Point
 from casadi_skin.zero.stated_problem import PERIOD
+from casadi_skin.zero.unresolved import Unresolved
 
 DEGENERATE = {FOLD: "cusp of cycles", DOUBLING: "generalized period doubling", TORUS: "chenciner"}
 RESONANCES = {1.0: "1:1 resonance", -1.0: "1:2 resonance", -0.5: "1:3 resonance", 0.0: "1:4 resonance"}  # by cosine

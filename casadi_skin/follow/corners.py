@@ -17,12 +17,12 @@ import numpy as np
 
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import LocalCurve
-from casadi_skin.follow.settings import Point
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import Correction, Status
 from casadi_skin.solve.watch import heed
 from casadi_skin.zero.cosines import cosine_matrix, second_derivative_matrix
 from casadi_skin.zero.problem import EPSILON, Array, Indices, Problem, SingularError
+from casadi_skin.zero.settings import Point
 from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 SHARP = 15.0  # degrees between both sides and their chord at a corner

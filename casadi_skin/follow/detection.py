@@ -14,14 +14,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.equilibrium_ledger import counted
 from casadi_skin.follow.equilibrium_search import EquilibriumSearch
-from casadi_skin.follow.settings import Point
+from casadi_skin.follow.rest_location import BRANCH_POINT, FOLD, HOPF, Located, locate
 from casadi_skin.follow.stretch import Signs, Stretch, crossings, height
-from casadi_skin.follow.unresolved import Unresolved
-from casadi_skin.solve.levels import ErrorEstimate
-from casadi_skin.zero.equations import EquilibriumEquations
-from casadi_skin.zero.rest_location import BRANCH_POINT, FOLD, HOPF, Located, locate
+from casadi_skin.zero.settings import ErrorEstimate, Point
+from casadi_skin.zero.unresolved import Unresolved
 
 TOGETHER = 4  # divisions after which a fold and a branch point that cannot be separated are one
 BISECTIONS = 40

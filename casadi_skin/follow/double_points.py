@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.settings import Point
+from casadi_skin.zero.settings import Point
 
 DOUBLE = "double branch point"
 NODES = 0.5 - 0.5 * np.cos(np.pi * (np.arange(12) + 0.5) / 12)  # of a step

@@ -9,12 +9,12 @@ from typing import Any, cast
 import numpy as np
 
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.settings import End
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.lattice.spectrum import linear_frequencies
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.zero.model_coordinates import nearest_resonance
+from casadi_skin.zero.settings import End
 
 NEAR_LIMIT = 1e-6  # relative
 CLOSE = 1e-5  # relative difference of linear frequencies below which steps of the continuation may miss it

@@ -17,13 +17,13 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.polynomials import LocalCurve
-from casadi_skin.follow.settings import Point
+from casadi_skin.follow.rest_location import BRANCH_POINT, FOLD, HOPF
 from casadi_skin.follow.stretch import Stretch
-from casadi_skin.zero.equations import EquilibriumEquations
 from casadi_skin.zero.problem import EPSILON, Array, Indices, SingularError
-from casadi_skin.zero.rest_location import BRANCH_POINT, FOLD, HOPF
 from casadi_skin.zero.rest_problem import AlgebraicProblem
+from casadi_skin.zero.settings import Point
 from casadi_skin.zero.statics import Linearised
 
 PLACES = 1024  # over the range of the parameter

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.sample import Sample
 from casadi_skin.follow.search import Search
-from casadi_skin.follow.settings import Point
 from casadi_skin.follow.stretch import Signs
-from casadi_skin.zero.equations import EquilibriumEquations
+from casadi_skin.zero.settings import Point
 
 
 class EquilibriumSearch(Search[Point]):

@@ -22,17 +22,17 @@ import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.exponents import Exponents, is_real
+from casadi_skin.follow.location import special_orbit
 from casadi_skin.follow.sample import Sample
-from casadi_skin.follow.settings import Point
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, TORUS
 from casadi_skin.follow.stretch import Stretch, height
 from casadi_skin.follow.stretch_search import StretchSearch
-from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.follow.walk import snapped, target_of
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.zero.location import special_orbit
+from casadi_skin.zero.settings import Point
+from casadi_skin.zero.unresolved import Unresolved
 
 if TYPE_CHECKING:
     from scipy.interpolate import BPoly

@@ -22,10 +22,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casadi_skin.follow.sample import Sample
-from casadi_skin.follow.settings import Point
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.problem import Array, Indices
+from casadi_skin.zero.settings import Point
 
 STEP = 1e-5  # of the metric: of differences along the tangent; rates are wrong by some 1e-5, and by rounding / 1e-5
 SMALLEST_LOGARITHM = float(np.log(np.finfo(float).tiny))  # of multipliers that are below the smallest double

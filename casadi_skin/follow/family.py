@@ -14,7 +14,6 @@ from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.point import PointSolver, with_small_components
 from casadi_skin.follow.series import TOGETHER, SeriesContinuation
-from casadi_skin.follow.settings import Continuation, End, Point, Target
 from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.follow.special_points import folds_between
 from casadi_skin.model import methods
@@ -31,6 +30,7 @@ from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.orbit_collocation import CollocationProblem
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar
 from casadi_skin.zero.request import FamilyRequest
+from casadi_skin.zero.settings import Continuation, End, Point, Target
 from casadi_skin.zero.shooting import ShootingProblem
 from casadi_skin.zero.trigonometric import TrigonometricProblem
 

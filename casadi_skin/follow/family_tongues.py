@@ -10,7 +10,6 @@ import numpy as np
 from casadi_skin.follow.arclength import with_what_lies_between
 from casadi_skin.follow.branch_sampler import OrbitSampler
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.settings import Point
 from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.stability.judging import Entry
@@ -18,6 +17,7 @@ from casadi_skin.stability.result import Floquet, ReversibleFloquet
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.stability.tongues.find_changes import find_changes
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
+from casadi_skin.zero.settings import Point
 
 ORBIT_TOLERANCE = 1e-12  # of the orbits along the family, whatever the tolerance of its points
 AT_REST = 1e-12  # of the largest omega^2: rounding in that of a mode without restoring force

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.equilibrium_equations import corrector_of
 from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.refined import BoundaryError, FamilyError
 from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium, Solution
 from casadi_skin.model import methods
@@ -24,9 +26,7 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.symmetries import check_forcing_period
 from casadi_skin.solve.newton import Correction
 from casadi_skin.solve.rank_deficiency import equilibrium_words
-from casadi_skin.solve.refined import BoundaryError, FamilyError
 from casadi_skin.solve.watch import one_thread
-from casadi_skin.zero.equations import corrector_of
 from casadi_skin.zero.guesses import Guess, over_its_own_period, sampled
 from casadi_skin.zero.orbit import SAMPLES, TWO_PI, UNFOLDING, OrbitRequest, Periodic, statement_of
 from casadi_skin.zero.problem import Array

@@ -11,7 +11,6 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following, run_following
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.settings import ContinuationSettings, Target
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.follow.special_points import BRANCH_POINT, FOLD
@@ -21,6 +20,7 @@ from casadi_skin.model.symmetries import check_forcing_period
 from casadi_skin.zero.family import MAX_POINTS, Method
 from casadi_skin.zero.problem import Scalar
 from casadi_skin.zero.request import FamilyModel, family_request
+from casadi_skin.zero.settings import ContinuationSettings, Target
 
 
 def follow_family(
@@ -147,7 +147,7 @@ def following_space(
 ) -> SolutionSpace:  # fmt: skip
     """The space of the branch through a solution in a parameter; raises ValueError as `follow` does."""
     if solution.space.connects == FAMILY:
-        from casadi_skin.zero.restating import restated
+        from casadi_skin.follow.restating import restated
 
         solution = restated(cast(Orbit, solution), parameter)
     if solution.space.optimises:

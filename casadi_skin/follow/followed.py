@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.settings import Point
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.augmented import Critical
 from casadi_skin.zero.linearised import Linearised
 from casadi_skin.zero.orbit import Periodic, Sizes
 from casadi_skin.zero.problem import Array, Indices
+from casadi_skin.zero.settings import Point
 from casadi_skin.zero.statement import Statement
 
 

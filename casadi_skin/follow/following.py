@@ -15,14 +15,14 @@ from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.events import at_requested_value
 from casadi_skin.follow.ledger import Ledger
-from casadi_skin.follow.settings import End, Point, Target
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
-from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.follow.walk import Walk
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.solve.watch import TimeLimitError, one_thread, watched
 from casadi_skin.stability.stepping import FlowError
+from casadi_skin.zero.settings import End, Point, Target
+from casadi_skin.zero.unresolved import Unresolved
 
 
 class Following:

@@ -16,8 +16,8 @@ from casadi_skin.follow.events import KREIN, Event, events_between
 from casadi_skin.follow.exponents import Exponents
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.special_points import DOUBLING, TORUS
-from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.solve.watch import TimeLimitError
+from casadi_skin.zero.unresolved import Unresolved
 
 BESIDE_SPECIAL = 1e-2  # of the way from a special orbit to the next one: where its own multiplier has a side
 

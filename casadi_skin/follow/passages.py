@@ -16,10 +16,10 @@ import numpy as np
 
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.settings import Point
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.zero.problem import Array
+from casadi_skin.zero.settings import Point
 
 PLACE_TOLERANCE = 1e-13  # of the way between two solutions, in the place of a passage
 EXTREMUM_TOLERANCE = 1e-5  # the same in that of an extremum, which is flat: its value is right to the square of it

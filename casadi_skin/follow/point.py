@@ -12,10 +12,10 @@ from itertools import groupby
 import numpy as np
 
 from casadi_skin.follow.polynomials import LocalCurve
-from casadi_skin.follow.settings import ContinuationSettings, Point, Target
-from casadi_skin.solve.levels import ErrorEstimate, Levels, Measured, step_error
+from casadi_skin.solve.levels import Levels, Measured, step_error
 from casadi_skin.solve.newton import Correction, confirmations
 from casadi_skin.zero.problem import Array, OrbitProblem, Problem, Scalar, SingularError, Solve
+from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point, Target
 from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 ROUND_OFF = 1e-7  # an estimate below this that a finer level does not halve

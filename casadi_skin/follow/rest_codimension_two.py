@@ -19,18 +19,18 @@ from typing import cast
 import numpy as np
 
 from casadi_skin.follow.double_points import double_between
+from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.equilibrium_search import EquilibriumSearch
+from casadi_skin.follow.rest_location import BRANCH_POINT, FOLD, HOPF, jacobian_of
+from casadi_skin.follow.rest_normal_forms import critical_pair, lyapunov_terms
 from casadi_skin.follow.sample import Sample
-from casadi_skin.follow.settings import Point
 from casadi_skin.follow.special_points import FINE, zero_between
 from casadi_skin.follow.stretch import Stretch, crossings, height, less
-from casadi_skin.follow.unresolved import Unresolved
-from casadi_skin.zero.equations import EquilibriumEquations
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest_location import BRANCH_POINT, FOLD, HOPF, jacobian_of
-from casadi_skin.zero.rest_normal_forms import critical_pair, lyapunov_terms
 from casadi_skin.zero.rest_systems import ExtendedSystem, HopfSystem
+from casadi_skin.zero.settings import Point
 from casadi_skin.zero.statics import ComplexArray, NullSpace, Statics
+from casadi_skin.zero.unresolved import Unresolved
 
 CUSP, TAKENS, ZERO_HOPF = "cusp", "bogdanov-takens", "zero-hopf"
 BAUTIN, HOPF_HOPF = "generalized hopf", "hopf-hopf"

@@ -9,19 +9,19 @@ from typing import cast
 
 import numpy as np
 
+from casadi_skin.follow.equilibrium_equations import corrector_of
 from casadi_skin.follow.follow import following_settings
 from casadi_skin.follow.rest_codimension_two import TAKENS, Followed, special_on_curve
+from casadi_skin.follow.rest_location import BRANCH_POINT, FOLD, HOPF, SYSTEMS, jacobian_of
 from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
-from casadi_skin.follow.settings import End, Point
 from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.special_points import SpecialPoint, check_second
-from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.solve.levels import ExactLevels, Levels
-from casadi_skin.zero.equations import corrector_of
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest_location import BRANCH_POINT, FOLD, HOPF, SYSTEMS, jacobian_of
 from casadi_skin.zero.rest_problem import AlgebraicProblem, Course, sizes_at
+from casadi_skin.zero.settings import End, Point
 from casadi_skin.zero.statics import Statics, balanced
+from casadi_skin.zero.unresolved import Unresolved
 
 UNFOLDS = 1e-7  # of the norm of the balanced Jacobian, in a step: an imperfection that grows along a curve
 

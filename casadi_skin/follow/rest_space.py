@@ -10,19 +10,18 @@ from typing import NoReturn
 import numpy as np
 
 from casadi_skin.follow.detection import special_between
-from casadi_skin.follow.settings import ContinuationSettings, End, Point
+from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.solution import Equilibrium, Solution
 from casadi_skin.follow.space import EQUILIBRIA, SolutionSpace
-from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.model.jumps import PARAMETER, STATE
 from casadi_skin.model.result import NoQuantityError
-from casadi_skin.solve.levels import ErrorEstimate
 from casadi_skin.solve.newton import Correction
 from casadi_skin.stability.result import Floquet
-from casadi_skin.zero.equations import EquilibriumEquations
 from casadi_skin.zero.problem import Array, Indices, Scalar, SingularError
 from casadi_skin.zero.rest_problem import AlgebraicProblem, Course, sizes_at
+from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point
 from casadi_skin.zero.statics import Spectrum, Statics
+from casadi_skin.zero.unresolved import Unresolved
 
 NO_ORBIT = "an equilibrium is no orbit: it has eigenvalues in place of multipliers, and no period"
 AT_JUMP = 1e-6  # of the sizes of states: distance of an equilibrium from a jump at which it counts as on it

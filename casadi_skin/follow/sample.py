@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.follow.settings import Point
 from casadi_skin.zero.problem import Array, Indices
+from casadi_skin.zero.settings import Point
 
 ComplexArray = NDArray[np.complex128]
 APART = 1e6  # distance of values of different groups

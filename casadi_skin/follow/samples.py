@@ -8,9 +8,9 @@ from typing import cast
 import numpy as np
 
 from casadi_skin.follow.sample import Sample
-from casadi_skin.follow.settings import Point
 from casadi_skin.zero.problem import EPSILON, Array
 from casadi_skin.zero.rest_problem import AlgebraicProblem
+from casadi_skin.zero.settings import Point
 from casadi_skin.zero.statics import ROUNDING, Linearised
 
 

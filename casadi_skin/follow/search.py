@@ -10,9 +10,9 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from casadi_skin.follow.sample import Sample
-from casadi_skin.follow.settings import Point
 from casadi_skin.follow.stretch import WITHIN, Signs, Stretch
-from casadi_skin.follow.unresolved import Unresolved
+from casadi_skin.zero.settings import Point
+from casadi_skin.zero.unresolved import Unresolved
 
 DEEPEST = 20  # divisions of a stretch between two points of the continuation
 SHORTEST = 1e-11  # of a step: shorter parts are not divided

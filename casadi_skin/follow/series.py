@@ -18,11 +18,11 @@ from casadi_skin.follow.arclength import START_FRACTION
 from casadi_skin.follow.corners import CLOSE, Corner, Side, point_before, shifts, side_of, turned
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import Stretch
-from casadi_skin.follow.settings import End, Point, Target, known_end
 from casadi_skin.solve.bordered import StackedSolver, Steps
 from casadi_skin.solve.levels import Measured
 from casadi_skin.solve.newton import Correction, Status
 from casadi_skin.zero.problem import Array, OrbitProblem, Problem, Scalar, SingularError
+from casadi_skin.zero.settings import End, Point, Target, known_end
 
 if TYPE_CHECKING:
     from casadi_skin.zero.recursion import Recursion

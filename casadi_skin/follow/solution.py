@@ -10,7 +10,6 @@ from typing import Any, ClassVar, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.follow.settings import Point
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.model.expressions import at_instants, instants
 from casadi_skin.model.ode import OdeModel, centred_model
@@ -20,6 +19,7 @@ from casadi_skin.zero import mesh
 from casadi_skin.zero.collocation import CollocationEquations
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import AlgebraicProblem
+from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import BoundaryProblem
 from casadi_skin.zero.statement import Statement
 from casadi_skin.zero.statics import ComplexArray, Spectrum

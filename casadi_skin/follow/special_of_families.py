@@ -8,7 +8,7 @@ from itertools import pairwise
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import FOLD, NotLocatedError, SpecialPoint
-from casadi_skin.follow.unresolved import Unresolved
+from casadi_skin.zero.unresolved import Unresolved
 
 
 def special_point(space: SolutionSpace, solution: Solution) -> SpecialPoint:

@@ -9,9 +9,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.settings import Point
 from casadi_skin.follow.turns import rate, turning
 from casadi_skin.model.result import Result
+from casadi_skin.zero.settings import Point
 
 if TYPE_CHECKING:
     from casadi_skin.follow.solution import Solution
@@ -75,9 +75,9 @@ class SpecialPoint(Result):
     follow: ClassVar[Callable[..., Any]]
     """The `Branch` that leaves here: `casadi_skin.points.switch.switch`."""
     curve: ClassVar[Callable[..., Any]]
-    """This point followed in a second parameter: `casadi_skin.follow.curve.curve`."""
+    """This point followed in a second parameter: `casadi_skin.points.curves.curve`."""
     normal_form: ClassVar[Callable[..., Any]]
-    """The normal form, by projection: `casadi_skin.zero.normal_forms.critical`."""
+    """The normal form, by projection: `casadi_skin.follow.normal_forms.critical`."""
     lost_symmetries: ClassVar[Callable[..., tuple[str, ...]]]
     """The symmetries that what leaves here lacks, in words: `casadi_skin.points.lost_symmetry.lost_at`."""
 

@@ -10,10 +10,10 @@ import numpy as np
 from casadi_skin.follow.exponents import Exponents, ExponentSampler
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.search import Event, Search
-from casadi_skin.follow.settings import Point
 from casadi_skin.follow.stretch import Stretch
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.problem import Array
+from casadi_skin.zero.settings import Point
 
 DEEPEST = 14  # divisions of a stretch between two orbits
 MOST_PARTS = 120  # that such a stretch is divided into

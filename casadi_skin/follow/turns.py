@@ -14,7 +14,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.settings import Point
+from casadi_skin.zero.settings import Point
 
 WITHIN = 0.47  # of a stretch: where it is looked at; not the middle, where symmetric functions agree by accident
 STEADY = 0.5  # of the largest rate on a stretch: the least one for which nothing turns back within it

@@ -6,12 +6,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
-from casadi_skin.follow.settings import Continuation, End, Point, Target
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import FOLD, NotLocatedError
-from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.zero.problem import EPSILON, Scalar
+from casadi_skin.zero.settings import Continuation, End, Point, Target
+from casadi_skin.zero.unresolved import Unresolved
 
 # The points of one stretch of a branch in order: requested ones, and special ones, which may be the same --------------
 

@@ -9,7 +9,6 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from casadi_skin.follow.settings import Point
 from casadi_skin.lattice.cell_motion import edge_motion, pinned_vectors, tail_coefficients
 from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.cell_tail_parameter import CellTailParameter
@@ -24,6 +23,7 @@ from casadi_skin.zero.cosines import cosine_matrix
 from casadi_skin.zero.family import Localised, Method, normalised
 from casadi_skin.zero.model_coordinates import DEEPEST, ModelCoordinates, check_alone
 from casadi_skin.zero.problem import Array, Indices, Problem
+from casadi_skin.zero.settings import Point
 from casadi_skin.zero.statement import named_values
 
 BESIDE_CORE = 100  # sites beside the core on which stability is computed at first

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from casadi_skin.follow.settings import Point
 from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
 from casadi_skin.lattice.full_chain import ChainCoordinates
@@ -19,6 +18,7 @@ from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.stability.tongues.hill import Medium
 from casadi_skin.zero.family import Localised, normalised
 from casadi_skin.zero.problem import Array, Indices, Problem
+from casadi_skin.zero.settings import Point
 
 FAR = 745.0  # of -log rho: beyond it displacements are below the smallest double
 LONGEST_WHOLE = 5000  # sites of a chain all of which are unknowns where they are asked for

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.follow.settings import Point
 from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.log_profile import continued_logarithms
@@ -19,6 +18,7 @@ from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.zero.cosines import quarter_phases
 from casadi_skin.zero.family import Coordinates, normalised, numbered, shift_by_projection
 from casadi_skin.zero.problem import Array, Indices, Problem
+from casadi_skin.zero.settings import Point
 
 if TYPE_CHECKING:
     from casadi_skin.lattice.lattice import Lattice

@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.follow.settings import Point
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.zero.cosines import cosine_matrix
 from casadi_skin.zero.problem import Array
+from casadi_skin.zero.settings import Point
 from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 SMALLEST = 1e-250  # of the largest state: below it doubles run out

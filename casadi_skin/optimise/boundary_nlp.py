@@ -17,17 +17,17 @@ import numpy as np
 from casadi_skin.follow import solution as solutions
 from casadi_skin.follow.boundary_solutions import ITERATIONS
 from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.settings import Point
+from casadi_skin.follow.first import limits_of, packed, space_of
+from casadi_skin.follow.first import solve as without_objective
+from casadi_skin.follow.refined import BoundaryError
 from casadi_skin.model.pickled import programs_in
 from casadi_skin.optimise.nlp import FLAT, Limits, Nlp, Optimality, Solution, optimality
 from casadi_skin.optimise.search_arguments import Condition
-from casadi_skin.solve.first import limits_of, packed, space_of
-from casadi_skin.solve.first import solve as without_objective
 from casadi_skin.solve.ipopt import SOLVED, nlp_reason
-from casadi_skin.solve.levels import SAFETY, ErrorEstimate
-from casadi_skin.solve.refined import BoundaryError
+from casadi_skin.solve.levels import SAFETY
 from casadi_skin.zero.guesses import Guess
 from casadi_skin.zero.problem import Array, Indices
+from casadi_skin.zero.settings import ErrorEstimate, Point
 from casadi_skin.zero.stated_problem import BoundaryProblem
 from casadi_skin.zero.statement import Statement
 

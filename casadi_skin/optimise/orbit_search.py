@@ -12,7 +12,9 @@ import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.find import find_orbit, guessed_period, scalar_of
+from casadi_skin.follow.first import accuracy_of
 from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.refined import BoundaryError
 from casadi_skin.model.arguments import accepted_names, short_repr, truth, whole
 from casadi_skin.model.conserved import symmetry_class
 from casadi_skin.model.expressions import Expression
@@ -21,8 +23,6 @@ from casadi_skin.optimise.boundary_nlp import BoundaryNlp, Refined, refined
 from casadi_skin.optimise.optimum import Optimum, PlainCheck
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
 from casadi_skin.optimise.search_problem import Outcome, Start, sampled_starts
-from casadi_skin.solve.first import accuracy_of
-from casadi_skin.solve.refined import BoundaryError
 from casadi_skin.zero.guesses import Guess, sampled
 from casadi_skin.zero.orbit import Sizes
 from casadi_skin.zero.problem import Array

@@ -28,13 +28,12 @@ from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch_points import other_tangent
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.settings import ContinuationSettings, Point
+from casadi_skin.follow.restating import restated, with_amplitude
 from casadi_skin.model.conserved import SymmetryClass
-from casadi_skin.solve.levels import ErrorEstimate
 from casadi_skin.zero import mesh
 from casadi_skin.zero.orbit import OrbitRequest, Periodic, Sizes, statement_of
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.restating import restated, with_amplitude
+from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
 
 SINGULAR = 1e-6  # smallest singular value of a block that is singular, relative to its largest

@@ -12,7 +12,6 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following, run_following
 from casadi_skin.follow.rest_space import EquilibriumSpace
-from casadi_skin.follow.settings import End, Point
 from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, HOPF, SpecialPoint
@@ -21,6 +20,7 @@ from casadi_skin.model.result import Result
 from casadi_skin.points.leaving import TOLERANCE
 from casadi_skin.points.switch import leaving_space
 from casadi_skin.zero.problem import Array
+from casadi_skin.zero.settings import End, Point
 from casadi_skin.zero.stated_problem import PERIOD
 
 LEAVING = (HOPF, BRANCH_POINT, DOUBLING)

@@ -15,7 +15,6 @@ import numpy as np
 
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.settings import Point
 from casadi_skin.points.breaking import turns_of
 from casadi_skin.points.edge_curve import FINE, WELL, EdgePoint, EdgeWalk
 from casadi_skin.points.edge_fold import multipliers_of
@@ -24,6 +23,7 @@ from casadi_skin.stability.tongues.diagram import Place, StabilityEdge
 from casadi_skin.stability.tongues.find_changes import POWERS
 from casadi_skin.zero.orbit import FirstOrderProblem
 from casadi_skin.zero.problem import Array
+from casadi_skin.zero.settings import Point
 from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 AGREE = 1e-6  # of S: within which the crossing that a curve starts from is found again

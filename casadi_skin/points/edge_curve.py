@@ -19,13 +19,13 @@ import numpy as np
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.family_tongues import tongues_on
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.settings import ContinuationSettings, End, Point
 from casadi_skin.model.result import Result
 from casadi_skin.points.edge_fold import Start, Turn, turn
 from casadi_skin.points.edge_orbits import Orbits, beside, family_at, orbit_at, orbit_of_edge
 from casadi_skin.stability.stepping import FlowError
 from casadi_skin.stability.tongues.diagram import StabilityDiagram, StabilityEdge
 from casadi_skin.zero.problem import Array
+from casadi_skin.zero.settings import ContinuationSettings, End, Point
 
 # The edge of a tongue of instability in a second parameter, as a result -----------------------------------------------
 

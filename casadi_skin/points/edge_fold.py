@@ -17,13 +17,13 @@ from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.branch_sampler import flow_error
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.settings import ContinuationSettings, End, Point
-from casadi_skin.solve.levels import ErrorEstimate, ExactLevels
+from casadi_skin.solve.levels import ExactLevels
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability.family_stability import orbit_state
 from casadi_skin.stability.multipliers import reduced_matrices
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
+from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point
 
 DIFFERENCE = 1e-3  # of the sizes: that of derivatives
 NEWTON = 1e-7  # of the sizes: a step of Newton's method after which an edge is one

@@ -13,10 +13,8 @@ import numpy as np
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.settings import Point
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, EDGE, SpecialPoint
-from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.points.breaking import breaking_of
 from casadi_skin.points.edge_fold import multipliers_of
@@ -24,6 +22,8 @@ from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues.diagram import LocalisedDiagram, StabilityEdge
 from casadi_skin.zero.family import Targets
 from casadi_skin.zero.problem import Scalar, SingularError
+from casadi_skin.zero.settings import Point
+from casadi_skin.zero.unresolved import Unresolved
 
 # Edges of tongues of a family as special points: the orbits there, and those at which other orbits leave it -----------
 

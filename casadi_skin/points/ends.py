@@ -11,17 +11,16 @@ from casadi_skin.follow.boundary_solutions import BoundarySolutions
 from casadi_skin.follow.find import find_equilibrium
 from casadi_skin.follow.followed import Followed
 from casadi_skin.follow.following import Following, run_following
+from casadi_skin.follow.location import special_orbit
 from casadi_skin.follow.rest_curve import curve_space
+from casadi_skin.follow.rest_location import HOPF, locate
 from casadi_skin.follow.rest_space import EquilibriumSpace
-from casadi_skin.follow.settings import Point
 from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS, SpecialPoint
-from casadi_skin.solve.levels import ErrorEstimate
 from casadi_skin.zero import mesh
-from casadi_skin.zero.location import special_orbit
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest_location import HOPF, locate
 from casadi_skin.zero.rest_problem import sizes_of
+from casadi_skin.zero.settings import ErrorEstimate, Point
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.zero.statics import Statics
 

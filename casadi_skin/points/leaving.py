@@ -12,18 +12,17 @@ from casadi_skin.follow.boundary_space import BoundarySpace, at_rest
 from casadi_skin.follow.branch_points import leaving_tangent
 from casadi_skin.follow.find import closed_statement, forced_statement
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.settings import ContinuationSettings, Point
+from casadi_skin.follow.refined import BoundaryError
+from casadi_skin.follow.rest_normal_forms import critical_pair
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.points.ends import Left
 from casadi_skin.points.lost_symmetry import critical_vector, lost_operations
-from casadi_skin.solve.levels import ErrorEstimate
-from casadi_skin.solve.refined import BoundaryError
 from casadi_skin.zero import mesh
 from casadi_skin.zero.orbit import FIRST, Periodic, Sizes, boundary_method
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest_normal_forms import critical_pair
 from casadi_skin.zero.rest_problem import sizes_of
+from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.zero.statics import Statics
 

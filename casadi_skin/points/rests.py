@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import casadi as ca
 import numpy as np
 
+from casadi_skin.follow.refined import BoundaryError, refined
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.solve.refined import BoundaryError, refined
 from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.orbit import Extended, Sizes
 from casadi_skin.zero.problem import Array, SingularError
@@ -26,7 +26,7 @@ from casadi_skin.zero.statement import Statement
 
 if TYPE_CHECKING:
     from casadi_skin.follow.boundary_solutions import BoundarySolutions
-    from casadi_skin.follow.settings import Point
+    from casadi_skin.zero.settings import Point
 
 PLACES = 2001  # along a period at which an orbit is looked at
 SLOW = 1e-2  # of the largest speed along the orbit: it passes an equilibrium there

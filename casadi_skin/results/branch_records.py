@@ -10,14 +10,13 @@ from typing import Protocol
 import msgspec
 import numpy as np
 
-from casadi_skin.follow.settings import End, Point, Target
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
-from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.follow.walk import Walk
-from casadi_skin.solve.levels import ErrorEstimate, Refinement
 from casadi_skin.stability.localised import LocalisedFloquet
 from casadi_skin.stability.result import ContinuousSpectrum, Floquet, FullPeriodFloquet, ReversibleFloquet
+from casadi_skin.zero.settings import End, ErrorEstimate, Point, Refinement, Target
+from casadi_skin.zero.unresolved import Unresolved
 
 
 class ReversibleRecord(msgspec.Struct, frozen=True, tag="reversible"):

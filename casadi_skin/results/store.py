@@ -24,9 +24,8 @@ from typing import Any, Generic, Self, TypeVar
 import msgspec
 import numpy as np
 
-from casadi_skin.follow.settings import Point
 from casadi_skin.model.arguments import short_repr
-from casadi_skin.solve.levels import Refinement
+from casadi_skin.zero.settings import Point, Refinement
 
 KINDS = {"<f8", "<c16", "<i8", "|b1"}  # of arrays
 PLACES = {  # of every class that a file may name, with its own name where that is another one
@@ -39,7 +38,7 @@ PLACES = {  # of every class that a file may name, with its own name where that 
     "ChainFamily": "optimise.families",
     "Condition": "optimise.search_arguments",
     "Constants": "certify.certificate",
-    "ContinuationSettings": "follow.settings",
+    "ContinuationSettings": "zero.settings",
     "ContinuousSpectrum": "stability.result",
     "CosineOrbit": "optimise.optimum",
     "Course": "zero.rest_problem",
@@ -50,11 +49,11 @@ PLACES = {  # of every class that a file may name, with its own name where that 
     "Diagram": "points.diagram",
     "EdgeCurve": "points.edge_curve",
     "EdgePoint": "points.edge_curve",
-    "End": "follow.settings",
+    "End": "zero.settings",
     "Ending": "optimise.search_problem",
     "Equilibrium": "follow.solution",
     "EquilibriumSpace": "follow.rest_space",
-    "ErrorEstimate": "solve.levels",
+    "ErrorEstimate": "zero.settings",
     "Evolution": "dynamics.evolution",
     "FamilyRequest": "zero.request",
     "FamilySearch": "optimise.family_search",
@@ -73,7 +72,7 @@ PLACES = {  # of every class that a file may name, with its own name where that 
     "Optimality": "follow.solution",
     "Optimum": "follow.solution",
     "Orbit": "follow.orbit",
-    "OrbitCurveSpace": "follow.curve",
+    "OrbitCurveSpace": "points.curves",
     "OrbitSearch": "optimise.orbit_search",
     "Outcome": "optimise.search_problem",
     "ParetoFront": "optimise.search_orbit",
@@ -103,12 +102,12 @@ PLACES = {  # of every class that a file may name, with its own name where that 
     "Start": "optimise.search_problem",
     "Statics": "zero.statics",
     "SymmetryClass": "model.conserved",
-    "Target": "follow.settings",
+    "Target": "zero.settings",
     "Targets": "zero.family",
     "Tongue": "stability.tongues.diagram",
     "TransientGrowth": "stability.growth",
     "Uniform": "lattice.declaration",
-    "Unresolved": "follow.unresolved",
+    "Unresolved": "zero.unresolved",
 }
 
 

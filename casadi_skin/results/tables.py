@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Equilibrium
-from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.results.dataset import Cell, Variable, unique_names
 from casadi_skin.results.quantity import CSV, Place, Quantity
 from casadi_skin.stability.tongues.diagram import (
@@ -22,6 +21,7 @@ from casadi_skin.stability.tongues.diagram import (
     Tongue,
 )
 from casadi_skin.zero.problem import Array
+from casadi_skin.zero.unresolved import Unresolved
 
 FIXED = ("point", "requested", "special", "stable", "unstable", "max_growth", "error", "eigenvalue_error", "residual")
 

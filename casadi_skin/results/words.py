@@ -16,7 +16,6 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Equilibrium, Solution
 from casadi_skin.follow.special_points import SpecialPoint
-from casadi_skin.follow.unresolved import count_in_words
 from casadi_skin.lattice.linear import Bands, LatticeModes
 from casadi_skin.model.arguments import cut
 from casadi_skin.optimise.kick import SmallestKick
@@ -30,6 +29,7 @@ from casadi_skin.stability.localised import LocalisedFloquet
 from casadi_skin.stability.result import Floquet
 from casadi_skin.stability.tongues.diagram import LocalisedDiagram, StabilityDiagram
 from casadi_skin.zero.statics import Spectrum
+from casadi_skin.zero.unresolved import count_in_words
 
 MOST = 6  # special points, parameters or states that are named
 Rows = list[tuple[str, str]]

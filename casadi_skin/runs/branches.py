@@ -13,18 +13,18 @@ import msgspec
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.curve import curve_space
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.follow import following_space
 from casadi_skin.follow.following import Following
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.rest_curve import UnfoldingError
-from casadi_skin.follow.settings import End, Point
+from casadi_skin.follow.rest_location import BRANCH_POINT, FOLD, HOPF
 from casadi_skin.follow.solution import Equilibrium, Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import DOUBLING, TORUS, SpecialPoint
 from casadi_skin.follow.walk import Walk
 from casadi_skin.model.interrupts import interrupts_deferred
+from casadi_skin.points.curves import curve_space
 from casadi_skin.points.diagram import LEAVING, Further
 from casadi_skin.results import figures
 from casadi_skin.results.branch_records import (
@@ -50,7 +50,7 @@ from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.solve.watch import watched
 from casadi_skin.stability.stepping import FlowError
-from casadi_skin.zero.rest_location import BRANCH_POINT, FOLD, HOPF
+from casadi_skin.zero.settings import End, Point
 from casadi_skin.zero.stated_problem import PERIOD
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.settings import End
+from casadi_skin.zero.settings import End
 
 if TYPE_CHECKING:
     from casadi_skin.points.edge_curve import EdgeCurve

@@ -17,10 +17,10 @@ from casadi_skin.runs.model_tables import LEAVING, ContinuationTable, Equilibriu
 from casadi_skin.runs.output import Lines, listed, named
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.states import state_of
-from casadi_skin.solve.levels import ErrorEstimate
 from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.problem import Problem
 from casadi_skin.zero.request import FamilyRequest
+from casadi_skin.zero.settings import ErrorEstimate
 from casadi_skin.zero.shooting import ShootingProblem
 
 TYPICAL_SAMPLES = (60, 450)  # orbits of a family that its changes of stability are sought with

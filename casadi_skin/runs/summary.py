@@ -12,12 +12,12 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Equilibrium
-from casadi_skin.follow.unresolved import count_in_words
 from casadi_skin.results.branch_quantities import certified
 from casadi_skin.results.quantities import places_of
 from casadi_skin.results.tables import UNRESOLVED
 from casadi_skin.runs.origins import mode_of
 from casadi_skin.runs.output import TextTable
+from casadi_skin.zero.unresolved import count_in_words
 
 if TYPE_CHECKING:
     from casadi_skin.runs.run import Run

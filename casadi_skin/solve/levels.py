@@ -11,39 +11,13 @@ from numpy.typing import NDArray
 from casadi_skin.solve.bordered import BorderedSolver, StackedSolver
 from casadi_skin.solve.newton import Corrector
 from casadi_skin.zero.problem import EPSILON, Array, Problem, Scalar, Solve
+from casadi_skin.zero.settings import ErrorEstimate, Refinement
 
 # Errors of points, from Newton steps on a finer level: estimates, and their part by rounding --------------------------
 
 SAFETY = 2.0  # the finer step is asymptotically the error itself; twice it covers what the finer grid misses
 NEAR_ROUND_OFF = 1e-9  # relative errors below this are compared with those of rounding
 FOLD = 1e-4  # tangents that change the parameter by less than this part of its size are those of a fold
-
-
-@dataclass(frozen=True)
-class ErrorEstimate:
-    """Estimated errors of a point: absolute in Omega, and of the state relative to its largest component.
-
-    `round_off` is the part, relative like `relative`, below which no discretisation brings them. `parameter` is the
-    relative error of the free parameter, 0 where the others are those at its value: only where Omega is held, or in the
-    neighbourhood of a fold, where they are those across the branch, is it not.
-    """
-
-    Omega: float
-    profile: float
-    round_off: float = 0.0
-    parameter: float = 0.0
-
-    def relative(self, Omega: float) -> float:
-        """The largest of the three, with that of Omega made relative."""
-        return max(self.Omega / Omega, self.profile, self.parameter)
-
-
-@dataclass(frozen=True)
-class Refinement:
-    """An orbit on the next finer level, one Newton step from the orbit prolonged: better by the error estimated."""
-
-    problem: Problem
-    z: Array
 
 
 Measured = tuple[ErrorEstimate, Refinement | None]

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any, Self
 import casadi as ca
 import numpy as np
 
-from casadi_skin.follow.settings import Point
 from casadi_skin.model.arguments import check_name
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.solve.levels import Levels, Refinement
+from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.gauss_flow import GaussFlow
@@ -29,6 +28,7 @@ from casadi_skin.stability.stepping import FlowMap, OrbitState, Transition
 from casadi_skin.zero.family import Coordinates
 from casadi_skin.zero.problem import Array, Buffers, Problem
 from casadi_skin.zero.request import FamilyRequest
+from casadi_skin.zero.settings import Point, Refinement
 
 if TYPE_CHECKING:
     from casadi_skin.stability.localised import LocalisedFloquet

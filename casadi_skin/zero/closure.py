@@ -10,7 +10,6 @@ import numpy as np
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.solve.levels import Refinement
 from casadi_skin.stability.closed_maps import (
     MapsAlong,
     Multipliers,
@@ -26,6 +25,7 @@ from casadi_skin.stability.judging import judged
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.formulation import Formulation
 from casadi_skin.zero.problem import Array
+from casadi_skin.zero.settings import Refinement
 from casadi_skin.zero.stated_problem import BoundaryProblem
 from casadi_skin.zero.statement import Statement
 

@@ -29,8 +29,8 @@ from casadi_skin.stability.tongues.hill import Medium
 from casadi_skin.zero.problem import Array, Indices, Problem
 
 if TYPE_CHECKING:
-    from casadi_skin.follow.settings import Point
     from casadi_skin.stability.result import ReversibleFloquet
+    from casadi_skin.zero.settings import Point
 
 LOG10 = float(np.log(10.0))
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
-from casadi_skin.follow.settings import ContinuationSettings, Target
 from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.methods import COLLOCATION_TABLES, FLOWS, TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.family import TOLERANCES, TWO_PI, Coordinates, Method, Targets
 from casadi_skin.zero.model_coordinates import ModelCoordinates
 from casadi_skin.zero.problem import Scalar
+from casadi_skin.zero.settings import ContinuationSettings, Target
 
 LOWEST_DEGREE = 2  # of polynomials on an interval
 WITHIN = 1e-150, 1e150  # sizes of the free parameter: their squares are doubles

@@ -11,8 +11,8 @@ import pytest
 from outputs import read_rows
 
 from casadi_skin import Chain, Orbit, follow_family
-from casadi_skin.follow.settings import End
 from casadi_skin.runs.program import main
+from casadi_skin.zero.settings import End
 
 ROOT = Path(__file__).parents[2]
 SLOWER = (2.0, 5.0, 10.0, 20.0, 30.0)  # times the linear period

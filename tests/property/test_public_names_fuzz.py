@@ -45,8 +45,8 @@ from casadi_skin import (
     simulate,
     smallest_kick,
 )
+from casadi_skin.follow.refined import BoundaryError
 from casadi_skin.optimise.kick import KickError
-from casadi_skin.solve.refined import BoundaryError
 from casadi_skin.stability.stepping import FlowError
 
 LONGEST = 20  # seconds that a call may take; what takes longer has started work, and is stopped

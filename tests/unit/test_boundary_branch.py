@@ -10,10 +10,10 @@ from casadi_skin import BoundaryValueProblem, Branch, Orbit, find_orbit
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.follow import following_space
 from casadi_skin.follow.following import Following
-from casadi_skin.follow.settings import End
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.branch_records import BranchRecord, known_of, point_record, stability_record
+from casadi_skin.zero.settings import End
 
 
 def buckling() -> BoundaryValueProblem:

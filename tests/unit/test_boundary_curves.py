@@ -12,8 +12,8 @@ from scipy.optimize import fsolve
 
 from casadi_skin import BoundaryValueProblem, Branch, OdeModel, read_result, save_result
 from casadi_skin.follow.rest_curve import UnfoldingError
-from casadi_skin.follow.settings import End
 from casadi_skin.follow.special_points import SpecialPoint
+from casadi_skin.zero.settings import End
 
 BRATU = 3.513830719125161  # 8 (z^2 - 1) where z tanh z = 1
 

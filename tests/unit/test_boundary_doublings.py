@@ -10,9 +10,9 @@ from equilibrium_models import symbols
 from scipy.integrate import solve_ivp
 
 from casadi_skin import BoundaryValueProblem, Branch, OdeModel, find_orbit
-from casadi_skin.follow.settings import End
+from casadi_skin.follow.refined import BoundaryError
 from casadi_skin.follow.special_points import SpecialPoint
-from casadi_skin.solve.refined import BoundaryError
+from casadi_skin.zero.settings import End
 
 
 def first_point(turn: float, sign: float, even: float = 0.0) -> SpecialPoint:

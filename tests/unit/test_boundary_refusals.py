@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from casadi_skin import BoundaryValueProblem
+from casadi_skin.follow.refined import BoundaryError
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.solve.refined import BoundaryError
 
 U, V, K = ca.SX.sym("u"), ca.SX.sym("v"), ca.SX.sym("stiffness")
 STRING = OdeModel("string", ca.vertcat(U, V), ca.vertcat(V, -K * U), K)

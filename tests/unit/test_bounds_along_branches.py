@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import BoundaryValueProblem, Branch, OdeModel, find_orbit, read_result, save_result
-from casadi_skin.follow.settings import End
+from casadi_skin.zero.settings import End
 
 X, Y, P, Q, T = (ca.SX.sym(name) for name in ("x", "y", "p", "q", "t"))
 

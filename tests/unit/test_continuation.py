@@ -17,11 +17,11 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import LocalCurve, predictor
-from casadi_skin.follow.settings import End, Point
 from casadi_skin.lattice.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.solve.arbiter import ConfirmedCorrector
 from casadi_skin.solve.newton import Correction, HeldState, NewtonCorrector, Status
 from casadi_skin.zero.request import family_request
+from casadi_skin.zero.settings import End, Point
 
 Array = NDArray[np.float64]
 ROUND_OFF = 5e-15  # of Omega: some units in the last place, which no estimate resolves

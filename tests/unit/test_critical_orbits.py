@@ -15,9 +15,9 @@ from test_orbit_bifurcations import _cycle
 
 from casadi_skin import Branch, Chain, OdeModel, find_equilibrium, find_orbit, follow_family, read_result, save_result
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.settings import End
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.points.leaving import _perturbation
+from casadi_skin.zero.settings import End
 
 
 def circle(t: float) -> list[float]:

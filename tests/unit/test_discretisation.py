@@ -14,11 +14,11 @@ from scipy.sparse.linalg import splu
 from casadi_skin import BoundaryValueProblem
 from casadi_skin.follow.boundary_space import BoundaryError
 from casadi_skin.follow.find import find_orbit
+from casadi_skin.follow.first import packed, space_of
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve import ipopt, watch
 from casadi_skin.solve.arbiter import SHRINK, ArbitratedCorrector
 from casadi_skin.solve.bordered import BorderedSolver
-from casadi_skin.solve.first import packed, space_of
 from casadi_skin.solve.ipopt import IpoptCorrector
 from casadi_skin.solve.newton import Correction, NewtonCorrector, Status
 from casadi_skin.zero import butcher

@@ -8,7 +8,7 @@ import pytest
 from equilibrium_models import ab, abc, hopf_pairs, lorenz, rosenzweig_macarthur, symbols
 
 from casadi_skin import OdeModel, find_equilibrium, find_orbit
-from casadi_skin.follow.settings import End
+from casadi_skin.zero.settings import End
 
 
 def test_cycles_of_the_normal_form_have_the_radius_in_closed_form_from_zero_on() -> None:

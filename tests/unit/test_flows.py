@@ -18,7 +18,6 @@ from scipy.optimize import linear_sum_assignment
 from casadi_skin import Branch, Chain, OdeModel, Orbit, follow_family
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following
-from casadi_skin.follow.settings import End, Point
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability import family_stability, splitting
 from casadi_skin.stability.cvodes import CvodesFlow
@@ -31,6 +30,7 @@ from casadi_skin.stability.rk4 import RungeKuttaFlow, RungeKuttaMap
 from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
 from casadi_skin.stability.stepping import FlowError, OrbitState, SteppedFlow, Transition, extrapolation
 from casadi_skin.zero.request import family_request
+from casadi_skin.zero.settings import End, Point
 
 Array = NDArray[np.float64]
 

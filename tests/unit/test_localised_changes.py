@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from casadi_skin import Bond, Branch, Chain, LongLattice, Site, follow_family, read_result
 from casadi_skin.follow.family import Family
+from casadi_skin.follow.family_localised import EdgeOrbits, localised_changes
 from casadi_skin.native import elimination
 from casadi_skin.native.library import without
 from casadi_skin.runs.program import main
 from casadi_skin.stability.localised import LocalisedFloquet
 from casadi_skin.stability.result import ContinuousSpectrum
 from casadi_skin.stability.tongues.diagram import LocalisedDiagram
-from casadi_skin.stability.tongues.family_localised import EdgeOrbits, localised_changes
 from casadi_skin.stability.tongues.hill import Hill, Layout, Medium, Parity, crossings
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
 from casadi_skin.stability.tongues.localised_changes import find_localised_changes

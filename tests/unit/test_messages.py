@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from casadi_skin import BoundaryValueProblem, OdeModel, find_equilibrium, find_orbit, simulate
+from casadi_skin.follow.refined import BoundaryError
 from casadi_skin.runs.program import main
-from casadi_skin.solve.refined import BoundaryError
 
 x, v = ca.SX.sym("x"), ca.SX.sym("v")
 

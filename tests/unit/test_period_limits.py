@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from test_rotating_orbits import ENERGY, E, current, pendulum, q, turn_time
 
 from casadi_skin import Branch, OdeModel, find_equilibrium, find_orbit
-from casadi_skin.follow.settings import End
+from casadi_skin.zero.settings import End
 
 
 def ends_at(branch: Branch, kind: str, value: float) -> None:

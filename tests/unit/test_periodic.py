@@ -17,8 +17,8 @@ from scipy.special import ellipk
 
 from casadi_skin.follow.find import find_orbit
 from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.refined import BoundaryError
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.solve.refined import BoundaryError
 from casadi_skin.stability.result import TrivialMultiplierWarning
 
 Array = np.ndarray

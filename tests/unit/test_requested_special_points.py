@@ -13,7 +13,7 @@ from equilibrium_models import symbols
 from casadi_skin import BoundaryValueProblem, OdeModel, find_equilibrium, find_orbit
 from casadi_skin.follow.follow import following_space
 from casadi_skin.follow.following import Following
-from casadi_skin.follow.settings import End
+from casadi_skin.zero.settings import End
 
 x, y, a, b, p = symbols("x y a b p")
 FORMS = {"pitchfork": p * x - x**3, "transcritical": p * x - x**2, "fold": p - x**2}

@@ -29,7 +29,6 @@ from casadi_skin.follow.family import DIGITS, Family
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.following import Following
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.settings import End
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.model.conserved import SymmetryClass, symmetry_class
@@ -38,6 +37,7 @@ from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import NewtonCorrector, Status
 from casadi_skin.zero.problem import SingularError
 from casadi_skin.zero.request import family_request
+from casadi_skin.zero.settings import End
 from casadi_skin.zero.shooting import ShootingError, ShootingProblem
 from casadi_skin.zero.trigonometric import TrigonometricProblem
 

@@ -18,13 +18,13 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.series import SeriesContinuation
-from casadi_skin.follow.settings import ContinuationSettings, End, Point, Target
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.results.branch_records import EndRecord, known_of, point_record
-from casadi_skin.solve.levels import ErrorEstimate, Levels
+from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.problem import OrbitProblem, Scalar, Solve
 from casadi_skin.zero.request import family_request
+from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point, Target
 
 Array = NDArray[np.float64]
 

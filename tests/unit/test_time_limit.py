@@ -12,8 +12,8 @@ import pytest
 
 import casadi_skin.follow.following as following
 from casadi_skin import Branch, Chain, OdeModel, find_orbit, follow_family
-from casadi_skin.follow.settings import End
 from casadi_skin.solve.watch import TimeLimitError, watched
+from casadi_skin.zero.settings import End
 
 CHAIN = Chain(3, 1.0, 0.3, -1.0)
 

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from casadi_skin.follow.branch import Branch
     from casadi_skin.follow.orbit import Orbit
-    from casadi_skin.follow.unresolved import Unresolved
     from casadi_skin.stability.tongues.diagram import StabilityDiagram, Tongue
+    from casadi_skin.zero.unresolved import Unresolved
 
 
 # Stability along a family as its diagram has it: the frequency curve, multipliers through tongues, their angles -------

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.stability.closed_maps import without_copies
 from casadi_skin.stability.judging import Entry, unbalanced
 from casadi_skin.stability.tongues.assembly import SAME_MU, edges_of, groups_of, place_at, tongues_of
@@ -23,6 +22,7 @@ from casadi_skin.stability.tongues.interpolation import (
     joined,
 )
 from casadi_skin.stability.tongues.rotation import TWO_PI, Tracks, follow_angles
+from casadi_skin.zero.unresolved import Unresolved
 
 INTERPOLATION = 1e-11  # tolerance, relative to the largest entries
 WORK = 2e9  # see `Crossings.work`: a minute or two

@@ -12,7 +12,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.stability.result import ContinuousSpectrum
 from casadi_skin.stability.tongues.diagram import (
     BAND_EDGE,
@@ -38,6 +37,7 @@ from casadi_skin.stability.tongues.localised_search import (
     stretches,
     zeros_along,
 )
+from casadi_skin.zero.unresolved import Unresolved
 
 NEAR = 0.1  # of an interval between points: from where on two that meet are sought by Newton's method
 

@@ -11,8 +11,8 @@ from family_case import Array, Family, FamilyCase
 from casadi_skin.follow import family as computed
 from casadi_skin.follow.following import Following
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.settings import ContinuationSettings
 from casadi_skin.zero.request import FamilyRequest, family_request
+from casadi_skin.zero.settings import ContinuationSettings
 
 # Name in the table: keywords of family_request. A new method is one line.
 VARIANTS: dict[str, dict[str, str]] = {

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.settings import Point
+from casadi_skin.follow.refined import BoundaryError, refined
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.arguments import check_name, duration, number, short_repr
 from casadi_skin.model.jumps import JumpError
@@ -23,12 +23,12 @@ from casadi_skin.solve.converged_mesh import converged_mesh
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import Correction, Corrector, NewtonCorrector
 from casadi_skin.solve.rank_deficiency import not_finite, rank_deficiency
-from casadi_skin.solve.refined import BoundaryError, refined
 from casadi_skin.solve.watch import TimeLimitError, watched
 from casadi_skin.zero.family import Method
 from casadi_skin.zero.guesses import Guess, along_the_guess, is_straight, sampled
 from casadi_skin.zero.orbit import Sizes, boundary_method
 from casadi_skin.zero.problem import Array, Problem, SingularError
+from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.zero.statement import Statement
 

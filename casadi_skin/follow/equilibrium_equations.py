@@ -10,7 +10,6 @@ import numpy as np
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.sample import Sample
 from casadi_skin.follow.samples import sample_of
-from casadi_skin.follow.settings import ContinuationSettings, Point
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.ipopt import CORRECTORS
 from casadi_skin.solve.levels import ExactLevels, Levels
@@ -18,6 +17,7 @@ from casadi_skin.solve.newton import Corrector, RoundedCorrector
 from casadi_skin.zero.problem import Array, Problem
 from casadi_skin.zero.rest_problem import AlgebraicProblem, Course
 from casadi_skin.zero.rest_systems import ExtendedSystem
+from casadi_skin.zero.settings import ContinuationSettings, Point
 from casadi_skin.zero.statics import Statics
 
 ITERATIONS = 60

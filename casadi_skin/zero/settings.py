@@ -9,8 +9,35 @@ from typing import Protocol
 
 import numpy as np
 
-from casadi_skin.solve.levels import ErrorEstimate, Refinement
 from casadi_skin.zero.problem import EPSILON, Array, Problem, Scalar
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """Estimated errors of a point: absolute in Omega, and of the state relative to its largest component.
+
+    `round_off` is the part, relative like `relative`, below which no discretisation brings them. `parameter` is the
+    relative error of the free parameter, 0 where the others are those at its value: only where Omega is held, or in the
+    neighbourhood of a fold, where they are those across the branch, is it not.
+    """
+
+    Omega: float
+    profile: float
+    round_off: float = 0.0
+    parameter: float = 0.0
+
+    def relative(self, Omega: float) -> float:
+        """The largest of the three, with that of Omega made relative."""
+        return max(self.Omega / Omega, self.profile, self.parameter)
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """An orbit on the next finer level, one Newton step from the orbit prolonged: better by the error estimated."""
+
+    problem: Problem
+    z: Array
+
 
 SAME = 1e-12  # relative difference below which a point walked is the requested one
 NEXT = 1e-10  # and its distance along the branch

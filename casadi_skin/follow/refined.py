@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.settings import Point
 from casadi_skin.solve.newton import Correction
 from casadi_skin.solve.rank_deficiency import in_family, rank_deficiency
 from casadi_skin.zero.problem import Problem, Scalar, SingularError
+from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import BoundaryProblem
 
 MEANINGLESS = 1e-2  # estimated error beyond which a solution is no solution, rounding or not

@@ -16,26 +16,26 @@ from casadi_skin.follow.codimension_two import ENDS, special_on_curve
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.follow import following_settings
 from casadi_skin.follow.following import Following, run_following
+from casadi_skin.follow.location import LocatedOrbit, extended_space, locate
+from casadi_skin.follow.normal_forms import on_circle
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.settings import ContinuationSettings, End, Point
+from casadi_skin.follow.refined import BoundaryError
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, ORBITS, SolutionSpace
 from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS, SpecialPoint, check_second
-from casadi_skin.follow.unresolved import Unresolved
 from casadi_skin.model.arguments import check_name
 from casadi_skin.points.breaking import turns_of
 from casadi_skin.points.edge_crossing import CrossingWalk
 from casadi_skin.points.edge_curve import EdgeCurve, EdgeWalk, edge_curve
 from casadi_skin.points.edge_orbits import parameters_of
-from casadi_skin.solve.refined import BoundaryError
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.augmented import KAPPA, PUSH, Critical, CriticalProblem
 from casadi_skin.zero.closure import Closure
 from casadi_skin.zero.linearised import Linearised
-from casadi_skin.zero.location import LocatedOrbit, extended_space, locate
-from casadi_skin.zero.normal_forms import on_circle
 from casadi_skin.zero.problem import Array
+from casadi_skin.zero.settings import ContinuationSettings, End, Point
 from casadi_skin.zero.stated_problem import PERIOD
+from casadi_skin.zero.unresolved import Unresolved
 
 KINDS = (FOLD, DOUBLING, TORUS, BRANCH_POINT)
 UNFOLDS = 1e-7  # of a step: a push that grows along a curve of branch points

@@ -9,8 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.settings import Point
-from casadi_skin.solve.levels import Refinement
 from casadi_skin.solve.watch import heed, one_thread
 from casadi_skin.stability.tongues.diagram import LocalisedDiagram
 from casadi_skin.stability.tongues.edge_hill import EdgeHill
@@ -19,6 +17,7 @@ from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
 from casadi_skin.stability.tongues.localised_changes import find_localised_changes
 from casadi_skin.stability.tongues.localised_samples import Sample
 from casadi_skin.zero.problem import Array
+from casadi_skin.zero.settings import Point, Refinement
 
 ORBIT_TOLERANCE = 1e-11  # of the orbits along the family, whatever the tolerance of its points
 

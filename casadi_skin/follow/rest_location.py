@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from casadi_skin.follow.equilibrium_equations import EquilibriumEquations, corrector_of
 from casadi_skin.solve.levels import ExactLevels
-from casadi_skin.zero.equations import EquilibriumEquations, corrector_of
 from casadi_skin.zero.problem import EPSILON, Array, SingularError
 from casadi_skin.zero.rest_problem import AlgebraicProblem
 from casadi_skin.zero.rest_systems import BranchSystem, ExtendedSystem, FoldSystem, HopfSystem

@@ -18,14 +18,14 @@ import numpy as np
 
 from casadi_skin.follow.followed import Followed
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.settings import Point
+from casadi_skin.follow.rest_normal_forms import DECIDED, Critical
+from casadi_skin.follow.rest_normal_forms import critical as at_equilibrium
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.special_points import DOUBLING, FOLD, TORUS, SpecialPoint
 from casadi_skin.zero.closure import Closure
 from casadi_skin.zero.linearised import Linearised, Vector, full_derivative, null_vectors
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest_normal_forms import DECIDED, Critical
-from casadi_skin.zero.rest_normal_forms import critical as at_equilibrium
+from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import BoundaryProblem
 
 UNKNOWN = "unknown: the model has no higher derivatives"

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadi_skin.follow.boundary_solutions import BoundarySolutions
-from casadi_skin.follow.settings import Point
 from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS
 from casadi_skin.zero.augmented import Critical, component_sizes, critical_plane, normal_of, seen_push, started
 from casadi_skin.zero.orbit import Sizes
 from casadi_skin.zero.problem import EPSILON, Scalar
+from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import BoundaryProblem
 
 NEAR = 0.5  # of the longest step: how far from its approximate place a special orbit may be

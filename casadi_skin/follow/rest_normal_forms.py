@@ -13,11 +13,11 @@ from typing import cast
 import numpy as np
 
 from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.rest_location import FOLD, HOPF
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest_location import FOLD, HOPF
 from casadi_skin.zero.statics import ComplexArray, Linearised, NullSpace, Statics, balanced, upper_pair
 
 DECIDED = 1e-8  # of the terms that a coefficient is the sum of: one that is smaller has no known sign
