@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.results.dataset import Cell, Variable, unique_names
@@ -22,6 +21,9 @@ from casadi_skin.stability.tongues.diagram import (
 )
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.unresolved import Unresolved
+
+if TYPE_CHECKING:
+    from casadi_skin.dynamics.evolution import Evolution
 
 FIXED = ("point", "requested", "special", "stable", "unstable", "max_growth", "error", "eigenvalue_error", "residual")
 

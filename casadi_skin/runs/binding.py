@@ -15,7 +15,6 @@ from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.loading import ModelFileError, call, named, read_source, run_file
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.runs.faults import SceneError, check_known, refusal, toml_repr
-from casadi_skin.runs.first_solution import first_solution, start_near_rest
 from casadi_skin.runs.model_tables import (
     CONSERVED,
     SELECTED,
@@ -262,6 +261,8 @@ def _check_jumps(request: Request) -> None:
         return
     if scene.equilibrium is None and scene.orbit is None and scene.solution is None:
         return
+    from casadi_skin.runs.first_solution import first_solution
+
     try:
         first_solution(request)
     except JumpError as error:
@@ -274,6 +275,8 @@ def _check_perturbation(request: Request) -> None:
     """Refuse a perturbation that the states of the model do not have."""
     table, model, scene = request.scene.dynamics, request.model, request.scene
     if table is not None and scene.family is None and scene.orbit is None:
+        from casadi_skin.runs.first_solution import start_near_rest
+
         try:
             start_near_rest(request)
         except (TypeError, ValueError) as error:

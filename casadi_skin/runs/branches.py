@@ -41,8 +41,6 @@ from casadi_skin.results.figures.profiles import chosen_solutions
 from casadi_skin.results.quantities import dataset_of
 from casadi_skin.results.store import Journal
 from casadi_skin.results.tables import UNRESOLVED
-from casadi_skin.runs.family_points import follow_edges, leaving_spaces
-from casadi_skin.runs.first_solution import cycle, cycle_record, first_solution, known_cycle
 from casadi_skin.runs.model_tables import ContinuationTable
 from casadi_skin.runs.offshoots import Offshoots
 from casadi_skin.runs.pictures import picture
@@ -260,6 +258,8 @@ class Branches:
         table = self.request.scene.continuation
         if self.request.scene.family is None or table is None:
             return
+        from casadi_skin.runs.family_points import follow_edges, leaving_spaces
+
         families = [branch for branch in self.branches if len(branch)]
         for name, space in leaving_spaces(families, table, self.failures):
             self.progress.say(name)
@@ -297,6 +297,8 @@ class Branches:
         scene, table = self.request.scene, self.request.scene.continuation
         if scene.equilibrium is None and scene.orbit is None and scene.solution is None:
             return
+        from casadi_skin.runs.first_solution import cycle, cycle_record, first_solution, known_cycle
+
         simulated = None
         if scene.orbit is not None:
             simulated = known_cycle(journal.records, self.request.ode, self.request.parameters)

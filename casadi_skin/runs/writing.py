@@ -23,7 +23,6 @@ from casadi_skin.results.tables import (
     further_rows,
     tongue_rows,
 )
-from casadi_skin.runs.family_points import write_lattice_spectrum
 from casadi_skin.runs.origins import mode_of, origin
 from casadi_skin.runs.pictures import picture
 from casadi_skin.runs.progress import Progress
@@ -142,6 +141,8 @@ def write_spectrum(request: Request, directory: Path) -> None:
         from casadi_skin.lattice.lattice import Lattice
 
         if isinstance(request.model, Lattice):
+            from casadi_skin.runs.family_points import write_lattice_spectrum
+
             write_lattice_spectrum(request.scene, request.model, request.parameters, directory)
             return
     frequencies = linear_frequencies(request.model, request.parameters)

@@ -363,7 +363,7 @@ def test_bombs_are_refused(
     assert path.stat().st_size < 200_000
     assert refusal(path).endswith("134217728 bytes when unpacked; accepted: up to 67108864")
     for module, name, most in (("unzip", "MOST_FILES", 50), ("unzip", "LONGEST_DIRECTORY", 1000)):
-        monkeypatch.setattr(f"casadi_skin.model.{module}.{name}", most)
+        monkeypatch.setattr(f"casadi_skin.fmu.{module}.{name}", most)
         path = archive_of(tmp_path / "many.fmu", **{f"resources/{i}": b"" for i in range(60)})
         assert f"accepted: up to {most}" in refusal(path)
 

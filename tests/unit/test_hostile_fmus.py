@@ -277,4 +277,4 @@ def waited_for(condition: Callable[[], bool]) -> None:
 def tried_processes(folder: Path) -> list[str]:
     """Processes that a binary in the folder is tried in."""
     listed = subprocess.run(["ps", "-ewwo", "args"], capture_output=True, text=True, check=True).stdout
-    return [line for line in listed.splitlines() if "fmu_trial" in line and str(folder) in line]
+    return [line for line in listed.splitlines() if "casadi_skin.fmu.model" in line and str(folder) in line]

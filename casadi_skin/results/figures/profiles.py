@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casadi_skin.dynamics.starts import Spreading
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Equilibrium, Solution
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from casadi_skin.dynamics.starts import Spreading
     from casadi_skin.follow.branch import Branch
     from casadi_skin.follow.orbit import Orbit
 
