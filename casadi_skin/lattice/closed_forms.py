@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import ellipj, ellipk
 
 from casadi_skin.lattice.uniform_chain import (
     Array,
@@ -70,12 +69,16 @@ def duffing_frequency(omega_squared: float, g: float, amplitude: float) -> float
         raise ValueError(f"no orbit at amplitude^2 = {amplitude**2:g}{where}")
     if stiffness <= 0:
         raise ValueError(f"no orbit at amplitude^2 = {amplitude**2:g}: it must stay below {omega_squared / -g:g}")
+    from scipy.special import ellipk
+
     m = g * amplitude**2 / (2.0 * stiffness)
     return float(np.pi * np.sqrt(stiffness) / (2.0 * ellipk(m)))
 
 
 def duffing_displacement(omega_squared: float, g: float, amplitude: float, t: ArrayLike) -> Array:
     """Exact displacement y(t), shape of `t`: amplitude cn(p t) for g >= 0, amplitude cd(p t) for g < 0."""
+    from scipy.special import ellipj
+
     time = np.asarray(t, dtype=float)
     duffing_frequency(omega_squared, g, amplitude)  # refuses amplitudes at which nothing oscillates
     cubic = g * amplitude**2

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from casadi_skin.follow.find import rotations_of
 from casadi_skin.model.conserved import pinned_components, symmetry_class
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.loading import ModelFileError, call, named, read_source, run_file
@@ -28,26 +27,18 @@ from casadi_skin.runs.scene import Scene
 from casadi_skin.runs.scene_tables import LatticeTable
 from casadi_skin.runs.states import Numbers, check_state, state_of, values_of
 from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
-from casadi_skin.zero.closure import closure_of
 from casadi_skin.zero.guesses import Guess
 from casadi_skin.zero.orbit import UNFOLDING
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.stated_problem import PERIOD
-
-if TYPE_CHECKING:
-    pass
-
-
-# Values and states as a scene gives them, by name or in order ---------------------------------------------------------
-
-
-# Checks of a scene's orbits and boundary-value problems of a model: names, shapes and symmetries ----------------------
 
 
 def check_orbit(request: Request, orbit: OrbitTable) -> None:
     """Raises SceneError for states and parameters that the model does not have, or cannot be closed with."""
     check_state("[orbit] start", orbit.start, request.ode.state_names)
     (_check_forced if request.ode.forced else _check_autonomous)(request, orbit)
+    from casadi_skin.follow.find import rotations_of
+
     try:
         rotations_of(request.ode, orbit.rotations, orbit.symmetric)
     except ValueError as error:
@@ -116,6 +107,8 @@ def bound_problem(
         problem = replace(problem, parameters=values)
     except ValueError as error:  # an interval that is empty at these values
         raise SceneError(f"[model] parameters: {error}") from None
+    from casadi_skin.zero.closure import closure_of
+
     if scene.stability is not None and closure_of(problem) is None:
         raise refusal("[stability]", f"with {table.name}, which has other conditions", "x(end) = S x(start)")
     guess = None if scene.solution is None else _guess(scene.solution.guess, path, problem, names)

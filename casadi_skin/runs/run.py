@@ -252,7 +252,7 @@ class Run:
         """The table of points, and the files of whole branches."""
         names = self._tables.write()
         if self.request.scene.has_diagram:
-            from casadi_skin.runs.branches import write_diagram
+            from casadi_skin.runs.diagram import write_diagram
 
             write_diagram(self.request, names, branches, origin(self.request, self.scene_text), self.directory)
             return

@@ -10,7 +10,6 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from casadi_skin.model.conserved import SymmetryClass, directions, is_odd, quantities
 from casadi_skin.model.ode import OdeModel
@@ -346,6 +345,8 @@ def _coupled(entries: Array, spaces: Sequence[slice]) -> Iterator[list[slice]]:
     """The eigenspaces in groups that nothing couples to each other; `entries` are those of matrices in their basis."""
     starts = [space.start for space in spaces]
     blocks = np.maximum.reduceat(np.maximum.reduceat(np.max(np.abs(entries), axis=0), starts, 0), starts, 1)
+    from scipy.sparse.csgraph import connected_components
+
     count, part = connected_components(blocks > COPIES_COUPLED * np.max(blocks))
     for k in range(count):
         yield [spaces[i] for i in np.flatnonzero(part == k).tolist()]
