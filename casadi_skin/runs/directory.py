@@ -15,6 +15,7 @@ from pathlib import Path
 from casadi_skin.model.files import leftovers, replacing
 from casadi_skin.model.methods import FORMATS
 from casadi_skin.runs.faults import SceneError
+from casadi_skin.runs.output import InputError
 from casadi_skin.runs.reading import parse_scene
 from casadi_skin.runs.scene import Scene
 
@@ -36,7 +37,7 @@ PICTURES = ("frequency", "profile", "spectrum", "bands", "plane_j*", "multiplier
             "orbit", "curves", "portrait", "map_*", "skin", "spreading")  # fmt: skip
 
 
-class DirectoryError(ValueError):
+class DirectoryError(InputError):
     """A directory that a run cannot use, in one line."""
 
 

@@ -7,12 +7,13 @@ from typing import NamedTuple, get_type_hints
 from msgspec import Meta
 
 from casadi_skin.model.arguments import LONGEST, cut, nearest
+from casadi_skin.runs.output import InputError
 from casadi_skin.runs.scene_tables import Table
 
 LONGEST_LIST = 400  # characters of a message on several names
 
 
-class SceneError(ValueError):
+class SceneError(InputError):
     """A scene that cannot be used: one line with file, table and key, the given and the accepted values."""
 
     def __init__(self, message: str) -> None:
