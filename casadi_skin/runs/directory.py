@@ -77,7 +77,7 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
 
 def _check_complete(directory: Path) -> None:
     """Raises DirectoryError where a file of numbers of a complete run is damaged: its journal is gone."""
-    from casadi_skin.results.store import check_whole
+    from casadi_skin.results.dataset import check_whole
 
     for path in sorted(p for name in WRITTEN if name.endswith((".nc", ".csv")) for p in directory.glob(name)):
         try:
