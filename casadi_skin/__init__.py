@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from casadi_skin.model.saved import read_model, save_model
     from casadi_skin.optimise.kick import smallest_kick
     from casadi_skin.optimise.search_orbit import search_orbit
-    from casadi_skin.results.store import read_result, save_result
-    from casadi_skin.runs.map_writing import read_map
-    from casadi_skin.runs.run_map import run_map
+    from casadi_skin.results.saving import read_result, save_result
+    from casadi_skin.runs.map import run_map
+    from casadi_skin.runs.map_result import read_map
     from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
 
 __all__ = [
@@ -66,7 +66,7 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
         "__str__": "results.words:lines",
         "_repr_html_": "results.figures.drawing:html_table",
         "plot": "results.figures.drawing:plot",
-        "save": "results.store:save_result",
+        "save": "results.saving:save_result",
         "to_dataframe": "results.frames:result_to_dataframe",
         "to_xarray": "results.frames:result_to_xarray",
     },
@@ -95,9 +95,9 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
     },
     "LongLattice": {"family_coordinates": "lattice.cell_core:long_lattice_coordinates"},
     "Map": {
-        "_repr_html_": "runs.map_pictures:html",
-        "figure": "runs.map_pictures:picture",
-        "plot": "runs.map_pictures:plot",
+        "_repr_html_": "runs.map_result:html",
+        "figure": "runs.map_result:picture",
+        "plot": "runs.map_result:plot",
     },
 }
 Result.bind(VERBS)
@@ -124,12 +124,12 @@ def __getattr__(name: str) -> Any:
         "find_orbit": "follow.find",
         "follow_family": "follow.follow",
         "import_fmu": "fmu.model",
-        "read_map": "runs.map_writing",
+        "read_map": "runs.map_result",
         "read_model": "model.saved",
-        "run_map": "runs.run_map",
-        "read_result": "results.store",
+        "run_map": "runs.map",
+        "read_result": "results.saving",
         "save_model": "model.saved",
-        "save_result": "results.store",
+        "save_result": "results.saving",
         "simulate": "dynamics.evolve",
         "search_orbit": "optimise.search_orbit",
         "smallest_kick": "optimise.kick",

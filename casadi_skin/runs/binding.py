@@ -13,19 +13,18 @@ from casadi_skin.model.conserved import pinned_components, symmetry_class
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.loading import ModelFileError, call, named, read_source, run_file
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.runs.faults import SceneError, check_known, refusal, toml_repr
-from casadi_skin.runs.model_tables import (
+from casadi_skin.runs.request import Numbers, Request, chain_of, check_state, lattice_of, state_of, values_of
+from casadi_skin.runs.rules import SceneError, check_known, refusal, toml_repr
+from casadi_skin.runs.scene import (
     CONSERVED,
     SELECTED,
     ContinuationTable,
     EquilibriumTable,
+    LatticeTable,
     ModelTable,
     OrbitTable,
+    Scene,
 )
-from casadi_skin.runs.request import Request, chain_of, lattice_of
-from casadi_skin.runs.scene import Scene
-from casadi_skin.runs.scene_tables import LatticeTable
-from casadi_skin.runs.states import Numbers, check_state, state_of, values_of
 from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
 from casadi_skin.zero.guesses import Guess
 from casadi_skin.zero.orbit import UNFOLDING

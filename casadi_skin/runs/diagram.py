@@ -22,9 +22,9 @@ from casadi_skin.results.dataset import Cell, unique_names, write_csv, write_net
 from casadi_skin.results.figures.profiles import chosen_solutions
 from casadi_skin.results.quantities import dataset_of
 from casadi_skin.results.tables import UNRESOLVED
-from casadi_skin.runs.model_tables import ContinuationTable
-from casadi_skin.runs.pictures import picture
+from casadi_skin.runs.parts import picture
 from casadi_skin.runs.request import Request
+from casadi_skin.runs.scene import ContinuationTable
 from casadi_skin.zero.settings import End
 from casadi_skin.zero.stated_problem import PERIOD
 

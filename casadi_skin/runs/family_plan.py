@@ -8,8 +8,7 @@ from typing import NamedTuple
 from casadi_skin.lattice.stiffness import stiffness
 from casadi_skin.model import methods
 from casadi_skin.runs.output import Lines
-from casadi_skin.runs.scene import Scene
-from casadi_skin.runs.scene_tables import ChainTable, FamilyTable, MethodTable
+from casadi_skin.runs.scene import ChainTable, FamilyTable, MethodTable, Scene
 
 KNOWN = ("chain", "family", "spectrum", "stability")  # tables whose plan is known from the scene
 SMALLEST, LARGEST = 1e-100, 1e100  # sizes of g S that are checked no further

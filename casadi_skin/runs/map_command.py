@@ -55,8 +55,8 @@ def run(arguments: argparse.Namespace) -> int:
     name_program(scene, arguments.scene, arguments.quiet, apart=arguments.json)
 
     from casadi_skin.model.interrupts import TimeLimit, time_limited
+    from casadi_skin.runs.map import Mapped, Ways, check_ways, compute_map
     from casadi_skin.runs.progress import Progress
-    from casadi_skin.runs.run_map import Mapped, Ways, check_ways, compute_map
 
     existing = Existing.RESUME if arguments.resume else Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
     ways = Ways(

@@ -19,13 +19,12 @@ import numpy as np
 from casadi_skin.follow.special_points import EDGE, FOLD, HOPF, SpecialPoint
 from casadi_skin.results.dataset import write_csv
 from casadi_skin.runs.binding import Files, bind
-from casadi_skin.runs.faults import SceneError
 from casadi_skin.runs.first_solution import first_solution
 from casadi_skin.runs.map_cell import followed
-from casadi_skin.runs.map_grid import Axis, Grid, Tables, scene_at
-from casadi_skin.runs.map_planes import Plane, Points, planes
+from casadi_skin.runs.map_grid import Axis, Grid, Plane, Points, Tables, planes, scene_at
 from casadi_skin.runs.map_store import DONE, UNKNOWN, Columns
 from casadi_skin.runs.request import Request
+from casadi_skin.runs.rules import SceneError
 from casadi_skin.runs.scene import Scene
 
 BEYOND = 1e-3  # of S: how far beyond an edge the family is followed that it is found on

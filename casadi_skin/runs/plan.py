@@ -13,10 +13,9 @@ from casadi_skin.model import methods
 from casadi_skin.model.conserved import SymmetryClass, symmetry_class
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.runs.family_plan import SPECTRUM, FamilyPlan, chain_line, family_lines
-from casadi_skin.runs.model_tables import LEAVING, ContinuationTable, EquilibriumTable
 from casadi_skin.runs.output import Lines, listed, named
-from casadi_skin.runs.request import Request
-from casadi_skin.runs.states import state_of
+from casadi_skin.runs.request import Request, state_of
+from casadi_skin.runs.scene import LEAVING, ContinuationTable, EquilibriumTable
 from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.problem import Problem
 from casadi_skin.zero.request import FamilyRequest

@@ -11,10 +11,12 @@ from typing import Any
 import msgspec
 
 from casadi_skin.model.arguments import LONGEST, cut, nearest
-from casadi_skin.runs.faults import (
+from casadi_skin.runs.axes import check_map, with_axes
+from casadi_skin.runs.rules import (
     SceneError,
     Unknown,
     accepted_words,
+    check_scene,
     check_unknown,
     did_you_mean,
     inline,
@@ -23,10 +25,7 @@ from casadi_skin.runs.faults import (
     toml_repr,
     with_kind,
 )
-from casadi_skin.runs.scene import TABLES, Scene
-from casadi_skin.runs.scene_checks import check_scene
-from casadi_skin.runs.scene_tables import BondTable, ChainTable, SiteTable, Table
-from casadi_skin.runs.task_checks import check_map, with_axes
+from casadi_skin.runs.scene import TABLES, BondTable, ChainTable, Scene, SiteTable, Table
 
 MODELS = ("chain", "lattice", "model")  # tables of which a scene has one
 LATTICE_PARTS: Mapping[str, type[Table]] = {"site": SiteTable, "bond": BondTable}

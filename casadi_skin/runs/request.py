@@ -2,26 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.runs.model_tables import CONSERVED, OrbitTable
-from casadi_skin.runs.scene import Scene
-from casadi_skin.runs.scene_tables import LatticeTable, UniformTable
+from casadi_skin.runs.rules import SceneError, check_known, refusal
+from casadi_skin.runs.scene import CONSERVED, LatticeTable, OrbitTable, Scene, UniformTable
 from casadi_skin.zero.family import Method, Targets
+from casadi_skin.zero.problem import Array
 from casadi_skin.zero.request import FamilyRequest
 
-if TYPE_CHECKING:  # a scene of a chain needs none of it
+if TYPE_CHECKING:
     from casadi_skin.lattice.lattice import Lattice
     from casadi_skin.lattice.long_lattice import LongLattice
     from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
     from casadi_skin.zero.guesses import Guess
+
+
+# Values and states as a scene gives them, by name or in order ---------------------------------------------------------
+
+Numbers = Sequence[float] | Mapping[str, float]
+
+
+def values_of(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
+    """Values of all parameters of a model by name; raises SceneError."""
+    for name in given:
+        check_known("[model] parameters", name, model.parameter_names)
+    if model.order == 2 and model.normalisation is not None:  # the amplitude's parameter needs no value
+        return dict(given)
+    from casadi_skin.zero.statement import named_values
+
+    try:
+        return named_values(model, given)
+    except ValueError as error:
+        raise SceneError(f"[model] {error}") from None
+
+
+def state_of(given: Numbers, names: Sequence[str]) -> Array:
+    """A state from a list, or from a table by the names of states; those left out are 0."""
+    return np.array([given.get(name, 0.0) for name in names] if isinstance(given, Mapping) else given, dtype=float)
+
+
+def check_state(place: str, given: Numbers, names: Sequence[str]) -> None:
+    """Raises SceneError where a state does not fit these names."""
+    if isinstance(given, Mapping):
+        for name in given:
+            check_known(place, name, names)
+    elif len(given) != len(names):
+        raise refusal(place, f"a list of {len(given)}", f"{len(names)} numbers: {', '.join(names)}")
 
 
 @dataclass(frozen=True, eq=False)

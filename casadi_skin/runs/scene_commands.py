@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 from casadi_skin.lattice.stiffness import stiffness
 from casadi_skin.runs.family_plan import chain_lines
-from casadi_skin.runs.faults import SceneError
 from casadi_skin.runs.output import DONE, FAILED, INTERRUPTED, InputError, Lines, print_json, print_results
 from casadi_skin.runs.reading import parse_scene, read_text
+from casadi_skin.runs.rules import SceneError
 from casadi_skin.runs.scene import Scene
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def _plan_with_numerics(scene: Scene, arguments: argparse.Namespace) -> Lines:
     try:
         lines = plan_lines(request, arguments.measure)
         if scene.map is not None:
-            from casadi_skin.runs.map_plan import map_lines
+            from casadi_skin.runs.map import map_lines
 
             lines += map_lines(scene, request, arguments.scene)
     except SceneError as error:
@@ -134,7 +134,7 @@ def spectrum(arguments: argparse.Namespace) -> int:
         prepare(arguments.out, scene, text, Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE)
     _print_frequencies([float(omega) for omega in linear_frequencies(request.model, request.parameters)], arguments)
     if arguments.out is not None:
-        from casadi_skin.runs.writing import write_spectrum
+        from casadi_skin.runs.run import write_spectrum
 
         write_spectrum(request, arguments.out)
     return DONE

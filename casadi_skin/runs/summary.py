@@ -15,8 +15,8 @@ from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.results.branch_quantities import certified
 from casadi_skin.results.quantities import places_of
 from casadi_skin.results.tables import UNRESOLVED
-from casadi_skin.runs.origins import mode_of
 from casadi_skin.runs.output import TextTable
+from casadi_skin.runs.parts import mode_of
 from casadi_skin.zero.unresolved import count_in_words
 
 if TYPE_CHECKING:

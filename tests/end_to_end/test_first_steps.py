@@ -12,9 +12,9 @@ import pytest
 from drawing import blank_pictures
 from outputs import EXAMPLES, read_rows
 
-from casadi_skin.runs.faults import SceneError
 from casadi_skin.runs.program import _parser, main
 from casadi_skin.runs.reading import parse_scene, scene_schema
+from casadi_skin.runs.rules import SceneError
 
 CHAIN = "[chain]\nsites = 3\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
 FAMILY = "[family]\nmode = 1\namplitude_max = 0.1\n"
@@ -103,7 +103,7 @@ def test_a_run_as_json_has_the_numbers_of_its_tables(here: Path, capsys: pytest.
 
 @pytest.mark.slow
 def test_a_study_is_quiet_or_prints_json(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["tradeoff", "a.toml", "--quick", "--out", "out"]
+    arguments = ["honesty", "--cases", "1", "--out", "out"]
     status = main([*arguments, "--quiet"])
     told = capsys.readouterr()
     assert told.out == ""

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from apart import modules_of_a_run, undrawn
 
-from casadi_skin.runs.model_tables import DynamicsTable
 from casadi_skin.runs.program import main
+from casadi_skin.runs.scene import DynamicsTable
 from casadi_skin.runs.tasks import sample_times
 
 pytestmark = pytest.mark.usefixtures("blank")

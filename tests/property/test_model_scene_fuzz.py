@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from test_scene_fuzz import QUICK, names, text_of, values
 
 from casadi_skin.runs.binding import bind
-from casadi_skin.runs.faults import SceneError
 from casadi_skin.runs.reading import parse_scene
 from casadi_skin.runs.request import Request
+from casadi_skin.runs.rules import SceneError
 
 MODEL = """
 import casadi as ca

@@ -11,9 +11,9 @@ from effort import examples, texts
 from hypothesis import HealthCheck, example, given
 from hypothesis import strategies as st
 
-from casadi_skin.runs.faults import SceneError
 from casadi_skin.runs.program import main
 from casadi_skin.runs.reading import parse_scene, read_scene
+from casadi_skin.runs.rules import SceneError
 from casadi_skin.runs.scene import Scene
 
 QUICK = examples(200, database=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])

@@ -15,7 +15,7 @@ from casadi_skin.lattice.closed_forms import duffing_displacement
 from casadi_skin.lattice.motion import LONGEST_ENVELOPE
 from casadi_skin.lattice.uniform_chain import Array
 from casadi_skin.model.methods import INTEGRATORS
-from casadi_skin.runs import task_checks
+from casadi_skin.runs import rules as task_checks
 
 KICK = 0.005  # the paper's delta
 METHODS = tuple(INTEGRATORS)

@@ -20,7 +20,7 @@ from casadi_skin import Chain, OdeModel, Orbit, export_c, find_orbit, follow_fam
 from casadi_skin.export.codegen import CodegenError, c_name, c_source
 from casadi_skin.export.compiler import CompilerError, build_c
 from casadi_skin.export.exported_model import PARTS
-from casadi_skin.runs.model_tables import C_PARTS
+from casadi_skin.runs.scene import C_PARTS
 from casadi_skin.stability.splitting import srkn_coefficients
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not there (CI has it)")

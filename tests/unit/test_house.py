@@ -20,11 +20,12 @@ FLOORS = (  # from the ground up; rooms of one floor may import from each other
     {"export", "fmu"},
     {"results"},
     {"runs"},
+    {"studies"},
     {"__main__"},
 )
 STILL_UP = {  # imports that run up: each of them is to go
     ("follow", "dynamics"), ("follow", "points"), ("lattice", "stability"), ("zero", "follow"),
-    ("zero", "lattice"), ("zero", "stability"),
+    ("runs", "studies"), ("zero", "lattice"), ("zero", "stability"),
 }  # fmt: skip
 
 

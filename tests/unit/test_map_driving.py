@@ -15,15 +15,14 @@ import pytest
 from maps import TINY, of_models
 
 from casadi_skin.runs import map_drive as driving
+from casadi_skin.runs.map import Drive, Engine, Mapped
 from casadi_skin.runs.map_cell import Job
-from casadi_skin.runs.map_drive import Drive, Engine
 from casadi_skin.runs.map_grid import FAILED, LATE, Grid, Result, Row, Task, plain
 from casadi_skin.runs.map_store import Store
 from casadi_skin.runs.pool import Worker
 from casadi_skin.runs.program import main
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.reading import parse_scene
-from casadi_skin.runs.run_map import Mapped
 from casadi_skin.runs.scene import Scene
 
 EQUILIBRIUM = """[model]

@@ -20,10 +20,10 @@ from scipy.io import netcdf_file
 
 from casadi_skin import Chain, follow_family, read_map, run_map
 from casadi_skin.results.figures.map import COLOURS, MapAxis, Panel, map_figure
+from casadi_skin.runs.axes import values_of
 from casadi_skin.runs.binding import bind
-from casadi_skin.runs.faults import SceneError
 from casadi_skin.runs.map_cell import Computer, Job
-from casadi_skin.runs.map_grid import Axis, Grid, Result, Row, plain, scene_at
+from casadi_skin.runs.map_grid import UNKNOWN, Axis, Grid, Result, Row, needed, plain, scene_at
 from casadi_skin.runs.map_lines import (
     OF_BOUNDARY,
     Entry,
@@ -37,10 +37,9 @@ from casadi_skin.runs.map_lines import (
 from casadi_skin.runs.map_result import Map
 from casadi_skin.runs.map_store import SUFFIX, Columns, Store, known_names
 from casadi_skin.runs.map_store import UNKNOWN as NOT_COMPUTED
-from casadi_skin.runs.map_watch import UNKNOWN, needed
 from casadi_skin.runs.program import main
 from casadi_skin.runs.reading import parse_scene
-from casadi_skin.runs.task_checks import values_of
+from casadi_skin.runs.rules import SceneError
 
 BASE, _, AXES = TINY.partition("[map]\n")
 REFUSED = {
@@ -336,8 +335,8 @@ from pathlib import Path
 import msgspec
 from casadi_skin.runs.map_grid import Task
 from casadi_skin.runs.map_grid import Result, Row
-from casadi_skin.runs.run_map import run_map
-from casadi_skin.results.journal import os
+from casadi_skin.runs.map import run_map
+from casadi_skin.results.store import os
 
 words = {f"quantity_{k}": float(k) for k in range(30)}
 meanings, peak = dict.fromkeys(words, "a number"), 0

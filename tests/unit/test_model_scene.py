@@ -16,9 +16,9 @@ from casadi_skin.model.saved import save_model
 from casadi_skin.results.extremes import extremes
 from casadi_skin.results.quantity import Place
 from casadi_skin.runs.binding import bind
-from casadi_skin.runs.faults import SceneError
 from casadi_skin.runs.first_solution import cycle, first_solution
 from casadi_skin.runs.reading import parse_scene, scene_schema
+from casadi_skin.runs.rules import SceneError
 from casadi_skin.runs.scene import Scene
 
 MODEL = '[model]\nfile = "models.py"\nname = "{name}"\n'

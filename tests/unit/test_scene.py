@@ -9,14 +9,14 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from casadi_skin.runs.faults import SceneError
-from casadi_skin.runs.model_tables import DynamicsTable
 from casadi_skin.runs.reading import parse_scene, read_scene, scene_schema
-from casadi_skin.runs.scene_tables import (
+from casadi_skin.runs.rules import SceneError
+from casadi_skin.runs.scene import (
     PRESET_TOLERANCES,
     PRESETS,
     AccuracyTable,
     ChainTable,
+    DynamicsTable,
     FamilyTable,
     MethodTable,
     SpectrumTable,

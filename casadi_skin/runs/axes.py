@@ -1,0 +1,242 @@
+"""The axes of a map: keys of [map] that are no options, checked one by one, and where their values go in a scene."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import msgspec
+
+from casadi_skin.model.arguments import cut, nearest
+from casadi_skin.runs.rules import SceneError, accepted_words, did_you_mean, refusal, toml_repr, with_kind
+from casadi_skin.runs.scene import OPTIONS, AxisTable, ChainTable, MapTable, RangeTable, Scene
+
+ACCEPTED = "a table { from, to, points }, or a list of values"
+AMPLITUDE = ("family", "S")  # the orbit at an amplitude: cells that differ by it alone are orbits of one family
+MAPPED = ("family", "equilibrium", "orbit", "solution", "search")  # the tasks of cells
+TOGETHER = ","  # between the names of parameters that one axis moves
+MOST_CELLS = 10_000_000  # of a map at its finest: an index of them is kept in memory
+Path = tuple[str, ...]
+
+
+def with_axes(raw: dict[str, Any]) -> dict[str, Any]:
+    """The tables of a scene with what [map] has beside its options under `axes`; raises SceneError for a bad axis."""
+    table = raw.get("map")
+    if not isinstance(table, dict):
+        return raw
+    given = table.get("axes", {})
+    if not isinstance(given, dict):
+        raise refusal("[map] axes", with_kind(given), accepted_words(MapTable, "axes"))
+    named = {name: value for name, value in table.items() if name not in OPTIONS}
+    twice = next((name for name in named if name in given), None)
+    if twice is not None:
+        raise refusal(f"[map] {cut(twice)}", "again in its axes", "each parameter once")
+    axes = {**given, **named}
+    for name, value in axes.items():
+        _check_axis(name, value)
+    options = {name: value for name, value in table.items() if name in OPTIONS}
+    return {**raw, "map": {**options, "axes": axes}}
+
+
+def _check_axis(name: str, value: object) -> None:
+    """Raises SceneError where a key of [map] is neither an option nor an axis."""
+    place = f"[map] {cut(name)}"
+    try:
+        if not any(
+            isinstance(v, int) and abs(v) > sys.float_info.max for v in _leaves(value)
+        ):  # msgspec raises on them
+            msgspec.convert(value, AxisTable)
+            return
+    except msgspec.ValidationError:
+        pass
+    if isinstance(value, dict):
+        known = RangeTable.__struct_encode_fields__
+        for key, item in value.items():
+            if key not in known:
+                near = nearest(key, known)
+                raise SceneError(f"{place}, {cut(key)}: unknown key{did_you_mean(near, ', '.join(known))}")
+            try:
+                msgspec.convert({"from": 0.0, "to": 1.0, "points": 2, key: item}, RangeTable)
+            except msgspec.ValidationError:
+                raise refusal(f"{place}, {key}", with_kind(item), accepted_words(RangeTable, key)) from None
+        missing = next(key for key in ("from", "to", "points") if key not in value)
+        raise SceneError(f"{place}, {missing}: missing; accepted: {accepted_words(RangeTable, missing)}")
+    if isinstance(value, list):
+        raise refusal(place, toml_repr(value), "a list of one or more finite numbers or names")
+    near = nearest(name, OPTIONS)
+    raise SceneError(f"{place}: given {with_kind(value)}{did_you_mean(near, ACCEPTED)}")
+
+
+def _leaves(value: object) -> Iterable[object]:
+    items = value.values() if isinstance(value, dict) else value if isinstance(value, list) else (value,)
+    return (leaf for item in items for leaf in (item if isinstance(item, list) else (item,)))
+
+
+def check_map(scene: Scene) -> None:
+    """Raises SceneError for axes that cannot be meant."""
+    table = scene.map
+    if table is None:
+        return
+    if all(getattr(scene, name) is None for name in MAPPED):
+        accepted = "beside [family], [equilibrium], [orbit], [solution] or [search]"
+        raise refusal("[map]", "with a scene that asks for no solution", accepted)
+    if not table.axes:
+        raise SceneError(f"[map]: no axis; accepted: a parameter of the scene with {ACCEPTED}")
+    if sum(isinstance(axis, RangeTable) for axis in table.axes.values()) > 2:
+        ranges = [name for name, axis in table.axes.items() if isinstance(axis, RangeTable)]
+        raise refusal(f"[map] {ranges[2]}", "a third range", "one or two ranges, and lists beside them")
+    for name, axis in table.axes.items():
+        _check_range(name, axis) if isinstance(axis, RangeTable) else _check_list(name, axis)
+    seen: dict[Path, str] = {}
+    for name in table.axes:
+        for path in paths_of(scene, name):
+            if path in seen:
+                raise refusal(f"[map] {cut(name)}", f"the same parameter as {cut(seen[path])}", "each parameter once")
+            seen[path] = name
+    cells = math.prod(
+        (axis.points - 1) * _stride(axis) + 1 if isinstance(axis, RangeTable) else len(axis)
+        for axis in table.axes.values()
+    )
+    if cells > MOST_CELLS:
+        finest = " at its finest" if any(getattr(axis, "resolution", None) for axis in table.axes.values()) else ""
+        raise refusal("[map]", f"more than {MOST_CELLS} cells{finest}", f"at most {MOST_CELLS}")
+    if table.growth and scene.stability is None:
+        raise refusal("[map] growth", f"{table.growth!r} without [stability]", "beside [stability]")
+    if scene.sites == math.inf and (table.growth or table.boundary):
+        name = "growth" if table.growth else "boundary"
+        accepted = "with a whole number of sites: an infinite chain has no tongues to be followed"
+        raise refusal(f"[map] {name}", "with sites = inf", accepted)
+
+
+def _check_range(name: str, axis: RangeTable) -> None:
+    place = f"[map] {cut(name)}"
+    if TOGETHER in name:
+        raise refusal(place, "a range for several parameters", "a list of lists")
+    if axis.start == axis.to:
+        raise refusal(f"{place}, to", f"{axis.to!r}, where it starts", "another number")
+    if not math.isfinite(axis.to - axis.start):
+        raise refusal(f"{place}, to", f"{axis.to!r}, farther from {axis.start!r} than numbers reach", "a nearer one")
+    if axis.log and not (axis.start > 0 and axis.to > 0):
+        raise refusal(f"{place}, log", f"true from {axis.start!r} to {axis.to!r}", "with numbers > 0")
+    if axis.resolution is not None and axis.log and axis.resolution <= 1:
+        raise refusal(f"{place}, resolution", repr(axis.resolution), "with log = true a ratio > 1")
+
+
+def _check_list(name: str, axis: tuple[object, ...]) -> None:
+    count = len(name.split(TOGETHER))
+    for i, value in enumerate(axis):
+        if (len(value) if isinstance(value, tuple) else 1) != count:
+            accepted = f"a list of {count} values in each" if count > 1 else "numbers or names"
+            raise refusal(f"[map] {cut(name)}", f"{toml_repr(_plain(value))} as item {i + 1}", accepted)
+        if value in axis[:i]:
+            raise refusal(f"[map] {cut(name)}", f"{toml_repr(value)} as item {i + 1} again", "each value once")
+
+
+def _plain(value: object) -> object:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def paths_of(scene: Scene, name: str) -> tuple[Path, ...]:
+    """Targets of the values of an axis: one place, or one for each of the parameters that a name holds."""
+    found = tuple(path_of(scene, part.strip()) for part in name.split(TOGETHER))
+    if len(found) > 1 and AMPLITUDE in found:
+        raise refusal(f"[map] {cut(name)}", "S among several", "S alone, or amplitude_max")
+    return found
+
+
+def path_of(scene: Scene, name: str) -> Path:
+    """Keys, from the table on, of the parameter of a scene that an axis names; raises SceneError for an unknown one.
+
+    A name is that of a parameter of the model, of `mode`, `S` or `seed`, or TABLE.KEY, such as "continuation.to".
+    """
+    parts = tuple(name.split("."))
+    if len(parts) > 1:
+        if not all(parts) or parts[0] == "map" or parts[0] not in Scene.__struct_encode_fields__:
+            raise refusal(f"[map] {cut(name)}", "no key of the scene", "TABLE.KEY")
+        return parts
+    known = _named_paths(scene)
+    if name in known:
+        return known[name]
+    if scene.model is not None:  # which names it has shows with the model alone
+        return "model", "parameters", name
+    near = nearest(name, (*known, *OPTIONS))
+    words = f"{', '.join(known)}, or TABLE.KEY; options: {', '.join(OPTIONS)}"
+    raise SceneError(f"[map] {cut(name)}: neither a parameter of the scene nor an option{did_you_mean(near, words)}")
+
+
+def _named_paths(scene: Scene) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    if scene.chain is not None:
+        found = {key: ("chain", key) for key in ChainTable.__struct_encode_fields__}
+        found["N"] = ("chain", "sites")
+    if scene.lattice is not None:
+        found |= {key: ("lattice", "parameters", key) for key in scene.lattice.parameters}
+        found.setdefault("cells", ("lattice", "cells"))
+    if scene.family is not None:
+        found |= {"mode": ("family", "mode"), "S": AMPLITUDE, "amplitude_max": ("family", "amplitude_max")}
+    if scene.search is not None:
+        found |= {"mode": ("search", "mode"), "S": ("search", "S")}
+    seeds = _seeds(scene)
+    if len(seeds) == 1:
+        found.setdefault("seed", seeds[0])
+    return found
+
+
+def _seeds(scene: Scene) -> list[Path]:
+    """Keys of the scene that hold a seed."""
+    drawn = {} if scene.lattice is None else scene.lattice.parameters
+    found: list[Path] = [
+        ("lattice", "parameters", name, "seed") for name, value in drawn.items() if hasattr(value, "seed")
+    ]
+    if scene.search is not None:
+        found.append(("search", "seed"))
+    if scene.dynamics is not None and scene.dynamics.seed is not None:
+        found.append(("dynamics", "seed"))
+    return found
+
+
+def values_of(axis: AxisTable) -> tuple[tuple[Any, ...], int]:
+    """All values of an axis at its finest, and how many of them lie between two neighbours of the coarsest."""
+    if not isinstance(axis, RangeTable):
+        return axis, 1
+    stride = _stride(axis)
+    count = (axis.points - 1) * stride
+    if (
+        isinstance(axis.start, int)
+        and isinstance(axis.to, int)
+        and not axis.log
+        and (axis.to - axis.start) % count == 0
+    ):
+        return (*range(axis.start, axis.to, (axis.to - axis.start) // count), axis.to), stride
+    return tuple(_between(axis, k, count) for k in range(count + 1)), stride
+
+
+def _stride(axis: RangeTable) -> int:
+    """Values of a range at its finest from one of its coarsest to the next; no more than those of too many cells."""
+    stride = 1
+    if axis.resolution is not None:
+        length = abs(math.log(axis.to / axis.start)) if axis.log else abs(axis.to - axis.start)
+        finest = math.log(axis.resolution) if axis.log else axis.resolution
+        while length / ((axis.points - 1) * stride) > finest * (1 + 1e-12) and stride <= MOST_CELLS:
+            stride *= 2
+    return stride
+
+
+def _between(axis: RangeTable, k: int, count: int) -> float:
+    if k in (0, count):
+        return float(axis.to if k else axis.start)
+    if axis.log:
+        return float(axis.start * (axis.to / axis.start) ** (k / count))
+    return float(axis.start + (axis.to - axis.start) * (k / count))
+
+
+def set_value(raw: dict[str, Any], path: Path, value: object) -> None:
+    """Put a value into the tables of a scene, which are changed; tables on the way are made."""
+    *tables, key = path
+    for name in tables:
+        inner = raw.get(name)
+        raw[name] = dict(inner) if isinstance(inner, Mapping) else {}
+        raw = raw[name]
+    raw[key] = value

@@ -1,0 +1,1 @@
+"""Studies: collections of scenes and their joint results."""

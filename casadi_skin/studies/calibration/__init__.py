@@ -1,0 +1,1 @@
+"""Estimated errors compared with true ones."""

@@ -1,0 +1,1 @@
+"""Hard cases: where results hold, and where they are refused."""

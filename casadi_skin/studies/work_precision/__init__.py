@@ -1,0 +1,1 @@
+"""The cost of accuracy, method by method."""

@@ -1,1 +1,0 @@
-"""Studies of the whole program: whether its error estimates are honest, and where it holds at the extremes."""
