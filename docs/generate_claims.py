@@ -10,9 +10,11 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from casadi_skin.studies.paper.claim import COLUMNS, Claim, Verdict
-from casadi_skin.studies.paper.paper_data import PaperData
-from casadi_skin.studies.paper.reproduce import all_claims
+sys.path.insert(0, str(Path(__file__).parents[1] / "examples" / "paper"))
+
+from claim import COLUMNS, Claim, Verdict
+from paper_data import PaperData
+from reproduce import all_claims
 
 PAGE = Path(__file__).with_name("paper_claims.md")
 HEADINGS = {"number": "", "ours": "computed"}

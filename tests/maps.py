@@ -11,7 +11,7 @@ from pathlib import Path
 
 import msgspec
 
-from casadi_skin.results.store import read_records
+from casadi_skin.results.journal import read_records
 from casadi_skin.runs.map_grid import MapRecord, TaskRecord
 
 TINY = """[chain]

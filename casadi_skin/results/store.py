@@ -1,190 +1,278 @@
-"""Results as data: numbers, names, arrays and the fields of known classes; nothing in them is run when they are read.
+"""Results as data in a file with a checksum, read back bit for bit, to be continued; nothing in it is run when read.
 
 A value is written as a type of MessagePack, or as a list that begins with a word: ["array", type, shape, bytes],
 ["complex", real, imaginary], ["tuple", ...], ["map", {...}], ["enum", class, member], ["object", class, fields],
 ["point", resolution, constants, fields], and ["shared", number] for what stands in the list of models and spaces, each
-of which is written once.
+of which is written once. Journals of runs keep their points, multipliers and outcomes in the same way.
 """
 
 from __future__ import annotations
 
-import csv
-import mmap
-import os
-import struct
-import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
 from enum import Enum
+from functools import singledispatch
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Generic, Self, TypeVar
+from typing import Any
 
+import casadi as ca
 import msgspec
 import numpy as np
 
-from casadi_skin.model.arguments import short_repr
+from casadi_skin._version import __version__
+from casadi_skin.fmu.model import FmuModel, OtherModelError, at_symbols, checked, identity, noises
+from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.rest_space import EquilibriumSpace
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.lattice.long_lattice import LongLattice
+from casadi_skin.lattice.motion import EquationsOfMotion, equations_of_motion
+from casadi_skin.model.arguments import cut, file_path, short_repr
+from casadi_skin.model.files import replacing
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.operations import from_operations, to_operations
+from casadi_skin.model.pickled import programs_in
+from casadi_skin.model.saved import dumps, loads
+from casadi_skin.results.journal import framed, read_records
+from casadi_skin.zero.orbit import Extended, extended
 from casadi_skin.zero.settings import Point, Refinement
+from casadi_skin.zero.statement import Statement
 
+FORMAT = "casadi_skin result 2"
+ACCEPTED = "accepted: a file that save_result wrote"
+DAMAGED = (ValueError, TypeError, KeyError, IndexError, AttributeError, ArithmeticError, AssertionError, RuntimeError,
+           RecursionError)  # fmt: skip
 KINDS = {"<f8", "<c16", "<i8", "|b1"}  # of arrays
-PLACES = {  # of every class that a file may name, with its own name where that is another one
-    "Bands": "lattice.linear",
-    "Bond": "lattice.declaration",
-    "BoundarySpace": "follow.boundary_space",
-    "Branch": "follow.branch",
-    "Certificate": "certify.certificate",
-    "Chain": "lattice.chain",
-    "ChainFamily": "optimise.families",
-    "Condition": "optimise.search_arguments",
-    "Constants": "certify.certificate",
-    "ContinuationSettings": "zero.settings",
-    "ContinuousSpectrum": "stability.result",
-    "CosineOrbit": "optimise.optimum",
-    "Course": "zero.rest_problem",
-    "Critical": "zero.augmented",
-    "CurveSpace": "follow.rest_curve",
-    "Cycle": "dynamics.evolution",
-    "Declaration": "lattice.declaration",
-    "Diagram": "points.diagram",
-    "EdgeCurve": "points.edge_curve",
-    "EdgePoint": "points.edge_curve",
-    "End": "zero.settings",
-    "Ending": "optimise.search_problem",
-    "Equilibrium": "follow.solution",
-    "EquilibriumSpace": "follow.rest_space",
-    "ErrorEstimate": "zero.settings",
-    "Evolution": "dynamics.evolution",
-    "FamilyRequest": "zero.request",
-    "FamilySearch": "optimise.family_search",
-    "FullPeriodFloquet": "stability.result",
-    "KickOptimum": "optimise.kick_nlp",
-    "Kkt": "optimise.nlp",
-    "LatticeModes": "lattice.linear",
-    "LocalisedChange": "stability.tongues.diagram",
-    "LocalisedDiagram": "stability.tongues.diagram",
-    "LocalisedFloquet": "stability.localised",
-    "LongLattice": "lattice.long_lattice",
-    "MatrixSeries": "stability.tongues.interpolation",
-    "Method": "zero.family",
-    "ModelFamily": "optimise.families",
-    "NlpSolution": "optimise.nlp:Solution",
-    "Optimality": "follow.solution",
-    "Optimum": "follow.solution",
-    "Orbit": "follow.orbit",
-    "OrbitCurveSpace": "points.curves",
-    "OrbitSearch": "optimise.orbit_search",
-    "Outcome": "optimise.search_problem",
-    "ParetoFront": "optimise.search_orbit",
-    "Passage": "stability.tongues.diagram",
-    "Periodic": "zero.orbit",
-    "Piece": "stability.tongues.interpolation",
-    "Place": "stability.tongues.diagram",
-    "PlainCheck": "optimise.optimum",
-    "ProvedStability": "certify.certificate",
-    "ProvedStretch": "certify.certificate",
-    "ReversibleFloquet": "stability.result",
-    "Scalar": "zero.problem",
-    "SearchOptimum": "optimise.optimum:Optimum",
-    "SearchResult": "optimise.search",
-    "SearchStatus": "optimise.search",
-    "Site": "lattice.declaration",
-    "Sizes": "zero.orbit",
-    "SmallestKick": "optimise.kick",
-    "Solution": "follow.solution",
-    "SpecialPoint": "follow.special_points",
-    "Spectrum": "zero.statics",
-    "Spreading": "dynamics.starts",
-    "StabilityChange": "follow.ledger",
-    "StabilityDiagram": "stability.tongues.diagram",
-    "StabilityEdge": "stability.tongues.diagram",
-    "StableWindow": "stability.tongues.diagram",
-    "Start": "optimise.search_problem",
-    "Statics": "zero.statics",
-    "SymmetryClass": "model.conserved",
-    "Target": "zero.settings",
-    "Targets": "zero.family",
-    "Tongue": "stability.tongues.diagram",
-    "TransientGrowth": "stability.growth",
-    "Uniform": "lattice.declaration",
-    "Unresolved": "zero.unresolved",
+CLASSES = {  # that a file may name, by module: "other=own" where the name in files is another one
+    "certify.certificate": "Certificate Constants ProvedStability ProvedStretch",
+    "dynamics.evolution": "Cycle Evolution",
+    "dynamics.starts": "Spreading",
+    "follow.boundary_space": "BoundarySpace",
+    "follow.branch": "Branch",
+    "follow.ledger": "StabilityChange",
+    "follow.orbit": "Orbit",
+    "follow.rest_curve": "CurveSpace",
+    "follow.rest_space": "EquilibriumSpace",
+    "follow.solution": "Equilibrium Optimality Optimum Solution",
+    "follow.special_points": "SpecialPoint",
+    "lattice.chain": "Chain",
+    "lattice.declaration": "Bond Declaration Site Uniform",
+    "lattice.linear": "Bands LatticeModes",
+    "lattice.long_lattice": "LongLattice",
+    "model.conserved": "SymmetryClass",
+    "optimise.families": "ChainFamily ModelFamily",
+    "optimise.family_search": "FamilySearch",
+    "optimise.kick": "SmallestKick",
+    "optimise.kick_nlp": "KickOptimum",
+    "optimise.nlp": "Kkt NlpSolution=Solution",
+    "optimise.optimum": "CosineOrbit PlainCheck SearchOptimum=Optimum",
+    "optimise.orbit_search": "OrbitSearch",
+    "optimise.search": "SearchResult SearchStatus",
+    "optimise.search_arguments": "Condition",
+    "optimise.search_orbit": "ParetoFront",
+    "optimise.search_problem": "Ending Outcome Start",
+    "points.curves": "OrbitCurveSpace",
+    "points.diagram": "Diagram",
+    "points.edge_curve": "EdgeCurve EdgePoint",
+    "stability.growth": "TransientGrowth",
+    "stability.localised": "LocalisedFloquet",
+    "stability.result": "ContinuousSpectrum FullPeriodFloquet ReversibleFloquet",
+    "stability.tongues.diagram": "LocalisedChange LocalisedDiagram Passage Place StabilityDiagram StabilityEdge "
+    "StableWindow Tongue",
+    "stability.tongues.interpolation": "MatrixSeries Piece",
+    "zero.augmented": "Critical",
+    "zero.family": "Method Targets",
+    "zero.orbit": "Periodic Sizes",
+    "zero.problem": "Scalar",
+    "zero.request": "FamilyRequest",
+    "zero.rest_problem": "Course",
+    "zero.settings": "ContinuationSettings End ErrorEstimate Target",
+    "zero.statics": "Spectrum Statics",
+    "zero.unresolved": "Unresolved",
 }
+NAMES = {  # in files, by module and own name
+    (f"casadi_skin.{module}", word.rpartition("=")[2]): word.partition("=")[0]
+    for module, words in CLASSES.items()
+    for word in words.split()
+}
+PLACES = {name: place for place, name in NAMES.items()}
 
 
-def class_named(name: object) -> Any:
-    """The class of a name in a file; raises ValueError for any other."""
-    if not isinstance(name, str) or name not in PLACES:
-        raise ValueError(f"a thing of kind {short_repr(name)}, which no result holds")
-    place, _, other = PLACES[name].partition(":")
-    return getattr(import_module(f"casadi_skin.{place}"), other or name)
+class SavedResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Contents of a file."""
+
+    format: str
+    version: str
+    shared: list[Any]
+    result: Any
 
 
-def name_of(kind: type) -> str:
-    """The name of a class in a file; empty for one that may not stand there."""
-    return next((name for name, place in PLACES.items() if _is_at(kind, name, place)), "")
+def save_result(result: Any, path: str | Path) -> Path:
+    """Write a result to a file, from which `read_result` makes it again.
+
+    Arguments:
+        result: an orbit, an equilibrium, a solution, a branch or a special point of one, multipliers, eigenvalues, a
+            certificate, a curve of edges, a time evolution, a search, or the smallest kick. A map is in its directory:
+            see `read_map`. Of the model of an FMU the token, a hash and the choices of its import are written.
+        path: the file; an existing one is replaced.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: the model of the result is a program but no FMU, or the result is of another kind; the path is a
+            directory, or its directory does not exist.
+        TypeError: the argument is not a path.
+        OSError: the file cannot be written.
+    """
+    target = file_path("path", path)
+    if target.is_dir():
+        raise ValueError(f"path: given {target}, which is a directory; accepted: the path of a file")
+    if not target.parent.is_dir():
+        raise ValueError(f"path: given {target}, in no directory; accepted: a file in a directory that is there")
+    payload = msgspec.msgpack.encode(saved(result))
+    with replacing(target) as temporary:
+        temporary.write_bytes(framed(payload))
+    return target
 
 
-def _is_at(kind: type, name: str, place: str) -> bool:
-    module, _, other = place.partition(":")
-    return (kind.__module__, kind.__name__) == (f"casadi_skin.{module}", other or name)
+def saved(result: Any) -> SavedResult:
+    """A result as data; raises ValueError as `save_result` does."""
+    writer = Writer()
+    try:
+        data = writer.value(result)
+    except RecursionError:
+        data = None
+    if not (isinstance(data, list) and data[0] == "object"):
+        raise ValueError(f"result: given {short_repr(result)}; accepted: a result of this package")
+    return SavedResult(FORMAT, __version__, writer.shared, data)
+
+
+def restored(data: SavedResult, model: Any = None) -> Any:
+    """The result of data, with the model of its FMU where it has one; raises one of `DAMAGED` where they are none."""
+    if data.format != FORMAT:
+        raise ValueError(f"format {short_repr(data.format)}")
+    if model is not None and not any(isinstance(held, list) and held[:1] == ["fmu"] for held in data.shared):
+        raise OtherModelError(f"model: given {short_repr(model)}; accepted: none, the model is in the file")
+    return Reader(data.shared, model).value(data.result)
+
+
+def read_result(path: str | Path, *, model: Any = None) -> Any:
+    """The result in a file of `save_result`; numbers computed from it equal those of the original, bit for bit.
+
+    Arguments:
+        path: the file.
+        model: of a result of an FMU, the model that `import_fmu` makes of the same file with the same choices: reading
+            runs no binary.
+
+    Returns:
+        An object of the class that was saved, whose branch can be continued.
+
+    Raises:
+        ValueError: the file cannot be read, holds no result, or is damaged; the model is another one, is missing, or
+            the file has its own; in one line.
+        TypeError: the argument is not a path.
+    """
+    source = file_path("path", path)
+    try:
+        if not source.is_file():
+            raise ValueError("no such file")
+        records, _, fault = read_records(source.read_bytes(), msgspec.msgpack.Decoder(SavedResult))
+        if fault or len(records) != 1:
+            raise ValueError(fault or f"{len(records)} records")
+        return restored(records[0], model)
+    except OtherModelError as error:
+        raise ValueError(f"{source}: {error}") from None
+    except OSError as error:
+        raise ValueError(f"{source}: cannot be read: {error.strerror}; {ACCEPTED}") from None
+    except DAMAGED as error:
+        reason = cut(" ".join(str(error).split()) or type(error).__name__, 200)
+        raise ValueError(f"{source}: not a result saved by casadi_skin: {reason}; {ACCEPTED}") from error
+
+
+# Values as data -------------------------------------------------------------------------------------------------------
 
 
 class Writer:
-    """Makes data of values; `shared` holds models and spaces, each of which `write_shared` makes data of once."""
+    """Makes data of values; `shared` holds those of models and spaces, each made once."""
 
-    def __init__(self, write_shared: Callable[[Writer, Any], Any | None]) -> None:
+    def __init__(self) -> None:
         self.shared: list[Any] = []
-        self._write_shared = write_shared
-        self._places: dict[int, int] = {}
-        self._kept: list[Any] = []  # so that no other object gets the id of one of these
+        self._kept: dict[int, tuple[int, Any]] = {}  # with the object, so that no other gets its id
 
     def value(self, value: Any) -> Any:
         """A value as data; raises ValueError for objects that a file cannot hold."""
-        if value is None or isinstance(value, bool | str):
-            return value
-        if isinstance(value, Enum):
-            if not name_of(type(value)):
-                raise _stranger(value)
-            return ["enum", name_of(type(value)), value.name]
-        if isinstance(value, np.generic):
-            return self.value(value.item())
-        if isinstance(value, int | float):
-            return value
-        if isinstance(value, complex):
-            return ["complex", value.real, value.imag]
-        if isinstance(value, np.ndarray):
-            array = np.ascontiguousarray(value)
-            if array.dtype.str not in KINDS:
-                raise _stranger(value)
-            return ["array", array.dtype.str, list(value.shape), array.tobytes()]
-        if isinstance(value, tuple | list):
-            return ["tuple" if isinstance(value, tuple) else "list", *(self.value(item) for item in value)]
-        if isinstance(value, Mapping):
-            return ["map", {str(name): self.value(item) for name, item in value.items()}]
-        return self._object(value)
+        if id(value) in self._kept:
+            return ["shared", self._kept[id(value)][0]]
+        data = written_once(value, self)
+        if data is None:
+            return written(value, self)
+        self.shared.append(data)
+        self._kept[id(value)] = len(self.shared) - 1, value
+        return ["shared", len(self.shared) - 1]
 
-    def _object(self, value: Any) -> Any:
-        if id(value) in self._places:
-            return ["shared", self._places[id(value)]]
-        data = self._write_shared(self, value)
-        if data is not None:
-            self.shared.append(data)
-            self._kept.append(value)
-            self._places[id(value)] = len(self.shared) - 1
-            return ["shared", len(self.shared) - 1]
-        if isinstance(value, Point):
-            constants = self.value(value.problem.constants)
-            return ["point", value.problem.resolution, constants, self.named_fields(value, ("problem",))]
-        if isinstance(value, Refinement):
-            return ["refinement", value.problem.resolution, self.value(value.problem.constants), self.value(value.z)]
-        if is_dataclass(value) and name_of(type(value)):
-            return ["object", name_of(type(value)), self.named_fields(value)]
-        raise _stranger(value)
-
-    def named_fields(self, value: Any, without: Sequence[str] = ()) -> dict[str, Any]:
+    def named_fields(self, value: Any, *without: str) -> dict[str, Any]:
         """Fields by name, those that every object of the class makes itself left out."""
         names = [field.name for field in fields(value) if field.init and field.name not in without]
-        return {name: self.value(known_now(value, name)) for name in names}
+        return {name: self.value(_known_now(value, name)) for name in names}
+
+
+def _known_now(value: Any, name: str) -> Any:
+    """A field; of an orbit the stability too that was computed since."""
+    found = getattr(value, name)
+    return vars(value).get("_floquet") if name == "known_floquet" and found is None else found
+
+
+@singledispatch
+def written(value: Any, writer: Writer) -> Any:
+    """The data of a value that is no model and no space; those of all dataclasses are alike."""
+    if not is_dataclass(value):
+        raise _stranger(value)
+    return ["object", _name_of(value), writer.named_fields(value)]
+
+
+@written.register(type(None))
+@written.register(str)
+@written.register(int)
+@written.register(float)
+def _plain(value: Any, _: Writer) -> Any:
+    return value
+
+
+@written.register
+def _(value: np.ndarray, _: Writer) -> Any:
+    array = np.ascontiguousarray(value)
+    if array.dtype.str not in KINDS:
+        raise _stranger(value)
+    return ["array", array.dtype.str, list(value.shape), array.tobytes()]
+
+
+@written.register
+def _(value: Point, writer: Writer) -> Any:
+    return ["point", *_problem_of(value, writer), writer.named_fields(value, "problem")]
+
+
+def _problem_of(value: Point | Refinement, writer: Writer) -> tuple[int, Any]:
+    return value.problem.resolution, writer.value(value.problem.constants)
+
+
+written.register(np.generic, lambda value, writer: writer.value(value.item()))
+written.register(complex, lambda value, _: ["complex", value.real, value.imag])
+written.register(Enum, lambda value, _: ["enum", _name_of(value), value.name])
+written.register(tuple, lambda value, writer: ["tuple", *map(writer.value, value)])
+written.register(list, lambda value, writer: ["list", *map(writer.value, value)])
+written.register(Mapping, lambda value, writer: ["map", {str(name): writer.value(v) for name, v in value.items()}])
+written.register(Refinement, lambda value, writer: ["refinement", *_problem_of(value, writer), writer.value(value.z)])
+
+
+def _name_of(value: object) -> str:
+    """The name of its class in a file; raises ValueError for a class that may not stand there."""
+    kind = type(value)
+    if (kind.__module__, kind.__name__) not in NAMES:
+        raise _stranger(value)
+    return NAMES[kind.__module__, kind.__name__]
 
 
 def _stranger(value: object) -> ValueError:
@@ -192,59 +280,31 @@ def _stranger(value: object) -> ValueError:
     return ValueError(f"result: given {what}; accepted: results of this package, of models in expressions")
 
 
-def known_now(value: Any, name: str) -> Any:
-    """A field; of an orbit the stability too that was computed since."""
-    found = getattr(value, name)
-    return vars(value).get("_floquet") if name == "known_floquet" and found is None else found
-
-
 class Reader:
-    """Makes values of data; `read_shared` makes those of models and spaces."""
+    """Makes values of data, with models and spaces of those of `Writer.shared`; `model` is that of an FMU."""
 
-    def __init__(self, shared: Sequence[Any], read_shared: Callable[[Reader, Any], Any]) -> None:
-        self._shared: list[Any] = []
+    def __init__(self, shared: Sequence[Any] = (), model: Any = None) -> None:
+        self.model, self.shared = model, list[Any]()
         for data in shared:
-            self._shared.append(read_shared(self, data))
+            self.shared.append(self.value(data))
 
     def value(self, data: Any, space: Any = None) -> Any:
-        """A value of data, points among it those of a space; raises ValueError and others for other data."""
+        """A value of data, points among it those of a space; raises one of `DAMAGED` for other data."""
         if not isinstance(data, list):
             if not (data is None or isinstance(data, bool | str | int | float)):
                 raise ValueError(f"a value {short_repr(data)}")
             return data
         word, *rest = data
-        if word in ("tuple", "list"):
-            items = [self.value(item, space) for item in rest]
-            return tuple(items) if word == "tuple" else items
-        if word == "complex":
-            return complex(*rest)
-        if word == "map":
-            return {name: self.value(item, space) for name, item in rest[0].items()}
-        if word == "array":
-            return _array(*rest)
-        if word == "enum":
-            return class_named(rest[0])[rest[1]]
-        if word == "shared":
-            return self._shared[_place(rest[0], len(self._shared))]
-        if word == "point":
-            resolution, constants, named = rest
-            problem = self._problem(space, resolution, constants)
-            return Point(problem=problem, **self.named(named, space))
-        if word == "refinement":
-            return Refinement(self._problem(space, rest[0], rest[1]), self.value(rest[2]))
-        if word == "object":
-            return self._object(class_named(rest[0]), rest[1])
-        raise ValueError(f"a value of kind {short_repr(word)}")
+        if not isinstance(word, str) or word not in READ:
+            raise ValueError(f"a value of kind {short_repr(word)}")
+        return READ[word](self, space, *rest)
 
     def named(self, data: Mapping[str, Any], space: Any = None) -> dict[str, Any]:
         """Values by name."""
         return {name: self.value(item, space) for name, item in data.items()}
 
-    def _object(self, kind: Any, data: Mapping[str, Any]) -> Any:
-        space = self.value(data["space"]) if "space" in data else None
-        return kind(**self.named(data, space))
-
-    def _problem(self, space: Any, resolution: int, constants: Any) -> Any:
+    def problem(self, space: Any, resolution: int, constants: Any) -> Any:
+        """The problem of a space in which a point is stated."""
         if resolution not in space.levels.resolutions:
             raise ValueError(f"a resolution {short_repr(resolution)}; accepted: {space.levels.resolutions}")
         problem = space.levels.problem(resolution)
@@ -254,165 +314,167 @@ class Reader:
         return problem.with_constants(found)
 
 
-def _array(kind: str, shape: Sequence[int], data: bytes) -> np.ndarray[Any, Any]:
+def _class_named(name: object) -> Any:
+    """The class of a name in a file; raises ValueError for any other."""
+    if not isinstance(name, str) or name not in PLACES:
+        raise ValueError(f"a thing of kind {short_repr(name)}, which no result holds")
+    module, own = PLACES[name]
+    return getattr(import_module(module), own)
+
+
+def _array(_: Reader, __: Any, kind: str, shape: Sequence[int], data: bytes) -> np.ndarray[Any, Any]:
     if kind not in KINDS:
         raise ValueError(f"an array of {short_repr(kind)}")
     return np.frombuffer(data, kind).reshape(shape).copy()
 
 
-def _place(place: int, count: int) -> int:
-    if not 0 <= place < count:
-        raise ValueError(f"a reference to {short_repr(place)}, of {count}")
-    return place
+def _object(reader: Reader, space: Any, name: str, data: Mapping[str, Any]) -> Any:
+    inner = reader.value(data["space"]) if "space" in data else space
+    return _class_named(name)(**reader.named(data, inner))
 
 
-# Files that are not what a run wrote: cut off, changed, or made by somebody else --------------------------------------
-
-WRONG = (ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError, csv.Error)
-ACCEPTED = "accepted: a file as a run or a map writes it"
+def _point(reader: Reader, space: Any, resolution: int, constants: Any, data: Mapping[str, Any]) -> Point:
+    return Point(problem=reader.problem(space, resolution, constants), **reader.named(data, space))
 
 
-def check_whole(path: Path) -> None:
-    """Raises ValueError, naming the file, where a netCDF file or a table of a run was cut off or cannot be read."""
-    with readable(path):
-        if path.suffix == ".csv":
-            if not path.read_bytes().endswith(b"\n"):
-                raise ValueError("its last row is cut off")
-            return
-        from scipy.io import netcdf_file
-
-        with netcdf_file(path, "r", mmap=False) as file:  # all variables are read
-            if not file.variables:
-                raise ValueError("it has no variables")
+def _one_shared(reader: Reader, _: Any, place: int) -> Any:
+    if not 0 <= place < len(reader.shared):
+        raise ValueError(f"a reference to {short_repr(place)}, of {len(reader.shared)}")
+    return reader.shared[place]
 
 
-@contextmanager
-def readable(path: Path) -> Iterator[None]:
-    """Raises ValueError, naming the file, where its contents cannot be read or do not fit together."""
+def _space(reader: Reader, _: Any, name: str, data: Mapping[str, Any], first: Any) -> Any:
+    space = _class_named(name)(**reader.named(data))
+    found = reader.value(first, space)
+    return space if found is None else replace(space, first=found)
+
+
+def _lattice(reader: Reader, _: Any, name: str, declaration: Any) -> Lattice:
+    d = reader.value(declaration)
+    return Lattice(d.cells, d.sites, d.bonds, d.boundary, d.parameters, name)
+
+
+# Models, spaces and statements, of which a file holds each once -------------------------------------------------------
+
+
+@singledispatch
+def written_once(value: Any, _: Writer) -> Any:
+    """The data of a model, a space or a statement; None for all others."""
+    return None
+
+
+@written_once.register
+def _(value: OdeModel, _: Writer) -> Any:
+    return ["model", dumps(value)]
+
+
+@written_once.register
+def _(value: Lattice, writer: Writer) -> Any:
+    if not value.equations.autonomous:
+        return ["model", dumps(value)]
+    return ["lattice", value.name, writer.value(value.declaration)]
+
+
+@written_once.register
+def _(value: Extended, writer: Writer) -> Any:
+    if not isinstance(value.inner, FmuModel):
+        return ["model", dumps(value)]
+    place = value.inner.parameters.numel()
+    return ["extended", writer.value(value.inner), value.nominal[place] if value.nominal else 1.0]
+
+
+@written_once.register(BoundarySpace)
+@written_once.register(EquilibriumSpace)
+def _of_space(value: Any, writer: Writer) -> Any:
+    return ["space", _name_of(value), writer.named_fields(value, "first"), writer.value(value.first)]
+
+
+@written_once.register
+def _(value: EquationsOfMotion, writer: Writer) -> Any:
+    values = dict(value.parameters) if isinstance(value.model, OdeModel) else None
+    return ["motion", writer.value(value.model), values]
+
+
+@written_once.register(Chain)
+@written_once.register(LongLattice)
+def _of_chain(value: Any, writer: Writer) -> Any:
+    return ["object", _name_of(value), writer.named_fields(value)]
+
+
+written_once.register(FmuModel, lambda value, _: ["fmu", identity(value), noises(value)])
+written_once.register(Family, lambda value, writer: ["family", writer.value(value.request)])
+
+
+@written_once.register
+def _(statement: Statement, writer: Writer) -> Any:
+    """Its model, its expressions as operations on ends, time, states and parameters, and its numbers."""
+    model, kind = statement.model, type(statement.model.state)
+    columns: dict[str, list[Any]] = {
+        "conditions": [*statement.conditions],
+        "integrals": [*statement.integrals],
+        "interval": [kind(end) for end in statement.interval],
+        "objective": [] if statement.objective is None else [statement.objective],
+        "running": [] if statement.running is None else [statement.running],
+    }
+    symbols = [*model.ends, statement._time, model.full_state, model.parameters]
+    results = [ca.vec(expression) for expressions in columns.values() for expression in expressions]
+    function = ca.Function("statement", symbols, results)
+    if programs_in(function):
+        raise ValueError(f"{model.name}: cannot be saved: its conditions are those of a program")
     try:
-        yield
-    except OSError as error:  # also of a place in the file that is none
-        raise ValueError(f"{path}: cannot be read: {error.strerror}; {ACCEPTED}") from error
-    except WRONG as error:
-        why = f"damaged: {type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")
-        raise ValueError(f"{path}: {why}; {ACCEPTED}") from error
+        operations, entries = to_operations(function)
+    except ValueError as error:
+        raise ValueError(f"{model.name}: cannot be saved: its conditions {error}") from error
+    counts = {name: len(expressions) for name, expressions in columns.items()}
+    numbers = {name: writer.value(getattr(statement, name)) for name in ("parameters", "free", "bounds")}
+    plain = [not isinstance(end, ca.SX | ca.MX) for end in statement.interval]
+    return ["statement", writer.value(model), operations, entries, counts, numbers, plain]
 
 
-# The journal of a run: results, appended to one file and flushed to disk at once --------------------------------------
-
-MARK, FORMAT = b"cskj", 2
-HEADER = struct.Struct("<4sIII")  # mark, format, length of what follows, CRC-32 of these and of what follows
-Record = TypeVar("Record")
-Data = bytes | mmap.mmap
-
-
-class Journal(Generic[Record]):
-    """An open journal, made where there is none; use as a context manager.
-
-    Attributes:
-        path: its file.
-        records: those in it when it is opened; none where `each` is called with them, and their places, instead.
-        end: its length in bytes.
-        fault: why its tail was dropped then, in words; empty where it was whole.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        decoder: msgspec.msgpack.Decoder[Record],
-        each: Callable[[int, Record], None] | None = None,
-    ) -> None:
-        self.path, self._encoder, self.records = path, msgspec.msgpack.Encoder(), list[Record]()
-        keep = each or (lambda _, record: self.records.append(record))
-        with mapped(path) as data:
-            self.end, self.fault = scan(data, decoder, keep)
-        self._file = path.open("r+b" if path.exists() else "x+b", buffering=0)
-        self._file.truncate(self.end)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-
-    def append(self, record: msgspec.Struct) -> None:
-        """Write one record and wait until it is on the disk; raises OSError, with the journal as it was."""
-        payload = self._encoder.encode(record)
-        data = framed(payload)
-        self._file.seek(self.end)
-        try:
-            written = 0
-            while written < len(data):
-                written += self._file.write(data[written:]) or 0
-            os.fsync(self._file.fileno())
-        except OSError:
-            self._file.truncate(self.end)
-            raise
-        self.end += len(data)
+def _statement(
+    reader: Reader, _: Any, model_data: Any, operations: list[str], entries: list[list[int | None]],
+    counts: dict[str, int], numbers: dict[str, Any], plain: list[bool],
+) -> Statement:  # fmt: skip
+    model = reader.value(model_data)
+    time = type(model.state).sym("t") if model.time is None else model.time
+    symbols = [*model.ends, time, model.full_state, model.parameters]
+    scalars = [ca.SX.sym("s", block.numel()) if isinstance(block, ca.MX) else block for block in symbols]
+    columns = from_operations([s for block in scalars for s in ca.vertsplit(block)], operations, entries)
+    taken = iter(at_symbols(columns, scalars, symbols))
+    parts = {name: [next(taken) for _ in range(count)] for name, count in counts.items()}
+    ends: list[Any] = [float(end) if is_plain else end for end, is_plain in zip(parts["interval"], plain, strict=True)]
+    statement = Statement(
+        model,
+        tuple(parts["conditions"]),
+        tuple(parts["integrals"]),
+        (ends[0], ends[1]),
+        **reader.named(numbers),
+        objective=next(iter(parts["objective"]), None),
+        running=next(iter(parts["running"]), None),
+    )
+    vars(statement)["_time"] = time  # the symbol that the integrals are written in
+    return statement
 
 
-def framed(payload: bytes) -> bytes:
-    """A record behind its header."""
-    return _header(payload) + payload
-
-
-def _header(payload: bytes) -> bytes:
-    fields = MARK, FORMAT, len(payload)
-    return HEADER.pack(*fields, zlib.crc32(payload, zlib.crc32(HEADER.pack(*fields, 0))))
-
-
-@contextmanager
-def mapped(path: Path) -> Iterator[Data]:
-    """The bytes of a file, read as they are looked at; none where there is no file."""
-    if not path.exists() or path.stat().st_size == 0:
-        yield b""
-        return
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        yield data
-
-
-def read_records(data: bytes, decoder: msgspec.msgpack.Decoder[Record]) -> tuple[list[Record], int, str]:
-    """The records of a journal up to the first that is not whole, the length of these, and the fault of the next.
-
-    The last is empty where all of `data` is records of this format.
-    """
-    records = list[Record]()
-    return records, *scan(data, decoder, lambda _, record: records.append(record))
-
-
-def scan(
-    data: Data, decoder: msgspec.msgpack.Decoder[Record], each: Callable[[int, Record], None], start: int = 0
-) -> tuple[int, str]:
-    """Call `each` with place and record of every record from a place on, up to the first that is not whole.
-
-    Returns the place where these end, and the fault there; empty where the data end.
-    """
-    place = start
-    while place < len(data):
-        try:
-            record, length = record_at(data, place, decoder)
-        except ValueError as error:
-            return place, f"{error} at byte {place}"
-        each(place, record)
-        place += length
-    return place, ""
-
-
-def record_at(data: Data, place: int, decoder: msgspec.msgpack.Decoder[Record]) -> tuple[Record, int]:
-    """The record at a place and its length in bytes; raises ValueError, in words, where there is none."""
-    if len(data) - place < HEADER.size:
-        raise ValueError("a record that is cut off")
-    mark, version, length, _ = HEADER.unpack_from(data, place)
-    if mark != MARK:
-        raise ValueError("no record of a journal")
-    if version != FORMAT:
-        raise ValueError(f"a record of format {version}, where {FORMAT} is read,")
-    payload = data[place + HEADER.size : place + HEADER.size + length]
-    if len(payload) < length:
-        raise ValueError("a record that is cut off")
-    if data[place : place + HEADER.size] != _header(payload):
-        raise ValueError("a damaged record")
-    try:
-        return decoder.decode(payload), HEADER.size + length
-    except msgspec.DecodeError as error:
-        raise ValueError("a record of another version") from error
+READ: Mapping[str, Callable[..., Any]] = {  # what each word begins, from a reader, the space of points, and the rest
+    "array": _array,
+    "complex": lambda _, __, real, imaginary: complex(real, imaginary),
+    "enum": lambda _, __, name, member: _class_named(name)[member],
+    "list": lambda reader, space, *items: [reader.value(item, space) for item in items],
+    "map": lambda reader, space, items: reader.named(items, space),
+    "object": _object,
+    "point": _point,
+    "refinement": lambda reader, space, r, constants, z: Refinement(
+        reader.problem(space, r, constants), reader.value(z)
+    ),
+    "shared": _one_shared,
+    "tuple": lambda reader, space, *items: tuple(reader.value(item, space) for item in items),
+    "extended": lambda reader, _, inner, nominal: extended(reader.value(inner), nominal, {}),
+    "family": lambda reader, _, request: Family(reader.value(request)),
+    "fmu": lambda reader, _, token, noise: checked(token, noise, reader.model),
+    "lattice": _lattice,
+    "model": lambda _, __, data: loads(data),
+    "motion": lambda reader, _, model, values: equations_of_motion(reader.value(model), values),
+    "space": _space,
+    "statement": _statement,
+}

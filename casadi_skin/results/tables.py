@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -10,7 +12,11 @@ from numpy.typing import NDArray
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Equilibrium
-from casadi_skin.results.dataset import Cell, Variable, unique_names
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.optimise.optimum import CosineOrbit, Optimum
+from casadi_skin.optimise.search import SearchResult
+from casadi_skin.optimise.search_problem import Outcome, SearchProblem
+from casadi_skin.results.dataset import Cell, Dataset, Variable, unique_names, versions, write_csv, write_netcdf
 from casadi_skin.results.quantity import CSV, Place, Quantity
 from casadi_skin.stability.tongues.diagram import (
     LocalisedChange,
@@ -208,3 +214,124 @@ def _tongue(mode: int, number: Cell, t: Tongue) -> dict[str, Cell]:
         "" if t.modes is None else f"{t.modes[0]} {t.modes[1]}", "" if t.order is None else t.order, int(t.decided),
     )  # fmt: skip
     return dict(zip(TONGUE_COLUMNS, values, strict=True))
+
+
+# Files of a search: search.csv (optima), starts.csv (where each start led), search.nc, and the journal's records ------
+
+PHASES = 401  # of an orbit in search.nc, over a period
+MEANINGS = {
+    "S": "total amplitude: sum of y_n^2 at t = 0",
+    "Omega": "frequency",
+    "period": "period",
+}
+OF_CHAIN = {"gamma": "nonreciprocity of the optimum", "g": "cubic on-site coefficient of the optimum"}
+
+
+def _finite(value: float | None) -> Cell:
+    return value if value is not None and math.isfinite(value) else ""
+
+
+def optimum_row(problem: SearchProblem, optimum: Optimum, rank: int) -> dict[str, Cell]:
+    """One row of search.csv; empty where a number is not known, or infinite."""
+    check, of_family = optimum.check, isinstance(optimum.orbit, CosineOrbit)
+    row: dict[str, Cell] = {"rank": rank}
+    if of_family:
+        row["on_family"] = "" if optimum.on_family is None else int(optimum.on_family)
+    row |= {"objective": optimum.objective, "objective_error": _finite(optimum.errors["objective"])}
+    row |= {name: optimum.quantities[0][name] for name in problem.columns}
+    row |= {
+        "active": "; ".join(optimum.active),
+        "kkt": optimum.kkt.largest,
+        "curvature": _finite(optimum.curvature),
+        problem.resolution_name: optimum.resolution,
+        "starts": " ".join(map(str, optimum.starts)),
+        "Omega_difference": check.Omega_difference,
+        "residual": check.residual,
+    }
+    row |= {"family_difference": _finite(check.family_difference)} if of_family else {"difference": check.difference}
+    return row | {f"error_{name}": _finite(error) for name, error in optimum.errors.items() if name != "objective"}
+
+
+def start_row(outcome: Outcome, names: Sequence[str]) -> dict[str, Cell]:
+    """One row of starts.csv."""
+    solution = outcome.solution
+    return {
+        "start": outcome.start.number,
+        "deflated": int(outcome.deflated),
+        **{f"from_{name}": value for name, value in zip(names, outcome.start.free, strict=True)},
+        "ending": outcome.ending.name.lower(),
+        "objective": "" if solution is None else _finite(solution.objective),
+        "iterations": 0 if solution is None else solution.iterations,
+        "violation": _finite(outcome.gap),
+        "violated": outcome.worst if outcome.gap > 0 else "",
+        "words": outcome.words,
+    }
+
+
+def write_search(result: SearchResult, directory: Path, scene_text: str, title: str) -> None:
+    """Write search.csv, starts.csv and, where there is an optimum, search.nc."""
+    found = (*result.optima, *result.others)
+    if found:
+        rows = [optimum_row(result.problem, optimum, rank) for rank, optimum in enumerate(found, start=1)]
+        write_csv(directory / "search.csv", list(rows[0]), rows)
+        _write_netcdf(directory / "search.nc", result, scene_text, title)
+    if result.outcomes:
+        starts = [start_row(outcome, result.problem.free_names) for outcome in result.outcomes]
+        write_csv(directory / "starts.csv", list(starts[0]), starts)
+
+
+# search.nc -----------------------------------------------------------------------------------------------------------
+
+
+def _write_netcdf(path: Path, result: SearchResult, scene_text: str, title: str) -> None:
+    found, problem = (*result.optima, *result.others), result.problem
+    variables = [
+        Variable("objective", ("optimum",), np.array([o.objective for o in found]), "objective"),
+        Variable("kkt", ("optimum",), np.array([o.kkt.largest for o in found]),
+                 "largest residual of the conditions of optimality"),
+    ]  # fmt: skip
+    meanings = MEANINGS | (OF_CHAIN if isinstance(problem.model, Chain) else {})
+    for name in problem.columns:
+        values = np.array([o.quantities[0][name] for o in found])
+        stored = name if name in ("S", "Omega", "period") else f"optimum_{name}"
+        variables.append(Variable(stored, ("optimum",), values, meanings.get(name, f"{name} of the optimum")))
+    if isinstance(found[0].orbit, CosineOrbit):
+        variables += _cosines(found)
+    else:
+        variables += _states(found, problem.model.state_names)
+    known = {"title": title, "scene": scene_text, **versions()}
+    if isinstance(problem.model, Chain):
+        known |= {name: getattr(problem.model, name) for name in ("sites", "alpha", "gamma", "g")}
+    else:
+        known |= {"model": problem.model.name}
+    known |= {"search_status": result.status.name.lower(), "search_reason": result.reason}
+    write_netcdf(path, Dataset(variables, known))
+
+
+def _cosines(found: Sequence[Optimum]) -> list[Variable]:
+    """Profiles and coefficients; the stiffness of every site of a chain."""
+    harmonics, sites = max(o.resolution for o in found), found[0].orbit.profile.size
+    coefficients = np.zeros((len(found), harmonics, sites))
+    for k, optimum in enumerate(found):
+        coefficients[k, : optimum.resolution] = optimum.orbit.cosines
+    meaning = "c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), k from 0"
+    profiles = np.stack([o.orbit.profile for o in found])
+    variables = [
+        Variable("profile", ("optimum", "site"), profiles, "y_n at t = 0"),
+        Variable("coefficients", ("optimum", "harmonic", "site"), coefficients, meaning),
+    ]
+    if "alpha_n" in found[0].quantities[0]:
+        alphas = np.stack([np.atleast_1d(o.alpha_n) for o in found])
+        variables.append(Variable("alpha_n", ("optimum", "site"), alphas, "on-site stiffness of every site"))
+    return variables
+
+
+def _states(found: Sequence[Optimum], names: Sequence[str]) -> list[Variable]:
+    """States at phases of the period, one variable a state."""
+    phases = np.linspace(0.0, 1.0, PHASES)
+    states = np.stack([o.orbit.evaluate(phases * o.orbit.period) for o in found])
+    return [
+        Variable("phase", ("phase",), phases, "place in the period, from 0 to 1"),
+        *(Variable(f"state_{name}", ("optimum", "phase"), states[:, :, k], f"{name} along the orbit")
+          for k, name in enumerate(names)),
+    ]  # fmt: skip

@@ -29,7 +29,7 @@ from casadi_skin.results.branch_records import (
     point_record,
     stability_record,
 )  # fmt: skip
-from casadi_skin.results.store import Journal
+from casadi_skin.results.journal import Journal
 from casadi_skin.runs.parts import Offshoots
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request

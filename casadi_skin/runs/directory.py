@@ -14,6 +14,7 @@ from pathlib import Path
 
 from casadi_skin.model.files import leftovers, replacing
 from casadi_skin.model.methods import FORMATS
+from casadi_skin.runs.output import InputError
 from casadi_skin.runs.reading import parse_scene
 from casadi_skin.runs.rules import SceneError
 from casadi_skin.runs.scene import Scene
@@ -36,7 +37,7 @@ PICTURES = ("frequency", "profile", "spectrum", "bands", "plane_j*", "multiplier
             "orbit", "curves", "portrait", "map_*", "skin", "spreading")  # fmt: skip
 
 
-class DirectoryError(ValueError):
+class DirectoryError(InputError):
     """A directory that a run cannot use, in one line."""
 
 
@@ -76,7 +77,7 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
 
 def _check_complete(directory: Path) -> None:
     """Raises DirectoryError where a file of numbers of a complete run is damaged: its journal is gone."""
-    from casadi_skin.results.store import check_whole
+    from casadi_skin.results.dataset import check_whole
 
     for path in sorted(p for name in WRITTEN if name.endswith((".nc", ".csv")) for p in directory.glob(name)):
         try:

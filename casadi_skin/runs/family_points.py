@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
@@ -26,7 +25,7 @@ from casadi_skin.results.dataset import Cell, write_csv, write_netcdf
 from casadi_skin.results.figures.bands import band_figure, skin_figure
 from casadi_skin.results.frames import edge_columns
 from casadi_skin.results.quantities import dataset_of
-from casadi_skin.results.saving import SavedResult, restored, saved
+from casadi_skin.results.store import restored, saved
 from casadi_skin.runs.output import Lines, named
 from casadi_skin.runs.parts import Offshoots, ended_well, mode_of, picture
 from casadi_skin.runs.progress import Progress
@@ -107,14 +106,14 @@ def _keep(name: str, curve: EdgeCurve, journal: Records, progress: Progress) -> 
     except ValueError as error:
         progress.report(f"{journal.path}: {error}; the edge is followed again by --resume")
     else:
-        journal.append(EdgeRecord(name, msgspec.msgpack.encode(data)))
+        journal.append(EdgeRecord(name, data))
 
 
 def _kept(record: EdgeRecord | None) -> EdgeCurve | None:
     """The curve of a record; None without one."""
     if record is None:
         return None
-    curve = restored(msgspec.msgpack.decode(record.curve, type=SavedResult))
+    curve = restored(record.curve)
     return curve if isinstance(curve, EdgeCurve) else None
 
 

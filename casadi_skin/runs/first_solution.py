@@ -19,7 +19,7 @@ from casadi_skin.lattice.motion import PHYSICAL, EquationsOfMotion
 from casadi_skin.model.conserved import HAMILTONIAN
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.results.branch_records import BranchRecord, CycleRecord, bytes_of, doubles_of
+from casadi_skin.results.branch_records import BranchRecord, CycleRecord, data_of, value_of
 from casadi_skin.runs.request import Request, state_of
 from casadi_skin.runs.scene import SELECTED, DynamicsTable, EquilibriumTable
 from casadi_skin.zero.problem import Array
@@ -135,9 +135,8 @@ def cycle_record(cycle: Cycle) -> CycleRecord:
     first = max(int(np.searchsorted(t, cycle.start, "right")) - 1, 0)
     last = min(int(np.searchsorted(t, cycle.start + cycle.period)) + 1, t.size)
     part = slice(first, last)
-    return CycleRecord(
-        "", bytes_of(t[part]), bytes_of(cycle.evolution.states[part]), float(cycle.start), float(cycle.period)
-    )
+    states = data_of(cycle.evolution.states[part])
+    return CycleRecord("", data_of(t[part]), states, float(cycle.start), float(cycle.period))
 
 
 def known_cycle(records: Sequence[BranchRecord], model: OdeModel, parameters: Mapping[str, float]) -> Cycle | None:
@@ -145,11 +144,11 @@ def known_cycle(records: Sequence[BranchRecord], model: OdeModel, parameters: Ma
     found = next((record for record in records if isinstance(record, CycleRecord)), None)
     if found is None:
         return None
-    equations, t = EquationsOfMotion(model.first_order(), parameters), doubles_of(found.t)
-    states = doubles_of(found.states)
-    if states.size != t.size * equations.size or not np.all(np.isfinite(states)):
+    equations = EquationsOfMotion(model.first_order(), parameters)
+    t, states = value_of(found.t), value_of(found.states)
+    if states.shape != (t.size, equations.size) or not np.all(np.isfinite(states)):
         return None
-    evolution = Evolution(equations, t, states.reshape(t.size, -1), "cvodes", 0.0, PHYSICAL, 0)
+    evolution = Evolution(equations, t, states, "cvodes", 0.0, PHYSICAL, 0)
     return Cycle(evolution, found.start, found.period)
 
 

@@ -24,7 +24,7 @@ from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, FOLD, HOPF
 from casadi_skin.optimise.names import FREE, NAMED
 from casadi_skin.results.branch_quantities import FAMILY, FAMILY_ERRORS, FAMILY_PROOFS, FAMILY_STABILITY
 from casadi_skin.results.branch_quantities import FIXED as OF_BRANCHES
-from casadi_skin.results.store import Journal, mapped, record_at, scan
+from casadi_skin.results.journal import Journal, mapped, record_at, scan
 from casadi_skin.results.tables import FIXED as OF_EQUILIBRIA
 from casadi_skin.runs.directory import DirectoryError
 from casadi_skin.runs.map_grid import (

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+
+from casadi_skin.model.methods import FORMATS
 
 Value = float | int | str | None
 
@@ -16,6 +18,17 @@ def add_output(parser: argparse.ArgumentParser) -> None:
     either = parser.add_mutually_exclusive_group()
     either.add_argument("--quiet", action="store_true", help="print nothing but errors")
     either.add_argument("--json", action="store_true", help="print the results as JSON, and nothing else")
+
+
+def add_study_options(parser: argparse.ArgumentParser, default: Path) -> None:
+    """Add the options that every study has: where its results go, and in which formats."""
+    parser.add_argument(
+        "--out", type=Path, default=default, metavar="DIR", help=f"directory of the results (default: {default})"
+    )
+    words = "format of its pictures, once for each that is wanted (default: png)"
+    parser.add_argument("--format", action="append", dest="formats", choices=FORMATS, help=words)
+    parser.add_argument("--overwrite", action="store_true", help="replace what DIR holds of the same")
+    add_output(parser)
 
 
 def print_json(value: object) -> None:
@@ -96,6 +109,21 @@ DONE, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 class InputError(ValueError):
     """Something the user gave is wrong; the message is one line."""
+
+
+def exit_status(act: Callable[[], int]) -> int:
+    """The exit status of a command; where it ends in an error, that is reported in one line on standard error."""
+    try:
+        return act()
+    except InputError as error:
+        print(f"casadi-skin: {error}", file=sys.stderr)
+        return WRONG_INPUT
+    except KeyboardInterrupt:
+        print("casadi-skin: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except OSError as error:
+        print(f"casadi-skin: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
+        return FAILED
 
 
 # Names and values in the lines that `check` prints --------------------------------------------------------------------

@@ -10,7 +10,7 @@ import re
 import signal
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
@@ -18,8 +18,8 @@ from types import FrameType
 from typing import Any, NoReturn, TextIO
 
 from casadi_skin._version import __version__
-from casadi_skin.runs import explore_command, map_command, start_commands, study_commands
-from casadi_skin.runs.output import FAILED, INTERRUPTED, WRONG_INPUT, InputError, add_output
+from casadi_skin.runs import explore_command, map_command, start_commands
+from casadi_skin.runs.output import FAILED, WRONG_INPUT, add_output, add_study_options, exit_status
 
 # Standard output and error of a command: faults of the first end it in one line, those of the second are nothing ------
 
@@ -170,7 +170,25 @@ def _parser() -> argparse.ArgumentParser:
     spectrum.set_defaults(act="scene_commands:spectrum")
 
     map_command.add_map(commands)
-    study_commands.add_studies(commands)
+    work = commands.add_parser(
+        "tradeoff",
+        help="what accuracy costs, method by method",
+        description="Measure time, memory and true errors of every method and tolerance on one family.",
+        epilog="Example: casadi-skin tradeoff examples/softening_end_breather.toml --quick",
+    )
+    work.add_argument(
+        "scene",
+        type=Path,
+        nargs="?",
+        metavar="SCENE.toml",
+        help="scene whose family is measured, the first of several; its accuracy and methods do not matter "
+        "(default: j = 1, g = -1, N = 24 to S = 1)",
+    )
+    work.add_argument("--quick", action="store_true", help="three tolerances, each timed once")
+    work.add_argument("--repeats", type=int, metavar="K", help="timed runs of each setting (default: 5; 1 if quick)")
+    add_study_options(work, Path("results/tradeoff"))
+    work.set_defaults(act="tradeoff:run")
+
     explore_command.add_explore(commands)
     start_commands.add_first_steps(commands, parser)
     return parser
@@ -201,31 +219,15 @@ def _status(arguments: Sequence[str] | None) -> int:
     if unknown:
         _Parser(prog=f"casadi-skin {parsed.command}").error(f"unrecognized arguments: {' '.join(unknown)}")
     signal.signal(signal.SIGTERM, _interrupt)
-    try:
-        act = parsed.act
-        if isinstance(act, str):
-            module, name = act.split(":")
-            act = getattr(import_module(f"casadi_skin.runs.{module}"), name)
-        return int(act(parsed))
-    except ValueError as error:
-        if not _is_of_input(error):
-            raise
-        print(f"casadi-skin: {error}", file=sys.stderr)
-        return WRONG_INPUT
-    except KeyboardInterrupt:
-        print("casadi-skin: interrupted", file=sys.stderr)
-        return INTERRUPTED
-    except OSError as error:
-        print(f"casadi-skin: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
-        return FAILED
+    return exit_status(lambda: _act_of(parsed)(parsed))
 
 
-def _is_of_input(error: ValueError) -> bool:
-    """Whether an error is the user's, in one line."""
-    from casadi_skin.runs.directory import DirectoryError  # here: --help and spectrum do not need it
-    from casadi_skin.runs.rules import SceneError
-
-    return isinstance(error, SceneError | DirectoryError | InputError)
+def _act_of(parsed: argparse.Namespace) -> Callable[[argparse.Namespace], int]:
+    """What a command does; its module is loaded when it is wanted."""
+    if callable(parsed.act):
+        return parsed.act  # type: ignore[no-any-return]
+    module, name = parsed.act.split(":")
+    return getattr(import_module(f"casadi_skin.runs.{module}"), name)  # type: ignore[no-any-return]
 
 
 def _complain(words: str) -> None:

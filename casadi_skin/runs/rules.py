@@ -13,6 +13,7 @@ from casadi_skin.lattice.stiffness import stiffness
 from casadi_skin.model.arguments import LONGEST, cut, nearest
 from casadi_skin.model.methods import COLLOCATION_TABLES, FLOWS, FULL_PERIOD_FLOWS, SHOOTING, TRIGONOMETRIC
 from casadi_skin.optimise.names import FREE, NAMED
+from casadi_skin.runs.output import InputError
 from casadi_skin.runs.scene import (
     AMPLITUDE,
     SELECTED,
@@ -31,7 +32,7 @@ from casadi_skin.runs.scene import (
 LONGEST_LIST = 400  # characters of a message on several names
 
 
-class SceneError(ValueError):
+class SceneError(InputError):
     """A scene that cannot be used: one line with file, table and key, the given and the accepted values."""
 
     def __init__(self, message: str) -> None:

@@ -29,15 +29,14 @@ from casadi_skin.optimise.families import ChainFamily, ModelFamily
 from casadi_skin.optimise.family_search import FamilyNlp, FamilySearch
 from casadi_skin.optimise.search import SearchResult, SearchStatus, search
 from casadi_skin.optimise.search_problem import Ending
+from casadi_skin.results.branch_records import OutcomeRecord, data_of, value_of
 from casadi_skin.results.dataset import Dataset, write_csv, write_netcdf
 from casadi_skin.results.figures.profiles import spreading_figure
 from casadi_skin.results.figures.search import search_figure
 from casadi_skin.results.figures.spacetime import spacetime_figure
 from casadi_skin.results.figures.style import number
-from casadi_skin.results.saving import OutcomeRecord, outcome_record, write_search
-from casadi_skin.results.saving import restored_search as restored
-from casadi_skin.results.store import Journal
-from casadi_skin.results.tables import evolution_columns, evolution_rows, evolution_variables
+from casadi_skin.results.journal import Journal
+from casadi_skin.results.tables import evolution_columns, evolution_rows, evolution_variables, write_search
 from casadi_skin.runs.directory import EXPORT
 from casadi_skin.runs.first_solution import dynamics_table, start_near_rest
 from casadi_skin.runs.parts import mode_of, origin, picture
@@ -262,13 +261,13 @@ def run_search(request: Request, journal: Path, progress: Progress) -> SearchRes
     with Journal(journal, msgspec.msgpack.Decoder(OutcomeRecord)) as file:
         if file.fault:
             progress.report(f"{journal}: {file.fault}; what follows it is dropped and computed again")
-        records = [record for record in file.records if record.ending is not Ending.INTERRUPTED]
+        known = [value_of(record.outcome) for record in file.records]
         return search(
             problem,
             problem.starts(table.starts, table.seed),
             deflate=table.deflate,
-            known=[restored(record) for record in records],
-            keep=lambda outcome: file.append(outcome_record(outcome)),
+            known=[outcome for outcome in known if outcome.ending is not Ending.INTERRUPTED],
+            keep=lambda outcome: file.append(OutcomeRecord(data_of(outcome))),
             progress=lambda where: progress.say(str(where)),
             workers=table.workers,
         )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import pytest
+from claim import Claim, Verdict, rounds_to
+from claims_families import LARGE, decay_rate, power_of_r
+from paper_data import PaperData
+from reproduce import all_claims
 
 from casadi_skin.lattice import closed_forms as multiple_scales
-from casadi_skin.studies.paper.claim import Claim, Verdict, rounds_to
-from casadi_skin.studies.paper.claims_families import LARGE, decay_rate, power_of_r
-from casadi_skin.studies.paper.paper_data import PaperData
-from casadi_skin.studies.paper.reproduce import all_claims
 
 
 @pytest.mark.parametrize(

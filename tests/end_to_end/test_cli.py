@@ -37,7 +37,7 @@ def status(arguments: list[str]) -> int:
 
 @pytest.mark.parametrize(
     "arguments",
-    [["--help"], ["run", "--help"], ["check", "--help"], ["spectrum", "--help"], ["reproduce", "--help"]],
+    [["--help"], ["run", "--help"], ["check", "--help"], ["spectrum", "--help"], ["tradeoff", "--help"]],
 )
 def test_help_is_there(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert status(arguments) == 0

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from outputs import read_rows
 
-from casadi_skin.runs.program import main
-from casadi_skin.studies.stress import physical
-from casadi_skin.studies.stress import study as study_module
-from casadi_skin.studies.stress.case import Case, Finding, Outcome, measure
-from casadi_skin.studies.stress.cases import all_cases
-from casadi_skin.studies.stress.study import COLUMNS
+from tests.studies import extreme_physical as physical
+from tests.studies import extremes as study_module
+from tests.studies.extreme_case import Case, Finding, Outcome, measure
+from tests.studies.extreme_cases import all_cases
+from tests.studies.extremes import COLUMNS
+from tests.studies.extremes import main as extremes
 
 pytestmark = pytest.mark.usefixtures("blank")
 
@@ -53,7 +53,7 @@ def test_every_case_has_a_name_of_its_own() -> None:
 @pytest.mark.usefixtures("few", "pictures")
 def test_cases_of_gamma(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    assert main(["extremes", "--quick", "--out", str(out)]) == 0
+    assert extremes(["--quick", "--out", str(out)]) == 0
     assert {path.name for path in out.iterdir()} == FILES
     written = read_rows(out / "extremes.csv")
     assert tuple(written[0]) == COLUMNS
@@ -71,7 +71,7 @@ def test_cases_of_gamma(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     told = capsys.readouterr().out
     assert "5 cases: 2 hold, 3 are refused, 0 not as expected" in told
     assert "refused: gamma = -1.5: gamma: given -1.5; accepted: -1 <= gamma <= 1" in told
-    assert main(["extremes", "--quick", "--out", str(out)]) == 2
+    assert extremes(["--quick", "--out", str(out)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
@@ -80,7 +80,7 @@ def test_a_fault_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
     wrong = Case("theme", "a wrong one", "asked", "check", lambda: Finding("it", 1e-3, 1e-6), quick=True)
     monkeypatch.setattr(study_module, "all_cases", lambda: [wrong])
     out = tmp_path / "out"
-    assert main(["extremes", "--quick", "--out", str(out)]) == 1
+    assert extremes(["--quick", "--out", str(out)]) == 1
     assert "not as expected: theme, a wrong one: 3.0 digits agree, 6.0 are promised" in capsys.readouterr().out
     assert read_rows(out / "extremes.csv")[0]["verdict"] == "fault"
 
@@ -101,7 +101,7 @@ def test_an_interruption_keeps_what_was_computed(
 
     monkeypatch.setattr(study_module, "measure", interrupted)
     out = tmp_path / "out"
-    assert main(["extremes", "--quick", "--out", str(out)]) == 130
+    assert extremes(["--quick", "--out", str(out)]) == 130
     assert "after 2 cases" in capsys.readouterr().err
     assert len(read_rows(out / "extremes.csv")) == 2
     assert (out / "extremes.png").exists()
@@ -110,5 +110,5 @@ def test_an_interruption_keeps_what_was_computed(
 @pytest.mark.slow
 def test_the_quick_cases(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert main(["extremes", "--quick", "--out", str(out)]) == 0
+    assert extremes(["--quick", "--out", str(out)]) == 0
     assert all(row["fault"] == "" for row in read_rows(out / "extremes.csv"))

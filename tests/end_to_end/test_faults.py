@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from apart import BLANK
 
-from casadi_skin.results.store import Journal
+from casadi_skin.results.journal import Journal
 from casadi_skin.runs import run as writing
 from casadi_skin.runs.directory import MADE
 from casadi_skin.runs.program import main

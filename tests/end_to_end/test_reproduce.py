@@ -5,16 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import paper_data
 import pytest
+from figures_families import sensitivity_figure
 from outputs import read_rows
+from paper_data import PaperData
+from reproduce import FIGURES, PaperReproduction
+from reproduce import main as reproduce
 
 from casadi_skin import Chain
 from casadi_skin.lattice import closed_forms as multiple_scales
-from casadi_skin.runs.program import main
-from casadi_skin.studies.paper import paper_data
-from casadi_skin.studies.paper.figures_families import sensitivity_figure
-from casadi_skin.studies.paper.paper_data import PaperData
-from casadi_skin.studies.paper.reproduce import FIGURES, PaperReproduction
 
 
 def column(rows: list[dict[str, str]], name: str) -> np.ndarray:
@@ -24,7 +24,7 @@ def column(rows: list[dict[str, str]], name: str) -> np.ndarray:
 @pytest.mark.usefixtures("pictures")
 def test_the_drawn_figures_and_their_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "paper"
-    assert main(["reproduce", "fig2", "fig1", "--out", str(out)]) == 0
+    assert reproduce(["fig2", "fig1", "--out", str(out)]) == 0
     assert str(out) in capsys.readouterr().out
     tables = {"fig1_forces.csv", "fig2_spectrum.csv", "fig2_modes.csv", "fig2_sketch.csv"}
     pictures = {f"fig{k}.png" for k in (1, 2)}
@@ -42,7 +42,7 @@ def test_the_drawn_figures_and_their_data(tmp_path: Path, capsys: pytest.Capture
 @pytest.mark.slow
 def test_pictures_are_the_same_bytes_again(tmp_path: Path) -> None:
     for name in ("first", "second"):
-        assert main(["reproduce", "fig2", "--out", str(tmp_path / name)]) == 0
+        assert reproduce(["fig2", "--out", str(tmp_path / name)]) == 0
     for path in (tmp_path / "first").iterdir():
         assert path.read_bytes() == (tmp_path / "second" / path.name).read_bytes()
 
@@ -84,7 +84,7 @@ def test_the_law_of_the_sensitivity_for_large_chains() -> None:
 def test_an_unknown_target_is_refused_in_one_line(
     given: str, near: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["reproduce", "fig1", given, "--out", str(tmp_path / "out")]) == 2
+    assert reproduce(["fig1", given, "--out", str(tmp_path / "out")]) == 2
     told = capsys.readouterr()
     assert told.out == ""
     assert told.err.count("\n") == 1
@@ -100,13 +100,13 @@ def test_a_directory_that_holds_something_is_refused_unless_overwritten(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
-    assert main(["reproduce", "fig1", "--out", str(tmp_path)]) == 2
+    assert reproduce(["fig1", "--out", str(tmp_path)]) == 2
     told = capsys.readouterr().err
     assert "holds notes.txt" in told
     assert "--overwrite" in told
     assert "--resume" not in told
     assert told.count("\n") == 1
-    assert main(["reproduce", "fig1", "--out", str(tmp_path), "--overwrite"]) == 0
+    assert reproduce(["fig1", "--out", str(tmp_path), "--overwrite"]) == 0
     assert (tmp_path / "notes.txt").read_text(encoding="utf-8") == "mine"
     assert (tmp_path / "fig1.png").exists()
 
@@ -119,7 +119,7 @@ def test_a_computation_that_fails_is_told_in_one_line(
         raise ArithmeticError("family j = 1, g = -1: lost")
 
     monkeypatch.setattr(paper_data, "follow_family", fail)
-    assert main(["reproduce", "fig1", "fig5", "--out", str(tmp_path)]) == 1
+    assert reproduce(["fig1", "fig5", "--out", str(tmp_path)]) == 1
     told = capsys.readouterr().err
     assert "family j = 1, g = -1: lost" in told
     assert told.count("\n") == 1
@@ -129,7 +129,7 @@ def test_a_computation_that_fails_is_told_in_one_line(
 
 @pytest.mark.slow
 def test_all_figures_and_the_numbers_in_their_data(tmp_path: Path) -> None:
-    assert main(["reproduce", *FIGURES, "--out", str(tmp_path)]) == 0
+    assert reproduce([*FIGURES, "--out", str(tmp_path)]) == 0
     for name in FIGURES:
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
         assert list(tmp_path.glob(f"{name}_*.csv"))

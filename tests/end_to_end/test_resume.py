@@ -18,12 +18,13 @@ from apart import ended, killed
 from drawing import blank_pictures
 
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.results.branch_records import BranchRecord, CycleRecord, PointRecord
-from casadi_skin.results.store import FORMAT, HEADER, MARK, Journal, read_records
+from casadi_skin.results.branch_records import BranchRecord, CycleRecord, PointRecord, data_of, value_of
+from casadi_skin.results.journal import FORMAT, HEADER, MARK, Journal, read_records
 from casadi_skin.runs import first_solution
 from casadi_skin.runs import run as writing
 from casadi_skin.runs.program import main
 from casadi_skin.runs.run import Run
+from casadi_skin.zero.settings import ErrorEstimate
 
 pytestmark = pytest.mark.usefixtures("blank", "interruptible")
 
@@ -263,20 +264,21 @@ def test_a_tail_that_is_damaged_is_dropped_in_one_line(
     the_same(out, scene.parent / "whole")
 
 
-def shifted(data: bytes, by: float) -> bytes:
-    values = np.frombuffer(data, "<f8").copy()
+def changed(record: PointRecord, name: str, by: float = 0.0, fewer: int = 0) -> list[Any]:
+    """The point of a record with an array that begins with another number, or is shorter."""
+    values = value_of(record.point[3][name])
     values[0] += by
-    return values.astype("<f8").tobytes()
+    return [*record.point[:3], {**record.point[3], name: data_of(values[: values.size - fewer])}]
 
 
-FAULTS: dict[str, Callable[[PointRecord], dict[str, Any]]] = {
-    "an amplitude": lambda record: {"z": shifted(record.z, 1e-3)},
-    "not a number": lambda record: {"z": shifted(record.z, np.nan)},
-    "a tangent": lambda record: {"tangent": shifted(record.tangent, 0.5)},
-    "an infinite step": lambda record: {"step": np.inf},
-    "an error": lambda record: {"profile_error": np.nan},
-    "a resolution": lambda record: {"resolution": record.resolution + 1},
-    "too few unknowns": lambda record: {"z": record.z[:-8]},
+FAULTS: dict[str, Callable[[PointRecord], list[Any]]] = {
+    "an amplitude": lambda record: changed(record, "z", 1e-3),
+    "not a number": lambda record: changed(record, "z", np.nan),
+    "a tangent": lambda record: changed(record, "tangent", 0.5),
+    "an infinite step": lambda record: [*record.point[:3], {**record.point[3], "step": np.inf}],
+    "an error": lambda record: [*record.point[:3], {**record.point[3], "error": data_of(ErrorEstimate(0.0, np.nan))}],
+    "a resolution": lambda record: ["point", record.point[1] + 1, *record.point[2:]],
+    "too few unknowns": lambda record: changed(record, "z", fewer=1),
 }
 
 
@@ -288,7 +290,7 @@ def test_a_point_that_does_not_solve_the_equations_is_not_believed(
     """Also where its checksum holds."""
     kept = records[: len(records) // 2]
     place = max(i for i, record in enumerate(kept[:-2]) if isinstance(record, PointRecord))
-    kept[place] = msgspec.structs.replace(kept[place], **FAULTS[kind](kept[place]))
+    kept[place] = msgspec.structs.replace(kept[place], point=FAULTS[kind](kept[place]))
     out, _ = resume(written(kept))
     told = capsys.readouterr().err
     assert told.endswith(AGAIN)
@@ -322,7 +324,7 @@ def test_a_record_that_cannot_be_written_leaves_the_journal_whole(
         raise OSError(28, "No space left on device")
 
     path, decoder = tmp_path / "journal", msgspec.msgpack.Decoder(CycleRecord)
-    record = CycleRecord("", bytes(800), bytes(800), 0.0, 1.0)
+    record = CycleRecord("", data_of(np.zeros(100)), data_of(np.zeros((100, 1))), 0.0, 1.0)
     with Journal(path, decoder) as journal:
         journal.append(record)
         with monkeypatch.context() as patch:

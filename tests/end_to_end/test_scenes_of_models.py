@@ -18,7 +18,7 @@ from scipy.special import ellipk
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.model.loading import run_file
-from casadi_skin.results.store import Journal
+from casadi_skin.results.journal import Journal
 from casadi_skin.runs.program import main
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -1,4 +1,4 @@
-"""Estimated errors against true ones on random cases, a small draw of what `casadi-skin honesty` measures."""
+"""Estimated errors against true ones on random cases, a small draw of what tests/studies/honesty.py measures."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import pytest
 from outputs import read_rows
 
 from casadi_skin import Chain, Orbit, follow_family
-from casadi_skin.runs.program import main
 from casadi_skin.stability.stepping import FlowError
-from casadi_skin.studies.calibration import study as study_module
-from casadi_skin.studies.calibration.cases import Case, Outcome, Quantity, draw, find, measure, reference_of
-from casadi_skin.studies.calibration.study import COLUMNS, QUANTITIES, ErrorCalibration, Tally
-from casadi_skin.studies.exact import LONG_DOUBLES, exact_orbit
-from casadi_skin.studies.exact_multipliers import exact_mu, paired
+from tests.studies import honesty as study_module
+from tests.studies.exact import LONG_DOUBLES, exact_orbit
+from tests.studies.exact_multipliers import exact_mu, paired
+from tests.studies.honesty import COLUMNS, QUANTITIES, ErrorCalibration, Tally
+from tests.studies.honesty import main as honesty
+from tests.studies.honesty_cases import Case, Outcome, Quantity, draw, find, measure, reference_of
 
 CASES, SEED = 12, 2026
 
@@ -115,8 +115,8 @@ def test_estimates_that_are_too_small_are_found_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(Orbit, "Omega_error", property(lambda self: 0.01 * self.point.error.Omega))
-    arguments = ["honesty", "--cases", "3", "--seed", str(SEED), "--out", str(tmp_path / "out")]
-    assert main(arguments) == 1
+    arguments = ["--cases", "3", "--seed", str(SEED), "--out", str(tmp_path / "out")]
+    assert honesty(arguments) == 1
     told = capsys.readouterr().out
     assert "not honest: Omega" in told
     assert any("far off" in row["Omega_verdict"] for row in read_rows(tmp_path / "out" / "honesty.csv"))
@@ -132,8 +132,8 @@ def test_a_case_that_fails_is_a_row_with_its_reason(
     monkeypatch.setattr(Orbit, "floquet", fail)
     first = next(index for index in range(CASES) if draw(SEED, index).sites > 1)
     out = tmp_path / "out"
-    arguments = ["honesty", "--cases", "1", "--first", str(first), "--seed", str(SEED), "--out", str(out)]
-    assert main(arguments) == 1
+    arguments = ["--cases", "1", "--first", str(first), "--seed", str(SEED), "--out", str(out)]
+    assert honesty(arguments) == 1
     (row,) = read_rows(out / "honesty.csv")
     assert (row["index"], row["reason"], row["multipliers_true"]) == (str(first), "FlowError: out of reach", "")
     assert row["Omega_verdict"] == "covered"
@@ -153,7 +153,7 @@ def test_an_interruption_keeps_what_was_computed(
 
     monkeypatch.setattr(study_module, "measure", interrupted)
     out = tmp_path / "out"
-    assert main(["honesty", "--cases", "5", "--seed", str(SEED), "--out", str(out)]) == 130
+    assert honesty(["--cases", "5", "--seed", str(SEED), "--out", str(out)]) == 130
     assert "after 2 cases" in capsys.readouterr().err
     assert [row["index"] for row in read_rows(out / "honesty.csv")] == ["0", "1"]
     assert (out / "honesty.png").exists()
@@ -163,7 +163,7 @@ def test_an_interruption_keeps_what_was_computed(
 def test_numbers_out_of_range_are_refused_in_one_line(
     wrong: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["honesty", *wrong, "--out", str(tmp_path / "out")]) == 2
+    assert honesty([*wrong, "--out", str(tmp_path / "out")]) == 2
     told = capsys.readouterr().err
     assert told.count("\n") == 1
     assert wrong[0] in told

@@ -12,7 +12,7 @@ import pytest
 
 from casadi_skin import Chain, Orbit, follow_family
 from casadi_skin.follow.harmonics import harmonic_shares, third_harmonic_leads
-from casadi_skin.studies.exact import (
+from tests.studies.exact import (
     LONG_DOUBLES,
     PI,
     cosine,
@@ -20,10 +20,10 @@ from casadi_skin.studies.exact import (
     exact_orbit,
     many_digits,
 )
-from casadi_skin.studies.integration import physical_multipliers, return_error
-from casadi_skin.studies.stress.case import Case, Finding, RefusedError, digits_of, measure
-from casadi_skin.studies.stress.checks import Setup, against_digits, against_duffing, shift_against_digits
-from casadi_skin.studies.stress.physical import compare
+from tests.studies.extreme_case import Case, Finding, RefusedError, digits_of, measure
+from tests.studies.extreme_checks import Setup, against_digits, against_duffing, shift_against_digits
+from tests.studies.extreme_physical import compare
+from tests.studies.integration import physical_multipliers, return_error
 
 SOFTENING = Chain(24, 1.0, 0.25, -1.0)
 

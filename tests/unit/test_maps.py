@@ -336,7 +336,7 @@ import msgspec
 from casadi_skin.runs.map_grid import Task
 from casadi_skin.runs.map_grid import Result, Row
 from casadi_skin.runs.map import run_map
-from casadi_skin.results.store import os
+from casadi_skin.results.journal import os
 
 words = {f"quantity_{k}": float(k) for k in range(30)}
 meanings, peak = dict.fromkeys(words, "a number"), 0

@@ -21,8 +21,8 @@ from casadi_skin.optimise.search import SearchResult, SearchStatus
 from casadi_skin.optimise.search import search as run_search
 from casadi_skin.optimise.search_orbit import pareto_front, stated_search
 from casadi_skin.optimise.search_problem import Ending, Outcome, solve_start
-from casadi_skin.results.saving import outcome_record, write_search
-from casadi_skin.results.saving import restored_search as restored
+from casadi_skin.results.branch_records import data_of, value_of
+from casadi_skin.results.tables import write_search
 from casadi_skin.solve.processes import SearchProgress
 
 Q, V, OMEGA, T = (ca.SX.sym(name) for name in ("q", "v", "omega", "t"))
@@ -129,7 +129,7 @@ def test_starts_that_are_known_are_not_run_again(largest: SearchResult, monkeypa
     problem, kept = stated_search(DUFFING, **ASKED), list[Outcome]()
     result = run_search(problem, problem.starts(3, 0)[:2], keep=kept.append)
     assert [outcome.start.number for outcome in kept] == [1, 2]
-    known = [restored(outcome_record(outcome)) for outcome in result.outcomes]
+    known = [value_of(data_of(outcome)) for outcome in result.outcomes]
     again = run_search(problem, problem.starts(3, 0), known=known, keep=kept.append)
     assert [outcome.start.number for outcome in kept] == [1, 2, 3]
     assert again.best.starts == largest.best.starts

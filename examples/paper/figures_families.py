@@ -9,6 +9,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
+from paper_data import (
+    ALPHA,
+    AMPLITUDE_MAX,
+    SITES,
+    STATED_P,
+    STATED_Q,
+    PaperData,
+    Sensitivity,
+    analytical_sensitivity,
+)
 
 from casadi_skin.dynamics import Evolution
 from casadi_skin.follow.branch import Branch
@@ -20,17 +30,7 @@ from casadi_skin.results.figures.spacetime import draw_spacetime
 from casadi_skin.results.figures.style import AMPLITUDE, blank, colours, finished, number, number_sites, style, title
 from casadi_skin.results.quantities import csv_row, places_of, quantities_of
 from casadi_skin.results.tables import EVENT_COLUMNS, event_rows
-from casadi_skin.studies.paper.paper_data import (
-    ALPHA,
-    AMPLITUDE_MAX,
-    SITES,
-    STATED_P,
-    STATED_Q,
-    PaperData,
-    Sensitivity,
-    analytical_sensitivity,
-)
-from casadi_skin.studies.study import Rows, letter, stacked, table
+from casadi_skin.runs.study import Rows, letter, stacked, table
 from casadi_skin.zero.problem import Array
 
 Drawn = tuple[Figure, dict[str, Rows]]

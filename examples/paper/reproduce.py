@@ -1,23 +1,31 @@
-"""The paper again: its figures as pictures with their data beside them, and its claims checked."""
+"""The paper again: its figures as pictures with their data beside them, and its claims checked.
+
+Run: python examples/paper/reproduce.py [fig1 ... fig7, claims] --out DIR
+"""
 
 from __future__ import annotations
 
+import argparse
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
+from pathlib import Path
 from types import MappingProxyType
 
+from claim import COLUMNS, Claim
+from claims_families import family_claims, sensitivity_claims
+from claims_linear import linear_claims
+from claims_stability import stability_claims
+from figures_families import Drawn, families_figure, sensitivity_figure, theory_figure
+from figures_model import chain_figure, procedure_figure
+from figures_stability import floquet_figure, kick_figure
+from paper_data import PaperData
+
 from casadi_skin.model.arguments import check_name
-from casadi_skin.studies.paper.claim import COLUMNS, Claim
-from casadi_skin.studies.paper.claims_families import family_claims, sensitivity_claims
-from casadi_skin.studies.paper.claims_linear import linear_claims
-from casadi_skin.studies.paper.claims_stability import stability_claims
-from casadi_skin.studies.paper.figures_families import Drawn, families_figure, sensitivity_figure, theory_figure
-from casadi_skin.studies.paper.figures_model import chain_figure, procedure_figure
-from casadi_skin.studies.paper.figures_stability import floquet_figure, kick_figure
-from casadi_skin.studies.paper.paper_data import PaperData
-from casadi_skin.studies.study import Study
+from casadi_skin.runs.output import InputError
+from casadi_skin.runs.study import Study, study_program
 
 FIGURES: Mapping[str, Callable[[PaperData], Drawn]] = MappingProxyType({
     "fig1": chain_figure,
@@ -53,7 +61,10 @@ class PaperReproduction(Study):
 
     def __post_init__(self) -> None:
         for name in self.targets:
-            check_name("targets", name, TARGETS)
+            try:
+                check_name("targets", name, TARGETS)
+            except ValueError as error:
+                raise InputError(f"reproduce: {error}") from error
 
     def run(self) -> None:
         data = PaperData(self.say)
@@ -79,3 +90,20 @@ class PaperReproduction(Study):
         if self.claims:
             counts = ", ".join(f"{verdict}: {count}" for verdict, count in self.verdicts.items())
             yield f"{len(self.claims)} claims; {counts}"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The reproduction as a program; returns its exit status."""
+    parser = argparse.ArgumentParser(
+        prog="reproduce.py",
+        description="Recompute the figures of arXiv:2512.17483, fig1 to fig7, and check its claims.",
+        epilog="Example: python examples/paper/reproduce.py fig3 claims --out results/paper",
+    )
+    parser.add_argument("targets", nargs="*", metavar="TARGET", help="fig1 ... fig7, claims (default: all)")
+    return study_program(
+        parser, Path("results/paper"), lambda words: PaperReproduction(words.out, words.targets), arguments
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -5,14 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from claim import Claim, Verdict, claim, rounds_to
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-
-from casadi_skin.follow.branch import Branch
-from casadi_skin.lattice import closed_forms as multiple_scales
-from casadi_skin.lattice import uniform_chain as linear
-from casadi_skin.studies.paper.claim import Claim, Verdict, claim, rounds_to
-from casadi_skin.studies.paper.paper_data import (
+from paper_data import (
     ALPHA,
     GAMMA,
     MODES,
@@ -25,6 +20,11 @@ from casadi_skin.studies.paper.paper_data import (
     PaperData,
     analytical_sensitivity,
 )
+from scipy.optimize import brentq
+
+from casadi_skin.follow.branch import Branch
+from casadi_skin.lattice import closed_forms as multiple_scales
+from casadi_skin.lattice import uniform_chain as linear
 
 EXCELLENT = 0.05  # relative error of the shift up to which theory is called in excellent agreement here
 

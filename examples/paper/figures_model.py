@@ -6,13 +6,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from figures_families import Drawn
 from matplotlib.axes import Axes
+from paper_data import ALPHA, GAMMA, SITES, PaperData
 
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.results.figures.style import blank, finished, number_sites, style, title
-from casadi_skin.studies.paper.figures_families import Drawn
-from casadi_skin.studies.paper.paper_data import ALPHA, GAMMA, SITES, PaperData
-from casadi_skin.studies.study import letter, stacked, table
+from casadi_skin.runs.study import letter, stacked, table
 from casadi_skin.zero.problem import Array
 
 RIGHT_TO_LEFT, LEFT_TO_RIGHT = "#b2182b", "#2166ac"  # red and blue, as in the paper; distinguished by arrows as well

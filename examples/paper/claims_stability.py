@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from claim import Claim, Verdict, claim
+from paper_data import GAMMA, KICK, SITES, TOLERANCE, PaperData
 
 from casadi_skin.dynamics import distance_from_orbit
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.studies.integration import monodromy_eigenvalues
-from casadi_skin.studies.paper.claim import Claim, Verdict, claim
-from casadi_skin.studies.paper.paper_data import GAMMA, KICK, SITES, TOLERANCE, PaperData
+from tests.studies.integration import monodromy_eigenvalues
 
 
 def stability_claims(data: PaperData) -> Iterator[Claim]:

@@ -5,9 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from figures_families import (
+    Drawn,
+    changes_table,
+    draw_space_time,
+    families_table,
+    sites_table,
+)
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from paper_data import KICK, KICK_TIME, SITES, PaperData
 
 from casadi_skin.dynamics import Evolution, simulate_orbit
 from casadi_skin.follow.branch import Branch
@@ -15,16 +23,8 @@ from casadi_skin.follow.orbit import Orbit
 from casadi_skin.results.figures.multipliers import MODULUS, draw_plane
 from casadi_skin.results.figures.multipliers import moduli as moduli_line
 from casadi_skin.results.figures.style import AMPLITUDE, blank, finished, number, style, title
+from casadi_skin.runs.study import Rows, letter, stacked, table
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.studies.paper.figures_families import (
-    Drawn,
-    changes_table,
-    draw_space_time,
-    families_table,
-    sites_table,
-)
-from casadi_skin.studies.paper.paper_data import KICK, KICK_TIME, SITES, PaperData
-from casadi_skin.studies.study import Rows, letter, stacked, table
 from casadi_skin.zero.problem import Array
 
 DENSE = 400  # places along the family of which all multipliers are drawn

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import argparse
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.table import Table
+from rich.text import Text
 
 from casadi_skin.dynamics.resonances import threshold
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.results.figures.style import blank, finished, style
-from casadi_skin.studies.stress import physical
-from casadi_skin.studies.stress.case import MOST_DIGITS, Case, Outcome, measure
-from casadi_skin.studies.stress.cases import all_cases
-from casadi_skin.studies.study import Study, letter, text_table
+from casadi_skin.runs.study import Study, letter, study_program, text_table
+from tests.studies import extreme_physical as physical
+from tests.studies.extreme_case import MOST_DIGITS, Case, Outcome, measure
+from tests.studies.extreme_cases import all_cases
 
 COLUMNS = (
     *("theme", "case", "asked", "check", "verdict", "got", "digits", "promised", "refused", "fault", "seconds"),
@@ -85,8 +89,7 @@ class StressTest(Study):
         """Cases that are refused as expected."""
         return [outcome for outcome in self.outcomes if outcome.verdict == "refused"]
 
-    def report(self) -> Iterator[str | Table]:
-        yield self.table()
+    def report(self) -> Iterator[str]:
         for outcome in self.refusals:
             yield f"refused: {outcome.case.name}: {outcome.refused}"
         for outcome in self.faults:
@@ -95,7 +98,7 @@ class StressTest(Study):
         counts = f"{count - refused - faults} hold, {refused} are refused, {faults} not as expected"
         yield f"{count} cases: {counts}"
 
-    def table(self) -> Table:
+    def tables(self) -> Iterator[Table]:
         """The outcomes, by theme."""
         table = text_table(("case", "digits", "promised", "checked by"), words=(0, 3))
         theme = ""
@@ -103,11 +106,11 @@ class StressTest(Study):
             case, finding = outcome.case, outcome.finding
             if case.theme != theme:
                 theme = case.theme
-                table.add_row(f"[bold]{theme}[/bold]")
+                table.add_row(Text(theme, style="bold"))
             known = ("", "") if finding is None else (f"{finding.digits:.1f}", f"{finding.promised:.1f}")
             words = {"holds": case.check, "refused": "refused", "fault": "NOT AS EXPECTED"}[outcome.verdict]
             table.add_row(f"  {case.name}", *known, words)
-        return table
+        yield table
 
 
 def row(outcome: Outcome) -> dict[str, object]:
@@ -215,3 +218,18 @@ def threshold_figure(alpha: float, gammas: Sequence[float], thresholds: Mapping[
         letter(left, "a", "end breather of the infinite chain")
         letter(right, "b", rf"$\alpha = {alpha:g}$ (dimensionless)")
         return finished(figure, [left, right], 2)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The stress test as a program; returns its exit status, 1 where a case neither holds nor is refused."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.studies.extremes",
+        description="Check orbits and multipliers at the extremes of every parameter by independent means; exit "
+        "status 1 where a case neither holds nor is refused as expected.",
+    )
+    parser.add_argument("--quick", action="store_true", help="the shorter cases alone")
+    return study_program(parser, Path("results/extremes"), lambda words: StressTest(words.out, words.quick), arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

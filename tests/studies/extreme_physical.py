@@ -17,9 +17,9 @@ from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.results.figures.style import blank, colours, finished, style
-from casadi_skin.studies.exact import DOUBLES, Array, CosineEquations, NotSolvedError
-from casadi_skin.studies.integration import couplings, monodromy_eigenvalues
-from casadi_skin.studies.study import letter
+from casadi_skin.runs.study import letter
+from tests.studies.exact import DOUBLES, Array, CosineEquations, NotSolvedError
+from tests.studies.integration import couplings, monodromy_eigenvalues
 
 RELATIVE = 1e-12  # local tolerance of DOP853
 HARMONICS = 6  # of the orbits that Newton's method finds

@@ -14,8 +14,8 @@ from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.runs.study import Rows, table
 from casadi_skin.stability.growth import TransientGrowth
-from casadi_skin.studies.study import Rows, table
 from casadi_skin.zero.problem import Array
 
 SITES, ALPHA, GAMMA = 24, 1.0, 0.25

@@ -15,11 +15,11 @@ from casadi_skin.follow.harmonics import harmonic_shares
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import duffing_frequency, frequency_slope
-from casadi_skin.studies.calibration.cases import reference_of
-from casadi_skin.studies.exact import exact_linear_frequency, exact_orbit, many_digits
-from casadi_skin.studies.exact_multipliers import exact_mu, paired, reduced
-from casadi_skin.studies.integration import physical_multipliers, return_error
-from casadi_skin.studies.stress.case import Finding, RefusedError, relative
+from tests.studies.exact import exact_linear_frequency, exact_orbit, many_digits
+from tests.studies.exact_multipliers import exact_mu, paired, reduced
+from tests.studies.extreme_case import Finding, RefusedError, relative
+from tests.studies.honesty_cases import reference_of
+from tests.studies.integration import physical_multipliers, return_error
 
 TOLERANCE = 1e-12
 SHIFT_ALLOWED = 1e-6

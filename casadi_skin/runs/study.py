@@ -1,8 +1,14 @@
-"""Base of studies: a directory to which tables and pictures are written as results arrive, and a report."""
+"""Studies: a directory to which tables and pictures are written as results arrive, a report, and a command.
+
+`casadi-skin tradeoff` is one; the paper's figures (examples/paper) and the studies of the tests are programs of their
+own, by `study_program`.
+"""
 
 from __future__ import annotations
 
+import argparse
 import math
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +24,9 @@ from rich.table import Table
 from casadi_skin.model.files import replacing
 from casadi_skin.results.dataset import Cell, write_csv
 from casadi_skin.results.figures.style import save
+from casadi_skin.runs.directory import prepare_study
+from casadi_skin.runs.output import DONE, FAILED, INTERRUPTED, add_study_options, exit_status, print_results
+from casadi_skin.runs.progress import Progress
 
 Case = TypeVar("Case")
 Rows = tuple[Sequence[str], Sequence[Mapping[str, object]]]
@@ -44,8 +53,12 @@ class Study(ABC):
         """
 
     @abstractmethod
-    def report(self) -> Iterable[str | Table]:
-        """The results, as lines and tables."""
+    def report(self) -> Iterable[str]:
+        """The results in lines, below the tables."""
+
+    def tables(self) -> Iterable[Table]:
+        """The results in tables for the terminal; none unless the study has some."""
+        return ()
 
     @property
     def faults(self) -> Sequence[object]:
@@ -114,3 +127,63 @@ def text_table(heads: Sequence[str], words: Sequence[int] = (0,)) -> Table:
 def letter(axes: Axes, name: str, words: str = "") -> None:
     """The panel's letter and a few words above it, at the left."""
     axes.set_title(f"({name})  {words}".rstrip(), loc="left")
+
+
+# The command of a study ---------------------------------------------------------------------------------------------
+
+
+def study_program(
+    parser: argparse.ArgumentParser,
+    default: Path,
+    study_of: Callable[[argparse.Namespace], Study],
+    arguments: Sequence[str] | None = None,
+) -> int:
+    """Run a study as a program of its own.
+
+    Arguments:
+        parser: holds what this study alone can be asked for.
+        default: directory of the results unless one is given.
+        study_of: the study of parsed arguments; raises InputError where they are wrong.
+        arguments: words of the command line; those of this process unless given.
+
+    Returns:
+        The exit status: 0 done, 1 a fault of the study, 2 wrong input, 130 interrupted.
+    """
+    add_study_options(parser, default)
+    parsed = parser.parse_args(arguments)
+    return exit_status(lambda: run_study(study_of(parsed), parsed))
+
+
+def run_study(study: Study, arguments: argparse.Namespace) -> int:
+    """Run a study with the options of `add_study_options`, show its report, and return the exit status."""
+    study.formats = arguments.formats or study.formats
+    prepare_study(study.directory, arguments.overwrite)
+    with Progress(arguments.quiet) as progress:
+        study.say = progress.say
+        try:
+            study.run()
+        except (KeyboardInterrupt, ArithmeticError) as error:
+            progress.__exit__(None, None, None)
+            interrupted = isinstance(error, KeyboardInterrupt)
+            words = f"interrupted after {study.done} {study.part}" if interrupted else f"casadi-skin: {error}"
+            print(f"{words}; the results so far are in {study.directory}", file=sys.stderr)
+            return INTERRUPTED if interrupted else FAILED
+    faults = [str(fault) for fault in study.faults]
+    if arguments.json:
+        print_results(study.directory, not faults, faults)
+    elif not arguments.quiet:
+        _print_report(study)
+    if arguments.json or arguments.quiet:  # the report would have shown them
+        for fault in faults:
+            print(f"casadi-skin: {fault}", file=sys.stderr)
+    return FAILED if faults else DONE
+
+
+def _print_report(study: Study) -> None:
+    from rich.console import Console
+
+    for table in study.tables():
+        Console().print(table)
+    for line in study.report():
+        print(line)
+    print(f"{study.done} {study.part}; {len(study.files)} files in {study.directory}")

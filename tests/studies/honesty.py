@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import argparse
 import math
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, astuple, dataclass, field, fields
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 from rich.table import Table
 
 from casadi_skin.results.figures.style import blank, finished, style
-from casadi_skin.studies.calibration.cases import Case, Outcome, Quantity, draw, measure
-from casadi_skin.studies.study import Study, letter, text_table
+from casadi_skin.runs.output import InputError
+from casadi_skin.runs.study import Study, letter, study_program, text_table
+from tests.studies.honesty_cases import Case, Outcome, Quantity, draw, measure
 
 COVERED = 0.95  # share of estimates that may not be below the true error
 OVERESTIMATE = 30.0  # median of estimate over true error that is still of use
@@ -134,14 +138,13 @@ class ErrorCalibration(Study):
             found.append(f"{len(self.outcomes)} of {self.cases} cases were computed")
         return found
 
-    def report(self) -> Iterator[str | Table]:
-        yield self.table()
+    def report(self) -> Iterator[str]:
         for outcome in self.failures:
             yield f"case {outcome.case.index}: {outcome.reason}"
         for fault in self.faults:
             yield f"not honest: {fault}"
 
-    def table(self) -> Table:
+    def tables(self) -> Iterator[Table]:
         """The counts, by quantity and by method."""
         heads = ("covered", "", "largest\ntrue/est.", "median\nest./true", "true >\n10 est.", "missed", "declared")
         table = text_table(("errors of", *heads))
@@ -154,7 +157,7 @@ class ErrorCalibration(Study):
             ratio = "" if math.isnan(median) else f"{median:.3g}"
             counts = map(str, (far_off, missed, announced))
             table.add_row(label, f"{covered}/{judged}", share, f"{worst:.2g}", ratio, *counts)
-        return table
+        yield table
 
 
 def row(outcome: Outcome) -> dict[str, object]:
@@ -203,3 +206,26 @@ def calibration_figure(outcomes: Iterable[Outcome]) -> Figure:
             letter(axes, panel, label)
         panels[0].set_ylabel("estimated relative error")
         return finished(figure, panels, columns=2)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The calibration as a program; returns its exit status, 1 where the estimates are not honest."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.studies.honesty",
+        description="Compare estimated with true errors of random orbits; exit status 1 where they are not honest.",
+    )
+    parser.add_argument("--cases", type=int, default=200, metavar="K", help="number of cases (default: 200)")
+    parser.add_argument("--seed", type=int, default=0, metavar="K", help="of the draw (default: 0)")
+    parser.add_argument("--first", type=int, default=0, metavar="K", help="index of the first case (default: 0)")
+    return study_program(parser, Path("results/honesty"), _study, arguments)
+
+
+def _study(words: argparse.Namespace) -> ErrorCalibration:
+    for name, least in (("cases", 1), ("seed", 0), ("first", 0)):
+        if getattr(words, name) < least:
+            raise InputError(f"honesty: given --{name} {getattr(words, name)}; accepted: a whole number >= {least}")
+    return ErrorCalibration(words.out, words.cases, words.seed, words.first)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.follow.orbit import Orbit
+from casadi_skin.runs.tradeoff_settings import paired
 from casadi_skin.stability.result import ReversibleFloquet
-from casadi_skin.studies.exact import ExactOrbit
+from tests.studies.exact import ExactOrbit
 
 Extended = NDArray[np.longdouble]
 Complex = NDArray[np.complexfloating]
@@ -28,17 +29,6 @@ def reduced(orbit: Orbit) -> ReversibleFloquet:
     found = orbit.floquet()
     assert isinstance(found, ReversibleFloquet)
     return found
-
-
-def paired(values: Complex, others: Complex) -> Complex:
-    """The others in the order in which they belong to `values`.
-
-    The sum of all distances, relative to max(1, |value|), is least.
-    """
-    from scipy.optimize import linear_sum_assignment
-
-    distances = np.abs(values[:, None] - others[None, :]) / np.maximum(1, np.abs(values))[:, None]
-    return np.asarray(others[linear_sum_assignment(distances.astype(float))[1]])
 
 
 def exact_mu(orbit: ExactOrbit) -> tuple[Complex, float]:

@@ -11,8 +11,8 @@ from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.stability.result import ReversibleFloquet
-from casadi_skin.studies.exact import LONG_DOUBLES, ExactOrbit, exact_orbit
-from casadi_skin.studies.exact_multipliers import Complex, exact_mu, paired, reduced
+from tests.studies.exact import LONG_DOUBLES, ExactOrbit, exact_orbit
+from tests.studies.exact_multipliers import Complex, exact_mu, paired, reduced
 
 POINTS = 100  # of a family, at most: softening families may fold again and again
 NEAR = 0.1  # of the state and of Omega: farther away the reference is another orbit

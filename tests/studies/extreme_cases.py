@@ -12,11 +12,11 @@ import numpy as np
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.harmonics import third_harmonic_leads
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.studies.exact import exact_orbit
-from casadi_skin.studies.stress import checks
-from casadi_skin.studies.stress.case import Case, Finding, RefusedError, relative
-from casadi_skin.studies.stress.checks import TOLERANCE, Check, Setup, against_digits
 from casadi_skin.zero.problem import Array
+from tests.studies import extreme_checks as checks
+from tests.studies.exact import exact_orbit
+from tests.studies.extreme_case import Case, Finding, RefusedError, relative
+from tests.studies.extreme_checks import TOLERANCE, Check, Setup, against_digits
 
 GAMMA, SIZE, ALPHA, MODES = "gamma", "number of sites", "alpha", "modes that nearly meet"
 SMALL, LARGE, SIZE_OF_G, RESONANCE = "tiny S", "large S", "size of g", "internal resonance"

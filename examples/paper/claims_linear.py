@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from claim import Claim, Verdict, claim, rounds_to
+from paper_data import ALPHA, GAMMA, SITES, PaperData
 
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.studies.paper.claim import Claim, Verdict, claim, rounds_to
-from casadi_skin.studies.paper.paper_data import ALPHA, GAMMA, SITES, PaperData
 from casadi_skin.zero.problem import Array
 
 ROUND_OFF = 1e-12

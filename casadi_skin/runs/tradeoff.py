@@ -1,0 +1,370 @@
+"""What accuracy costs: every method at every tolerance on one family, as tables, a page of advice, and a picture."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import groupby
+from math import nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
+
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.model.methods import FLOWS, TRANSCRIPTIONS
+from casadi_skin.results.figures.style import blank, colours, finished, style, title
+from casadi_skin.runs.output import InputError
+from casadi_skin.runs.study import Study, letter, run_study
+from casadi_skin.runs.tradeoff_settings import (
+    COLUMNS,
+    QUICK_TOLERANCES,
+    SHOOTING_POSITIONS,
+    SMALLEST_ERROR,
+    TIGHTEST_TOLERANCE,
+    TOLERANCES,
+    Errors,
+    Kind,
+    Measured,
+    Reference,
+    Setting,
+    measure,
+    memory_of,
+    positions,
+    settings_of,
+    shooting_left_out,
+)
+from casadi_skin.zero.family import Method, Targets
+from casadi_skin.zero.request import FamilyRequest, family_request
+
+TABLE_TOLERANCES = QUICK_TOLERANCES  # of the rows that the page shows
+REPEATS = 5
+PARTS_OF_FAMILY = 5  # at whose ends errors are measured unless the scene requests orbits
+DEFAULT_AT = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)  # no value next to a change of stability, where mu meet
+EQUAL_ERRORS = 1.5  # factor between errors that count as equal on a Pareto front
+SINGLE_RUN_NOISE, MEDIAN_NOISE = 1.5, 1.1  # factors between times that mean something
+IDLE_SHARE = 0.95  # of the processor, below which the machine was busy
+
+
+@dataclass
+class WorkPrecision(Study):
+    """The study of one family: tradeoff.csv, flows.csv, reference.csv, recommendations.md and a picture."""
+
+    family: FamilyRequest
+    quick: bool = False
+    repeats: int = REPEATS
+    measured: list[Measured] = field(default_factory=list)
+    baseline: float = nan  # memory of a process that computes nothing
+
+    part = "settings"
+
+    def run(self) -> None:
+        self.say("reference")
+        reference = Reference(self.family)
+        self.write_table("reference", Reference.COLUMNS, reference.rows())
+        self.baseline = memory_of(None)
+        settings = settings_of(self.family, QUICK_TOLERANCES if self.quick else TOLERANCES)
+        self.say("warming up")  # the loading at a first use is no part of any setting's time
+        for setting in {s.method: s for s in reversed(settings)}.values():
+            measure(self.family, setting, reference, 0)
+
+        def work(setting: Setting) -> None:
+            measured = measure(self.family, setting, reference, self.repeats)
+            if not measured.failure and (not self.quick or setting.kind is Kind.PRESET):
+                memory = memory_of(setting.of(self.family), setting.kind is not Kind.ORBITS)
+                measured = replace(measured, memory_MB=memory)
+            self.measured.append(measured)
+            self._write_rows()
+
+        try:
+            self.work_through(settings, lambda setting: f"{setting.method}, tolerance {setting.tolerance:.0e}", work)
+        finally:
+            if any(m.seconds == m.seconds for m in self.measured):
+                known = reference.agreement
+                text = recommendations(self.family, self.measured, known, self.baseline, self.repeats)
+                self.write_text("recommendations.md", text)
+                self.write_figure("tradeoff", work_precision_figure(self.family, self.measured, known))
+
+    def _write_rows(self) -> None:
+        for stem, by_flow in (("tradeoff", False), ("flows", True)):
+            rows = [m.row() for m in self.measured if (m.setting.kind is Kind.FLOW) == by_flow]
+            if rows:
+                self.write_table(stem, COLUMNS, rows)
+
+    def report(self) -> Iterator[str]:
+        yield from advices(self.measured)
+        yield from (preset_words(m) for m in self.measured if m.setting.kind is Kind.PRESET)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """The command `casadi-skin tradeoff`; returns its exit status."""
+    if arguments.repeats is not None and arguments.repeats < 1:
+        raise InputError(f"tradeoff: given --repeats {arguments.repeats}; accepted: a whole number >= 1")
+    family = family_request(Chain(24, 1.0, 0.25, -1.0), 1, 1.0, at=DEFAULT_AT)  # the paper's softening end breather
+    if arguments.scene is not None:
+        family = _family_of(arguments.scene)
+    repeats = arguments.repeats or (1 if arguments.quick else REPEATS)
+    return run_study(WorkPrecision(arguments.out, family, arguments.quick, repeats), arguments)
+
+
+def _family_of(path: Path) -> FamilyRequest:
+    """The first family of a scene, with every position an unknown and by default methods."""
+    from casadi_skin.runs.scene_commands import bound, read_scene
+
+    scene = read_scene(path)[0]
+    accepted = "a scene with a table [family], and a model of finite length"
+    families = [] if scene.family is None else bound(scene, path).families
+    if not families or families[0].coordinates.localised is not None:
+        raise InputError(f"{path}: asks for no family that can be measured; accepted: {accepted}")
+    family, end = families[0], families[0].amplitude_max
+    at = family.targets.at or tuple(end * part / PARTS_OF_FAMILY for part in range(1, PARTS_OF_FAMILY + 1))
+    return FamilyRequest(family.model, family.mode, end, Targets(at), parameters=family.parameters, method=Method())
+
+
+# Words --------------------------------------------------------------------------------------------------------------
+
+
+def duration(seconds: float) -> str:
+    """A time with about three digits and its unit."""
+    if seconds >= 1.0:
+        return f"{seconds:.2f} s"
+    return f"{1e3 * seconds:.0f} ms" if seconds >= 0.1 else f"{1e3 * seconds:.3g} ms"
+
+
+def pareto_front(points: Sequence[tuple[float, float]], same: float = 1.0) -> list[int]:
+    """Indices of the points (cost, error) that no other beats in one without losing in the other, by rising cost.
+
+    Errors within a factor `same` count as equal, and of equal points the cheapest stays. Points with nan are left out.
+    """
+    front: list[int] = []
+    order = sorted((i for i, p in enumerate(points) if p[0] == p[0] and p[1] == p[1]), key=lambda i: points[i])
+    for i in order:
+        if not front or same * points[i][1] < points[front[-1]][1]:
+            front.append(i)
+    return front
+
+
+def front_of(measured: Sequence[Measured], kind: Kind, known: Errors) -> list[Measured]:
+    """The Pareto front of the settings of a kind; errors up to that of the reference count as equal."""
+    requested = [m for m in measured if m.setting.kind is kind and not m.failure]
+    floor = np.nan_to_num(known.bounded_by(kind))
+    return [requested[i] for i in pareto_front([(m.seconds, max(m.error, floor)) for m in requested], EQUAL_ERRORS)]
+
+
+def fastest(measured: Iterable[Measured], wanted: float) -> Measured | None:
+    """The fastest whose tolerance promises the wanted error and whose true error keeps it, or None."""
+    kept = [m for m in measured if m.setting.tolerance <= 1.001 * wanted and m.error <= wanted]
+    return min(kept, key=lambda m: m.seconds, default=None)
+
+
+def advice(measured: Sequence[Measured], wanted: float, kind: Kind) -> str:
+    """The setting to use to a wanted error, and how much faster that is than the next method."""
+    settings = [m for m in measured if m.setting.kind is kind]
+    best = fastest(settings, wanted)
+    if best is None:
+        return "no setting measured here promises and keeps it"
+    words = f"{best.setting.method} at tolerance {best.setting.tolerance:.0e}, {duration(best.seconds)}"
+    following = fastest([m for m in settings if m.setting.method != best.setting.method], wanted)
+    if following is None:
+        return f"{words}; no other method reaches it"
+    name = f"{following.setting.method} ({duration(following.seconds)})"
+    noise = SINGLE_RUN_NOISE if following.seconds_min == following.seconds_max else MEDIAN_NOISE
+    if best.seconds >= following.seconds_min or noise * best.seconds >= following.seconds:
+        return f"{words}; not distinguished by these times from {name}"
+    return f"{words}; {following.seconds / best.seconds:.2g} times faster than the next, {name}"
+
+
+def advices(measured: Sequence[Measured]) -> list[str]:
+    """A line for each kind of result and errors with the same advice."""
+    tolerances = sorted({m.setting.tolerance for m in measured if m.setting.kind is not Kind.PRESET}, reverse=True)
+    lines = []
+    for kind, what in ((Kind.ORBITS, "Omega and the profile"), (Kind.FLOW, "mu")):
+        if not any(m.setting.kind is kind for m in measured):
+            continue
+        for text, group in groupby(tolerances, key=lambda wanted: advice(measured, wanted, kind)):
+            wanted = [f"{tolerance:.0e}" for tolerance in group]
+            span = wanted[0] if len(wanted) == 1 else f"{wanted[0]} and down to {wanted[-1]}"
+            lines.append(f"For {what} to {span}: {text}.")
+    return lines
+
+
+def preset_words(preset: Measured) -> str:
+    """The cost of a preset and its true errors."""
+    start, tolerance = f"`{preset.setting.name}` ({preset.setting.tolerance:.0e}): ", preset.setting.tolerance
+    if preset.failure:
+        return f"{start}{preset.failure}."
+    errors = {"Omega": preset.Omega_error, "profile": preset.profile_error, "mu": preset.mu_error}
+    known = ", ".join(f"{name} {error:.1e}" for name, error in errors.items() if error == error)
+    kept = "kept" if preset.error <= tolerance else f"missed by a factor {preset.error / tolerance:.2g}"
+    cost = f"{duration(preset.seconds)} with multipliers and {preset.points} points"
+    return f"{start}{cost}; true errors {known}; the tolerance is {kept}."
+
+
+def front_words(measured: Sequence[Measured], kind: Kind, known: Errors) -> str:
+    """The methods of the Pareto front by rising time."""
+    front = front_of(measured, kind, known)
+    parts = []
+    for method, group in groupby(front, key=lambda m: m.setting.method):
+        points = [f"{m.error:.1e} in {duration(m.seconds)}" for m in group]
+        parts.append(f"{method} " + (f"from {points[0]} to {points[-1]}" if len(points) > 1 else f"at {points[0]}"))
+    settings = sum(m.setting.kind is kind for m in measured)
+    what = "orbits" if kind is Kind.ORBITS else "multipliers"
+    return f"The Pareto front of {what}, {len(front)} of {settings} settings: {'; '.join(parts)}." if front else ""
+
+
+def broken_promises(measured: Sequence[Measured]) -> list[str]:
+    """Settings whose true error is above their tolerance, and those that failed, each a line."""
+    lines = []
+    for m in measured:
+        where, over = f"{m.setting.method}, tolerance {m.setting.tolerance:.0e}", m.error / m.setting.tolerance
+        if m.failure:
+            lines.append(f"{where}: no result: {m.failure}.")
+        elif over > 1.0 and not m.at_reference_round_off:
+            said = "the program says so" if m.told else "the program does not say so"
+            lines.append(f"{where}: true error {m.error:.1e}, {over:.2g} times that; {said}.")
+    return lines
+
+
+def busy(measured: Sequence[Measured]) -> str:
+    """A sentence where other work kept the process from a processor for more than a little of the time."""
+    known = [m for m in measured if m.processor_share == m.processor_share]
+    share = sum(m.processor_share * m.seconds for m in known) / (sum(m.seconds for m in known) or 1.0)
+    if not known or share > IDLE_SHARE:
+        return ""
+    return f" The machine was busy: the process had a processor for {share:.0%} of the time that passed."
+
+
+def table(measured: Sequence[Measured]) -> list[str]:
+    """Lines of a table in Markdown: settings at a few tolerances, and the presets."""
+    heads = ("method", "tolerance", "time (least to most)", "building", "peak memory", "unknowns")
+    lines = [f"| {' | '.join((*heads, 'error of Omega', 'profile', 'mu'))} |", "| --- |" + " ---: |" * 8]
+    names = {Kind.PRESET: "preset ", Kind.FLOW: "flow ", Kind.ORBITS: ""}
+    for m in measured:
+        if m.failure or not any(math.isclose(m.setting.tolerance, tolerance) for tolerance in TABLE_TOLERANCES):
+            continue
+        spread = f" ({duration(m.seconds_min)} to {duration(m.seconds_max)})" if m.seconds_min < m.seconds_max else ""
+        cells = (
+            f"{names[m.setting.kind]}{m.setting.method}{'*' if m.at_reference_round_off else ''}",
+            f"{m.setting.tolerance:.0e}",
+            duration(m.seconds) + spread,
+            duration(m.building_seconds),
+            f"{m.memory_MB:.0f} MB" if m.memory_MB == m.memory_MB else "",
+            f"{m.unknowns}",
+            *("" if value != value else f"{value:.1e}" for value in (m.Omega_error, m.profile_error, m.mu_error)),
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def recommendations(
+    family: FamilyRequest, measured: Sequence[Measured], known: Errors, baseline: float, repeats: int
+) -> str:
+    """The whole page as Markdown: measurements, recommendations, places of the presets, and the table."""
+    mu = f", and their mu to {known.mu:.1e}" if known.mu == known.mu else ""
+    own = family.method.transcription
+    text = (
+        f"Family j = {family.mode} of {title(family.model, family.parameters)} to S = {family.amplitude_max:g}; errors "
+        f"are true, relative, the largest at S = {', '.join(f'{S:.6g}' for S in family.targets.at)}, against orbits by "
+        f"{own} to {TIGHTEST_TOLERANCE:.0e}. A second transcription agrees with these to "
+        f"{max(known.Omega, SMALLEST_ERROR):.1e} of Omega and {known.profile:.1e} of the profile{mu}; settings as good "
+        f"as that are marked *. Processor times: medians of {repeats} run{'s' if repeats > 1 else ''} after a first "
+        f"one, whose surplus is the building; of flows, for the multipliers of all these orbits. The mu of orbits are "
+        f"those along them at the tightest tolerance. Peak memory is that of a process of its own, {baseline:.0f} MB "
+        f"of which it takes to start; of flows, with the family.{busy(measured)}"
+    )
+    sections = {
+        "What to use": advices(measured),
+        "Where the presets sit": [preset_words(m) for m in measured if m.setting.kind is Kind.PRESET],
+        "Pareto fronts": [w for kind in (Kind.ORBITS, Kind.FLOW) if (w := front_words(measured, kind, known))],
+        "Not kept": broken_promises(measured),
+    }
+    parts = ["# What accuracy costs", text]
+    parts += [f"## {name}\n\n" + "\n".join(f"- {line}" for line in lines) for name, lines in sections.items() if lines]
+    if shooting_left_out(family):
+        reason = f"{positions(family)} positions move, and it is measured up to {SHOOTING_POSITIONS}"
+        parts.append(f"Shooting is left out: {reason}, as it integrates the sensitivity of every state to every one.")
+    return "\n\n".join([*parts, "## Measured\n\n" + "\n".join(table(measured))]) + "\n"
+
+
+# The picture --------------------------------------------------------------------------------------------------------
+
+MARKERS, FLOW_MARKERS = "os^D", "Pv<X"
+LOWEST_ERROR = 1e-17  # of the axes
+
+
+def _look(setting: Setting) -> dict[str, Any]:
+    """Marker, colour and line of a method: full markers are Newton's, open ones Ipopt's; series are dashed."""
+    if setting.kind is Kind.FLOW:
+        place = list(FLOWS).index(setting.flow)
+        return {"marker": FLOW_MARKERS[place], "color": colours(len(FLOWS))[place], "ls": "-", "ms": 5.5}
+    place = list(TRANSCRIPTIONS).index(setting.transcription)
+    colour = colours(len(TRANSCRIPTIONS))[place]
+    dashes: Any = (0, (4.0, 1.5)) if setting.walker == "series" else "-"
+    face = "white" if setting.corrector == "ipopt" else colour
+    return {"marker": MARKERS[place], "color": colour, "mfc": face, "ls": dashes, "ms": 5.0}
+
+
+def _draw(axes: Axes, measured: Sequence[Measured], kind: Kind, known: Errors) -> None:
+    """Each method a line through its tolerances, the front behind them, the presets, and the reference's round-off."""
+    requested = [m for m in measured if m.setting.kind is kind and not m.failure]
+    for method in dict.fromkeys(m.setting.method for m in requested):
+        those = [m for m in requested if m.setting.method == method]
+        middle, low, high = np.array([[m.seconds, m.seconds_min, m.seconds_max] for m in those]).T
+        spread = np.maximum([middle - low, high - middle], 0.0)
+        label = f"flow: {method}" if kind is Kind.FLOW else method
+        looks: dict[str, Any] = {"lw": 0.9, "elinewidth": 0.6, "zorder": 3, **_look(those[0].setting)}
+        axes.errorbar(middle, [m.error for m in those], xerr=spread, label=label, **looks)
+    front = front_of(measured, kind, known)
+    if front:
+        steps = np.array([[m.seconds, m.error] for m in front])
+        axes.step(*steps.T, where="post", color="0.75", lw=5.0, label="Pareto front", zorder=1, solid_capstyle="round")
+    label = "preset, orbits and multipliers"
+    for m in (m for m in measured if m.setting.kind is Kind.PRESET and not m.failure):
+        error = Errors(m.Omega_error, m.profile_error, m.mu_error).bounded_by(kind)
+        if error == error:
+            star: dict[str, Any] = {"ms": 11, "mfc": "black", "mec": "white", "mew": 0.8}
+            axes.plot(m.seconds, error, "*", label=label, zorder=6, **star)
+            box = {"fc": "white", "ec": "none", "alpha": 0.8, "pad": 0.6}
+            axes.annotate(m.setting.name, (m.seconds, error), (7, 6), textcoords="offset points", zorder=7, bbox=box)
+            label = "_"
+    axes.set(xscale="log", yscale="log")
+    axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))  # labels of more in a decade overlap
+    low, high = axes.get_ylim()
+    floor = known.bounded_by(kind)
+    if floor > 0:
+        label = "at the reference's round-off"
+        axes.axhspan(LOWEST_ERROR, floor, fc="0.93", ec="0.6", lw=0.6, hatch="....", label=label, zorder=0)
+        low = min(low, floor / 10.0)
+    axes.set_ylim(max(low, LOWEST_ERROR), high * 2.0)
+
+
+def work_precision_figure(family: FamilyRequest, measured: Sequence[Measured], known: Errors) -> Figure:
+    """True error against time: orbits at the left, multipliers at the right; bars from the least to the most time.
+
+    Errors up to those in `known`, by which the references differ, lie in a hatched band.
+    """
+    with style():
+        figure = blank(10.6, 6.0)
+        orbits, multipliers = figure.subplots(1, 2)
+        _draw(orbits, measured, Kind.ORBITS, known)
+        _draw(multipliers, measured, Kind.FLOW, known)
+        lows, highs = zip(orbits.get_ylim(), multipliers.get_ylim(), strict=True)
+        for axes in (orbits, multipliers):
+            axes.set_ylim(min(lows), max(highs))
+        orbits.set(xlabel="processor time for the family without multipliers (s)")
+        orbits.set_ylabel(r"relative error of $\Omega$ or of the profile, the larger")
+        multipliers.set(xlabel=f"processor time for the multipliers of {len(family.targets.at)} orbits (s)")
+        multipliers.set_ylabel(r"error of $\mu$ relative to $\max(1, |\mu|)$")
+        letter(orbits, "a", "orbits: transcription, walker, corrector")
+        letter(multipliers, "b", "multipliers: flow map")
+        if not any(m.setting.kind is Kind.FLOW for m in measured):
+            words = "no multipliers measured"
+            multipliers.text(0.5, 0.5, words, ha="center", va="center", transform=multipliers.transAxes)
+        model = title(family.model, family.parameters)
+        figure.suptitle(rf"$j = {family.mode}$ to $S = {family.amplitude_max:g}$, {model}")
+        return finished(figure, (orbits, multipliers), 4)

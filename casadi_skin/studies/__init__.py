@@ -1,1 +1,0 @@
-"""Studies: collections of scenes and their joint results."""

@@ -1,1 +1,0 @@
-"""Estimated errors compared with true ones."""

@@ -1,1 +1,0 @@
-"""Hard cases: where results hold, and where they are refused."""

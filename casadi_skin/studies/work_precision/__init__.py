@@ -1,1 +1,0 @@
-"""The cost of accuracy, method by method."""
