@@ -41,8 +41,6 @@ CONTINUATIONS = _registry(
 FLOWS = _registry(
     splitting="symplectic splitting, extrapolated",
     cvodes="SUNDIALS CVODES with sensitivities",
-    gauss="Gauss-Legendre collocation",
-    rk4="classical Runge-Kutta method, extrapolated",
 )
 FULL_PERIOD_FLOWS = _registry(
     collocation="interval maps of the linearised collocation equations",

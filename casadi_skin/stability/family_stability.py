@@ -17,12 +17,10 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.stability.cvodes import CvodesFlow
-from casadi_skin.stability.gauss_flow import GaussFlow
 from casadi_skin.stability.multipliers import floquet_vectors, floquets, vectors_of_map
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.relative import RelativeFlow, complement
 from casadi_skin.stability.result import Floquet
-from casadi_skin.stability.rk4 import RungeKuttaFlow
 from casadi_skin.stability.splitting import SplittingFlow
 from casadi_skin.stability.stepping import FlowMap, OrbitState, Transition
 from casadi_skin.zero.family import Coordinates
@@ -41,8 +39,6 @@ STABILITY_BATCH = 32  # points whose stability is computed at a time: an interru
 FLOWS: Mapping[str, Callable[[OdeModel, float], FlowMap]] = {
     "splitting": SplittingFlow,
     "cvodes": CvodesFlow,
-    "gauss": GaussFlow,
-    "rk4": RungeKuttaFlow,
 }
 
 

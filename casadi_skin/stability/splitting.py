@@ -250,7 +250,7 @@ class SplittingFlow(SteppedFlow):
 
     def __init__(self, model: OdeModel, tolerance: float) -> None:
         if model.order != 2:
-            raise ValueError(f"{model.name}: the splitting needs a model of second order; use gauss, rk4 or cvodes")
+            raise ValueError(f"{model.name}: the splitting needs a model of second order; use cvodes")
         super().__init__(model, tolerance)
         self._known: dict[tuple[int, ...], tuple[Sequences, Array]] = {}
 

@@ -328,7 +328,7 @@ class SteppedFlow(ABC):
         if level + 1 == len(self.step_numbers):
             raise FlowError(
                 f"the {self.method} leaves {truncation:.1e} with {steps} steps; requested: {tolerance:.1e}; worst "
-                f"{place}; try a larger tolerance or another flow (splitting, gauss, cvodes, rk4)"
+                f"{place}; try a larger tolerance or another flow (splitting, cvodes)"
             )
         if not np.isfinite(truncation):
             return level + 1

@@ -103,6 +103,7 @@ def test_a_run_as_json_has_the_numbers_of_its_tables(here: Path, capsys: pytest.
 
 @pytest.mark.slow
 def test_a_study_is_quiet_or_prints_json(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "a.toml").write_text(CHAIN + FAMILY, encoding="utf-8")
     arguments = ["tradeoff", "a.toml", "--quick", "--out", "out"]
     status = main([*arguments, "--quiet"])
     told = capsys.readouterr()

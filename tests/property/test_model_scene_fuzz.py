@@ -54,7 +54,7 @@ FAMILY: dict[str, Any] = {
     "dynamics": {"S": 0.5, "mode": 2, "periods": 3.0, "size": 0.01, "vector": [1.0, 2.0, 3.0, 4.0]},
     "export": {"c": "all", "S": 1.0, "mode": 1},
     "accuracy": {"preset": "draft"},
-    "method": {"transcription": "gauss", "degree": 4, "corrector": "newton", "walker": "arclength", "flow": "rk4"},
+    "method": {"transcription": "gauss", "degree": 4, "corrector": "newton", "walker": "arclength", "flow": "cvodes"},
 }
 CHAIN_ORBIT: dict[str, Any] = {
     "chain": {"sites": 2, "alpha": 1.0, "gamma": 0.2, "g": 1.0},

@@ -19,7 +19,7 @@ NEAR = 0.1  # of the state and of Omega: farther away the reference is another o
 STABLE_WITHIN = 1e-14  # of [-1, 0]: a mu of the reference that is inside
 PHASES = 97  # of a quarter of the period, at which profiles are compared
 LARGEST_SITES = {"trigonometric": 60, "gauss": 24, "radau": 24, "shooting": 4}
-LARGEST_SITES_OF_FLOW = {"splitting": 60, "cvodes": 12, "gauss": 24, "rk4": 16}
+LARGEST_SITES_OF_FLOW = {"splitting": 60, "cvodes": 12}
 
 
 class UnjudgedError(ArithmeticError):
@@ -70,7 +70,7 @@ def draw(seed: int, index: int) -> Case:
 
     transcription = one_of(trigonometric=0.64, gauss=0.14, radau=0.12, shooting=0.1)
     corrector = one_of(newton=0.5, ipopt=0.5)
-    flow = one_of(splitting=0.64, cvodes=0.12, gauss=0.12, rk4=0.12)
+    flow = one_of(splitting=0.8, cvodes=0.2)
     series = one_of(series=0.4, arclength=0.6)
     largest = min(LARGEST_SITES[transcription], LARGEST_SITES_OF_FLOW[flow])
     sites = int(log_uniform(3.0, largest + 3.0)) - 2  # shifted, or one case in five has a single site

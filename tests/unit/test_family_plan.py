@@ -26,7 +26,7 @@ KNOWN = [
     FAMILY,
     FAMILY.replace("at = [0.5, 3.0]", "at_Omega = [0.9]\nperiod_max = 8.5\nmax_points = 17"),
     FAMILY + "[spectrum]\n[stability]\n[figures]\nformats = []\n[accuracy]\ntolerance = 1e-6\n",
-    FAMILY + '[stability]\nevents = false\n[method]\ncorrector = "newton"\nflow = "rk4"\n',
+    FAMILY + '[stability]\nevents = false\n[method]\ncorrector = "newton"\nflow = "cvodes"\n',
     FAMILY.replace("24", "1").replace("0.25", "-0.9").replace("-1.0", "2").replace(', "last"', ""),
     FAMILY.replace("sites = 24", "sites = 499").replace("[1, ", "[1, 17, "),
 ]

@@ -387,7 +387,7 @@ def test_family_values(changes: dict[str, str], message: str) -> None:
         ),
         (
             '[method]\nflow = "cvode"',
-            '[method] flow: given "cvode"; did you mean "cvodes"? (accepted: "splitting", "cvodes", "gauss", "rk4" for '
+            '[method] flow: given "cvode"; did you mean "cvodes"? (accepted: "splitting", "cvodes" for '
             'families (left out: splitting); "collocation", "cvodes" for orbits (left out: collocation))',
         ),
         (
