@@ -10,8 +10,8 @@ from typing import Any
 import msgspec
 
 from casadi_skin.model.arguments import cut, nearest
-from casadi_skin.runs.rules import SceneError, accepted_words, did_you_mean, refusal, toml_repr, with_kind
-from casadi_skin.runs.scene import OPTIONS, AxisTable, ChainTable, MapTable, RangeTable, Scene
+from casadi_skin.runs.rules import SceneError, did_you_mean, refusal, toml_repr, with_kind
+from casadi_skin.runs.scene import OPTIONS, AxisTable, ChainTable, MapTable, RangeTable, Scene, accepted_by
 
 ACCEPTED = "a table { from, to, points }, or a list of values"
 AMPLITUDE = ("family", "S")  # the orbit at an amplitude: cells that differ by it alone are orbits of one family
@@ -28,7 +28,7 @@ def with_axes(raw: dict[str, Any]) -> dict[str, Any]:
         return raw
     given = table.get("axes", {})
     if not isinstance(given, dict):
-        raise refusal("[map] axes", with_kind(given), accepted_words(MapTable, "axes"))
+        raise refusal("[map] axes", with_kind(given), accepted_by(MapTable, "axes"))
     named = {name: value for name, value in table.items() if name not in OPTIONS}
     twice = next((name for name in named if name in given), None)
     if twice is not None:
@@ -60,9 +60,9 @@ def _check_axis(name: str, value: object) -> None:
             try:
                 msgspec.convert({"from": 0.0, "to": 1.0, "points": 2, key: item}, RangeTable)
             except msgspec.ValidationError:
-                raise refusal(f"{place}, {key}", with_kind(item), accepted_words(RangeTable, key)) from None
+                raise refusal(f"{place}, {key}", with_kind(item), accepted_by(RangeTable, key)) from None
         missing = next(key for key in ("from", "to", "points") if key not in value)
-        raise SceneError(f"{place}, {missing}: missing; accepted: {accepted_words(RangeTable, missing)}")
+        raise SceneError(f"{place}, {missing}: missing; accepted: {accepted_by(RangeTable, missing)}")
     if isinstance(value, list):
         raise refusal(place, toml_repr(value), "a list of one or more finite numbers or names")
     near = nearest(name, OPTIONS)

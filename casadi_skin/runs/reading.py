@@ -15,7 +15,6 @@ from casadi_skin.runs.axes import check_map, with_axes
 from casadi_skin.runs.rules import (
     SceneError,
     Unknown,
-    accepted_words,
     check_scene,
     check_unknown,
     did_you_mean,
@@ -25,9 +24,23 @@ from casadi_skin.runs.rules import (
     toml_repr,
     with_kind,
 )
-from casadi_skin.runs.scene import TABLES, BondTable, ChainTable, Scene, SiteTable, Table
+from casadi_skin.runs.scene import (
+    TABLES,
+    BondTable,
+    ChainTable,
+    CurveTable,
+    RangeTable,
+    Scene,
+    SearchCondition,
+    SiteTable,
+    Table,
+    UniformTable,
+    accepted_by,
+    words,
+)
 
 MODELS = ("chain", "lattice", "model")  # tables of which a scene has one
+PARTS = (SiteTable, BondTable, UniformTable, CurveTable, SearchCondition, RangeTable)  # of tables
 LATTICE_PARTS: Mapping[str, type[Table]] = {"site": SiteTable, "bond": BondTable}
 SYNONYMS = {  # letters of papers and words of other programs, in lower case, for keys
     "n": "sites",
@@ -99,6 +112,12 @@ def scene_of(raw: dict[str, Any]) -> Scene:
 def scene_schema() -> dict[str, Any]:
     """The JSON schema of a scene, for editors that complete and check TOML."""
     schema: dict[str, Any] = _without_null(msgspec.json.schema(Scene))
+    tables: list[type[Table]] = [*TABLES.values(), *PARTS, Scene]
+    for table in tables:
+        definition = schema["$defs"][table.__name__]
+        definition["description"] = definition["description"].partition("\n\n    Attributes:")[0]
+        for key, (title, accepted) in words(table).items():
+            definition["properties"][key] |= {"title": title, "description": accepted} if title else {}
     definition = schema["$defs"]["Scene"]
     definition["anyOf"] = [{"required": [name]} for name in MODELS]
     of_map = schema["$defs"]["MapTable"]  # whose axes may stand in it by their own names
@@ -146,7 +165,7 @@ def _check_names(raw: dict[str, Any]) -> None:
     for name, part in LATTICE_PARTS.items():
         items = raw.get("lattice", {}).get(name, [])
         if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
-            raise refusal(f"[lattice] {name}", with_kind(items), accepted_words(TABLES["lattice"], name))
+            raise refusal(f"[lattice] {name}", with_kind(items), accepted_by(TABLES["lattice"], name))
         for i, item in enumerate(items, start=1):
             _check_keys(f"[[lattice.{name}]] {i}", part, item)
 
@@ -158,10 +177,10 @@ def _check_keys(place: str, table: type[Table], given: object) -> None:
         for number in _leaves(value):
             # no key takes an integer beyond the floats, and msgspec up to 0.20 raises SystemError on it
             if isinstance(number, int) and abs(number) > sys.float_info.max:
-                raise refusal(f"{place} {key}", toml_repr(number), accepted_words(table, key))
+                raise refusal(f"{place} {key}", toml_repr(number), accepted_by(table, key))
     for field in msgspec.structs.fields(table):
         if field.required and field.encode_name not in given:
-            words = accepted_words(table, field.encode_name)
+            words = accepted_by(table, field.encode_name)
             raise SceneError(f"{place} {field.encode_name}: missing; accepted: {words}")
 
 
@@ -213,14 +232,14 @@ def _convert(raw: dict[str, Any]) -> Scene:
         name, item, key = part.groups()
         value = raw["lattice"][name][int(item)][key]
         raise refusal(
-            f"[[lattice.{name}]] {int(item) + 1} {key}", with_kind(value), accepted_words(LATTICE_PARTS[name], key)
+            f"[[lattice.{name}]] {int(item) + 1} {key}", with_kind(value), accepted_by(LATTICE_PARTS[name], key)
         )
     path = re.search(r"`\$\.(\w+)(?:\.(\w+))?(?:\[(\d+)\])?", message)
     if path is None:  # none is known; its own words are better than a wrong place
         raise SceneError(message)
     name, key, item = path.groups()
     value = raw[name][key] if key else raw[name]
-    accepted = accepted_words(TABLES[name], key) if key else accepted_words(Scene, name)
+    accepted = accepted_by(TABLES[name], key) if key else accepted_by(Scene, name)
     value, where = (value[int(item)], f" as item {int(item) + 1}") if item else (value, "")
     given = with_kind(value) if ", got `" in message else toml_repr(value)
     if isinstance(value, dict) and "a table" in accepted:  # a table it is, but what is in it is not accepted

@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple, get_type_hints
-
-from msgspec import Meta
+from typing import NamedTuple
 
 from casadi_skin.lattice.stiffness import stiffness
 from casadi_skin.model.arguments import LONGEST, cut, nearest
@@ -25,7 +23,6 @@ from casadi_skin.runs.scene import (
     MethodTable,
     ModelTable,
     Scene,
-    Table,
     one_of,
 )
 
@@ -77,12 +74,6 @@ def check_known(place: str, name: str, known: Sequence[str]) -> None:
         near = nearest(name, known)
         hint = did_you_mean(near and toml_repr(near), ", ".join(known) or "none")
         raise SceneError(f"{place}: given {toml_repr(name)}{hint}")
-
-
-def accepted_words(table: type[Table], key: str) -> str:
-    name = dict(zip(table.__struct_encode_fields__, table.__struct_fields__, strict=True))[key]
-    meta: Meta = get_type_hints(table, include_extras=True)[name].__metadata__[-1]
-    return meta.description or ""
 
 
 def is_table(value: object) -> bool:

@@ -1,70 +1,264 @@
-"""The whole request of one run, of a chain or of any model: one scene with its tables by name."""
+"""The tables of a scene, and the scene: what each key is, what it accepts, and what it is where it is left out.
+
+A field of a `Table` is a key of TOML. The docstring of the table says what each key is and what it accepts: messages,
+the JSON schema and the documentation quote it. Where it does not say what is accepted, the type does, and {} stands for
+the words of the type. The model is dimensionless; numbers of a model of one's own are in the units that it is written
+in.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections.abc import Iterable, Mapping
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, get_args
+from functools import cache
+from types import MappingProxyType, NoneType, UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get_args, get_origin, get_type_hints
 
 import msgspec
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, field
 
 from casadi_skin.model import methods
-from casadi_skin.model.methods import COLLOCATION, GAUSS, SPLITTING, TRIGONOMETRIC
 from casadi_skin.optimise.names import FREE, NAMED
 
-# Tables of a scene as frozen objects: a chain, its families, accuracy and methods -------------------------------------
+AMPLITUDE = "S"  # the parameter of branches that leave families
+SELECTED = "select"  # the parameter by which a continuation moves the value in [orbit] select
+CONSERVED = "hamiltonian"  # the conserved quantity, among what select may name
+MOST_CELLS = 100_000  # whose sites may all be unknown; the same as in lattice.declaration, which loads numerics
+PRESET_TOLERANCES: Mapping[str, float] = MappingProxyType({"draft": 1e-4, "standard": 1e-8, "reference": 1e-12})
 
+# Kinds of values: a bound at the largest float is how msgspec is made to refuse inf; nan fails every comparison -------
+
+LARGEST = sys.float_info.max
+Infinite = Annotated[float, Meta(gt=LARGEST)]
+Finite = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[float, Meta(gt=0, le=LARGEST)]
+Text = Annotated[str, Meta(min_length=1)]
+Tolerance = Annotated[float, Meta(ge=1e-13, le=1e-2)]
+Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Count = Annotated[int, Meta(ge=1, le=1_000_000)]
+Samples = Annotated[int, Meta(ge=2, le=1_000_000)]
+Thousands = Annotated[int, Meta(ge=1, le=1000)]
+Intervals = Annotated[int, Meta(ge=1, le=1500)]  # the same as in zero.family, which loads numerics
+Cells = Annotated[int, Meta(ge=1, le=MOST_CELLS)]
+CellsAlong = Annotated[int, Meta(ge=1, le=1_000_000_000_000)] | Infinite
+Mode = Annotated[int, Meta(extra_json_schema={"minimum": 1})]  # checked where the number of sites is known
+NamedMode = Literal["first", "last"]
+Modes = Annotated[tuple[Mode | NamedMode, ...], Meta(min_length=1)]
+Numbers = dict[str, Finite]
+One = Annotated[dict[str, Finite], Meta(min_length=1, max_length=1)]
+State = tuple[Finite, ...] | Numbers
+Names = Annotated[tuple[Text, ...], Meta(min_length=1)]
+Formula = Text | Finite
+Boundary = Literal["fixed", "free", "periodic"]
+Step = Annotated[int, Meta(ge=-100_000, le=100_000)]
 Preset = Literal["draft", "standard", "reference"]
+Leaving = Literal["hopf", "branch point", "period doubling"]
+CPart = Literal["rhs", "jacobian", "variational", "flow", "residual", "newton", "orbit", "ipopt"]
+PRESETS: tuple[str, ...] = get_args(Preset)
+LEAVING: tuple[str, ...] = get_args(Leaving)  # the same as in points.diagram, which loads numerics
+C_PARTS: tuple[str, ...] = get_args(CPart)  # the same as in export, which loads numerics
 if TYPE_CHECKING:
     Transcription: TypeAlias = str
     Corrector: TypeAlias = str
     Walker: TypeAlias = str
     Flow: TypeAlias = str
     Tail: TypeAlias = str
+    Evolver: TypeAlias = str
+    Format: TypeAlias = str
 else:  # the names of methods are those of the one registry
     Transcription = Literal[tuple(methods.TRANSCRIPTIONS)]
     Corrector = Literal[tuple(methods.CORRECTORS)]
     Walker = Literal[tuple(methods.CONTINUATIONS)]
     Flow = Literal[tuple(dict.fromkeys((*methods.FLOWS, *methods.FULL_PERIOD_FLOWS)))]
     Tail = Literal[methods.TAILS]
+    Evolver = Literal[tuple(methods.INTEGRATORS)]
+    Format = Literal[methods.FORMATS]
 
-PRESETS: tuple[str, ...] = get_args(Preset)
-PRESET_TOLERANCES: Mapping[str, float] = MappingProxyType({"draft": 1e-4, "standard": 1e-8, "reference": 1e-12})
 
-_MAX_SITES = 10_000_000
-_MAX_POINTS = 1_000_000
-_MAX_INTERVALS = 1500  # the same as in orbits.method, which loads numerics
-_POINTS = 2000  # the same as in orbits.method, which loads numerics
+# The words of keys ----------------------------------------------------------------------------------------------------
 
 
 def one_of(names: Iterable[str]) -> str:
     return ", ".join(f'"{name}"' for name in names)
 
 
-# A bound at the largest float is how msgspec is made to refuse inf; nan fails every comparison.
-Finite = Annotated[float, Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
-Positive = Annotated[float, Meta(gt=0, le=sys.float_info.max)]
-Sites = Annotated[int, Meta(ge=1, le=_MAX_SITES)] | Annotated[float, Meta(gt=sys.float_info.max)]  # a number, or inf
-Mode = Annotated[int, Meta(extra_json_schema={"minimum": 1})]  # checked below, where sites is known
-NamedMode = Literal["first", "last"]
-Modes = Annotated[tuple[Mode | NamedMode, ...], Meta(min_length=1)]
-Tolerance = Annotated[float, Meta(ge=1e-13, le=1e-2)]
+WORDS = {  # in docstrings of tables, by what stands in braces there
+    "formula": "a number, or a formula in quotes: numbers, parameters, n and m, + - * / ^ and elementary functions",
+    "states": "a list of finite numbers, one a state, or a table of numbers by the names of states (left out: 0)",
+    "leaving": one_of(LEAVING),
+    "c_parts": one_of(C_PARTS),
+    "objectives": one_of(NAMED),
+    "free": one_of(FREE),
+    "formats": one_of(methods.FORMATS),
+    "flows": one_of(methods.FLOWS),
+    "full_period_flows": one_of(methods.FULL_PERIOD_FLOWS),
+}
 
 
 class Table(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A table of a scene: immutable, every key by name, no other key."""
 
 
-class ChainTable(Table, frozen=True):
-    """The chain: its length, stiffness, nonreciprocity and nonlinearity."""
+@cache
+def words(table: type[Table]) -> Mapping[str, tuple[str, str]]:
+    """What each key of a table is and what it accepts, by the name that the key has in TOML."""
+    _, _, given = (table.__doc__ or "").partition("Attributes:\n")
+    entries = re.split(r"\n {8}(?=\w)", f"\n{given.rstrip()}")[1:]
+    said = {name: " ".join(text.split()) for name, _, text in (entry.partition(":") for entry in entries)}
+    found, hints = dict[str, tuple[str, str]](), get_type_hints(table, include_extras=True)
+    for key, name in zip(table.__struct_encode_fields__, table.__struct_fields__, strict=True):
+        title, _, accepted = said.get(name, "").partition("; accepted: ")
+        known = {**WORDS, "": words_of(hints[name])}
+        for mark in re.findall(r"\{(\w*)\}", accepted):
+            accepted = accepted.replace(f"{{{mark}}}", known[mark])
+        found[key] = title, accepted or known[""]
+    return found
 
-    sites: Annotated[Sites, Meta(title="Sites N", description=f"a whole number >= 1 and <= {_MAX_SITES}, or inf")]
-    alpha: Annotated[Finite, Meta(title="On-site stiffness", description="a finite number")]
-    gamma: Annotated[float, Meta(ge=-1, le=1, title="Nonreciprocity", description="a number >= -1 and <= 1")]
-    g: Annotated[Finite, Meta(title="Cubic on-site coefficient", description="a finite number")]
+
+def accepted_by(table: type[Table], key: str) -> str:
+    """What a key of a table accepts, in words."""
+    return words(table)[key][1]
+
+
+def words_of(kind: Any) -> str:
+    """What a type accepts, in words; empty where its key has to say it."""
+    if kind is bool:
+        return "true or false"
+    if get_origin(kind) is Literal:
+        return one_of(get_args(kind))
+    if get_origin(kind) in (Union, UnionType):
+        some = [inner for inner in get_args(kind) if inner is not NoneType]
+        return words_of(some[0]) if len(some) == 1 else ""
+    limits = getattr(kind, "__metadata__", (Meta(),))[0]
+    if limits.ge == -LARGEST or limits.le == LARGEST:
+        return "a finite number" if limits.gt is None else f"a finite number > {limits.gt}"
+    if limits.ge is None:
+        return ""
+    least = f"{'a whole number' if get_args(kind)[0] is int else 'a number'} >= {limits.ge}"
+    return least if limits.le is None else f"{least} and <= {limits.le}"
+
+
+# A chain, a lattice or a model ----------------------------------------------------------------------------------------
+
+
+class ChainTable(Table, frozen=True):
+    """The chain: its length, stiffness, nonreciprocity and nonlinearity.
+
+    Attributes:
+        sites: Sites N; accepted: a whole number >= 1 and <= 10000000, or inf
+        alpha: On-site stiffness
+        gamma: Nonreciprocity
+        g: Cubic on-site coefficient
+    """
+
+    sites: Annotated[int, Meta(ge=1, le=10_000_000)] | Infinite
+    alpha: Finite
+    gamma: Annotated[float, Meta(ge=-1, le=1)]
+    g: Finite
+
+
+class UniformTable(Table, frozen=True):
+    """Values by cell that are drawn evenly, with a seed.
+
+    Attributes:
+        low: Lowest value
+        high: Highest value
+        seed: Seed
+    """
+
+    low: Finite
+    high: Finite
+    seed: Annotated[int, Meta(ge=0)]
+
+
+class SiteTable(Table, frozen=True):
+    """A site of each cell: mass * y'' = -onsite - damping * y' + drive + forces of bonds.
+
+    Attributes:
+        name: What bonds call the site; accepted: a name
+        onsite: Restoring force; accepted: {formula}; in y too
+        mass: Mass; accepted: {formula}
+        damping: Factor of -y' in the force; accepted: {formula}; in y, v too
+        drive: Force in time; accepted: {formula}; in t too, periodic, such as cos(omega*t)
+    """
+
+    name: Text
+    onsite: Formula = "0"
+    mass: Formula = "1"
+    damping: Formula = "0"
+    drive: Formula = "0"
+
+
+class BondTable(Table, frozen=True):
+    """A bond of each cell, with a force F(d) of its extension d = y_to - y_from.
+
+    Attributes:
+        start: Site that the bond starts from; accepted: the name of a site
+        end: Site that the bond leads to; accepted: the name of a site
+        offset: Cells from the one to the other; accepted: a list of whole numbers, one along each direction
+        force: Force F(d); accepted: {formula}; in d too
+        gain: The force on `from` is gain[0] * F(d), on `to` it is -gain[1] * F(d); accepted: two of these: {formula}
+    """
+
+    start: Text = field(name="from")
+    end: Text = field(name="to")
+    offset: Step | tuple[Step, ...]
+    force: Formula = "d"
+    gain: tuple[Formula, Formula] = ("1", "1")
+
+
+class LatticeTable(Table, frozen=True):
+    """A lattice: cells along one or two directions, their sites and bonds; formulas are data and are never run.
+
+    Attributes:
+        cells: Cells along each direction; accepted: a whole number >= 1, inf, or a list of one or two
+        site: Sites of a cell; accepted: one table [[lattice.site]] or more, with name
+        bond: Bonds of a cell; accepted: tables [[lattice.bond]] with from, to and offset
+        boundary: What is beyond the ends: neighbours at 0, none, or the other end; accepted: "fixed", "free",
+            "periodic", or a list of one a direction
+        parameters: Values of parameters by name; accepted: a table of finite numbers; by cell lists, formulas in n
+            and m, or { low, high, seed }
+        edge: Edge whose breathers are followed, the tail behind it linear; accepted: "first" or "last" (left out: all
+            sites; of more than 100000 cells the end that they lean to)
+        forcing_period: Period of the drives; accepted: a formula in parameters (left out: that of the sines and
+            cosines of t)
+    """
+
+    cells: CellsAlong | Annotated[tuple[Cells, ...], Meta(min_length=1, max_length=2)]
+    site: Annotated[tuple[SiteTable, ...], Meta(min_length=1)]
+    bond: tuple[BondTable, ...] = ()
+    boundary: Boundary | tuple[Boundary, ...] = "fixed"
+    parameters: dict[str, Finite | Text | tuple[Finite | tuple[Finite, ...], ...] | UniformTable] = field(
+        default_factory=dict
+    )
+    edge: NamedMode | None = None
+    forcing_period: Text | None = None
+
+    @property
+    def long(self) -> bool:
+        """Whether all but the cells at one edge are a linear tail."""
+        return self.edge is not None or (not isinstance(self.cells, tuple) and self.cells > MOST_CELLS)
+
+
+class ModelTable(Table, frozen=True):
+    """The model: a file that makes it. Running the scene runs the code in a Python file.
+
+    Attributes:
+        file: File of the model, beside the scene unless it has a path; accepted: a Python file, or a .json file
+            written by save_model
+        name: Name in the Python file; accepted: an OdeModel or a BoundaryValueProblem, or a function without
+            arguments that returns one; none with a .json file
+        parameters: Values of parameters; accepted: a table of finite numbers by the names of parameters
+    """
+
+    file: Text
+    name: Text | None = None
+    parameters: Numbers = field(default_factory=dict)
+
+
+# What is sought: families, equilibria, orbits, solutions, and the branches that they belong to ------------------------
 
 
 class SpectrumTable(Table, frozen=True):
@@ -72,48 +266,29 @@ class SpectrumTable(Table, frozen=True):
 
 
 class FamilyTable(Table, frozen=True):
-    """The families to follow, each from its linear mode: of a chain, or of a model of second order that rests at 0."""
+    """The families to follow, each from its linear mode: of a chain, or of a model of second order that rests at 0.
 
-    mode: Annotated[
-        Mode | NamedMode | Modes,
-        Meta(
-            title="Linear modes",
-            description='a mode from 1 to sites (of a model: positions), "first" or "last", or a list of such modes',
-        ),
-    ]
-    amplitude_max: Annotated[Positive, Meta(title="Largest S = ||y||^2", description="a finite number > 0")]
-    at: Annotated[
-        tuple[Positive, ...],
-        Meta(title="Points at these S", description="a list of numbers > 0, ascending up to amplitude_max"),
-    ] = ()
-    at_Omega: Annotated[
-        tuple[Positive, ...],
-        Meta(title="Points at these frequencies", description="a list of numbers > 0, each once"),
-    ] = ()
-    at_period: Annotated[
-        tuple[Positive, ...],
-        Meta(title="Points at these periods", description="a list of numbers > 0, each once, up to period_max"),
-    ] = ()
-    period_max: Annotated[
-        Positive | None,
-        Meta(
-            title="Period at which a family ends that has not come to amplitude_max",
-            description="a finite number > 0, above the period of the linear mode (left out: no end)",
-        ),
-    ] = None
-    max_points: Annotated[
-        Annotated[int, Meta(ge=1, le=_MAX_POINTS)],
-        Meta(
-            title="Points after which a family ends wherever it is",
-            description=f"a whole number >= 1 and <= {_MAX_POINTS} (left out: {_POINTS})",
-        ),
-    ] = _POINTS
-    film: Annotated[
-        bool,
-        Meta(
-            title="Film (GIF) of the mode at the last point asked for, or else at the end", description="true or false"
-        ),
-    ] = False
+    Attributes:
+        mode: Linear modes; accepted: a mode from 1 to sites (of a model: positions), "first" or "last", or a list of
+            such modes
+        amplitude_max: Largest S = ||y||^2
+        at: Points at these S; accepted: a list of numbers > 0, ascending up to amplitude_max
+        at_Omega: Points at these frequencies; accepted: a list of numbers > 0, each once
+        at_period: Points at these periods; accepted: a list of numbers > 0, each once, up to period_max
+        period_max: Period at which a family ends that has not come to amplitude_max; accepted: {}, above the period
+            of the linear mode (left out: no end)
+        max_points: Points after which a family ends wherever it is; accepted: {} (left out: 2000)
+        film: Film (GIF) of the mode at the last point asked for, or else at the end
+    """
+
+    mode: Mode | NamedMode | Modes
+    amplitude_max: Positive
+    at: tuple[Positive, ...] = ()
+    at_Omega: tuple[Positive, ...] = ()
+    at_period: tuple[Positive, ...] = ()
+    period_max: Positive | None = None
+    max_points: Count = 2000
+    film: bool = False
 
     def modes(self, sites: float) -> tuple[int, ...]:
         """Numbers of the requested modes; "last" is -1 in an infinite chain, which has no other but "first"."""
@@ -122,38 +297,308 @@ class FamilyTable(Table, frozen=True):
         return tuple({"first": 1, "last": last}[mode] if isinstance(mode, str) else mode for mode in requested)
 
 
-class StabilityTable(Table, frozen=True):
-    """Floquet multipliers of every orbit."""
+class EquilibriumTable(Table, frozen=True):
+    """An equilibrium of the model, near a guess.
 
-    events: Annotated[bool, Meta(title="Locate changes of stability", description="true or false")] = True
-    vectors: Annotated[
-        bool, Meta(title="Keep the Floquet vectors at requested points", description="true or false")
-    ] = False
-    sites: Annotated[
-        Annotated[int, Meta(ge=8, le=2000)] | None,
-        Meta(
-            title="Sites at the edge of a long chain on whose motion stability is computed",
-            description="a whole number from 8 to 2000, with a tail that is eliminated (left out: all sites; of "
-            "infinitely or very many as many as localised multipliers need)",
-        ),
-    ] = None
+    Attributes:
+        start: State near which it is sought, or that a simulation starts from; accepted: {states}
+        transient: Time simulated before, until the model rests; accepted: {} (left out: the start itself is the
+            guess)
+    """
+
+    start: State
+    transient: Positive | None = None
+
+
+class OrbitTable(Table, frozen=True):
+    """A periodic orbit of the model: a guess of its period and states, and conditions that select it.
+
+    Attributes:
+        start: State that a simulation starts from; accepted: {states}
+        transient: Time simulated before the cycle that is the guess; accepted: {} (autonomous models: this or period)
+        period: Guessed period: the guess is one period from the start; accepted: {} (autonomous models: this or
+            transient; forced models: neither is needed)
+        select: Value at phase zero that picks an orbit of a family; accepted: a table with one number by the name of
+            a state, an output, what is conserved or "hamiltonian"; for conservative models and symmetric orbits
+        section: Value at phase zero that fixes the phase; accepted: a table with one number by the name of a state or
+            an output (left out: an integral condition)
+        symmetric: Reversible orbit: half of it, or a quarter, is unknown
+        rotations: Turns of angles in a period, after which the orbit closes but for 2 pi times as much; accepted: a
+            table of whole numbers by the names of states in which the model has the period 2 pi
+        cycles: Periods of the forcing after which the orbit closes; accepted: {}; forced models
+    """
+
+    start: State
+    transient: Positive | None = None
+    period: Positive | None = None
+    select: One | None = None
+    section: One | None = None
+    symmetric: bool = False
+    rotations: dict[str, int] | None = None
+    cycles: Thousands = 1
+
+
+class SolutionTable(Table, frozen=True):
+    """A solution of the boundary-value problem that the file states.
+
+    Attributes:
+        guess: Where the solution is sought; accepted: {states}, or the name of a function of t in the Python file
+    """
+
+    guess: Text | tuple[Finite, ...] | Numbers
+
+
+class CurveTable(Table, frozen=True):
+    """A second parameter in which folds, Hopf points, period doublings and tori are followed.
+
+    Attributes:
+        parameter: Second parameter; accepted: the name of a parameter
+        to: Value at which curves end
+        further: Whether edges with unstable orbits on both sides are followed too, those in further_events.csv;
+            accepted: {}; beside [family] alone (left out: false)
+    """
+
+    parameter: Text
+    to: Finite
+    further: bool = False
+
+
+class ContinuationTable(Table, frozen=True):
+    """The branch of equilibria, orbits or solutions in one parameter, through folds.
+
+    Attributes:
+        parameter: Parameter; accepted: the name of a parameter, or "select": the value in [orbit] select; beside
+            [family] "S"
+        to: Value at which the branch ends
+        at: Points exactly at these values; accepted: a list of finite numbers, each once
+        back_to: Value at which a branch ends that comes back beyond its start; accepted: {} on the other side of the
+            start (left out: it ends at the value of its start)
+        max_points: Points after which the branch ends wherever it is
+        max_step: Longest step, 1 being a change of the states by their own size; accepted: a number > 0 and <= 10
+        switch: Special points at which the branches that leave are followed too; accepted: a list of {leaving}, each
+            once; hopf beside [equilibrium] and [orbit]; multipliers, and so period doublings, need [stability]
+        depth: Special points one after the other that may lie between the branch and the followed one; accepted: {};
+            not beside [family] (left out: any number, half of what crosses)
+        limit: Branches of the diagram, at most
+        curve: Second parameter in which folds, Hopf points, doublings, tori and edges of tongues are followed;
+            accepted: a table with parameter, the name of another parameter, and to, a number; beside [equilibrium],
+            [orbit], [solution] or, with S free, [family]; period doublings and tori need [stability]
+    """
+
+    parameter: Text
+    to: Finite
+    at: tuple[Finite, ...] = ()
+    back_to: Finite | None = None
+    max_points: Count = 2000
+    max_step: Annotated[float, Meta(gt=0, le=10)] = 0.2
+    switch: tuple[Leaving, ...] = ()
+    depth: Annotated[int, Meta(ge=0)] | None = None
+    limit: Thousands = 30
+    curve: CurveTable | None = None
+
+
+class StabilityTable(Table, frozen=True):
+    """Floquet multipliers of every orbit.
+
+    Attributes:
+        events: Locate changes of stability
+        vectors: Keep the Floquet vectors at requested points
+        sites: Sites at the edge of a long chain on whose motion stability is computed; accepted: a whole number from
+            8 to 2000, with a tail that is eliminated (left out: all sites; of infinitely or very many as many as
+            localised multipliers need)
+    """
+
+    events: bool = True
+    vectors: bool = False
+    sites: Annotated[int, Meta(ge=8, le=2000)] | None = None
+
+
+# Beside these: time evolution, a search, C code and FMUs, pictures, maps ----------------------------------------------
+
+
+class DynamicsTable(Table, frozen=True):
+    """The time evolution of one orbit, perturbed or not, from phase zero: of a family at S, else of the last orbit.
+
+    Without [family] and [orbit] that of a mode, a kick, a direction or noise about rest.
+
+    Attributes:
+        S: S of the orbit of a family; accepted: {}, up to amplitude_max
+        mode: Mode of its family, or linear mode that moves; accepted: one of the modes of [family], required where
+            these are several; without [family] and [orbit] a linear mode from 1
+        moving: Whether the start has velocities in place of displacements; accepted: {}; without [family] and [orbit]
+        duration: Time to its end
+        periods: Periods of the orbit to its end
+        samples: Number of times written, first and last included; accepted: {} (left out: 20 a period, 401 to 4001 in
+            all)
+        method: Integrator
+        tolerance: Relative tolerance of one step; accepted: a number >= 1e-13 and <= 1e-2
+        size: Norm of the perturbation, or of the start; accepted: {}, with one of site, vector, seed (without an
+            orbit also mode)
+        site: Displaced site; accepted: a site from 1 to sites (of a model: positions; of one of first order: states)
+        vector: Direction of the perturbation; accepted: a list of numbers: a displacement a site, or these and a
+            velocity a site; of a model of first order a number a state
+        seed: Seed of random displacements; accepted: a whole number >= 0 and < 2^63
+    """
+
+    S: Positive | None = None
+    mode: Mode | None = None
+    moving: bool = False
+    duration: Positive | None = None
+    periods: Positive | None = None
+    samples: Samples | None = None
+    method: Evolver = "cvodes"
+    tolerance: Tolerance = 1e-11
+    size: Positive | None = None
+    site: Mode | None = None
+    vector: Annotated[tuple[Finite, ...], Meta(min_length=1)] | None = None
+    seed: Seed | None = None
+
+
+class SearchCondition(Table, frozen=True):
+    """A quantity of the orbit that is held between bounds, or equal to a number.
+
+    Attributes:
+        quantity: Name of the quantity; accepted: a quantity by name
+        equal: Its value
+        lower: Lower bound
+        upper: Upper bound
+    """
+
+    quantity: str
+    equal: Finite | None = None
+    lower: Finite | None = None
+    upper: Finite | None = None
+
+
+class SearchTable(Table, frozen=True):
+    """An orbit found by optimisation: free numbers, objective, constraints.
+
+    Attributes:
+        objective: Quantity that is optimised; accepted: {objectives}
+        free: What is free; accepted: a list of {free}, each once
+        maximise: Maximise in place of minimise
+        bounds: Bounds of free numbers and of quantities; accepted: a table of names, each with a list [lower, upper];
+            -inf or inf where there is none
+        constraints: Quantities held; accepted: a list of tables with quantity, and equal or lower and upper or one of
+            these
+        mode: Linear mode of the family; accepted: a mode from 1 to sites, "first" or "last" (left out: last for g >
+            0, first for g < 0)
+        S: S of the orbit, or of the first start
+        starts: Number of starts
+        seed: Seed of the starts but for the first; accepted: a whole number >= 0 and < 2^63
+        deflate: Use starts that led to a known optimum again, away from it
+        workers: Processes that share the starts
+    """
+
+    objective: Annotated[str, Meta(extra_json_schema={"enum": list(NAMED)})]
+    free: Annotated[tuple[str, ...], Meta(min_length=1)]
+    maximise: bool = False
+    bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
+    constraints: tuple[SearchCondition, ...] = ()
+    mode: Mode | NamedMode | None = None
+    S: Positive = 1.0
+    starts: Annotated[int, Meta(ge=1, le=10_000)] = 8
+    seed: Seed = 0
+    deflate: bool = False
+    workers: Annotated[int, Meta(ge=1, le=256)] = 1
+
+
+class ExportTable(Table, frozen=True):
+    """The model, or one of its orbits, as C code or as an FMU.
+
+    Attributes:
+        c: Parts written as C, in DIR/export; accepted: "all", or a list of {c_parts}
+        fmu: Functional Mock-up Unit, in DIR; accepted: a file name without folders that ends in .fmu
+        fmi: Version of its interface
+        inputs: Inputs of the FMU; accepted: names of forces on sites, such as f_1, and of parameters
+        S: S of the orbit; accepted: {}, up to amplitude_max (left out: the last orbit beside [orbit], else the model
+            without an orbit)
+        mode: Mode of its family; accepted: one of the modes of [family]; required with S where these are several
+    """
+
+    c: Literal["all"] | Annotated[tuple[CPart, ...], Meta(min_length=1)] | None = None
+    fmu: Annotated[str, Meta(pattern=r"^\w[\w.-]*\.fmu$")] | None = None
+    fmi: Literal["3.0", "2.0"] = "3.0"
+    inputs: tuple[str, ...] = ()
+    S: Positive | None = None
+    mode: Mode | None = None
+
+
+class FiguresTable(Table, frozen=True):
+    """The pictures of a run.
+
+    Attributes:
+        formats: Formats in which each picture is written; accepted: a list of {formats}; [] for none
+    """
+
+    formats: tuple[Format, ...] = ("png",)
+
+
+class RangeTable(Table, frozen=True):
+    """An axis of a map: values from one number to another, evenly or in equal ratios.
+
+    Attributes:
+        start: First value; accepted: a finite number
+        to: Last value; accepted: a finite number, not the first one
+        points: Number of values
+        log: Equal ratios in place of equal differences
+        resolution: Largest difference (ratio, with log) of neighbours where a watched quantity changes; accepted: {},
+            with log > 1 (left out: nothing is refined along this axis)
+    """
+
+    start: int | Finite = field(name="from")
+    to: int | Finite
+    points: Annotated[int, Meta(ge=2, le=100_000)]
+    log: bool = False
+    resolution: Positive | None = None
+
+
+_Value = int | Finite | Text
+_Together = Annotated[tuple[_Value, ...], Meta(min_length=2)]  # a value for each of several parameters
+AxisTable = RangeTable | Annotated[tuple[_Value | _Together, ...], Meta(min_length=1)]
+
+
+class MapTable(Table, frozen=True):
+    """A map of the scene over its parameters; every key that is none of these is an axis, named by its parameter.
+
+    Attributes:
+        axes: Axes by parameter; each may stand in [map] itself; accepted: tables { from, to, points, log, resolution
+            }, or lists of values; beside names with commas between them lists of lists, such as "g, mode" = [[-1.0,
+            "first"], [1.0, "last"]]
+        quantities: Quantities kept and drawn; accepted: a list of names of quantities (left out: all that the scene
+            has)
+        watch: Quantities where whose changes cells are refined; accepted: a list of names of quantities, or a table
+            of lists of levels by name (left out: stable and end)
+        boundary: The boundary of stability is followed and drawn over the map
+        growth: Growth over a period, log |multiplier|, from which on an instability is the first one; accepted: a
+            finite number >= 0
+        cell_limit: Seconds that a cell may take; accepted: {} (left out: no limit)
+    """
+
+    axes: dict[str, AxisTable] = field(default_factory=dict)
+    quantities: Names | None = None
+    watch: Names | dict[str, tuple[Finite, ...]] | None = None
+    boundary: bool = False
+    growth: Annotated[float, Meta(ge=0, le=1e300)] = 0.0
+    cell_limit: Positive | None = None
+
+
+# How it is computed ---------------------------------------------------------------------------------------------------
 
 
 class AccuracyTable(Table, frozen=True):
-    """The allowed relative error of the results, by a preset or as a number."""
+    """The allowed relative error of the results, by a preset or as a number.
 
-    preset: Annotated[Preset | None, Meta(title="Named tolerance", description=one_of(PRESETS))] = None
-    tolerance: Annotated[
-        Tolerance | None, Meta(title="Relative tolerance", description="a number >= 1e-13 and <= 1e-2")
-    ] = None
+    Attributes:
+        preset: Named tolerance
+        tolerance: Relative tolerance; accepted: a number >= 1e-13 and <= 1e-2
+        certify: Proofs that orbits exist: of those asked for, or of all; accepted: true, false or "all"; with
+            [family], needs the extra certify
+    """
 
-    certify: Annotated[
-        bool | Literal["all"],
-        Meta(
-            title="Proofs that orbits exist: of those asked for, or of all",
-            description='true, false or "all"; with [family], needs the extra certify',
-        ),
-    ] = False
+    preset: Preset | None = None
+    tolerance: Tolerance | None = None
+    certify: bool | Literal["all"] = False
 
     @property
     def relative_tolerance(self) -> float:
@@ -162,632 +607,38 @@ class AccuracyTable(Table, frozen=True):
 
 
 class MethodTable(Table, frozen=True):
-    """The interchangeable methods, by name; those left out are chosen for the model."""
+    """The interchangeable methods, by name; those left out are chosen for the model.
 
-    transcription: Annotated[
-        Transcription | None,
-        Meta(
-            title="Discretisation",
-            description=f"{one_of(methods.TRANSCRIPTIONS)} (left out: trigonometric for families whose model is odd "
-            "and reversible, else gauss)",
-        ),
-    ] = None
-    degree: Annotated[
-        Annotated[int, Meta(ge=1, le=12)] | None,
-        Meta(
-            title="Degree of the polynomials of gauss and radau",
-            description="a whole number >= 1 (families: 2) and <= 12, with one of gauss, radau (left out: families "
-            "5 to 12 by the tolerance, others 6)",
-        ),
-    ] = None
-    intervals: Annotated[
-        Annotated[int, Meta(ge=1, le=_MAX_INTERVALS)] | None,
-        Meta(
-            title="Intervals of the first mesh of an orbit or a solution",
-            description=f"a whole number >= 1 and <= {_MAX_INTERVALS} (left out: 12)",
-        ),
-    ] = None
-    corrector: Annotated[Corrector, Meta(title="Solver of a point", description=one_of(methods.CORRECTORS))] = "ipopt"
-    walker: Annotated[
-        Walker | None,
-        Meta(
-            title="Way along a family",
-            description=f"{one_of(methods.CONTINUATIONS)} (left out: series with transcription trigonometric and "
-            "polynomial forces, else arclength)",
-        ),
-    ] = None
-    flow: Annotated[
-        Flow | None,
-        Meta(
-            title="Flow map of stability",
-            description=f"{one_of(methods.FLOWS)} for families (left out: splitting); "
-            f"{one_of(methods.FULL_PERIOD_FLOWS)} for orbits (left out: collocation)",
-        ),
-    ] = None
-    tail: Annotated[
-        Tail | None,
-        Meta(
-            title="Linear tail of a long chain",
-            description=f"{one_of(methods.TAILS)} (left out: eliminated where it pays, and without [stability])",
-        ),
-    ] = None
-
-
-# Tables of a scene of a lattice that is declared in it: cells, sites and bonds, boundaries, values of parameters ------
-
-_Text = Annotated[str, Meta(min_length=1)]
-_Formula = _Text | Finite
-_Count = Annotated[int, Meta(ge=1, le=100_000)]
-_Along = Annotated[int, Meta(ge=1, le=1_000_000_000_000)] | Annotated[float, Meta(gt=sys.float_info.max)]  # or inf
-MOST_CELLS = 100_000  # whose sites may all be unknown; the same as in lattice.declaration, which loads numerics
-_Step = Annotated[int, Meta(ge=-100_000, le=100_000)]
-_Boundary = Literal["fixed", "free", "periodic"]
-_FORMULA = "a number, or a formula in quotes: numbers, parameters, n and m, + - * / ^ and elementary functions"
-
-
-class UniformTable(Table, frozen=True):
-    """Values by cell that are drawn evenly, with a seed."""
-
-    low: Annotated[Finite, Meta(title="Lowest value", description="a finite number")]
-    high: Annotated[Finite, Meta(title="Highest value", description="a finite number")]
-    seed: Annotated[Annotated[int, Meta(ge=0)], Meta(title="Seed", description="a whole number >= 0")]
-
-
-class SiteTable(Table, frozen=True):
-    """A site of each cell: mass * y'' = -onsite - damping * y' + drive + forces of bonds."""
-
-    name: Annotated[_Text, Meta(title="What bonds call the site", description="a name")]
-    onsite: Annotated[_Formula, Meta(title="Restoring force", description=f"{_FORMULA}; in y too")] = "0"
-    mass: Annotated[_Formula, Meta(title="Mass", description=_FORMULA)] = "1"
-    damping: Annotated[_Formula, Meta(title="Factor of -y' in the force", description=f"{_FORMULA}; in y, v too")] = "0"
-    drive: Annotated[
-        _Formula, Meta(title="Force in time", description=f"{_FORMULA}; in t too, periodic, such as cos(omega*t)")
-    ] = "0"
-
-
-class BondTable(Table, frozen=True):
-    """A bond of each cell, with a force F(d) of its extension d = y_to - y_from."""
-
-    start: Annotated[_Text, Meta(title="Site that the bond starts from", description="the name of a site")] = (
-        msgspec.field(name="from")
-    )
-    end: Annotated[_Text, Meta(title="Site that the bond leads to", description="the name of a site")] = msgspec.field(
-        name="to"
-    )
-    offset: Annotated[
-        _Step | tuple[_Step, ...],
-        Meta(title="Cells from the one to the other", description="a list of whole numbers, one along each direction"),
-    ]
-    force: Annotated[_Formula, Meta(title="Force F(d)", description=f"{_FORMULA}; in d too")] = "d"
-    gain: Annotated[
-        tuple[_Formula, _Formula],
-        Meta(
-            title="The force on `from` is gain[0] * F(d), on `to` it is -gain[1] * F(d)",
-            description=f"two of these: {_FORMULA}",
-        ),
-    ] = ("1", "1")
-
-
-class LatticeTable(Table, frozen=True):
-    """A lattice: cells along one or two directions, their sites and bonds; formulas are data and are never run."""
-
-    cells: Annotated[
-        _Along | Annotated[tuple[_Count, ...], Meta(min_length=1, max_length=2)],
-        Meta(title="Cells along each direction", description="a whole number >= 1, inf, or a list of one or two"),
-    ]
-    site: Annotated[
-        Annotated[tuple[SiteTable, ...], Meta(min_length=1)],
-        Meta(title="Sites of a cell", description="one table [[lattice.site]] or more, with name"),
-    ]
-    bond: Annotated[
-        tuple[BondTable, ...],
-        Meta(title="Bonds of a cell", description="tables [[lattice.bond]] with from, to and offset"),
-    ] = ()
-    boundary: Annotated[
-        _Boundary | tuple[_Boundary, ...],
-        Meta(
-            title="What is beyond the ends: neighbours at 0, none, or the other end",
-            description='"fixed", "free", "periodic", or a list of one a direction',
-        ),
-    ] = "fixed"
-    parameters: Annotated[
-        dict[str, Finite | _Text | tuple[Finite | tuple[Finite, ...], ...] | UniformTable],
-        Meta(
-            title="Values of parameters by name",
-            description="a table of finite numbers; by cell lists, formulas in n and m, or { low, high, seed }",
-        ),
-    ] = msgspec.field(default_factory=dict)
-    edge: Annotated[
-        Literal["first", "last"] | None,
-        Meta(
-            title="Edge whose breathers are followed, the tail behind it linear",
-            description='"first" or "last" (left out: all sites; of more than 100000 cells the end that they lean to)',
-        ),
-    ] = None
-    forcing_period: Annotated[
-        _Text | None,
-        Meta(
-            title="Period of the drives",
-            description="a formula in parameters (left out: that of the sines and cosines of t)",
-        ),
-    ] = None
-
-    @property
-    def long(self) -> bool:
-        """Whether all but the cells at one edge are a linear tail."""
-        return self.edge is not None or (not isinstance(self.cells, tuple) and self.cells > MOST_CELLS)
-
-
-# The table [map]: parameters of the scene that vary, and how their cells are computed ---------------------------------
-
-MOST_POINTS = 100_000
-_Points = Annotated[int, Meta(ge=2, le=MOST_POINTS)]
-_NAMES = "a list of names of quantities"
-
-
-class RangeTable(Table, frozen=True):
-    """An axis of a map: values from one number to another, evenly or in equal ratios."""
-
-    start: Annotated[int | Finite, Meta(title="First value", description="a finite number")] = msgspec.field(
-        name="from"
-    )
-    to: Annotated[int | Finite, Meta(title="Last value", description="a finite number, not the first one")]
-    points: Annotated[_Points, Meta(title="Number of values", description=f"a whole number >= 2 and <= {MOST_POINTS}")]
-    log: Annotated[bool, Meta(title="Equal ratios in place of equal differences", description="true or false")] = False
-    resolution: Annotated[
-        Positive | None,
-        Meta(
-            title="Largest difference (ratio, with log) of neighbours where a watched quantity changes",
-            description="a finite number > 0, with log > 1 (left out: nothing is refined along this axis)",
-        ),
-    ] = None
-
-
-_Value = int | Finite | _Text
-_Together = Annotated[tuple[_Value, ...], Meta(min_length=2)]  # a value for each of several parameters
-AxisTable = RangeTable | Annotated[tuple[_Value | _Together, ...], Meta(min_length=1)]
-
-
-class MapTable(Table, frozen=True):
-    """A map of the scene over its parameters; every key that is none of these is an axis, named by its parameter."""
-
-    axes: Annotated[
-        dict[str, AxisTable],
-        Meta(
-            title="Axes by parameter; each may stand in [map] itself",
-            description="tables { from, to, points, log, resolution }, or lists of values; beside names with commas "
-            'between them lists of lists, such as "g, mode" = [[-1.0, "first"], [1.0, "last"]]',
-        ),
-    ] = msgspec.field(default_factory=dict)
-    quantities: Annotated[
-        Annotated[tuple[_Text, ...], Meta(min_length=1)] | None,
-        Meta(title="Quantities kept and drawn", description=f"{_NAMES} (left out: all that the scene has)"),
-    ] = None
-    watch: Annotated[
-        Annotated[tuple[_Text, ...], Meta(min_length=1)] | dict[str, tuple[Finite, ...]] | None,
-        Meta(
-            title="Quantities where whose changes cells are refined",
-            description=f"{_NAMES}, or a table of lists of levels by name (left out: stable and end)",
-        ),
-    ] = None
-    boundary: Annotated[
-        bool, Meta(title="The boundary of stability is followed and drawn over the map", description="true or false")
-    ] = False
-    growth: Annotated[
-        Annotated[float, Meta(ge=0, le=1e300)],
-        Meta(
-            title="Growth over a period, log |multiplier|, from which on an instability is the first one",
-            description="a finite number >= 0",
-        ),
-    ] = 0.0
-    cell_limit: Annotated[
-        Positive | None,
-        Meta(title="Seconds that a cell may take", description="a finite number > 0 (left out: no limit)"),
-    ] = None
-
-
-OPTIONS: tuple[str, ...] = MapTable.__struct_encode_fields__
-
-
-# Tables of a scene of any model: a file that makes it, an orbit or a boundary-value problem, a continuation -----------
-
-AMPLITUDE = "S"  # the parameter of branches that leave families
-SELECTED = "select"  # the parameter by which a continuation moves the value in [orbit] select
-CONSERVED = "hamiltonian"  # the conserved quantity, among what select may name
-
-Leaving = Literal["hopf", "branch point", "period doubling"]
-LEAVING: tuple[str, ...] = get_args(Leaving)  # the same as in equilibria, which loads numerics
-
-_MAX_CYCLES = 1000
-_MAX_BRANCHES = 1000
-
-_Named = dict[str, Finite]
-_One = Annotated[dict[str, Finite], Meta(min_length=1, max_length=1)]
-_STATES = "a list of finite numbers, one a state, or a table of numbers by the names of states (left out: 0)"
-
-
-class ModelTable(Table, frozen=True):
-    """The model: a file that makes it. Running the scene runs the code in a Python file."""
-
-    file: Annotated[
-        _Text,
-        Meta(
-            title="File of the model, beside the scene unless it has a path",
-            description="a Python file, or a .json file written by save_model",
-        ),
-    ]
-    name: Annotated[
-        _Text | None,
-        Meta(
-            title="Name in the Python file",
-            description="an OdeModel or a BoundaryValueProblem, or a function without arguments that returns one; "
-            "none with a .json file",
-        ),
-    ] = None
-    parameters: Annotated[
-        _Named,
-        Meta(title="Values of parameters", description="a table of finite numbers by the names of parameters"),
-    ] = msgspec.field(default_factory=dict)
-
-
-class OrbitTable(Table, frozen=True):
-    """A periodic orbit of the model: a guess of its period and states, and conditions that select it."""
-
-    start: Annotated[
-        tuple[Finite, ...] | _Named, Meta(title="State that a simulation starts from", description=_STATES)
-    ]
-    transient: Annotated[
-        Positive | None,
-        Meta(
-            title="Time simulated before the cycle that is the guess",
-            description="a finite number > 0 (autonomous models: this or period)",
-        ),
-    ] = None
-    period: Annotated[
-        Positive | None,
-        Meta(
-            title="Guessed period: the guess is one period from the start",
-            description="a finite number > 0 (autonomous models: this or transient; forced models: neither is needed)",
-        ),
-    ] = None
-    select: Annotated[
-        _One | None,
-        Meta(
-            title="Value at phase zero that picks an orbit of a family",
-            description="a table with one number by the name of a state, an output, what is conserved or "
-            f'"{CONSERVED}"; for conservative models and symmetric orbits',
-        ),
-    ] = None
-    section: Annotated[
-        _One | None,
-        Meta(
-            title="Value at phase zero that fixes the phase",
-            description="a table with one number by the name of a state or an output (left out: an integral condition)",
-        ),
-    ] = None
-    symmetric: Annotated[
-        bool, Meta(title="Reversible orbit: half of it, or a quarter, is unknown", description="true or false")
-    ] = False
-    rotations: Annotated[
-        dict[str, int] | None,
-        Meta(
-            title="Turns of angles in a period, after which the orbit closes but for 2 pi times as much",
-            description="a table of whole numbers by the names of states in which the model has the period 2 pi",
-        ),
-    ] = None
-    cycles: Annotated[
-        Annotated[int, Meta(ge=1, le=_MAX_CYCLES)],
-        Meta(
-            title="Periods of the forcing after which the orbit closes",
-            description=f"a whole number >= 1 and <= {_MAX_CYCLES}; forced models",
-        ),
-    ] = 1
-
-
-class EquilibriumTable(Table, frozen=True):
-    """An equilibrium of the model, near a guess."""
-
-    start: Annotated[
-        tuple[Finite, ...] | _Named,
-        Meta(title="State near which it is sought, or that a simulation starts from", description=_STATES),
-    ]
-    transient: Annotated[
-        Positive | None,
-        Meta(
-            title="Time simulated before, until the model rests",
-            description="a finite number > 0 (left out: the start itself is the guess)",
-        ),
-    ] = None
-
-
-class CurveTable(Table, frozen=True):
-    """A second parameter in which folds, Hopf points, period doublings and tori are followed."""
-
-    parameter: Annotated[_Text, Meta(title="Second parameter", description="the name of a parameter")]
-    to: Annotated[Finite, Meta(title="Value at which curves end", description="a finite number")]
-    further: Annotated[
-        bool,
-        Meta(
-            title="Whether edges with unstable orbits on both sides are followed too, those in further_events.csv",
-            description="true or false; beside [family] alone (left out: false)",
-        ),
-    ] = False
-
-
-class SolutionTable(Table, frozen=True):
-    """A solution of the boundary-value problem that the file states."""
-
-    guess: Annotated[
-        _Text | tuple[Finite, ...] | _Named,
-        Meta(
-            title="Where the solution is sought",
-            description=f"{_STATES}, or the name of a function of t in the Python file",
-        ),
-    ]
-
-
-class ContinuationTable(Table, frozen=True):
-    """The branch of equilibria, orbits or solutions in one parameter, through folds."""
-
-    parameter: Annotated[
-        _Text,
-        Meta(
-            title="Parameter",
-            description=f'the name of a parameter, or "{SELECTED}": the value in [orbit] select; beside [family] '
-            f'"{AMPLITUDE}"',
-        ),
-    ]
-    to: Annotated[Finite, Meta(title="Value at which the branch ends", description="a finite number")]
-    at: Annotated[
-        tuple[Finite, ...],
-        Meta(title="Points exactly at these values", description="a list of finite numbers, each once"),
-    ] = ()
-    back_to: Annotated[
-        Finite | None,
-        Meta(
-            title="Value at which a branch ends that comes back beyond its start",
-            description="a finite number on the other side of the start (left out: it ends at the value of its start)",
-        ),
-    ] = None
-    max_points: Annotated[
-        Annotated[int, Meta(ge=1, le=_MAX_POINTS)],
-        Meta(
-            title="Points after which the branch ends wherever it is",
-            description=f"a whole number >= 1 and <= {_MAX_POINTS}",
-        ),
-    ] = 2000
-    max_step: Annotated[
-        Annotated[float, Meta(gt=0, le=10)],
-        Meta(
-            title="Longest step, 1 being a change of the states by their own size",
-            description="a number > 0 and <= 10",
-        ),
-    ] = 0.2
-    switch: Annotated[
-        tuple[Leaving, ...],
-        Meta(
-            title="Special points at which the branches that leave are followed too",
-            description=f"a list of {one_of(LEAVING)}, each once; "
-            "hopf beside [equilibrium] and [orbit]; multipliers, and so period doublings, need [stability]",
-        ),
-    ] = ()
-    depth: Annotated[
-        Annotated[int, Meta(ge=0)] | None,
-        Meta(
-            title="Special points one after the other that may lie between the branch and the followed one",
-            description="a whole number >= 0; not beside [family] (left out: any number, half of what crosses)",
-        ),
-    ] = None
-    limit: Annotated[
-        Annotated[int, Meta(ge=1, le=_MAX_BRANCHES)],
-        Meta(
-            title="Branches of the diagram, at most",
-            description=f"a whole number >= 1 and <= {_MAX_BRANCHES}",
-        ),
-    ] = 30
-    curve: Annotated[
-        CurveTable | None,
-        Meta(
-            title="Second parameter in which folds, Hopf points, doublings, tori and edges of tongues are followed",
-            description="a table with parameter, the name of another parameter, and to, a number; beside "
-            "[equilibrium], [orbit], [solution] or, with S free, [family]; period doublings and tori need [stability]",
-        ),
-    ] = None
-
-
-# Tables of a scene beside orbits: their time evolution, C code and FMUs, a search -------------------------------------
-
-Fmi = Literal["3.0", "2.0"]
-CPart = Literal["rhs", "jacobian", "variational", "flow", "residual", "newton", "orbit", "ipopt"]
-if TYPE_CHECKING:
-    Evolver: TypeAlias = str
-    Format: TypeAlias = str
-else:  # the names of integrators are those of the one registry
-    Evolver = Literal[tuple(methods.INTEGRATORS)]
-    Format = Literal[methods.FORMATS]
-FMI_VERSIONS: tuple[str, ...] = get_args(Fmi)
-C_PARTS: tuple[str, ...] = get_args(CPart)  # the same as in export, which loads numerics
-
-_MAX_SAMPLES = 1_000_000
-_MAX_STARTS = 10_000
-_MAX_WORKERS = 256
-
-
-class DynamicsTable(Table, frozen=True):
-    """The time evolution of one orbit, perturbed or not, from phase zero: of a family at S, else of the last orbit.
-
-    Without [family] and [orbit] that of a mode, a kick, a direction or noise about rest.
+    Attributes:
+        transcription: Discretisation; accepted: {} (left out: trigonometric for families whose model is odd and
+            reversible, else gauss)
+        degree: Degree of the polynomials of gauss and radau; accepted: a whole number >= 1 (families: 2) and <= 12,
+            with one of gauss, radau (left out: families 5 to 12 by the tolerance, others 6)
+        intervals: Intervals of the first mesh of an orbit or a solution; accepted: {} (left out: 12)
+        corrector: Solver of a point
+        walker: Way along a family; accepted: {} (left out: series with transcription trigonometric and polynomial
+            forces, else arclength)
+        flow: Flow map of stability; accepted: {flows} for families (left out: splitting); {full_period_flows} for
+            orbits (left out: collocation)
+        tail: Linear tail of a long chain; accepted: {} (left out: eliminated where it pays, and without [stability])
     """
 
-    S: Annotated[
-        Positive | None,
-        Meta(title="S of the orbit of a family", description="a finite number > 0, up to amplitude_max"),
-    ] = None
-    mode: Annotated[
-        Mode | None,
-        Meta(
-            title="Mode of its family, or linear mode that moves",
-            description="one of the modes of [family], required where these are several; without [family] and [orbit] "
-            "a linear mode from 1",
-        ),
-    ] = None
-    moving: Annotated[
-        bool,
-        Meta(
-            title="Whether the start has velocities in place of displacements",
-            description="true or false; without [family] and [orbit]",
-        ),
-    ] = False
-    duration: Annotated[Positive | None, Meta(title="Time to its end", description="a finite number > 0")] = None
-    periods: Annotated[
-        Positive | None, Meta(title="Periods of the orbit to its end", description="a finite number > 0")
-    ] = None
-    samples: Annotated[
-        Annotated[int, Meta(ge=2, le=_MAX_SAMPLES)] | None,
-        Meta(
-            title="Number of times written, first and last included",
-            description=f"a whole number >= 2 and <= {_MAX_SAMPLES} (left out: 20 a period, 401 to 4001 in all)",
-        ),
-    ] = None
-    method: Annotated[Evolver, Meta(title="Integrator", description=one_of(methods.INTEGRATORS))] = "cvodes"
-    tolerance: Annotated[
-        Tolerance, Meta(title="Relative tolerance of one step", description="a number >= 1e-13 and <= 1e-2")
-    ] = 1e-11
-    size: Annotated[
-        Positive | None,
-        Meta(
-            title="Norm of the perturbation, or of the start",
-            description="a finite number > 0, with one of site, vector, seed (without an orbit also mode)",
-        ),
-    ] = None
-    site: Annotated[
-        Mode | None,
-        Meta(
-            title="Displaced site",
-            description="a site from 1 to sites (of a model: positions; of one of first order: states)",
-        ),
-    ] = None
-    vector: Annotated[
-        Annotated[tuple[Finite, ...], Meta(min_length=1)] | None,
-        Meta(
-            title="Direction of the perturbation",
-            description="a list of numbers: a displacement a site, or these and a velocity a site; of a model of first "
-            "order a number a state",
-        ),
-    ] = None
-    seed: Annotated[
-        Annotated[int, Meta(ge=0, le=2**63 - 1)] | None,
-        Meta(title="Seed of random displacements", description="a whole number >= 0 and < 2^63"),
-    ] = None
-
-
-class FiguresTable(Table, frozen=True):
-    """The pictures of a run."""
-
-    formats: Annotated[
-        tuple[Format, ...],
-        Meta(
-            title="Formats in which each picture is written",
-            description=f"a list of {one_of(methods.FORMATS)}; [] for none",
-        ),
-    ] = ("png",)
-
-
-class ExportTable(Table, frozen=True):
-    """The model, or one of its orbits, as C code or as an FMU."""
-
-    c: Annotated[
-        Literal["all"] | Annotated[tuple[CPart, ...], Meta(min_length=1)] | None,
-        Meta(title="Parts written as C, in DIR/export", description=f'"all", or a list of {one_of(C_PARTS)}'),
-    ] = None
-    fmu: Annotated[
-        Annotated[str, Meta(pattern=r"^\w[\w.-]*\.fmu$")] | None,
-        Meta(title="Functional Mock-up Unit, in DIR", description="a file name without folders that ends in .fmu"),
-    ] = None
-    fmi: Annotated[Fmi, Meta(title="Version of its interface", description=one_of(FMI_VERSIONS))] = "3.0"
-    inputs: Annotated[
-        tuple[str, ...],
-        Meta(title="Inputs of the FMU", description="names of forces on sites, such as f_1, and of parameters"),
-    ] = ()
-    S: Annotated[
-        Positive | None,
-        Meta(
-            title="S of the orbit",
-            description="a finite number > 0, up to amplitude_max (left out: the last orbit beside [orbit], else the "
-            "model without an orbit)",
-        ),
-    ] = None
-    mode: Annotated[
-        Mode | None,
-        Meta(
-            title="Mode of its family",
-            description="one of the modes of [family]; required with S where these are several",
-        ),
-    ] = None
-
-
-class SearchCondition(Table, frozen=True):
-    """A quantity of the orbit that is held between bounds, or equal to a number."""
-
-    quantity: Annotated[str, Meta(title="Name of the quantity", description="a quantity by name")]
-    equal: Annotated[Finite | None, Meta(title="Its value", description="a finite number")] = None
-    lower: Annotated[Finite | None, Meta(title="Lower bound", description="a finite number")] = None
-    upper: Annotated[Finite | None, Meta(title="Upper bound", description="a finite number")] = None
-
-
-class SearchTable(Table, frozen=True):
-    """An orbit found by optimisation: free numbers, objective, constraints."""
-
-    objective: Annotated[
-        str,
-        Meta(title="Quantity that is optimised", description=one_of(NAMED), extra_json_schema={"enum": list(NAMED)}),
-    ]
-    free: Annotated[
-        Annotated[tuple[str, ...], Meta(min_length=1)],
-        Meta(title="What is free", description=f"a list of {one_of(FREE)}, each once"),
-    ]
-    maximise: Annotated[bool, Meta(title="Maximise in place of minimise", description="true or false")] = False
-    bounds: Annotated[
-        dict[str, tuple[float, float]],
-        Meta(
-            title="Bounds of free numbers and of quantities",
-            description="a table of names, each with a list [lower, upper]; -inf or inf where there is none",
-        ),
-    ] = msgspec.field(default_factory=dict)
-    constraints: Annotated[
-        tuple[SearchCondition, ...],
-        Meta(
-            title="Quantities held",
-            description="a list of tables with quantity, and equal or lower and upper or one of these",
-        ),
-    ] = ()
-    mode: Annotated[
-        Mode | NamedMode | None,
-        Meta(
-            title="Linear mode of the family",
-            description='a mode from 1 to sites, "first" or "last" (left out: last for g > 0, first for g < 0)',
-        ),
-    ] = None
-    S: Annotated[Positive, Meta(title="S of the orbit, or of the first start", description="a finite number > 0")] = 1.0
-    starts: Annotated[
-        Annotated[int, Meta(ge=1, le=_MAX_STARTS)],
-        Meta(title="Number of starts", description=f"a whole number >= 1 and <= {_MAX_STARTS}"),
-    ] = 8
-    seed: Annotated[
-        Annotated[int, Meta(ge=0, le=2**63 - 1)],
-        Meta(title="Seed of the starts but for the first", description="a whole number >= 0 and < 2^63"),
-    ] = 0
-    deflate: Annotated[
-        bool, Meta(title="Use starts that led to a known optimum again, away from it", description="true or false")
-    ] = False
-    workers: Annotated[
-        Annotated[int, Meta(ge=1, le=_MAX_WORKERS)],
-        Meta(title="Processes that share the starts", description=f"a whole number >= 1 and <= {_MAX_WORKERS}"),
-    ] = 1
+    transcription: Transcription | None = None
+    degree: Annotated[int, Meta(ge=1, le=12)] | None = None
+    intervals: Intervals | None = None
+    corrector: Corrector = "ipopt"
+    walker: Walker | None = None
+    flow: Flow | None = None
+    tail: Tail | None = None
 
 
 class Scene(Table, frozen=True):
-    """A request of one run, of a chain, a lattice or a model; a table that is None is neither built nor computed."""
+    """A request of one run, of a chain, a lattice or a model; a table that is None is neither built nor computed.
+
+    Attributes:
+        title: Title of the results; accepted: a string
+        time_limit: Seconds that a run or a map may take; accepted: a number > 0 and <= 1e7
+    """
 
     chain: ChainTable | None = None
     lattice: LatticeTable | None = None
@@ -802,15 +653,12 @@ class Scene(Table, frozen=True):
     dynamics: DynamicsTable | None = None
     search: SearchTable | None = None
     export: ExportTable | None = None
-    figures: FiguresTable = msgspec.field(default_factory=FiguresTable)
+    figures: FiguresTable = field(default_factory=FiguresTable)
     map: MapTable | None = None
-    accuracy: AccuracyTable = msgspec.field(default_factory=AccuracyTable)
-    method: MethodTable = msgspec.field(default_factory=MethodTable)
-    title: Annotated[str | None, Meta(title="Title of the results", description="a string")] = None
-    time_limit: Annotated[
-        Annotated[float, Meta(gt=0.0, le=1e7)] | None,
-        Meta(title="Seconds that a run or a map may take", description="a number > 0 and <= 1e7"),
-    ] = None
+    accuracy: AccuracyTable = field(default_factory=AccuracyTable)
+    method: MethodTable = field(default_factory=MethodTable)
+    title: str | None = None
+    time_limit: Annotated[float, Meta(gt=0.0, le=1e7)] | None = None
 
     @property
     def sites(self) -> float | None:
@@ -824,14 +672,19 @@ class Scene(Table, frozen=True):
         requested = self.family.mode if isinstance(self.family.mode, tuple) else (self.family.mode,)
         return requested if self.sites is None else self.family.modes(self.sites)
 
+    def given(self, *names: str) -> list[str]:
+        """Which of the tables by these names the scene has."""
+        return [name for name in names if getattr(self, name) is not None]
+
     @property
     def methods(self) -> MethodTable:
         """The table [method] with the names chosen where it leaves them out, as far as the scene alone decides."""
         chosen: dict[str, str] = {}
         if self.family is not None:
-            chosen = {"flow": SPLITTING} | ({} if self.chain is None else {"transcription": TRIGONOMETRIC})
+            chosen = {"flow": methods.SPLITTING}
+            chosen |= {} if self.chain is None else {"transcription": methods.TRIGONOMETRIC}
         elif self.orbit is not None or self.solution is not None:
-            chosen = {"flow": COLLOCATION, "transcription": GAUSS}
+            chosen = {"flow": methods.COLLOCATION, "transcription": methods.GAUSS}
         left_out = {name: value for name, value in chosen.items() if getattr(self.method, name) is None}
         return msgspec.structs.replace(self.method, **left_out)
 
@@ -844,29 +697,15 @@ class Scene(Table, frozen=True):
 
     def same_request(self, other: Scene) -> bool:
         """Whether the other scene states the same request, whatever its title and its limit of time."""
-        given = {"title": None, "time_limit": None}
-        mine, theirs = (msgspec.structs.replace(s, method=s.methods, **given) for s in (self, other))
-        return mine == theirs
+        plain = [msgspec.structs.replace(s, method=s.methods, title=None, time_limit=None) for s in (self, other)]
+        return plain[0] == plain[1]
 
 
+OPTIONS: tuple[str, ...] = MapTable.__struct_encode_fields__
 TABLES: Mapping[str, type[Table]] = MappingProxyType(
     {
-        "chain": ChainTable,
-        "lattice": LatticeTable,
-        "model": ModelTable,
-        "spectrum": SpectrumTable,
-        "family": FamilyTable,
-        "equilibrium": EquilibriumTable,
-        "orbit": OrbitTable,
-        "solution": SolutionTable,
-        "continuation": ContinuationTable,
-        "stability": StabilityTable,
-        "dynamics": DynamicsTable,
-        "search": SearchTable,
-        "export": ExportTable,
-        "figures": FiguresTable,
-        "map": MapTable,
-        "accuracy": AccuracyTable,
-        "method": MethodTable,
+        name: next(part for part in (hint, *get_args(hint)) if isinstance(part, type) and issubclass(part, Table))
+        for name, hint in get_type_hints(Scene).items()
+        if name not in ("title", "time_limit")
     }
 )
