@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from casadi_skin.model.saved import read_model, save_model
     from casadi_skin.optimise.kick import smallest_kick
     from casadi_skin.optimise.search_orbit import search_orbit
-    from casadi_skin.results.store import read_result, save_result
+    from casadi_skin.results.saving import read_result, save_result
     from casadi_skin.runs.map import run_map
     from casadi_skin.runs.map_result import read_map
     from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
@@ -66,7 +66,7 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
         "__str__": "results.words:lines",
         "_repr_html_": "results.figures.drawing:html_table",
         "plot": "results.figures.drawing:plot",
-        "save": "results.store:save_result",
+        "save": "results.saving:save_result",
         "to_dataframe": "results.frames:result_to_dataframe",
         "to_xarray": "results.frames:result_to_xarray",
     },
@@ -127,9 +127,9 @@ def __getattr__(name: str) -> Any:
         "read_map": "runs.map_result",
         "read_model": "model.saved",
         "run_map": "runs.map",
-        "read_result": "results.store",
+        "read_result": "results.saving",
         "save_model": "model.saved",
-        "save_result": "results.store",
+        "save_result": "results.saving",
         "simulate": "dynamics.evolve",
         "search_orbit": "optimise.search_orbit",
         "smallest_kick": "optimise.kick",

@@ -87,4 +87,4 @@ class Result(WithVerbs):
     to_xarray: ClassVar[Callable[..., Any]]
     """An xarray Dataset: `casadi_skin.results.frames.result_to_xarray`; needs the extra `xarray`."""
     save: ClassVar[Callable[..., Any]]
-    """Write the result to a file of data: `casadi_skin.results.store.save_result`."""
+    """Write the result to a file of data: `casadi_skin.results.saving.save_result`."""

@@ -28,7 +28,7 @@ from casadi_skin.results.branch_records import (
     known_of,
     point_record,
     stability_record,
-)  # fmt: skip
+)
 from casadi_skin.results.journal import Journal
 from casadi_skin.runs.parts import Offshoots
 from casadi_skin.runs.progress import Progress

@@ -25,7 +25,7 @@ from casadi_skin.results.dataset import Cell, write_csv, write_netcdf
 from casadi_skin.results.figures.bands import band_figure, skin_figure
 from casadi_skin.results.frames import edge_columns
 from casadi_skin.results.quantities import dataset_of
-from casadi_skin.results.store import restored, saved
+from casadi_skin.results.saving import restored, saved
 from casadi_skin.runs.output import Lines, named
 from casadi_skin.runs.parts import Offshoots, ended_well, mode_of, picture
 from casadi_skin.runs.progress import Progress

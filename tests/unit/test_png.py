@@ -7,8 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from casadi_skin.results.figures import save
-from casadi_skin.results.figures.style import style
+from casadi_skin.results.figures.style import save, style
 
 
 @pytest.mark.parametrize("size", [(1.0, 0.5), (2.345, 1.077)])
