@@ -7,7 +7,7 @@ import math
 import platform
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin._version import __version__
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS, SOLUTIONS
 from casadi_skin.model.files import replacing
+from casadi_skin.results.quantities import BOTH, NETCDF, PHASES, Cell, Place, places_of, quantities_of
 
 if TYPE_CHECKING:
     import xarray
@@ -65,9 +68,6 @@ def characters(texts: Sequence[str]) -> NDArray[np.bytes_]:
     return np.frombuffer(b"".join(text.ljust(width) for text in encoded), "S1").reshape(len(texts), width)
 
 
-Cell = float | int | str
-
-
 @dataclass(frozen=True, eq=False)
 class Variable:
     """Values with their dimensions and meaning; where `may_be_empty` a value that is not finite is left out."""
@@ -86,17 +86,6 @@ class Dataset:
 
     variables: Sequence[Variable]
     attributes: Mapping[str, Any] = field(default_factory=dict)
-
-
-def unique_names(names: Iterable[str], taken: Iterable[str]) -> list[str]:
-    """Names that users chose; those that are taken, or there twice, with " (of the model)" after them."""
-    known, found = set(taken), list[str]()
-    for name in names:
-        while name in known:
-            name = f"{name} (of the model)"
-        known.add(name)
-        found.append(name)
-    return found
 
 
 def versions() -> dict[str, str]:
@@ -173,6 +162,72 @@ def to_xarray(dataset: Dataset, coordinates: Sequence[str] = ()) -> xarray.Datas
     variables = {v.name: xr.Variable(v.dimensions, v.values, {"long_name": v.meaning}) for v in dataset.variables}
     chosen = {name: variables.pop(name) for name in coordinates if name in variables}
     return xr.Dataset(variables, chosen, dict(dataset.attributes))
+
+
+# Branches as datasets -------------------------------------------------------------------------------------------------
+
+
+def dataset_of(branches: Sequence[Branch], vectors: bool = False) -> Dataset:
+    """All branches along one dimension `point`, in the order given and in arclength order within each.
+
+    Arguments:
+        branches: families of one model, or one other branch; at least one solution in all.
+        vectors: whether Floquet vectors at requested points are among the variables.
+
+    Returns:
+        Variables named as in the table of quantities, with names of states and parameters, sites, phases and meshes.
+    """
+    held = [branch for branch in branches if len(branch)]
+    widest = max(held, key=lambda branch: max((getattr(s, "harmonics", 0) for s in branch.solutions), default=0))
+    places = [place for branch in held for place in places_of(branch)]
+    variables = _axes(held[0])
+    for quantity in quantities_of(widest):
+        if quantity.where in (NETCDF, BOTH):
+            values = np.array([quantity.of(place) for place in places])
+            dimensions = ("point", *quantity.dimensions)
+            variables.append(Variable(quantity.name, dimensions, values, quantity.meaning, quantity.may_be_empty))
+    if held[0].space.connects in (ORBITS, SOLUTIONS):
+        variables.append(_mesh(places))
+    chosen = [i for i, place in enumerate(places) if place.requested]
+    if vectors and chosen:
+        found = np.stack([places[i].solution.floquet_vectors() for i in chosen])
+        dimensions, meaning = ("requested_point", "component", "multiplier"), "place along `point`, from 0"
+        variables += [
+            Variable("vectors_point", ("requested_point",), np.array(chosen), meaning),
+            Variable("vectors", dimensions, found, "Floquet vectors (positions, velocities) at t = 0, columns"),
+        ]
+    return Dataset(variables)
+
+
+def _axes(branch: Branch) -> list[Variable]:
+    """Coordinates along the dimensions of the quantities."""
+    solution, connects = branch.solutions[0], branch.space.connects
+    if connects == FAMILY:
+        meaning = "number of the site, from 1; up to 0 in an infinite chain with gamma > 0"
+        return [Variable("site", ("site",), branch.orbits[0].output_sites, meaning)]
+    axes = [Variable("state_name", ("state",), np.array(solution.space.state_names), "names along `state`")]
+    if solution.parameters:
+        names = np.array(list(solution.parameters))
+        axes.append(Variable("parameter_name", ("parameter",), names, "names along `parameter`"))
+    if connects == EQUILIBRIA:
+        return axes
+    return [*axes, Variable("phase", ("phase",), PHASES, "place in the interval or the period, from 0 to 1")]
+
+
+def _mesh(places: Sequence[Place]) -> Variable:
+    longest = max(place.solution.intervals for place in places)
+    edges = [np.append(p.solution.mesh, np.full(longest - p.solution.intervals, np.nan)) for p in places]
+    meaning = "ends of the intervals of the part that was unknown; empty after it"
+    return Variable("mesh", ("point", "edge"), np.stack(edges), meaning, may_be_empty=True)
+
+
+def branch_to_xarray(branch: Branch) -> xarray.Dataset:
+    """A branch as an xarray Dataset along `point`; raises ImportError, naming the extra, without xarray."""
+    space: Any = branch.space
+    attributes = {"tolerance": space.tolerance}
+    if space.connects == FAMILY:
+        attributes = {**space.coordinates.attributes, "mode": space.coordinates.mode_number, **attributes}
+    return to_xarray(replace(dataset_of([branch]), attributes=attributes), ("site",))
 
 
 # CSV ------------------------------------------------------------------------------------------------------------------

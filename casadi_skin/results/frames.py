@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import singledispatch
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,9 +21,8 @@ from casadi_skin.optimise.search import SearchResult
 from casadi_skin.optimise.search_orbit import ParetoFront
 from casadi_skin.points.diagram import Diagram
 from casadi_skin.points.edge_curve import EdgeCurve
-from casadi_skin.results.dataset import Dataset, Variable, to_xarray, unique_names
-from casadi_skin.results.quantities import Columns, branch_to_xarray, places_of, quantities_of, table
-from casadi_skin.results.quantity import BOTH, CSV
+from casadi_skin.results.dataset import Dataset, Variable, branch_to_xarray, to_xarray
+from casadi_skin.results.quantities import columns_of, places_of, unique_names
 from casadi_skin.results.tables import EVENT_COLUMNS, edge_rows
 from casadi_skin.stability.growth import TransientGrowth
 from casadi_skin.stability.result import Floquet
@@ -32,6 +32,15 @@ from casadi_skin.zero.statics import Spectrum
 if TYPE_CHECKING:
     import pandas
     import xarray
+
+
+Columns = dict[str, Any]
+
+
+@singledispatch
+def table(result: Any) -> tuple[str, str, Columns]:
+    """The name of the first column, the meaning of the table, and its columns; raises TypeError for other objects."""
+    raise TypeError(f"no result: {type(result).__name__}")
 
 
 # Analyses as tables: stability along a branch, growth, proofs, searches, kicks, modes and bands -----------------------
@@ -161,8 +170,7 @@ def result_to_dataframe(result: Any) -> pandas.DataFrame:
         extra = 'it comes with the extra: pip install "casadi-skin[pandas]"'
         raise ImportError(f"pandas is not installed; {extra}") from error
     if isinstance(result, Branch):
-        quantities = quantities_of(result) if result.solutions else []
-        columns = [q for q in quantities if not q.dimensions and q.where in (CSV, BOTH)]
+        columns = columns_of(result)
         return pandas.DataFrame([{q.name: q.of(place) for q in columns} for place in places_of(result)])
     if isinstance(result, Diagram):
         frames = [result_to_dataframe(branch).assign(branch=n) for n, branch in enumerate(result.branches, start=1)]

@@ -1,44 +1,382 @@
-"""The one table of quantities of orbits and solutions: name, meaning, dimensions and how each is had.
+"""The one table of quantities of solutions: name, meaning, dimensions and how each is had.
 
-CSV files, netCDF files and xarray datasets of branches are made from it. Quantities with a dimension of their own are
-left out of CSV; a quantity that some orbits do not have, as the energy of a model that conserves none, is empty there.
+CSV files, netCDF files, xarray datasets, data frames, columns of maps, axes of pictures, `branch[name]` and
+`branch.at(name=...)` are made from it. A quantity with a dimension of its own is left out of CSV; one that some
+solutions do not have, as the energy of a model that conserves none, is empty there.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import singledispatch
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.certify.certificate import STABLE, UNSTABLE, Certificate
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.family import Family
-from casadi_skin.follow.solution import Equilibrium, Solution
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS
+from casadi_skin.follow.special_points import FOLD
 from casadi_skin.model.arguments import accepted_names
-from casadi_skin.results.branch_quantities import PHASES, branch_quantities, family_quantities
-from casadi_skin.results.dataset import Cell, Dataset, Variable, to_xarray
-from casadi_skin.results.quantity import BOTH, COUNTED, CSV, NETCDF, Place, Quantity
-from casadi_skin.results.tables import equilibrium_quantities
+from casadi_skin.stability.localised import LocalisedFloquet
+from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.zero.problem import Array
 
-if TYPE_CHECKING:
-    import xarray
+Cell = float | int | str
+CSV, NETCDF, BOTH, NEITHER = "csv", "netcdf", "both", "neither"  # files: those of NEITHER follow from others
+COUNTED = frozenset(  # marks, counts and words, which jump: no solution is sought by their value
+    ("mode", "point", "index", "requested", "fold", "special", "stable", "unstable", "unstable_real",
+     "unstable_complex", "at_round_off", "intervals", "resolution", "regime", "proved", "proved_stable", "localised",
+     "undecided", "finite_size", "stability_sites", "overlaps")
+)  # fmt: skip
+PHASES = np.linspace(0.0, 1.0, 401)  # of the common grid of profiles of solutions
+FINE = 16  # places an interval in which extremes are looked for
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A solution of a branch with the data of its quantities: its place, and marks."""
+
+    solution: Any
+    index: int
+    mode: int = 0
+    requested: bool = False
+    special: str = ""
+
+    @property
+    def floquet(self) -> Any:
+        """Stability of the solution, an orbit or one that its conditions close."""
+        return self.solution.floquet()
+
+    @cached_property
+    def extremes(self) -> tuple[Array, Array]:
+        """Smallest and largest value of each state, shapes (components,)."""
+        return extremes(self.solution)
+
+    @property
+    def profile(self) -> Array:
+        """States over the interval or the period, shape (phases, states)."""
+        start, end = self.solution.interval
+        return np.asarray(self.solution.evaluate(start + PHASES * (end - start)))
+
+    def proved(self, value: Callable[[Certificate], float]) -> float:
+        """A number of the proof of an orbit; NaN where none was requested."""
+        return value(self.solution.certificate) if _is_certified(self.solution) else math.nan
+
+
+@dataclass(frozen=True, eq=False)
+class Quantity:
+    """A quantity of a solution: `of` gives its value, an array where it has `dimensions`."""
+
+    name: str
+    meaning: str
+    of: Callable[[Place], Any]
+    dimensions: tuple[str, ...] = ()
+    where: str = BOTH
+    may_be_empty: bool = False
+
+
+# Quantities of orbits of families, in the order of the columns of family.csv ------------------------------------------
+
+FAMILY_QUANTITIES: tuple[Quantity, ...] = (
+    Quantity("mode", "linear mode j that the family grows from", lambda p: p.mode),
+    Quantity("point", "place along the family", lambda p: p.index, where=CSV),
+    Quantity("index", "place along the family", lambda p: p.index, where=NETCDF),
+    Quantity("requested", "1 where S, Omega or the period was asked for", lambda p: int(p.requested)),
+    Quantity("S", "total amplitude: sum of y_n^2 at t = 0", lambda p: p.solution.S),
+    Quantity("Omega", "frequency", lambda p: p.solution.Omega),
+    Quantity("Omega_shift", "Omega minus the linear frequency", lambda p: p.solution.Omega_shift),
+    Quantity("period", "2 pi/Omega", lambda p: p.solution.period, where=CSV),
+    Quantity("energy", "the conserved quantity", lambda p: energy_of(p.solution), may_be_empty=True),
+)
+FAMILY_STABILITY: tuple[Quantity, ...] = (
+    Quantity(
+        "max_abs_multiplier", "largest modulus, the trivial pair left out", lambda p: p.floquet.max_abs_multiplier
+    ),
+    Quantity("stable", "1 where no multiplier is outside the unit circle", lambda p: int(p.floquet.stable)),
+    Quantity("unstable_real", "multipliers outside the circle, real", lambda p: p.floquet.unstable_real, where=CSV),
+    Quantity("unstable_complex", "the same, complex", lambda p: p.floquet.unstable_complex, where=CSV),
+    Quantity("multiplier_error", "estimated error of the multipliers", lambda p: p.floquet.error),
+)
+RESIDUAL = Quantity("residual", "largest residual relative to the largest term", lambda p: p.solution.residual)
+FAMILY_ERRORS: tuple[Quantity, ...] = (
+    Quantity("Omega_error", "estimated absolute error of Omega", lambda p: p.solution.Omega_error),
+    RESIDUAL,
+    Quantity("profile_error", "estimated relative error of the profile", lambda p: p.solution.profile_error),
+    Quantity(
+        "at_round_off", "1 where round-off keeps the errors above the tolerance", lambda p: int(p.solution.at_round_off)
+    ),
+    Quantity("S_error", "estimated absolute error of S", lambda p: p.solution.S_error),
+)
+FAMILY_PROOFS: tuple[Quantity, ...] = tuple(
+    Quantity(name, meaning, lambda p, value=value: p.proved(value), may_be_empty=True)  # type: ignore[misc]
+    for name, meaning, value in (
+        (
+            "proved",
+            "1 where the orbit is proved to exist, 0 where it is not; empty where no proof was asked for",
+            lambda c: float(c.proved),
+        ),
+        ("Omega_lower", "proved lower bound of Omega", lambda c: c.Omega[0]),
+        ("Omega_upper", "proved upper bound of Omega", lambda c: c.Omega[1]),
+        ("proved_Omega_error", "proved bound of the error of Omega", lambda c: c.Omega_error),
+        (
+            "proved_radius",
+            "proved distance of the orbit from the computed one, in the norm of the certificate",
+            lambda c: c.radius,
+        ),
+    )
+)
+PROVED_STABILITY = Quantity(
+    "proved_stable", "1 where the orbit is proved to be stable, 0 where unstable; empty where neither is",
+    lambda p: p.proved(lambda _: {STABLE: 1.0, UNSTABLE: 0.0}.get(p.solution.proved_stability.verdict, math.nan)),
+    may_be_empty=True,
+)  # fmt: skip
+FAMILY_ARRAYS: tuple[Quantity, ...] = (
+    Quantity(
+        "resolution", "harmonics or intervals of the discretisation", lambda p: p.solution.point.problem.resolution,
+        where=NETCDF,
+    ),
+    Quantity(
+        "profile", "displacements y_n at t = 0", lambda p: p.solution.evaluate(0.0, p.solution.output_sites), ("site",)
+    ),
+    Quantity(
+        "log10_profile", "log10 |y_n| at t = 0, also where y_n is below the smallest double; empty where it is 0",
+        lambda p: p.solution.log10_displacements(p.solution.output_sites)[0], ("site",), may_be_empty=True,
+    ),
+    Quantity(
+        "profile_sign", "sign of y_n at t = 0",
+        lambda p: p.solution.log10_displacements(p.solution.output_sites)[1].astype(int), ("site",),
+    ),
+)  # fmt: skip
+
+
+def energy_of(orbit: Orbit) -> float:
+    """The energy; NaN for a model without a conserved quantity, infinite where an infinite tail moves along."""
+    try:
+        return orbit.energy
+    except ValueError:
+        return math.nan
+
+
+def _is_certified(orbit: Any) -> bool:
+    """Whether a proof was requested for an orbit of a family."""
+    request = orbit.space.request
+    return bool(request.certify == "all" or (request.certify and orbit.point.requested))
+
+
+def certified(branch: Branch) -> list[Orbit]:
+    """The orbits of a branch for which a proof was requested."""
+    return [o for o in branch.orbits if _is_certified(o)] if branch.space.connects == FAMILY else []
+
+
+def _family_quantities(branch: Branch) -> list[Quantity]:
+    space: Any = branch.space
+    quantities = [*FAMILY_QUANTITIES, *(FAMILY_STABILITY if branch.with_stability else ()), *FAMILY_ERRORS]
+    first = space.coordinates.regime(branch.solutions[0].point) if len(branch) else None
+    if first is not None:
+        regimes: list[Any] = list(first.__class__)  # of the linear tail of a long lattice
+        words = "; ".join(f"{i}: {regime.value}" for i, regime in enumerate(regimes))
+
+        def regime(place: Place) -> Any:
+            return place.solution.space.coordinates.regime(place.solution.point)
+
+        quantities.append(Quantity("regime", words, lambda p: regime(p).name.lower(), where=CSV))
+        quantities.append(Quantity("regime", words, lambda p: regimes.index(regime(p)), where=NETCDF))
+    if space.request.certify:
+        quantities += [*FAMILY_PROOFS, *([PROVED_STABILITY] if branch.with_stability else [])]
+    quantities += FAMILY_ARRAYS
+    if space.symmetry.value == 0.25:
+        harmonics = max((orbit.harmonics for orbit in branch.orbits), default=0)
+        meaning = "c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), k from 0"
+
+        def coefficients(place: Place) -> Array:
+            return np.asarray(place.solution.coefficients(harmonics, place.solution.output_sites))
+
+        quantities.append(Quantity("coefficients", meaning, coefficients, ("harmonic", "site")))
+    return quantities + _multipliers(branch)
+
+
+# Quantities of other solutions, in the words of their model -----------------------------------------------------------
+
+HEAD: tuple[Quantity, ...] = (
+    Quantity("point", "place along the branch", lambda p: p.index, where=CSV),
+    Quantity("requested", "1 where the value of the parameter was asked for", lambda p: int(p.requested)),
+)
+IS_FOLD = Quantity("fold", "1 where the parameter turns back", lambda p: int(p.special == FOLD))
+SPECIAL = Quantity("special", "kind of a special point; empty elsewhere", lambda p: p.special or "", where=CSV)
+PERIOD = Quantity("period", "period of the orbit", lambda p: p.solution.period, where=CSV)
+OF_ORBITS: tuple[Quantity, ...] = (  # of a model that has them
+    Quantity("Omega", "frequency", lambda p: p.solution.Omega, where=NEITHER),
+    Quantity("energy", "the conserved quantity", lambda p: p.solution.energy),
+    Quantity("S", "total amplitude: sum of squares of the positions at t = 0", lambda p: p.solution.S, where=NEITHER),
+)
+ERRORS: tuple[Quantity, ...] = (
+    Quantity(
+        "error", "estimated error of the states, relative to the largest value of each", lambda p: p.solution.error
+    ),
+    Quantity("parameter_error", "estimated relative error of free parameters", lambda p: p.solution.parameter_error),
+    Quantity("intervals", "intervals of the mesh", lambda p: p.solution.intervals),
+    RESIDUAL,
+)
+STABILITY: tuple[Quantity, ...] = (
+    Quantity(  # all multipliers may be trivial
+        "max_abs_multiplier", "largest modulus but for the trivial ones",
+        lambda p: p.floquet.max_abs_multiplier if p.floquet.others.size else math.nan, may_be_empty=True,
+    ),
+    Quantity(  # infinite where no mesh is finer
+        "multiplier_error", "estimated error of the multipliers",
+        lambda p: p.floquet.error if math.isfinite(p.floquet.error) else math.nan, may_be_empty=True,
+    ),
+    Quantity("stable", "1 where none but the trivial is unstable", lambda p: int(p.floquet.stable)),
+    Quantity("unstable", "multipliers outside the unit circle", lambda p: int(np.sum(p.floquet.outside)), where=CSV),
+    Quantity(
+        "trivial_deviation", "distance of the trivial multipliers from 1", lambda p: p.floquet.trivial_deviation,
+        where=CSV,
+    ),
+)  # fmt: skip
+LOGARITHMS: tuple[Quantity, ...] = (  # of multipliers that no double holds
+    Quantity(
+        "log10_max_abs_multiplier", "decimal logarithm of the largest modulus but for the trivial ones",
+        lambda p: float(np.max(p.floquet.log10_abs_multipliers[p.floquet.trivial :])),
+    ),
+    Quantity(
+        "log10_abs_multipliers", "decimal logarithms of the moduli of multipliers, the trivial ones first",
+        lambda p: p.floquet.log10_abs_multipliers, ("multiplier",), may_be_empty=True,
+    ),
+)  # fmt: skip
+ARRAYS: tuple[Quantity, ...] = (
+    Quantity("smallest", "smallest value of each state", lambda p: p.extremes[0], ("state",)),
+    Quantity("largest", "largest value of each state", lambda p: p.extremes[1], ("state",)),
+    Quantity("start", "start of the interval; 0 for an orbit", lambda p: p.solution.interval[0], where=NETCDF),
+    Quantity("end", "end of the interval; the period of an orbit", lambda p: p.solution.interval[1], where=NETCDF),
+    Quantity("profile", "states; names: state_name", lambda p: p.profile, ("phase", "state")),
+)
+AT_REST: tuple[Quantity, ...] = (
+    Quantity("stable", "1 where no eigenvalue has a positive real part", lambda p: int(p.solution.stable)),
+    Quantity("unstable", "eigenvalues with a positive real part", lambda p: p.solution.unstable),
+    Quantity("max_growth", "largest real part of an eigenvalue", lambda p: float(p.solution.eigenvalues.real.max())),
+    Quantity("error", "estimated error of the state, relative to each component", lambda p: p.solution.error),
+    Quantity("eigenvalue_error", "largest estimated error of an eigenvalue", lambda p: p.solution.eigenvalue_error),
+    RESIDUAL,
+    Quantity("states", "the state; names: state_name", lambda p: p.solution.positions, ("state",)),
+    Quantity("eigenvalues", "eigenvalues by descending real part", lambda p: p.solution.eigenvalues, ("eigenvalue",)),
+)
+FIXED = tuple(q.name for q in (*HEAD, IS_FOLD, PERIOD, *ERRORS, *STABILITY))  # columns of orbits, and of states at rest
+FIXED_AT_REST = tuple(q.name for q in (*HEAD, SPECIAL, *AT_REST) if not q.dimensions)
+
+
+def _model_quantities(branch: Branch) -> list[Quantity]:
+    """Names that users chose are distinguished from those of the table by " (of the model)"."""
+    space: Any = branch.space
+    first, at_rest, orbit = branch.solutions[0], space.connects == EQUILIBRIA, space.connects == ORBITS
+    names, states = list(first.parameters), space.state_names
+    followed = [name for name in (branch.parameter, *(space.free if at_rest else ())) if name]
+    quantities, taken = [*HEAD, SPECIAL if at_rest else IS_FOLD], set(FIXED_AT_REST if at_rest else FIXED)
+
+    def add(name: str, meaning: str, of: Callable[[Place], Any]) -> None:
+        (unique,) = unique_names([name], taken)
+        taken.add(unique)
+        quantities.append(Quantity(unique, meaning, of, where=CSV))
+
+    def add_parameter(name: str, meaning: str) -> None:
+        add(name, meaning, lambda p: p.solution.parameters[name])
+
+    for name in followed:
+        add_parameter(name, f"the parameter {name}" if at_rest else "the parameter followed")
+    if orbit:
+        has = {"Omega": True, "energy": space.model.hamiltonian is not None, "S": space.positions > 0}
+        own = [q for q in OF_ORBITS if has[q.name] and q.name not in {*names, *states}]
+        quantities += [PERIOD, *own]
+        taken |= {q.name for q in own}
+    for name in names:
+        if name not in followed and not (orbit and name == PERIOD.name):
+            add_parameter(name, f"the parameter {name}")
+    for i, name in enumerate(states):
+        if at_rest:
+            add(name, f"the state {name}", lambda p, i=i: float(p.solution.positions[i]))  # type: ignore[misc]
+        else:
+            add(f"{name}_min", f"smallest value of {name}", lambda p, i=i: float(p.extremes[0][i]))  # type: ignore[misc]
+            add(f"{name}_max", f"largest value of {name}", lambda p, i=i: float(p.extremes[1][i]))  # type: ignore[misc]
+    if at_rest:
+        quantities += AT_REST
+    else:
+        quantities += ERRORS
+        if branch.with_stability:
+            quantities += STABILITY
+            if any(solution.floquet().beyond_doubles for solution in branch.solutions):
+                quantities += LOGARITHMS
+        quantities += ARRAYS
+    if names:
+        meaning = "values of the parameters; names: parameter_name"
+        values = Quantity(
+            "parameters", meaning, lambda p: np.array([p.solution.parameters[name] for name in names]), ("parameter",)
+        )
+        quantities.append(values)
+    return quantities if at_rest else quantities + _multipliers(branch)
+
+
+# Multipliers of orbits of every kind ----------------------------------------------------------------------------------
+
+
+def _multipliers(branch: Branch) -> list[Quantity]:
+    """Arrays of multipliers, those of mu where there are these; none where stability was not computed."""
+    if not branch.with_stability or not len(branch):
+        return []
+    found: list[Any] = [orbit.floquet() for orbit in branch.orbits]
+    meaning, index = "distance of the trivial multipliers from their exact value", ("mu_index",)
+    quantities = [Quantity("trivial_deviation", meaning, lambda p: p.floquet.trivial_deviation, where=NETCDF)]
+    mu = Quantity("mu", "eigenvalues of B^T C", lambda p: p.floquet.mu, index)
+    error = Quantity("mu_error", "estimated errors of mu", lambda p: p.floquet.mu_error, index)
+    if isinstance(found[0], LocalisedFloquet):
+        most = max(floquet.mu.size for floquet in found)
+
+        def padded(values: Any) -> Any:
+            return np.concatenate([values, np.full(most - values.size, np.nan, values.dtype)])
+
+        words = f"{mu.meaning}, localised ones"
+        arrays = [
+            Quantity(mu.name, words, lambda p: padded(p.floquet.mu), index, NETCDF, True),
+            Quantity(error.name, error.meaning, lambda p: padded(p.floquet.mu_error), index, NETCDF, True),
+        ]
+        return [*quantities, *LOCALISED, *(arrays if most else ())]
+    quantities.append(
+        Quantity(
+            "multipliers", "Floquet multipliers, the trivial ones first", lambda p: p.floquet.multipliers,
+            ("multiplier",), NETCDF,
+        )
+    )  # fmt: skip
+    reduced = isinstance(found[0], ReversibleFloquet) and found[0].mu.size
+    return [*quantities, *((mu, error) if reduced else ())]
+
+
+LOCALISED: tuple[Quantity, ...] = (  # of orbits at the edge of a long tail: localised multipliers, and arcs
+    Quantity("localised", "localised multipliers, in pairs", lambda p: p.floquet.mu.size),
+    Quantity("undecided", "pairs that more sites would decide", lambda p: p.floquet.unresolved.size),
+    Quantity("finite_size", "pairs off the circle by the cut alone", lambda p: p.floquet.finite_size.size),
+    Quantity("finite_size_modulus", "largest modulus of these, or 1", lambda p: p.floquet.finite_size_modulus),
+    Quantity("stability_sites", "sites of the variational problem", lambda p: p.floquet.sites),
+    Quantity("overlaps", "overlaps of arcs of opposite signature", lambda p: len(p.floquet.continuous.overlaps)),
+    Quantity("arc_start", "least omega T of waves", lambda p: p.floquet.continuous.arcs[:, 0], ("band",)),
+    Quantity("arc_end", "largest omega T of waves", lambda p: p.floquet.continuous.arcs[:, 1], ("band",)),
+)
+
+
+# What is made from the table ------------------------------------------------------------------------------------------
 
 
 def quantities_of(branch: Branch) -> list[Quantity]:
     """The quantities of a branch of any kind."""
-    if isinstance(branch.solutions[0], Equilibrium):
-        return equilibrium_quantities(branch)
-    return family_quantities(branch) if isinstance(branch.space, Family) else branch_quantities(branch)
+    return _family_quantities(branch) if branch.space.connects == FAMILY else _model_quantities(branch)
 
 
 def places_of(branch: Branch) -> list[Place]:
     """The solutions of a branch with their marks."""
-    mode = branch.space.coordinates.mode_number if isinstance(branch.space, Family) else 0
+    space: Any = branch.space
+    mode = space.coordinates.mode_number if space.connects == FAMILY else 0
     return [Place(s, i, mode, s.point.requested, s.point.special) for i, s in enumerate(branch.solutions)]
 
 
@@ -74,93 +412,71 @@ def numbers_of(branch: Branch) -> dict[str, Quantity]:
     return {q.name: q for q in table if not (q.dimensions or q.name in COUNTED)}
 
 
-def csv_row(quantities: Sequence[Quantity], place: Place) -> dict[str, Cell]:
-    """One row: quantities without dimensions of their own; one that is not finite and may be empty is."""
+def unique_names(names: Iterable[str], taken: Iterable[str]) -> list[str]:
+    """Names that users chose; those that are taken, or there twice, with " (of the model)" after them."""
+    known, found = set(taken), list[str]()
+    for name in names:
+        while name in known:
+            name = f"{name} (of the model)"
+        known.add(name)
+        found.append(name)
+    return found
+
+
+def columns_of(branch: Branch) -> list[Quantity]:
+    """Quantities that are columns of tables of a branch: those without dimensions of their own."""
+    table = quantities_of(branch) if branch.solutions else []
+    return [q for q in table if not q.dimensions and q.where in (CSV, BOTH)]
+
+
+def csv_row(columns: Sequence[Quantity], place: Place) -> dict[str, Cell]:
+    """One row; a value that is not finite and may be empty is."""
     row: dict[str, Cell] = {}
-    for quantity in quantities:
-        if quantity.dimensions or quantity.where not in (CSV, BOTH):
-            continue
+    for quantity in columns:
         value = quantity.of(place)
         row[quantity.name] = "" if quantity.may_be_empty and not math.isfinite(value) else value
     return row
 
 
-def dataset_of(branches: Sequence[Branch], vectors: bool = False) -> Dataset:
-    """All branches along one dimension `point`, in the order given and in arclength order within each.
+# Smallest and largest values of states, beyond the resolution of samples ----------------------------------------------
 
-    Arguments:
-        branches: families of one model, or one other branch; at least one solution in all.
-        vectors: whether Floquet vectors at requested points are among the variables.
 
-    Returns:
-        Variables named as in the table of quantities, with names of states and parameters, sites, phases and meshes.
+def extremes(solution: Solution) -> tuple[Array, Array]:
+    """Smallest and largest value of each state over the interval or the period.
+
+    The extremes of fine samples are moved to the vertex of the parabola through their neighbours and evaluated there.
     """
-    held = [branch for branch in branches if len(branch)]
-    widest = max(held, key=lambda branch: max((getattr(s, "harmonics", 0) for s in branch.solutions), default=0))
-    quantities = [q for q in quantities_of(widest) if q.where in (NETCDF, BOTH)]
-    places = [place for branch in held for place in places_of(branch)]
-    variables = _axes(held[0])
-    for quantity in quantities:
-        values = np.array([quantity.of(place) for place in places])
-        dimensions = ("point", *quantity.dimensions)
-        variables.append(Variable(quantity.name, dimensions, values, quantity.meaning, quantity.may_be_empty))
-    if isinstance(held[0].space, BoundarySpace):
-        variables.append(_mesh([place.solution for place in places]))
-    if vectors:
-        variables += _vectors(places)
-    return Dataset(variables)
+    t = _fine_times(solution)
+    x = solution.evaluate(t)
+    found = []
+    for sign in (-1.0, 1.0):
+        place = np.argmax(sign * x, axis=0)
+        times = np.array([_vertex(t, x[:, i], k) for i, k in enumerate(place)])
+        moved = np.diagonal(solution.evaluate(times))
+        found.append(sign * np.maximum(sign * moved, sign * np.diagonal(x[place])))
+    return found[0], found[1]
 
 
-def _axes(branch: Branch) -> list[Variable]:
-    """Coordinates along the dimensions of the quantities."""
-    solution = branch.solutions[0]
-    if isinstance(branch.space, Family):
-        sites = branch.orbits[0].output_sites
-        meaning = "number of the site, from 1; up to 0 in an infinite chain with gamma > 0"
-        return [Variable("site", ("site",), sites, meaning)]
-    axes = [Variable("state_name", ("state",), np.array(solution.space.state_names), "names along `state`")]
-    if solution.parameters:
-        names = np.array(list(solution.parameters))
-        axes.append(Variable("parameter_name", ("parameter",), names, "names along `parameter`"))
-    if isinstance(solution, Equilibrium):
-        return axes
-    phases = np.linspace(0.0, 1.0, PHASES)
-    return [*axes, Variable("phase", ("phase",), phases, "place in the interval or the period, from 0 to 1")]
+def _fine_times(solution: Solution) -> Array:
+    edges = solution.mesh
+    inner = edges[:-1, None] + np.diff(edges)[:, None] * np.arange(FINE) / FINE
+    t = np.append(inner.ravel(), edges[-1])
+    if solution.space.connects not in (FAMILY, ORBITS):
+        return t
+    copies = round(1.0 / solution.space.symmetry.value)  # the part that was unknown, mirrored or repeated
+    part = t[-1]
+    whole = [k * part + (t if k % 2 == 0 else part - t[::-1]) for k in range(copies)]
+    return np.unique(np.concatenate(whole))
 
 
-def _mesh(solutions: Sequence[Solution]) -> Variable:
-    longest = max(s.intervals for s in solutions)
-    edges = np.stack([np.append(s.mesh, np.full(longest - s.intervals, np.nan)) for s in solutions])
-    meaning = "ends of the intervals of the part that was unknown; empty after it"
-    return Variable("mesh", ("point", "edge"), edges, meaning, may_be_empty=True)
-
-
-def _vectors(places: Sequence[Place]) -> list[Variable]:
-    chosen = [i for i, place in enumerate(places) if place.requested]
-    if not chosen:
-        return []
-    vectors = np.stack([places[i].orbit.floquet_vectors() for i in chosen])
-    dimensions = ("requested_point", "component", "multiplier")
-    return [
-        Variable("vectors_point", ("requested_point",), np.array(chosen), "place along `point`, from 0"),
-        Variable("vectors", dimensions, vectors, "Floquet vectors (positions, velocities) at t = 0, columns"),
-    ]
-
-
-def branch_to_xarray(branch: Branch) -> xarray.Dataset:
-    """A branch as an xarray Dataset along `point`; raises ImportError, naming the extra, without xarray."""
-    space, attributes = branch.space, dict[str, Any]()
-    if isinstance(space, Family):
-        attributes = {**space.coordinates.attributes, "mode": space.coordinates.mode_number}
-    return to_xarray(replace(dataset_of([branch]), attributes={**attributes, "tolerance": space.tolerance}), ("site",))
-
-
-# Tables of results, which modules register by class -------------------------------------------------------------------
-
-Columns = dict[str, Any]
-
-
-@singledispatch
-def table(result: Any) -> tuple[str, str, Columns]:
-    """The name of the first column, the meaning of the table, and its columns; raises TypeError for other objects."""
-    raise TypeError(f"no result: {type(result).__name__}")
+def _vertex(t: Array, x: Array, k: int) -> float:
+    """The vertex of the parabola through three samples; the sample itself at an end or on a line."""
+    if k in (0, t.size - 1):
+        return float(t[k])
+    left, right = t[k - 1] - t[k], t[k + 1] - t[k]
+    a, b = (x[k - 1] - x[k]) / left, (x[k + 1] - x[k]) / right
+    curvature = (b - a) / (right - left)
+    if curvature == 0.0:
+        return float(t[k])
+    slope = a - curvature * left
+    return float(np.clip(t[k] - 0.5 * slope / curvature, t[k - 1], t[k + 1]))

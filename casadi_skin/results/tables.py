@@ -1,23 +1,20 @@
-"""Quantities of equilibria: columns of branch.csv and variables of branch.nc."""
+"""Tables of a run beside those of its branches: evolutions in time, changes of stability, tongues, searches."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.optimise.optimum import CosineOrbit, Optimum
 from casadi_skin.optimise.search import SearchResult
 from casadi_skin.optimise.search_problem import Outcome, SearchProblem
-from casadi_skin.results.dataset import Cell, Dataset, Variable, unique_names, versions, write_csv, write_netcdf
-from casadi_skin.results.quantity import CSV, Place, Quantity
+from casadi_skin.results.dataset import Dataset, Variable, versions, write_csv, write_netcdf
+from casadi_skin.results.quantities import PHASES, Cell, unique_names
 from casadi_skin.stability.tongues.diagram import (
     LocalisedChange,
     LocalisedDiagram,
@@ -30,66 +27,6 @@ from casadi_skin.zero.unresolved import Unresolved
 
 if TYPE_CHECKING:
     from casadi_skin.dynamics.evolution import Evolution
-
-FIXED = ("point", "requested", "special", "stable", "unstable", "max_growth", "error", "eigenvalue_error", "residual")
-
-
-def equilibrium_quantities(branch: Branch) -> list[Quantity]:
-    """Quantities of equilibria in the order of the columns, parameters followed first.
-
-    Names that users chose are distinguished from those of the table by " (of the model)".
-    """
-    first = _equilibrium(Place(branch.solutions[0], 0))
-    quantities = [
-        Quantity("point", "place along the branch", lambda p: p.index, where=CSV),
-        Quantity("requested", "1 where the value of the parameter was asked for", lambda p: int(p.requested)),
-        Quantity("special", "kind of a special point; empty elsewhere", lambda p: p.special or "", where=CSV),
-    ]
-    taken = set(FIXED)
-
-    def add(name: str, meaning: str, of: Callable[[Place], Any]) -> None:
-        (unique,) = unique_names([name], taken)
-        taken.add(unique)
-        quantities.append(Quantity(unique, meaning, of, where=CSV))
-
-    followed = [name for name in (branch.parameter, *branch.space.free) if name]
-    for name in [*followed, *(name for name in first.parameters if name not in followed)]:
-        add(name, f"the parameter {name}", lambda p, name=name: p.solution.parameters[name])  # type: ignore[misc]
-    for i, name in enumerate(first.space.state_names):
-        add(name, f"the state {name}", lambda p, i=i: float(_equilibrium(p).positions[i]))  # type: ignore[misc]
-    return [
-        *quantities,
-        Quantity("stable", "1 where no eigenvalue has a positive real part", lambda p: int(p.solution.stable)),
-        Quantity("unstable", "eigenvalues with a positive real part", lambda p: _equilibrium(p).unstable),
-        Quantity("max_growth", "largest real part of an eigenvalue", lambda p: float(_spectrum(p).real.max())),
-        Quantity("error", "estimated error of the state, relative to each component", lambda p: p.solution.error),
-        Quantity(
-            "eigenvalue_error", "largest estimated error of an eigenvalue", lambda p: _equilibrium(p).eigenvalue_error
-        ),
-        Quantity("residual", "largest residual relative to the largest term", lambda p: p.solution.residual),
-        Quantity("states", "the state; names: state_name", lambda p: _equilibrium(p).positions, ("state",)),
-        Quantity("eigenvalues", "eigenvalues by descending real part", _spectrum, ("eigenvalue",)),
-        *_parameters(first),
-    ]
-
-
-def _parameters(first: Equilibrium) -> list[Quantity]:
-    names = list(first.parameters)
-
-    def values(place: Place) -> NDArray[np.float64]:
-        return np.array([place.solution.parameters[name] for name in names])
-
-    meaning = "values of the parameters; names: parameter_name"
-    return [Quantity("parameters", meaning, values, ("parameter",))] if names else []
-
-
-def _equilibrium(place: Place) -> Equilibrium:
-    return cast(Equilibrium, place.solution)
-
-
-def _spectrum(place: Place) -> NDArray[np.complex128]:
-    return _equilibrium(place).eigenvalues
-
 
 # A time evolution as a table: columns and rows of dynamics.csv, variables of dynamics.nc ------------------------------
 
@@ -218,7 +155,6 @@ def _tongue(mode: int, number: Cell, t: Tongue) -> dict[str, Cell]:
 
 # Files of a search: search.csv (optima), starts.csv (where each start led), search.nc, and the journal's records ------
 
-PHASES = 401  # of an orbit in search.nc, over a period
 MEANINGS = {
     "S": "total amplitude: sum of y_n^2 at t = 0",
     "Omega": "frequency",
@@ -328,10 +264,9 @@ def _cosines(found: Sequence[Optimum]) -> list[Variable]:
 
 def _states(found: Sequence[Optimum], names: Sequence[str]) -> list[Variable]:
     """States at phases of the period, one variable a state."""
-    phases = np.linspace(0.0, 1.0, PHASES)
-    states = np.stack([o.orbit.evaluate(phases * o.orbit.period) for o in found])
+    states = np.stack([o.orbit.evaluate(PHASES * o.orbit.period) for o in found])
     return [
-        Variable("phase", ("phase",), phases, "place in the period, from 0 to 1"),
+        Variable("phase", ("phase",), PHASES, "place in the period, from 0 to 1"),
         *(Variable(f"state_{name}", ("optimum", "phase"), states[:, :, k], f"{name} along the orbit")
           for k, name in enumerate(names)),
     ]  # fmt: skip

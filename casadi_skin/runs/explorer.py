@@ -21,8 +21,8 @@ from casadi_skin.follow.family import Family
 from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.files import TemporaryFolder, replacing
 from casadi_skin.points.diagram import Diagram
-from casadi_skin.results.dataset import read_name, readable, write_csv, write_netcdf
-from casadi_skin.results.quantities import dataset_of, places_of
+from casadi_skin.results.dataset import dataset_of, read_name, readable, write_csv, write_netcdf
+from casadi_skin.results.quantities import places_of
 from casadi_skin.results.saving import read_result
 from casadi_skin.results.tables import EVENT_COLUMNS, event_rows
 from casadi_skin.runs.map_result import read_map, write_map

@@ -21,8 +21,7 @@ from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.optimise.search import SearchResult
 from casadi_skin.results.branch_records import BranchRecord
-from casadi_skin.results.quantities import csv_row, quantities_of
-from casadi_skin.results.quantity import Place
+from casadi_skin.results.quantities import Place, columns_of, csv_row
 from casadi_skin.runs.binding import Files, bind
 from casadi_skin.runs.branches import Branches
 from casadi_skin.runs.map_grid import FAILED, Result, Row, Tables, Task, Value, scene_at
@@ -92,7 +91,7 @@ def _solution(branch: Branch, S: float | None) -> tuple[Solution | None, str]:
 
 
 def _of_solution(branch: Branch, solution: Solution) -> Iterator[tuple[str, Any, str]]:
-    quantities = [q for q in quantities_of(branch) if q.name not in LEFT_OUT]
+    quantities = [q for q in columns_of(branch) if q.name not in LEFT_OUT]
     mode = _mode(branch) if isinstance(branch.space, Family) else 0
     row = csv_row(quantities, Place(solution, 0, mode))
     meanings = {q.name: q.meaning for q in quantities}

@@ -18,9 +18,10 @@ from casadi_skin.fmu.unzip import Archive
 from casadi_skin.model.arguments import check_name, cut, file_path, short_repr
 from casadi_skin.model.files import TemporaryFolder, replacing
 from casadi_skin.model.result import WithVerbs
-from casadi_skin.results.dataset import EMPTY, Cell, characters, new_file, put_attributes, stored_name, write_csv
+from casadi_skin.results.dataset import EMPTY, characters, new_file, put_attributes, stored_name, write_csv
 from casadi_skin.results.figures.map import MapAxis, Panel, draw_map, map_figure, panel_title
 from casadi_skin.results.figures.style import save
+from casadi_skin.results.quantities import Cell
 from casadi_skin.results.words import listed
 from casadi_skin.runs.directory import SCENE
 from casadi_skin.runs.map_grid import Axis, Grid

@@ -22,10 +22,10 @@ from numpy.typing import DTypeLike, NDArray
 from casadi_skin.follow.rest_codimension_two import CUSP, TAKENS, ZERO_HOPF
 from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, FOLD, HOPF, TORUS
 from casadi_skin.optimise.names import FREE, NAMED
-from casadi_skin.results.branch_quantities import FAMILY, FAMILY_ERRORS, FAMILY_PROOFS, FAMILY_STABILITY
-from casadi_skin.results.branch_quantities import FIXED as OF_BRANCHES
 from casadi_skin.results.journal import Journal, mapped, record_at, scan
-from casadi_skin.results.tables import FIXED as OF_EQUILIBRIA
+from casadi_skin.results.quantities import FAMILY_ERRORS, FAMILY_PROOFS, FAMILY_QUANTITIES, FAMILY_STABILITY
+from casadi_skin.results.quantities import FIXED as OF_BRANCHES
+from casadi_skin.results.quantities import FIXED_AT_REST as OF_EQUILIBRIA
 from casadi_skin.runs.directory import DirectoryError
 from casadi_skin.runs.map_grid import (
     OUTSIDE,
@@ -307,7 +307,7 @@ def known_names(request: Request) -> tuple[str, ...]:
     if scene.search is not None:
         return ("objective", "optima", "end", "end_reason", "Omega", *FREE, *NAMED)
     if scene.family is not None:
-        tables = (FAMILY, FAMILY_STABILITY, FAMILY_ERRORS, FAMILY_PROOFS)
+        tables = (FAMILY_QUANTITIES, FAMILY_STABILITY, FAMILY_ERRORS, FAMILY_PROOFS)
         names = [quantity.name for table in tables for quantity in table]
         return (*names, "regime", "threshold", *STABILITY, *OF_ALL)
     states = request.equations.state_names

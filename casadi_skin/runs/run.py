@@ -18,10 +18,8 @@ from casadi_skin.lattice.spectrum import linear_frequencies
 from casadi_skin.model.files import replacing
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.results import figures
-from casadi_skin.results.branch_quantities import certified
-from casadi_skin.results.dataset import Cell, unique_names, write_csv, write_netcdf
-from casadi_skin.results.quantities import csv_row, dataset_of, quantities_of
-from casadi_skin.results.quantity import Place
+from casadi_skin.results.dataset import dataset_of, write_csv, write_netcdf
+from casadi_skin.results.quantities import Cell, Place, certified, columns_of, csv_row, unique_names
 from casadi_skin.results.tables import (
     EVENT_COLUMNS,
     PROVED_COLUMNS,
@@ -191,7 +189,7 @@ class Tables:
         table, rows = table_of(name, space), self.rows.setdefault(table_of(name, space), [])
         mode = space.coordinates.mode_number if isinstance(space, Family) else 0
         for solution in solutions:
-            quantities = quantities_of(Branch(space, (solution,), with_stability=self.with_stability))
+            quantities = columns_of(Branch(space, (solution,), with_stability=self.with_stability))
             index = sum(row.get("mode", 0) == mode for row in rows)
             place = Place(solution, index, mode, solution.point.requested, solution.point.special)
             rows.append(csv_row(quantities, place))

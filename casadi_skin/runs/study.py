@@ -22,8 +22,9 @@ from numpy.typing import ArrayLike
 from rich.table import Table
 
 from casadi_skin.model.files import replacing
-from casadi_skin.results.dataset import Cell, write_csv
+from casadi_skin.results.dataset import write_csv
 from casadi_skin.results.figures.style import save
+from casadi_skin.results.quantities import Cell
 from casadi_skin.runs.directory import prepare_study
 from casadi_skin.runs.output import DONE, FAILED, INTERRUPTED, add_study_options, exit_status, print_results
 from casadi_skin.runs.progress import Progress

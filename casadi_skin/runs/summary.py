@@ -12,8 +12,7 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Equilibrium
-from casadi_skin.results.branch_quantities import certified
-from casadi_skin.results.quantities import places_of
+from casadi_skin.results.quantities import certified, places_of
 from casadi_skin.results.tables import UNRESOLVED
 from casadi_skin.runs.output import TextTable
 from casadi_skin.runs.parts import mode_of

@@ -28,7 +28,7 @@ from casadi_skin.results.figures.bifurcation import draw_band, family_path, fami
 from casadi_skin.results.figures.profiles import LINES, MARKERS
 from casadi_skin.results.figures.spacetime import draw_spacetime
 from casadi_skin.results.figures.style import AMPLITUDE, blank, colours, finished, number, number_sites, style, title
-from casadi_skin.results.quantities import csv_row, places_of, quantities_of
+from casadi_skin.results.quantities import columns_of, csv_row, places_of
 from casadi_skin.results.tables import EVENT_COLUMNS, event_rows
 from casadi_skin.runs.study import Rows, letter, stacked, table
 from casadi_skin.zero.problem import Array
@@ -55,7 +55,7 @@ def draw_space_time(figure: Figure, axes: Axes, evolution: Evolution) -> None:
 def families_table(families: dict[float, dict[int, Branch]]) -> Rows:
     """All points of families by g and mode, with the columns of family.csv."""
     rows = [
-        {"g": g, **csv_row(quantities_of(branch), place)}
+        {"g": g, **csv_row(columns_of(branch), place)}
         for g, branches in families.items()
         for branch in branches.values()
         for place in places_of(branch)

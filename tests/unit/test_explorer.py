@@ -16,8 +16,7 @@ import pytest
 from scipy.io import netcdf_file
 
 from casadi_skin import Chain, OdeModel, find_equilibrium, follow_family
-from casadi_skin.results.dataset import Dataset, Variable, stored_name, write_csv, write_netcdf
-from casadi_skin.results.quantities import dataset_of
+from casadi_skin.results.dataset import Dataset, Variable, dataset_of, stored_name, write_csv, write_netcdf
 from casadi_skin.results.tables import EVENT_COLUMNS, event_rows
 from casadi_skin.runs.explorer import CHANGE, POINTS, map_data, page_data
 from casadi_skin.runs.program import main

@@ -13,8 +13,7 @@ import pytest
 from casadi_skin.model.loading import ModelFileError, named, read_source, run_file
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.saved import save_model
-from casadi_skin.results.extremes import extremes
-from casadi_skin.results.quantity import Place
+from casadi_skin.results.quantities import Place, extremes
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.first_solution import cycle, first_solution
 from casadi_skin.runs.reading import parse_scene, scene_schema

@@ -13,7 +13,6 @@ from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import band_edges, lattice_modes
 from casadi_skin.lattice.spectrum import linear_spectrum
-from casadi_skin.results.extremes import extremes
 from casadi_skin.results.figures.branch import (
     LOOKS,
     MARKS,
@@ -37,6 +36,7 @@ from casadi_skin.results.figures.style import (
     title,
 )
 from casadi_skin.results.figures.style import title as model_title
+from casadi_skin.results.quantities import extremes
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit, cosine_curve
 from casadi_skin.follow.solution import Solution
-from casadi_skin.results.extremes import extremes
 from casadi_skin.results.figures.style import DASHES, blank, colours, finished, number, plain, style
 from casadi_skin.results.figures.style import title as model_title
+from casadi_skin.results.quantities import extremes
 from casadi_skin.zero.problem import Array, Indices
 from casadi_skin.zero.settings import End
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem

@@ -26,7 +26,6 @@ from casadi_skin.optimise.search import SearchResult
 from casadi_skin.optimise.search_orbit import ParetoFront
 from casadi_skin.points.diagram import Diagram
 from casadi_skin.points.edge_curve import EdgeCurve
-from casadi_skin.results.extremes import extremes
 from casadi_skin.results.figures.bifurcation import CURVES, WIDTHS, family_path, family_pieces
 from casadi_skin.results.figures.branch import LOOKS, draw_marks, label_of, smooth, stability_pieces
 from casadi_skin.results.figures.multipliers import draw_moduli
@@ -41,7 +40,7 @@ from casadi_skin.results.figures.style import (
     plain,
     style,
 )
-from casadi_skin.results.quantities import numbers_of
+from casadi_skin.results.quantities import extremes, numbers_of
 from casadi_skin.results.words import Rows, described
 from casadi_skin.stability.growth import TransientGrowth
 from casadi_skin.stability.reduction import ComplexArray

@@ -10,7 +10,7 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.optimise.optimum import CosineOrbit
 from casadi_skin.optimise.search import SearchResult
 from casadi_skin.optimise.search_problem import Ending
-from casadi_skin.results.figures.style import style
+from casadi_skin.results.figures import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
