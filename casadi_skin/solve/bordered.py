@@ -1,11 +1,11 @@
 """Linear solves with the Jacobian of an orbit problem, closed by one more row (a held unknown or an arclength row).
 
-Banded problems are solved by LAPACK's band LU with the dense columns and rows in a border. The band alone is
+Banded problems are solved by band LU with the dense columns and rows in a border, compiled. The band alone is
 singular at a linear mode (its null vector is the mode), so its diagonal entry at the largest entry of the state is
 raised, and an unknown more in the border takes that back; Schur complement of a bordered matrix, Keller (1977),
-Govaerts (2000) chapter 3. Everything else goes to SuperLU: of collocation the unknowns within the intervals first, in
-an order that the model's own pattern determines, so that dense blocks are left between ends of intervals alone (the
-condensation of Ascher, Mattheij and Russell 1995, section 7.2).
+Govaerts (2000) chapter 3. Everything else, and all where the kernel is missing, goes to SuperLU: of collocation the
+unknowns within the intervals first, in an order that the model's own pattern determines, so that dense blocks are left
+between ends of intervals alone (the condensation of Ascher, Mattheij and Russell 1995, section 7.2).
 """
 
 from __future__ import annotations
@@ -24,49 +24,11 @@ if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU
 
 
-# Solves with a factorised matrix: a band with its border, by LAPACK or compiled, or a sparse one by SuperLU -----------
-
-
-class BandFactors:
-    """Solves with a factorised band and its border: unknowns are eliminated in the band, then those of the border."""
-
-    def __init__(self, width: int, lu: Array, pivots: Indices, spread: Array, below: Array, border: Array) -> None:
-        from scipy.linalg.lapack import dgbtrs, dgetrf, dgetrs
-
-        self._width, self._lu, self._pivots, self._spread, self._below = width, lu, pivots, spread, below
-        self._band_solve, self._border_solve = dgbtrs, dgetrs
-        self._schur, self._order, info = dgetrf(border - below @ spread)
-        self.regular = info == 0
-
-    @property
-    def orientation(self) -> float:
-        """The sign of the determinant: the unknown and the row that pin the band do not change it."""
-        band, border = self._lu[2 * self._width], self._schur.diagonal()
-        negative = np.count_nonzero(band < 0.0) + np.count_nonzero(border < 0.0)
-        swaps = np.count_nonzero(self._pivots != np.arange(band.size))
-        swaps += np.count_nonzero(self._order != np.arange(border.size))
-        return -1.0 if (negative + swaps) % 2 else 1.0
-
-    def completed(self, inner: Array, outer: Array) -> Array:
-        """Solution, from that of the band alone for the first rows, shape (n, columns), and the remaining rows."""
-        n, edge = inner.shape[0], self._schur.shape[0]
-        right = np.zeros((edge, inner.shape[1]))
-        right[1:] = outer
-        right -= self._below @ inner
-        x, _ = self._border_solve(self._schur, self._order, right)
-        whole = np.empty((n + edge - 1, inner.shape[1]))
-        np.subtract(inner, self._spread @ x, out=whole[:n])
-        whole[n:] = x[1:]
-        return whole
-
-    def __call__(self, b: Array) -> Array:
-        n, columns = self._lu.shape[1], b.reshape(b.shape[0], -1)
-        inner, _ = self._band_solve(self._lu, self._width, self._width, columns[:n], self._pivots)
-        return self.completed(inner, columns[n:]).reshape(b.shape)
+# Solves with a factorised matrix: a band with its border by the compiled kernel, or a sparse one by SuperLU -----------
 
 
 class CompiledFactors:
-    """The same by the compiled kernel; `orientation` is the sign of the determinant."""
+    """Solves with a band and its border by the compiled kernel; `orientation` is the sign of the determinant."""
 
     def __init__(self, kernel: BorderedKernel, memory: Array, orientation: float) -> None:
         self.kernel, self.memory, self.orientation = kernel, memory, orientation
@@ -126,10 +88,6 @@ class _Entries:
     source: Indices
     target: Indices
 
-    def into(self, array: Array, nonzeros: Array) -> None:
-        """Fill an array, or several from non-zeros of as many problems."""
-        array.reshape(*nonzeros.shape[:-1], -1)[..., self.target] = np.take(nonzeros, self.source, axis=-1)
-
 
 @dataclass(frozen=True)
 class BandLayout:
@@ -170,11 +128,6 @@ class BandLayout:
         sizes = problem.states, problem.size, self.width
         return bordered_kernel(sizes, places, problem.pattern, (SINGULAR, ACCURATE))
 
-    def fill(self, storage: Array, right: Array, below: Array, corner: Array, nonzeros: Array) -> None:
-        """Put the non-zeros of the Jacobian where they belong."""
-        for entries, array in ((self.inside, storage), (self.right, right), (self.below, below), (self.corner, corner)):
-            entries.into(array, nonzeros)
-
 
 @dataclass(frozen=True)
 class _Places:
@@ -212,8 +165,8 @@ class BorderedSolver:
 
         self.problem, size = problem, problem.size
         self._last: tuple[Array, Array, Solve] | None = None
-        self._band = BandLayout.of(problem)
-        self._kernel = None if self._band is None else self._band.kernel(problem)
+        band = BandLayout.of(problem)
+        self._kernel = None if band is None else band.kernel(problem)
         self._probes = np.zeros((size, 2))
         self._probes[-1, 0], self._probes[:-1, 1] = 1.0, problem.residual_size * problem.probe
         places = problem.kept("closed", lambda: _Places.of(problem))
@@ -268,10 +221,6 @@ class BorderedSolver:
             orientation = self._kernel.steps(z[None], nonzeros[None], row[None], x, memory)
             if orientation is not None:
                 return CompiledFactors(self._kernel, memory, float(orientation[0]))
-        elif self._band is not None:
-            factors, probes = self._factor_band(self._band, z, nonzeros, row)
-            if self._accurate(probes, nonzeros, row):
-                return factors
         solve = self._factor_sparse(nonzeros, row)
         if not self._accurate(solve(self._probes), nonzeros, row):
             raise SingularError(
@@ -304,28 +253,6 @@ class BorderedSolver:
             self._jacobian.data = nonzeros
             defect = self._jacobian @ x
         return bool(max(defect.max(), -defect.min()) <= ACCURATE * largest and abs(row @ x - 1.0) <= ACCURATE)
-
-    def _factor_band(self, band: BandLayout, z: Array, nonzeros: Array, row: Array) -> tuple[Solve, Array]:
-        """A solver, and its solutions for `_probes`; not finite where elimination meets a zero."""
-        from scipy.linalg.lapack import dgbtrf, dgbtrs
-
-        n, width, edge = self.problem.states, band.width, self.problem.size - self.problem.states + 1
-        storage, right = np.zeros((n, 3 * width + 1)), np.zeros((edge + 2, n))
-        below, corner = np.zeros((edge, n)), np.zeros((edge, edge))
-        band.fill(storage, right, below, corner, nonzeros)
-        below[-1], corner[-1, 1:] = row[:n], row[n:]
-        pin = int(np.argmax(np.abs(z[:n])))
-        raised = float(np.max(np.abs(storage[pin])))
-        storage[pin, 2 * width] += raised
-        right[0, pin], below[0, pin], corner[0, 0] = -raised, -1.0, 1.0
-        right[-1] = self._probes[:n, 1]
-
-        lu, pivots, failed = dgbtrf(storage.T, width, width, overwrite_ab=True)
-        inner, _ = dgbtrs(lu, width, width, right.T, pivots, overwrite_b=True)
-        factors = BandFactors(width, lu, pivots, inner[:, :edge], below, corner)
-        if failed or not factors.regular:
-            return factors, np.full(self._probes.shape, np.nan)
-        return factors, factors.completed(inner[:, edge:], self._probes[n:])
 
     def _factor_sparse(self, nonzeros: Array, row: Array) -> Solve:
         from scipy.sparse.linalg import splu
@@ -367,86 +294,26 @@ class Steps:
 
 
 class StackedSolver:
-    """Solves for states of one problem at once."""
+    """Solves for states of one problem at once, by the compiled kernel."""
 
-    def __init__(self, problem: Problem, layout: BandLayout) -> None:
-        self._problem, self._layout = problem, layout
-        rows, columns = problem.pattern
-        self._by_rows = np.argsort(rows, kind="stable")
-        self._columns = columns[self._by_rows]
-        self._starts = np.searchsorted(rows[self._by_rows], np.arange(problem.size - 1))
-        self._kernel = layout.kernel(problem)
+    def __init__(self, problem: Problem, kernel: BorderedKernel) -> None:
+        self._problem, self._kernel = problem, kernel
 
     @staticmethod
     def of(problem: Problem) -> StackedSolver | None:
-        """The one that serves all problems that differ in their constants only; None where there is no band."""
+        """The one that serves all problems that differ in their constants only; None without band or kernel."""
         if "stacked" not in problem.shared:
             layout = BandLayout.of(problem)
             full = np.unique(problem.pattern[0]).size == problem.size - 1  # no equation without an unknown
-            problem.shared["stacked"] = StackedSolver(problem, layout) if layout is not None and full else None
+            kernel = layout.kernel(problem) if layout is not None and full else None
+            problem.shared["stacked"] = None if kernel is None else StackedSolver(problem, kernel)
         found: StackedSolver | None = problem.shared["stacked"]
         return found
 
     def steps(self, z: Array, residuals: Array, nonzeros: Array, rows: Array) -> Steps | None:
         """Solutions at states z, by residuals (states, unknowns); None where a matrix is singular but for rounding."""
-        if self._kernel is not None:
-            x = np.zeros((len(z), 3, z.shape[1]))
-            x[:, 0], x[:, 1, :-1], x[:, 2, -1] = residuals, self._problem.probe, 1.0
-            orientation = self._kernel.steps(z, nonzeros, rows, x)
-            newton, response, along = x.swapaxes(0, 1)
-            return None if orientation is None else Steps(newton, along, response, orientation)
-        return self._in_arrays(z, residuals, nonzeros, rows)
-
-    def _in_arrays(self, z: Array, residuals: Array, nonzeros: Array, rows: Array) -> Steps | None:
-        """The same without a compiled kernel."""
-        from scipy.linalg.lapack import dgbtrf, dgbtrs
-
-        layout, (count, size), n = self._layout, z.shape, self._problem.states
-        width, edge, each = layout.width, size - n + 1, np.arange(count)
-        storage, right = np.zeros((count, n, 3 * width + 1)), np.zeros((count, edge + 2, n))
-        below, corner = np.zeros((count, edge, n)), np.zeros((count, edge, edge))
-        layout.fill(storage, right, below, corner, nonzeros)
-        below[:, -1], corner[:, -1, 1:] = rows[:, :n], rows[:, n:]
-        pin = np.argmax(np.abs(z[:, :n]), axis=1)
-        raised = np.max(np.abs(storage[each, pin]), axis=1)
-        storage[each, pin, 2 * width] += raised
-        right[each, 0, pin], below[each, 0, pin], corner[:, 0, 0] = -raised, -1.0, 1.0
-        right[:, -2], right[:, -1] = residuals[:, :n], self._problem.probe[:n]
-
-        negative = np.zeros(count, dtype=np.int64)
-        for i in range(count):
-            lu, pivots, failed = dgbtrf(storage[i].T, width, width, overwrite_ab=True)
-            dgbtrs(lu, width, width, right[i].T, pivots, overwrite_b=True)
-            if failed:
-                return None
-            negative[i] = np.count_nonzero(lu[2 * width] < 0.0) + np.count_nonzero(pivots != np.arange(n))
-        spread, inner = right[:, :edge], right[:, edge:]
-        schur = corner - below @ spread.swapaxes(1, 2)
-        if not np.all(np.isfinite(schur)):
-            return None
-        sign, _ = np.linalg.slogdet(schur)
-        if not np.all(sign):
-            return None
-        outer = np.zeros((count, edge, 3))
-        outer[:, 1:, 0], outer[:, 1:-1, 1] = residuals[:, n:], self._problem.probe[n:]
-        outer[:, :, :2] -= below @ inner.swapaxes(1, 2)
-        outer[:, -1, 2] = 1.0
-        x = np.linalg.solve(schur, outer)
-        found = np.zeros((count, 3, size))
-        found[:, :2, :n] = inner
-        found[:, :, :n] -= x.swapaxes(1, 2) @ spread
-        found[:, :, n:] = x[:, 1:].swapaxes(1, 2)
-        newton, response, along = found.swapaxes(0, 1)
-        if not self._accurate(along, response, nonzeros, rows):
-            return None
-        return Steps(newton, along, response, np.where(negative % 2, -1.0, 1.0) * sign)
-
-    def _accurate(self, along: Array, response: Array, nonzeros: Array, rows: Array) -> bool:
-        """Whether all solutions reproduce their right-hand sides; a NaN fails every comparison."""
-        if not np.max(np.abs(response)) < SINGULAR:
-            return False
-        largest = np.max(np.abs(along), axis=1) * np.max(np.abs(nonzeros), axis=1)
-        products = np.take(nonzeros, self._by_rows, axis=1) * np.take(along, self._columns, axis=1)
-        defects = np.max(np.abs(np.add.reduceat(products, self._starts, axis=1)), axis=1)
-        closing = np.abs(np.einsum("ij,ij->i", rows, along) - 1.0)
-        return bool(np.all(defects <= ACCURATE * largest) and np.all(closing <= ACCURATE))
+        x = np.zeros((len(z), 3, z.shape[1]))
+        x[:, 0], x[:, 1, :-1], x[:, 2, -1] = residuals, self._problem.probe, 1.0
+        orientation = self._kernel.steps(z, nonzeros, rows, x)
+        newton, response, along = x.swapaxes(0, 1)
+        return None if orientation is None else Steps(newton, along, response, orientation)

@@ -23,7 +23,6 @@ from casadi_skin.zero.formulation import Formulation
 from casadi_skin.zero.mesh import defect_table, missed
 from casadi_skin.zero.problem import Array, Evaluate, Indices, Problem, Solve, sparse_matrix
 
-Triplets = tuple[list[Indices], list[Indices], list[ca.MX]]
 NONE: Array = np.zeros(0)
 NEARBY = 0.1  # of a step: the largest part that factors of another Jacobian may have left
 FEW = 2_000  # places whose weights are kept for the next solution on the same mesh
@@ -121,37 +120,39 @@ class CollocationEquations(Problem):
     @property
     def stages(self) -> Indices:
         """Columns of the state values that are stages, in the order of time."""
-        return self._columns()[0]
-
-    def _columns(self) -> tuple[Indices, Indices, Indices]:
-        """Columns of the stages; and of the start and the end of every increment, all in time order."""
-        K, d, rows = self.resolution, self.degree, self.table.ends.size
-        stage = (np.arange(K)[:, None] * rows + 1 + np.arange(d)).ravel()
-        start = np.repeat(np.arange(K) * rows, rows)
-        return stage, start, start + np.tile(np.arange(1, rows + 1), K)
+        return self.discretisation.structure.stage[:-1]
 
     def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
-        n, K, d, table = self.formulation.states, self.resolution, self.degree, self.table
-        z = ca.MX.sym("z", self.size)
-        values, scalars = ca.reshape(z[: self.states], n, self.columns), z[self.states :]
-        stage, start, target = self._columns()
-        places = self.places
-        constants = ca.MX(ca.DM(self.values))
-        repeated = [ca.repmat(these, 1, K * d) for these in (scalars, constants)]
-        at_stages = values[:, stage.tolist()]
-        F, dF_dx, dF_dscalars = self.formulation.at_stages(places, at_stages, *repeated)
-        # Increments from stage derivatives: (K d) x (K rows), each interval scaled by its length.
-        weights = ca.kron(ca.diag(self.constants_symbol), ca.DM(table.extended.T))
-        collocation = values[:, target.tolist()] - values[:, start.tolist()] - F @ weights
+        """As `Discretisation` has them in numbers: increments less their integrals, conditions, integrals."""
+        n, K, d, rows = self.formulation.states, self.resolution, self.degree, self.table.ends.size
+        m, extended, structure = self.size - self.states, self.table.extended, self.discretisation.structure
+        z, lengths = ca.MX.sym("z", self.size), self.constants_symbol
+        values, scalars, constants = ca.reshape(z[: self.states], n, self.columns), z[self.states :], ca.DM(self.values)
+        along = [self.places, values[:, self.stages.tolist()], *(ca.repmat(v, 1, K * d) for v in (scalars, constants))]
+        field, by_states, by_scalars = self.formulation.at_stages(*along)
+        weights = ca.kron(ca.diag(lengths), ca.DM(extended.T))  # stages by increments, each interval by its length
+        starts = np.repeat(structure.start, rows).tolist()
         conditions = self.formulation.condition_function(values[:, 0], values[:, -1], scalars, constants)
-        residual = [ca.vec(collocation), conditions[0]]
-        jacobian = self._differences() + self._stiffness(dF_dx) + self._borders(dF_dscalars, weights, conditions[1:])
+        residual = [ca.vec(values[:, 1:] - values[:, starts] - field @ weights), conditions[0]]
+        k, i, j = (index.ravel() for index in np.indices((K, rows, d)))
+        entries = ca.reshape(by_states.nz[:], -1, K * d)[:, (k * d + j).tolist()]
+        scales = (lengths[k.tolist()] * ca.DM(extended[i, j])).T
+        stiff = ca.DM(structure.below_stiff) - ca.vec(entries * ca.repmat(scales, entries.size1(), 1))
+        rest = [-ca.vec(ca.reshape(by_scalars, m * n, K * d) @ weights), *(part.nz[:] for part in conditions[1:])]
         if self.formulation.integrals:
-            e, de_dx, de_dscalars = self.formulation.integrand_function.map(K * d)(places, at_stages, *repeated)
-            quadrature = ca.vec(ca.kron(self.constants_symbol, ca.DM(table.extended[-1])))
+            e, by_x, by_s = self.formulation.integrand_function.map(K * d)(*along)
+            quadrature = ca.vec(ca.kron(lengths, ca.DM(extended[-1])))
             residual.append(e @ quadrature)
-            jacobian += self._integral_rows(de_dx, de_dscalars, quadrature)
-        return z, ca.vertcat(*residual), jacobian
+            per_stage = ca.reshape(by_x, e.size1() * n, K * d)
+            rest += [ca.vec(per_stage * ca.repmat(quadrature.T, e.size1() * n, 1))]
+            rest += [ca.reshape(by_s, e.size1() * m, K * d) @ quadrature]
+        parts = [ca.DM(structure.differences), stiff, *(ca.vec(part) for part in rest if part.numel())]
+        taken = np.arange(structure.rows.size)
+        for slots, first in ((structure.stiff, taken.size), (structure.rest, taken.size + structure.stiff.size)):
+            taken[slots] = first + np.arange(slots.size)
+        nonzeros = ca.vertcat(*parts)[taken.tolist()]
+        shape = self.equations, self.size
+        return z, ca.vertcat(*residual), sparse_matrix(shape, structure.rows, structure.columns, nonzeros)
 
     @property
     def places(self) -> ca.MX:
@@ -159,67 +160,6 @@ class CollocationEquations(Problem):
         lengths = self.constants_symbol
         starts = ca.cumsum(lengths) - lengths
         return ca.vec(ca.repmat(starts.T, self.degree, 1) + ca.DM(self.table.nodes) @ lengths.T).T
-
-    def _differences(self) -> ca.MX:
-        """Derivative of the differences of state values: 1 at the end and -1 at the start of every increment."""
-        n, shape = self.formulation.states, (self.equations, self.size)
-        _, start, target = self._columns()
-        rows = np.arange(start.size * n)
-        ones = ca.MX(ca.DM(np.ones(rows.size)))
-        component = np.arange(n)
-        ends = ((column[:, None] * n + component).ravel() for column in (target, start))
-        at_target, at_start = (sparse_matrix(shape, rows, column, ones) for column in ends)
-        return at_target - at_start
-
-    def _stiffness(self, dF_dx: ca.MX) -> ca.MX:
-        """Derivative of the increments by the states; `dF_dx` holds one sparse block a stage."""
-        n, K, d, extended = self.formulation.states, self.resolution, self.degree, self.table.extended
-        stage, _, _ = self._columns()
-        pattern = self.formulation.field_function.sparsity_out(1).get_triplet()
-        r, c = (np.array(t, dtype=np.int64) for t in pattern)
-        entries = ca.reshape(dF_dx.nz[:], r.size, K * d)
-        interval, j = np.arange(K * d) // d, np.arange(K * d) % d
-        lengths = ca.vec(self.constants_symbol[interval.tolist()]).T  # of one interval CasADi makes a row
-        total = ca.MX(self.equations, self.size)
-        for i, row_weights in enumerate(extended):
-            scaled = -entries * ca.repmat(lengths * ca.DM(row_weights[j]).T, r.size, 1)
-            rows = ((interval * extended.shape[0] + i)[:, None] * n + r).ravel()
-            columns = (stage[:, None] * n + c).ravel()
-            total += sparse_matrix((self.equations, self.size), rows, columns, ca.vec(scaled))
-        return total
-
-    def _borders(self, dF_dscalars: ca.MX, weights: ca.MX, conditions: tuple[ca.MX, ...]) -> ca.MX:
-        """Columns of the scalars; and the rows of the conditions from their derivatives."""
-        n, bottom = self.formulation.states, self.states - self.formulation.states
-        every, count = np.arange(bottom), self.size - self.states
-        by_scalars = ca.reshape(dF_dscalars, count * n, -1)  # column by column: one block of n rows a scalar
-        triplets: Triplets = ([], [], [])
-        for k in range(count):
-            increments = -(by_scalars[k * n : (k + 1) * n, :] @ weights)
-            _append(triplets, every, np.full(bottom, self.states + k), ca.vec(increments))
-        for derivative, offset in zip(conditions, (0, bottom, self.states), strict=True):
-            rows, columns = (np.array(t, dtype=np.int64) for t in derivative.sparsity().get_triplet())
-            _append(triplets, rows + bottom, columns + offset, derivative.nz[:])
-        return self._assembled(triplets)
-
-    def _integral_rows(self, de_dx: ca.MX, de_dscalars: ca.MX, quadrature: ca.MX) -> ca.MX:
-        """Rows of the integral conditions, which are the last."""
-        n, m, count = self.formulation.states, self.formulation.integrals, self.size - self.states
-        stage, _, _ = self._columns()
-        first = self.equations - m
-        triplets: Triplets = ([], [], [])
-        at_stages = ca.reshape(de_dx, m * n, -1) * ca.repmat(quadrature.T, m * n, 1)  # a column a stage
-        component, integral = np.arange(m * n) // m, np.arange(m * n) % m
-        columns = (stage[:, None] * n + component).ravel()
-        _append(triplets, np.tile(first + integral, stage.size), columns, ca.vec(at_stages))
-        by_scalars = ca.reshape(de_dscalars, m * count, -1) @ quadrature
-        scalar, integral = np.arange(m * count) // m, np.arange(m * count) % m
-        _append(triplets, first + integral, self.states + scalar, by_scalars)
-        return self._assembled(triplets)
-
-    def _assembled(self, triplets: Triplets) -> ca.MX:
-        rows, columns = (np.concatenate(t) for t in triplets[:2])
-        return sparse_matrix((self.equations, self.size), rows, columns, ca.vertcat(*triplets[2]))
 
     # Values ---------------------------------------------------------------------------------------------------------
 
@@ -326,10 +266,3 @@ def _barycentric(support: Array) -> Array:
     gaps = support[:, None] - support
     np.fill_diagonal(gaps, 1.0)
     return np.asarray(1.0 / np.prod(gaps, axis=1))
-
-
-def _append(triplets: Triplets, rows: Indices, columns: Indices, values: ca.MX) -> None:
-    if not values.numel():  # CasADi's empty rows and columns do not fit each other
-        return
-    for held, added in zip(triplets, (rows, columns, values), strict=True):
-        held.append(added)
