@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 from collections.abc import Iterator
+from contextlib import nullcontext
 
 import pytest
 from drawing import blank_pictures
@@ -15,7 +16,9 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VEC
     os.environ.setdefault(_name, "1")  # each core has a worker of its own
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-from casadi_skin.follow import family  # numpy is imported with it, which reads them
+from kernels import needs_kernels, numpy_alone  # numpy is imported with them, which reads these
+
+from casadi_skin.follow import family
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
@@ -50,23 +53,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.fixture(scope="session", autouse=True)
 def compiler_of_quick_runs(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Quick runs compile generated C without optimising it, in a quarter of the time; benchmarks take times.
-
-    The package's own kernels, which most tests call, are optimised: that saves more than their one compilation takes.
-    The script stays in pytest's cache: kernels are kept by compiler, and a new one would leave new ones.
-    """
-    compiler, cache = shutil.which(os.environ.get("CC", "cc")), pytestconfig.cache
+    """Quick runs compile generated C without optimising it, in a quarter of the time; benchmarks take times."""
+    compiler = shutil.which(os.environ.get("CC", "cc"))
     with pytest.MonkeyPatch.context() as patch:
         takes_times = pytestconfig.option.markexpr == "benchmark"
         if compiler is not None and not slow_run(pytestconfig) and not takes_times:
-            folder = tmp_path_factory.mktemp("compiler") if cache is None else cache.mkdir("compiler")
-            kernels = f'case "$*" in */casadi_skin/native/*) exec {compiler} "$@";; esac'
-            script, text = folder / "cc", f'#!/bin/sh\n{kernels}\nexec {compiler} "$@" -O0\n'
-            if not script.exists() or script.read_text(encoding="utf-8") != text:
-                written = folder / f"cc.{os.getpid()}"
-                written.write_text(text, encoding="utf-8")
-                written.chmod(0o755)
-                written.replace(script)
+            script = tmp_path_factory.mktemp("compiler") / "cc"
+            script.write_text(f'#!/bin/sh\nexec {compiler} "$@" -O0\n', encoding="utf-8")
+            script.chmod(0o755)
             patch.setenv("CC", str(script))
         yield
 
@@ -92,6 +86,13 @@ def pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     """Blank in the quick run of a test that is of something else, drawn in the slow run."""
     if request.param == "blank":
         blank_pictures(monkeypatch)
+
+
+@pytest.fixture(params=[pytest.param("compiled", marks=needs_kernels), "numpy"])
+def way(request: pytest.FixtureRequest) -> Iterator[None]:
+    """By the compiled kernels, and by numpy as in a package without them."""
+    with numpy_alone() if request.param == "numpy" else nullcontext():
+        yield
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from casadi_skin.lattice.cell_tail import CellTail, ComplexArray, Place
-from casadi_skin.native.tail import TailKernel, has_tail_kernel
+from casadi_skin.native import TAIL, Structure
 from casadi_skin.zero.cosines import cosine_matrix
 from casadi_skin.zero.problem import Array, Indices, SingularError, Solve
 from casadi_skin.zero.recursion import CosineUnknowns, PolynomialForm, TaylorRecursion
@@ -216,17 +216,14 @@ class _Orders:
         self._balance[k] = known + self._block @ self.own[self._touched]
         self.own[self._place] = self._along[k, 0]
 
-    def kernel(self, compiled: Sequence[int]) -> TailKernel:
-        """The same from order 2 on by the compiled kernel, with a compiled solver at addresses."""
+    def structure(self) -> Structure:
+        """What the compiled kernel needs for the same from order 2 on."""
         orders, size = self.found.shape
-        H = self._transform.shape[0]
-        sizes = 2, orders - 1, H, size, self._first, self._place, self._touched.size, self._own_Omega
-        arrays = {
-            "columns": self._touched, "by_u": self._by_u, "transform": self._transform, "block": self._block,
-            "by_Omega": self._by_Omega, "along": self._along, "powers": self._powers, "balance": self._balance,
-            "site": self._site, "found": self.found,
-        }  # fmt: skip
-        return TailKernel(compiled, sizes, arrays, self._bond)
+        return Structure(
+            TAIL, orders - 1, self._transform.shape[0], size, self._first, self._place, self._touched.size,
+            self._own_Omega, self._touched, self._by_u, self._transform, self._block, self._by_Omega, self._along,
+            self._powers, self._balance, self._site, self.found, self._bond,
+        )  # fmt: skip
 
 
 class TailRecursion:
@@ -252,10 +249,7 @@ class TailRecursion:
         core.put(0, orders.own)
         orders.first(slope)
         core.put(1, orders.own)
-        compiled = getattr(solve, "addresses", None)
-        if core.is_compiled and compiled is not None and has_tail_kernel():
-            kernel = orders.kernel(compiled)  # it has to live as long as its addresses
-            core.solve_all(kernel.addresses)
+        if core.solve_all(solve, orders.structure):
             return orders.found
         for k in range(2, self.orders + 1):
             orders.solved(k, core.right_side(k), solve)

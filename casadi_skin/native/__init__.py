@@ -1,1 +1,472 @@
-"""Kernels in C, compiled at first use where there is a compiler; numpy does the same where there is none."""
+"""Kernels in C, built with the package where there is a compiler; without one numpy takes the same steps.
+
+`kernels.so` beside this file has all of them, on x86-64 twice: for any processor, and for AVX2. hatch_build.py compiles
+it when the package is built; nothing is compiled or cached at run time. Products are rounded before they are added:
+numbers are those of numpy but for the order of sums. The library knows nothing of Python. The tables below say how
+the arguments of its functions and the fields of its structures follow one another.
+
+| source | what it computes | the same by numpy |
+| --- | --- | --- |
+| bordered.c | factors and solutions of bands with borders | `solve.bordered` |
+| splitting.c | Jacobians along orbits, transition matrices | `stability.jacobian`, `stability.splitting` |
+| decoupling.c | bases that make matrices block diagonal | `stability.tongues.decoupling` |
+| elimination.c | cells of a row eliminated from its free end on | `stability.tongues.hill` |
+| equations.c | equations of collocation in odd cosines, from instructions of CasADi | CasADi itself |
+| taylor.c | power series of branches, and those with a linear tail | `zero.recursion`, `lattice.tail_series` |
+"""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.model.polynomial import Monomials, Program
+
+Array = NDArray[np.float64]
+Numbers = NDArray[Any]  # real or complex
+Indices = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+Pattern = tuple[NDArray[np.int32], NDArray[np.int32]]  # indptr and indices of the rows of J
+Levels = Sequence[tuple[Indices, Indices, Array]]  # nodes known, nodes wanted, weights of these in those
+Sequences = tuple[Indices, Array, Array]  # numbers of kicks, all kicks and drifts, one after the other
+
+LIBRARY = Path(__file__).with_name("kernels.so")
+# By the kinds of arguments or of fields: i an integer, r a real number, a an array or a structure.
+FUNCTIONS = {
+    "bordered_solve": "aaia",
+    "bordered_steps": "aiaaaiaaaa",
+    "jacobians": "aia",
+    "transitions": "iiiiaaiaaaaiia",
+    "flows": "aiiiaaiaaaaaia",
+    "invariant": "iiiiiaaaiaaairaa",
+    "contracts": "iiiiaaairraa",
+    "eliminated": "aiaaaaaa",
+    "residuals": "aiaaaa",
+    "series_put": "ai",
+    "series_right": "ai",
+    "series_solve": "aaaa",
+}
+TERMS, PROGRAM = "iaaaaaa", "iaaaaa"
+LAYOUT = "iiii" + 4 * "iaa" + "aarraaa"
+ORBITS = "iiiii" + "aaaaaa" + TERMS
+ROW = "iiiiii" + "aa"
+EQUATIONS = "iiii" + "aaaaaaaaa" + 2 * PROGRAM + "aaa"
+SERIES = "iiiii" + "aaaaaaaa" + 2 * (TERMS + "aa")
+TAIL = "iiiiiii" + "aaaaaaaaaa" + "r"
+
+LANES = 8  # right-hand sides that bordered.c takes together, and components that splitting.c does, at least
+MOST = 7  # unknowns beside the band that bordered.c has room for
+WIDEST = 64  # half bandwidth beyond which LAPACK's blocks are faster
+OPERATIONS = (  # in the order of those of equations.c
+    "INPUT", "OUTPUT", "CONST", "ASSIGN", "ADD", "SUB", "MUL", "DIV", "NEG", "SQ", "TWICE", "INV", "SQRT", "SIN", "COS",
+    "TAN", "EXP", "LOG", "TANH", "POW", "EQ", "LE", "NOT", "IF_ELSE_ZERO",
+)  # fmt: skip
+CODES = {getattr(ca, f"OP_{name}"): code for code, name in enumerate(OPERATIONS)}
+CODES[ca.OP_CONSTPOW] = CODES[ca.OP_POW]
+
+
+# The library, and what its functions take ----------------------------------------------------------------------------
+
+
+def address(array: Any) -> int:
+    """Where the numbers of an array begin, faster than `ctypes.data`; the array has to be contiguous, row by row."""
+    interface = array.__array_interface__
+    assert interface["strides"] is None
+    return int(interface["data"][0])
+
+
+class _Address:
+    """An argument that is an array or a structure, or None where a kernel does without."""
+
+    @staticmethod
+    def from_param(array: Any) -> ctypes.c_void_p:
+        return ctypes.c_void_p(None if array is None else address(array))
+
+
+TYPES: Mapping[str, Any] = {"i": ctypes.c_int64, "r": ctypes.c_double, "a": _Address}
+
+
+@cache
+def kernels() -> Mapping[str, Any]:
+    """The functions by name; none where the package was built without a C compiler, or for another system."""
+    try:
+        library = ctypes.CDLL(str(LIBRARY))
+    except OSError:
+        return {}
+    ending, found = "_avx2" if library.has_avx2() else "", {}
+    for name, kinds in FUNCTIONS.items():
+        found[name] = getattr(library, name + ending)
+        found[name].argtypes = [TYPES[kind] for kind in kinds]
+    return found
+
+
+def kernels_in_words() -> str:
+    """Which kernels are in use: `compiled for AVX2`, `compiled`, or `numpy`."""
+    if not kernels():
+        return "numpy"
+    return "compiled for AVX2" if kernels()["residuals"].__name__.endswith("_avx2") else "compiled"
+
+
+def _call(name: str, *arguments: Any) -> None:
+    if kernels()[name](*arguments):
+        raise MemoryError(f"the compiled kernel `{name}`")
+
+
+class Structure:
+    """Integers, real numbers and addresses of arrays of one of the kinds above, which lives as long as its arrays do.
+
+    Arguments:
+        kinds: of the fields.
+        fields: numbers, and contiguous arrays.
+    """
+
+    def __init__(self, kinds: str, *fields: Any) -> None:
+        self._fields = fields
+        words = [address(field) if kind == "a" else field for kind, field in zip(kinds, fields, strict=True)]
+        packed = struct.pack("=" + kinds.replace("i", "q").replace("a", "Q").replace("r", "d"), *words)
+        self._words = np.frombuffer(packed, dtype=np.int64)
+        self.__array_interface__ = self._words.__array_interface__
+
+
+def _terms(groups: Sequence[Monomials]) -> tuple[Any, ...]:
+    """Terms one by one: their number, powers of the parameter, degrees, rows, first factors, factors, coefficients."""
+    counts, none = [group.rows.size for group in groups], np.zeros(0, dtype=np.int64)
+    degrees = np.repeat(np.array([group.degree for group in groups], dtype=np.int64), counts)
+    powers = np.repeat(np.array([group.power for group in groups], dtype=np.int64), counts)
+    rows = np.concatenate([none, *(group.rows for group in groups)])
+    factors = np.concatenate([none, *(group.factors.T.ravel() for group in groups)])
+    coefficients = np.concatenate([np.zeros(0), *(group.coefficients for group in groups)])
+    return degrees.size, powers, degrees, rows, np.cumsum(degrees) - degrees, factors, coefficients
+
+
+# Bands with borders: bordered.c --------------------------------------------------------------------------------------
+
+
+class BorderedKernel:
+    """Factors and solutions of matrices of one layout.
+
+    Arguments:
+        sizes: number of unknowns in the band, of all, and the half bandwidth.
+        places: source and target of the non-zeros inside the band, right of it, below it, and in the corner.
+        pattern: rows and columns of the non-zeros.
+        limits: growth of a right-hand side that only a singular matrix gives, and the residual of a solution that is
+            accurate, relative to the largest entries of matrix and solution.
+    """
+
+    def __init__(
+        self,
+        sizes: tuple[int, int, int],
+        places: Sequence[tuple[Indices, Indices]],
+        pattern: tuple[Indices, Indices],
+        limits: tuple[float, float],
+    ) -> None:
+        banded, self._size, width = sizes
+        parts = [field for source, target in places for field in (source.size, source, target)]
+        extents = _extents(banded, width, places[0][1])
+        self.layout = Structure(LAYOUT, *sizes, pattern[0].size, *parts, *pattern, *limits, *extents)
+        edge = self._size - banded + 1
+        room = banded * (3 * width + 2 + 2 * edge) + edge * (3 * edge - 1)  # integers among them
+        self._room = room + LANES * (banded + 1)
+        self._defect, self._scratch = np.empty(self._size), np.empty(self._room)
+
+    def memory(self) -> Array:
+        """Room for one factorised matrix."""
+        return np.empty(self._room)
+
+    def steps(self, z: Array, nonzeros: Array, rows: Array, x: Array, memory: Array | None = None) -> Array | None:
+        """Signs of the determinants of matrices at states, (states, size); None where one is singular but for rounding.
+
+        Right-hand sides x, (states, each, size), are overwritten by solutions; the last but one of each has residuals
+        in general position, the last is for the closing row alone. `memory` keeps the factors of the last state.
+        """
+        memory, signs = self._scratch if memory is None else memory, np.empty(len(z))
+        data = z, nonzeros, rows, x.shape[1], x, signs, memory, self._defect
+        return None if kernels()["bordered_steps"](self.layout, len(z), *data) else signs
+
+    def solve(self, memory: Array, x: Array) -> None:
+        """Overwrite right-hand sides, (count, size), by solutions with the factors in `memory`."""
+        _call("bordered_solve", self.layout, memory, len(x), x)
+
+
+def _extents(banded: int, width: int, targets: Indices) -> tuple[Indices, Indices, Indices]:
+    """The last row with an entry in columns up to each, columns alike, and entries above the diagonal of factors.
+
+    Rows and columns next to a tail have entries farther off than others, for which the band is wider than they need.
+    """
+    columns, places = np.divmod(targets, 3 * width + 1)
+    rows, deep = columns + places - 2 * width, np.arange(banded)
+    reach = deep.copy()
+    np.maximum.at(deep, columns, rows)
+    np.maximum.at(reach, rows, columns)
+    deep, reach = np.maximum.accumulate(deep), np.maximum.accumulate(reach)
+    return deep, reach, np.arange(banded) - np.searchsorted(reach[deep], np.arange(banded))
+
+
+# Variational flow along orbits: splitting.c --------------------------------------------------------------------------
+
+
+class JacobianKernel:
+    """Non-zeros of J along orbits, `constant` and terms whose rows are places among the non-zeros."""
+
+    def __init__(self, constant: Array, terms: Sequence[Monomials]) -> None:
+        self._constant, self._terms = constant, _terms(terms)
+
+    def orbits(self, sites: int, values: Array, weights: Array, parameters: Array) -> Structure:
+        """Orbits, each with its parameter, by values at nodes, (orbits, sites * nodes or more).
+
+        These have `weights`, (nodes, phases), in the states at the phases.
+        """
+        (nodes, phases), (orbits, stride) = weights.shape, values.shape
+        assert stride >= sites * nodes
+        assert parameters.shape == (orbits,)
+        data = np.ascontiguousarray(values), weights, np.ascontiguousarray(parameters), self._constant
+        room = np.empty(sites * phases), np.empty(phases)
+        return Structure(ORBITS, sites, nodes, phases, stride, self._constant.size, *data, *room, *self._terms)
+
+    def __call__(self, sites: int, values: Array, weights: Array, parameters: Array, result: Array) -> None:
+        """Fill (orbits, phases, non-zeros) along orbits, see `orbits`."""
+        assert result.shape == (len(values), weights.shape[1], self._constant.size)
+        _call("jacobians", self.orbits(sites, values, weights, parameters), len(values), result)
+
+
+def transitions(
+    pattern: Pattern, reaches: tuple[int, int], sequence: tuple[Array, Array], steps: Array, jacobians: Array,
+    band: int | None = None,
+) -> Array:  # fmt: skip
+    """Transition matrices, (points, 2n, 2n), by kicks and drifts.
+
+    Arguments:
+        pattern: of J.
+        reaches: of one kick, the half bandwidth of J, and of all, beyond which results are zero.
+        sequence: kicks and drifts.
+        steps: their lengths, (points,).
+        jacobians: non-zeros of J at the kicks, (points, kicks, non-zeros).
+        band: half bandwidth w of blocks that are stored by their bands, (points, 2n, 2(2w + 1)).
+    """
+    (indptr, indices), (kicks, drifts) = pattern, sequence
+    (points, count, nonzeros), size = jacobians.shape, indptr.size - 1
+    if not jacobians[:1].flags.c_contiguous:
+        jacobians = np.ascontiguousarray(jacobians)
+    assert (kicks.size, drifts.size, nonzeros) == (count, count - 1, indices.size)
+    assert band is None or reaches[1] + LANES - 1 <= band
+    result = np.zeros((points, 2 * size, 2 * (size if band is None else 2 * band + 1)))
+    data = indptr, indices, count, kicks, drifts, np.ascontiguousarray(steps), jacobians[:1]
+    stride = jacobians.strides[0] // jacobians.itemsize
+    _call("transitions", points, size, *reaches, *data, stride, -1 if band is None else band, result)
+    return result
+
+
+def flows(orbits: Structure, pattern: Pattern, reach: int, sequences: Sequences, steps: Array, result: Array) -> None:
+    """Transition matrices along orbits in several numbers of steps, (levels, points, 2n, 2n): part of a larger array.
+
+    Arguments:
+        orbits: of `JacobianKernel`, at the phases of all kicks.
+        pattern: of J.
+        reach: its half bandwidth.
+        sequences: kicks and drifts of the levels.
+        steps: their lengths, (levels, points).
+        result: is filled.
+    """
+    (indptr, indices), (counts, kicks, drifts), (levels, points) = pattern, sequences, steps.shape
+    size = indptr.size - 1
+    assert kicks.size == drifts.size + levels
+    assert result.shape == (levels, points, 2 * size, 2 * size)
+    data = indptr, indices, levels, counts, kicks, drifts, np.ascontiguousarray(steps)
+    room, apart = np.empty(kicks.size * indices.size), result.strides[0] // result.itemsize
+    _call("flows", orbits, points, size, reach, *data, room, apart, result[0])
+
+
+# Blocks of matrices at the nodes of intervals: decoupling.c ----------------------------------------------------------
+
+
+def invariant(
+    K: Numbers, same: Booleans, columns: Indices, levels: Levels, iterations: int, enough: float
+) -> tuple[Numbers, Booleans]:
+    """T at the nodes, in steps until one is no larger than `enough`, and for which intervals these are few.
+
+    Arguments are those of `stability.tongues.decoupling`: K (intervals, nodes, size, size), `same` (intervals, size,
+    size), `columns` (intervals, columns).
+    """
+    intervals, nodes, size, _ = K.shape
+    T = np.zeros((intervals, nodes, size, columns.shape[1]), dtype=K.dtype)
+    done = np.zeros(intervals, dtype=bool)
+    counts = np.array([[known.size, wanted.size] for known, wanted, _ in levels])
+    numbers = np.concatenate([each for known, wanted, _ in levels for each in (known, wanted)])
+    weights = np.concatenate([prediction.ravel() for _, _, prediction in levels])
+    shape = intervals, nodes, size, columns.shape[1], K.itemsize // 8
+    data = np.ascontiguousarray(K), np.ascontiguousarray(columns), np.ascontiguousarray(same)
+    _call("invariant", *shape, *data, len(levels), counts, numbers, weights, iterations, enough, T, done)
+    return T, done
+
+
+def contracts(K: Numbers, same: Booleans, steps: int, small: float, largest: float) -> tuple[Numbers, Booleans]:
+    """Diagonals of the blocks at the nodes, (intervals, nodes, size), and for which intervals steps become small."""
+    intervals, nodes, size, _ = K.shape
+    diagonals, done = np.zeros((intervals, nodes, size), dtype=K.dtype), np.zeros(intervals, dtype=bool)
+    data = np.ascontiguousarray(K), np.ascontiguousarray(same), np.arange(size)
+    _call("contracts", intervals, nodes, size, K.itemsize // 8, *data, steps, small, largest, diagonals, done)
+    return diagonals, done
+
+
+# A row of cells: elimination.c ---------------------------------------------------------------------------------------
+
+
+def eliminated(
+    blocks: Array, springs: Array, ends: tuple[int, int], sites: int, squares: Any
+) -> tuple[Array, Any, Any]:
+    """All cells but the first, for several squares of frequencies.
+
+    Arguments:
+        blocks: stiffness of all sidebands, shape (cells, size, size), at least two cells.
+        springs: of the bond from each cell to the next, shape (cells - 1,).
+        ends: sites of a cell and of the next one that a bond joins.
+        sites: number of sites of a cell.
+        squares: real or complex, shape (values, size).
+
+    Returns:
+        Logarithms and phases of the product of all determinants, (values,), and the inverse at the second cell,
+        (values, size, size).
+
+    Raises:
+        numpy.linalg.LinAlgError: a pivot vanishes.
+    """
+    (values, size), is_complex = squares.shape, np.iscomplexobj(squares)
+    parts = 2 if is_complex else 1
+    assert blocks.shape[1:] == (size, size)
+    assert springs.shape == (len(blocks) - 1,)
+    data = np.ascontiguousarray(blocks), np.ascontiguousarray(springs)
+    row = Structure(ROW, len(blocks), size, parts, sites, *ends, *data)
+    split = np.ascontiguousarray(np.stack([squares.real, squares.imag][:parts], axis=1))
+    inverse, logs, phases = np.empty((values, parts, size, size)), np.empty(values), np.empty((values, 2))
+    room = np.empty(parts * size * size), np.empty(size, dtype=np.int64)
+    _call("eliminated", row, values, split, inverse, logs, phases, *room)
+    if not np.all(np.isfinite(logs)):
+        raise np.linalg.LinAlgError("Singular matrix")
+    if is_complex:
+        return logs, phases[:, 0] + 1j * phases[:, 1], inverse[:, 0] + 1j * inverse[:, 1]
+    return logs, phases[:, 0], inverse[:, 0]
+
+
+# Equations of collocation in odd cosines: equations.c ----------------------------------------------------------------
+
+
+class EquationsKernel:
+    """Residuals and Jacobians of one problem.
+
+    Arguments:
+        force: program of a force, the non-zeros of its derivative by the positions, and its derivative by the
+            parameter, with its constants; arguments are positions, velocities, the parameter, and numbers.
+        norm: that of the normalisation and its derivative by the positions.
+        matrices: that of the second derivative, (nodes, nodes); the cosine at the nodes, weights of the nodes in its
+            coefficient, and in a value at phase zero.
+        constant: the part of the non-zeros that is constant.
+        places: non-zeros that take the derivatives of the force by positions, (non-zeros, nodes), by the frequency and
+            by the parameter, and those of the normalisation, (sites, nodes) each.
+    """
+
+    def __init__(
+        self,
+        force: tuple[Program, Array],
+        norm: tuple[Program, Array],
+        matrices: Sequence[Array],
+        constant: Array,
+        places: Sequence[Indices],
+    ) -> None:
+        nodes, sites, slopes = matrices[1].size, force[0].inputs[0], force[0].outputs[1]
+        self._shapes = sites * nodes + 1, constant.size
+        room = max(force[0].work * nodes, norm[0].work), (2 * sites + slopes) * nodes + 1, sites
+        data = [np.ascontiguousarray(array) for array in (*matrices, constant, *places)]
+        programs, scratch = (*_program(*force), *_program(*norm)), [np.zeros(size) for size in room]
+        self._equations = Structure(EQUATIONS, nodes, sites, slopes, constant.size, *data, *programs, *scratch)
+
+    def __call__(self, z: Array, numbers: Array) -> tuple[Array, Array]:
+        """Residuals (states, unknowns - 1) and non-zeros (states, non-zeros) at states (states, unknowns)."""
+        equations, nonzeros = self._shapes
+        found = np.empty((len(z), equations)), np.empty((len(z), nonzeros))
+        assert z.shape[1] == equations + 1
+        _call("residuals", self._equations, len(z), np.ascontiguousarray(z), np.ascontiguousarray(numbers), *found)
+        return found
+
+
+def _program(program: Program, constants: Array) -> tuple[Any, ...]:
+    """The number of instructions, their columns, and constants; places of results are counted through all of them."""
+    first_of = np.cumsum([0, *program.outputs]).tolist()
+    rows, used = [], 0
+    for operation, out, into in program.instructions:
+        if operation == ca.OP_OUTPUT:
+            row = first_of[out[0]] + out[1], into[0], 0
+        elif operation == ca.OP_CONST:
+            row, used = (out[0], used, 0), used + 1
+        else:
+            row = out[0], into[0], into[-1]
+        rows.append((CODES[operation], *row))
+    columns = np.ascontiguousarray(np.array(rows, dtype=np.int32).reshape(-1, 4).T)
+    return len(rows), *columns, np.ascontiguousarray(constants)
+
+
+def has_kernel(*programs: Program) -> bool:
+    """Whether there are kernels, and all operations of these programs are among those of equations.c."""
+    every = {operation for program in programs for operation, _, _ in program.instructions}
+    return every <= CODES.keys() and bool(kernels())
+
+
+# Power series of branches: taylor.c ----------------------------------------------------------------------------------
+
+
+class TaylorKernel:
+    """Orders of a series in turn: `unknowns` has shape (orders + 1, sites * nodes + 2), Omega and parameter last.
+
+    Arguments:
+        unknowns: the array that orders are put into.
+        second_derivative: matrix of d^2/dtheta^2 on the values at the nodes.
+        at_zero: weights of the values at the nodes in that at phase zero.
+        force: terms of the right-hand side.
+        norm: terms of the normalisation, of the states at phase zero.
+    """
+
+    def __init__(
+        self,
+        unknowns: Array,
+        second_derivative: Array,
+        at_zero: Array,
+        force: Sequence[Monomials],
+        norm: Sequence[Monomials],
+    ) -> None:
+        (orders, size), nodes = unknowns.shape, at_zero.size
+        sites, highest = (size - 2) // nodes, max([1, *(group.power for group in (*force, *norm))])
+        shapes = (orders, sites * nodes), (orders, sites), (highest + 1, orders), orders, size
+        room = [np.zeros(shape) for shape in shapes]
+        data = second_derivative, at_zero, unknowns, *room
+        terms = (*_with_products(force, orders * nodes), *_with_products(norm, orders))
+        self._series = Structure(SERIES, nodes, sites, orders - 1, size, highest, *data, *terms)
+        self._unknowns, self._right_side = unknowns, room[-1]
+
+    def put(self, k: int, z: Array) -> None:
+        """Take over order k and complete what depends on it."""
+        self._unknowns[k] = z
+        _call("series_put", self._series, k)
+
+    def right_side(self, k: int) -> Array:
+        """Right-hand side of order k, shape (size,); its array is used again."""
+        _call("series_right", self._series, k)
+        return self._right_side
+
+    def solve_all(self, layout: Structure, factors: Array, tail: Structure | None) -> None:
+        """All orders beyond the first two, by factors in the memory of a `BorderedKernel`, with a tail or without."""
+        _call("series_solve", self._series, tail, layout, factors)
+
+
+def _with_products(groups: Sequence[Monomials], length: int) -> tuple[Any, ...]:
+    """Terms with where their products of two, three, ... states begin, `length` numbers each, and room for these."""
+    terms = _terms([group for group in groups if group.power + group.degree > 1])  # of others an order has no part
+    ends = np.cumsum(np.maximum(terms[2] - 1, 0) * length)
+    first = np.concatenate([np.zeros(1, dtype=np.int64), ends])
+    return *terms, first, np.zeros(first[-1])

@@ -4,10 +4,9 @@
    takes several times as long where the band is narrow. A row of our arrays is a column of its. */
 
 #include <math.h>
-#include <stdint.h>
 #include <string.h>
 
-#define EXPORTED __attribute__((visibility("default")))
+#include "kernel.h"
 
 enum { LANES = 8, ALIGNED = 64 }; /* right-hand sides that go together, side by side */
 typedef double lanes __attribute__((vector_size(LANES * sizeof(double)), may_alias));
@@ -192,12 +191,13 @@ static void complete(const layout *l, factors f, int64_t count, double *x)
     }
 }
 
-/* Solutions of `count` systems in the place of their right-hand sides, (count, size). */
-EXPORTED void casadi_skin_bordered_solve(const layout *l, double *memory, int64_t count, double *x)
+KERNEL(bordered_solve)(const void *of, double *memory, int64_t count, double *x)
 {
+    const layout *l = of;
     const factors f = within(l, memory);
     substitute(l->banded, l->width, &l->within_band, f.band, f.pivots, count, l->size, x);
     complete(l, f, count, x);
+    return 0;
 }
 
 /* The columns of the border and `count` right-hand sides x, (count, size), with the band alone, in one go where they
@@ -274,9 +274,8 @@ static int reliable(const layout *l, const double *nonzeros, const double *row, 
    sides, (states, each, size), of which the last but one is for residuals in general position and the last for the
    closing row alone; signs of the determinants in `orientation`. `memory` has the factors of the last state, then `size`
    entries. Returns 0, or 1 where a matrix is singular but for rounding. */
-EXPORTED int casadi_skin_bordered_steps(const layout *l, int64_t states, const double *z, const double *nonzeros,
-                                        const double *rows, int64_t each, double *x, double *orientation,
-                                        double *memory, double *defect)
+KERNEL(bordered_steps)(const layout *l, int64_t states, const double *z, const double *nonzeros, const double *rows,
+                       int64_t each, double *x, double *orientation, double *memory, double *defect)
 {
     for (; states > 0; states--, z += l->size, nonzeros += l->nonzeros, rows += l->size, x += each * l->size) {
         *orientation = factors_of(l, z, nonzeros, rows, each, x, memory);

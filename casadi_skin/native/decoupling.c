@@ -2,13 +2,44 @@
    are kept as two arrays, real and imaginary parts. */
 
 #include <math.h>
-#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "matrices.h"
+#include "kernel.h"
 
-#define EXPORTED __attribute__((visibility("default")))
+enum { LANES = 4, ROWS = 4 }; /* columns side by side, and rows that go together */
+typedef double lanes __attribute__((vector_size(LANES * sizeof(double)), aligned(sizeof(double)), may_alias));
+
+/* result (rows, width) += sign A B with A (rows, inner), its rows `down` numbers apart, and B (inner, width). */
+static void add_product(int64_t rows, int64_t inner, int64_t width, double sign, const double *A, int64_t down,
+                        const double *B, double *result)
+{
+    for (int64_t first = 0; first < rows; first += ROWS) {
+        const double *row[ROWS];
+        for (int64_t r = 0; r < ROWS; r++)
+            row[r] = A + (first + r < rows ? first + r : rows - 1) * down;
+        for (int64_t k = 0; k < width; k += LANES) {
+            lanes sums[ROWS] = {{0.0}};
+            for (int64_t b = 0; b < inner; b++) {
+                const lanes here = *(const lanes *)(B + b * width + k);
+                for (int64_t r = 0; r < ROWS; r++)
+                    sums[r] += row[r][b] * here;
+            }
+            for (int64_t r = 0; r < ROWS && first + r < rows; r++)
+                *(lanes *)(result + (first + r) * width + k) += sign * sums[r];
+        }
+    }
+}
+
+/* Numbers by rows, real and imaginary parts side by side, (rows, columns) -> (rows, width) each. */
+static void separate(int64_t parts, const double *from, int64_t rows, int64_t columns, int64_t width,
+                     double *const to[2])
+{
+    for (int64_t i = 0; i < parts; i++)
+        for (int64_t a = 0; a < rows; a++)
+            for (int64_t k = 0; k < columns; k++)
+                to[i][a * width + k] = from[(a * columns + k) * parts + i];
+}
 
 /* One node: K (size, size); T, the product K T and weights (size, width), of which `count` columns are used; their
    blocks (count, width). Each has a real part and, of complex numbers, `parts` == 2, an imaginary one. `places` are
@@ -24,11 +55,11 @@ typedef struct {
 static void add_products(const node *at, int64_t inner, double sign, double *const A[2], int64_t stride,
                          double *const B[2], double *const result[2])
 {
-    add_product(at->size, inner, at->width, sign, A[0], stride, 1, B[0], result[0]);
+    add_product(at->size, inner, at->width, sign, A[0], stride, B[0], result[0]);
     if (at->parts == 2) {
-        add_product(at->size, inner, at->width, -sign, A[1], stride, 1, B[1], result[0]);
-        add_product(at->size, inner, at->width, sign, A[0], stride, 1, B[1], result[1]);
-        add_product(at->size, inner, at->width, sign, A[1], stride, 1, B[0], result[1]);
+        add_product(at->size, inner, at->width, -sign, A[1], stride, B[1], result[0]);
+        add_product(at->size, inner, at->width, sign, A[0], stride, B[1], result[1]);
+        add_product(at->size, inner, at->width, sign, A[1], stride, B[0], result[1]);
     }
 }
 
@@ -148,11 +179,11 @@ static int one_interval(node *at, int64_t nodes, int64_t columns, const double *
 /* T (intervals, nodes, size, columns) from K (intervals, nodes, size, size), `same` (intervals, size, size) and
    `places` (intervals, columns), -1 behind those of an interval; T is zero before, and of no use where it is not
    `found`. Each of the levels has `counts` of nodes known and wanted, whose `numbers` follow one another, and the
-   weights of the known ones in each of the wanted. 1 where there is no memory. */
-EXPORTED int casadi_skin_invariant(int64_t intervals, int64_t nodes, int64_t size, int64_t columns, int64_t parts,
-                                   const double *K, const int64_t *places, const uint8_t *same, int64_t levels,
-                                   const int64_t *counts, const int64_t *numbers, const double *weights,
-                                   int64_t iterations, double enough, double *T, uint8_t *found)
+   weights of the known ones in each of the wanted. Fails where there is no memory. */
+KERNEL(invariant)(int64_t intervals, int64_t nodes, int64_t size, int64_t columns, int64_t parts, const double *K,
+                  const int64_t *places, const uint8_t *same, int64_t levels, const int64_t *counts,
+                  const int64_t *numbers, const double *weights, int64_t iterations, double enough, double *T,
+                  uint8_t *found)
 {
     node at = {.size = size, .parts = parts};
     double *memory = reserve(&at, columns);
@@ -205,10 +236,9 @@ static int one_test(node *at, int64_t nodes, const double *K, int64_t steps, dou
 }
 
 /* For which intervals steps at all nodes become `small`, none of them as large as `largest`, and the diagonals of the
-   blocks, (intervals, nodes, size), from K (intervals, nodes, size, size). 1 where there is no memory. */
-EXPORTED int casadi_skin_contracts(int64_t intervals, int64_t nodes, int64_t size, int64_t parts, const double *K,
-                                   const uint8_t *same, const int64_t *places, int64_t steps, double small,
-                                   double largest, double *diagonals, uint8_t *found)
+   blocks, (intervals, nodes, size), from K (intervals, nodes, size, size). Fails where there is no memory. */
+KERNEL(contracts)(int64_t intervals, int64_t nodes, int64_t size, int64_t parts, const double *K, const uint8_t *same,
+                  const int64_t *places, int64_t steps, double small, double largest, double *diagonals, uint8_t *found)
 {
     node *at = calloc((size_t)(nodes + 1), sizeof(node));
     double **memory = calloc((size_t)(nodes + 1), sizeof(double *));

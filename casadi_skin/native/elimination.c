@@ -1,10 +1,9 @@
 /* Cells of a row eliminated from its free end on, but for the last; see stability/hill.py. */
 
 #include <math.h>
-#include <stdint.h>
 #include <string.h>
 
-#define EXPORTED __attribute__((visibility("default")))
+#include "kernel.h"
 
 typedef struct {
     int64_t cells, size, parts, sites, from, to; /* parts: 2 for complex numbers, real parts of a matrix first */
@@ -86,8 +85,8 @@ static void invert(int64_t n, int64_t parts, double *A, int64_t *exchanges, doub
 /* For each of `values` squares of frequencies, (values, parts, size): the inverse for cell number 1, (values, parts,
    size, size), logarithms and phases, (values) and (values, 2), of the product of determinants down to it. `memory` has
    `parts * size * size` numbers, `exchanges` `size`. */
-EXPORTED void casadi_skin_eliminated(const row *r, int64_t values, const double *squares, double *behind, double *logs,
-                                     double *phases, double *memory, int64_t *exchanges)
+KERNEL(eliminated)(const row *r, int64_t values, const double *squares, double *behind, double *logs, double *phases,
+                   double *memory, int64_t *exchanges)
 {
     const int64_t n = r->size, area = n * n, count = n / r->sites;
     for (; values > 0; values--, squares += r->parts * n, behind += r->parts * area, logs++, phases += 2) {
@@ -111,4 +110,5 @@ EXPORTED void casadi_skin_eliminated(const row *r, int64_t values, const double 
             memcpy(behind, memory, (size_t)(r->parts * area) * sizeof(double));
         }
     }
+    return 0;
 }

@@ -4,10 +4,9 @@
    the next one: results are those of CasADi to the last bit, but for sums over the nodes. */
 
 #include <math.h>
-#include <stdint.h>
 #include <string.h>
 
-#define EXPORTED __attribute__((visibility("default")))
+#include "kernel.h"
 
 enum { INPUT, OUTPUT, CONSTANT, ASSIGN, ADD, SUB, MUL, DIV, NEG, SQUARE, TWICE, INVERSE, SQRT, SIN, COS, TAN, EXP, LOG,
        TANH, POWER, EQUAL, LESS_EQUAL, NOT, IF_ELSE_ZERO };
@@ -81,8 +80,8 @@ static void run(const program *p, int64_t lanes, const double *states, double pa
 }
 
 /* Residuals, (states, unknowns - 1), and non-zeros of the Jacobian, (states, nonzeros), at states (states, unknowns). */
-EXPORTED void casadi_skin_equations(const equations *e, int64_t states, const double *z, const double *numbers,
-                                    double *residual, double *nonzeros)
+KERNEL(residuals)(const equations *e, int64_t states, const double *z, const double *numbers, double *residual,
+                  double *nonzeros)
 {
     const int64_t H = e->nodes, n = H * e->sites;
     for (; states > 0; states--, z += n + 2, residual += n + 1, nonzeros += e->nonzeros) {
@@ -115,4 +114,5 @@ EXPORTED void casadi_skin_equations(const equations *e, int64_t states, const do
             for (int64_t m = 0; m < H; m++)
                 nonzeros[e->at_norm[a * H + m]] = e->at_zero[m] * e->forces[1 + a];
     }
+    return 0;
 }

@@ -1,15 +1,65 @@
-/* Variational flow X'' = J(t) X along orbits by kicks V += s_k J_k X and drifts X += a_k V.
+/* Jacobians of polynomial right-hand sides along orbits, and the variational flow X'' = J(t) X along these by kicks
+   V += s_k J_k X and drifts X += a_k V.
 
    Products are rounded before they are added (-ffp-contract=off), in the order of the non-zeros of a row, as scipy and
    numpy do it: the results are the same to the last bit where these are compiled without fused operations. */
 
-#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
-#if defined(__AVX512F__)
-enum { LANES = 8 };
-#elif defined(__AVX__)
+#include "kernel.h"
+
+/* Orbits by their values at nodes, (sites, nodes) each, those of one `stride` numbers after those of the orbit before,
+   and J along them: `constant` and terms. `weights` has shape (nodes, phases), `parameters` one p an orbit; `states`
+   has room for sites * phases numbers, `products` for one a phase. */
+typedef struct {
+    int64_t sites, nodes, phases, stride, nonzeros;
+    const double *values, *weights, *parameters, *constant;
+    double *states, *products;
+    terms polynomials;
+} orbits;
+
+/* States at the phases, (sites, phases), from the values of one orbit. */
+static void sample(const orbits *o, const double *values)
+{
+    memset(o->states, 0, (size_t)(o->sites * o->phases) * sizeof(double));
+    for (int64_t a = 0; a < o->sites; a++)
+        for (int64_t m = 0; m < o->nodes; m++)
+            for (int64_t i = 0; i < o->phases; i++)
+                o->states[a * o->phases + i] += values[a * o->nodes + m] * o->weights[m * o->phases + i];
+}
+
+/* Non-zeros of J along one orbit, (phases, nonzeros). */
+static void jacobians_along(const orbits *o, int64_t orbit, double *result)
+{
+    const terms *t = &o->polynomials;
+    sample(o, o->values + orbit * o->stride);
+    for (int64_t i = 0; i < o->phases; i++)
+        memcpy(result + i * o->nonzeros, o->constant, (size_t)o->nonzeros * sizeof(double));
+    for (int64_t n = 0; n < t->count; n++) {
+        const int64_t *factors = t->factors + t->first_factors[n];
+        double coefficient = t->coefficients[n], *place = result + t->places[n];
+        for (int64_t power = 0; power < t->powers[n]; power++)
+            coefficient *= o->parameters[orbit];
+        for (int64_t i = 0; i < o->phases; i++)
+            o->products[i] = coefficient;
+        for (int64_t d = 0; d < t->degrees[n]; d++)
+            for (int64_t i = 0; i < o->phases; i++)
+                o->products[i] *= o->states[factors[d] * o->phases + i];
+        for (int64_t i = 0; i < o->phases; i++)
+            place[i * o->nonzeros] += o->products[i];
+    }
+}
+
+/* Non-zeros of J along orbits, (count, phases, nonzeros). */
+KERNEL(jacobians)(const orbits *o, int64_t count, double *result)
+{
+    for (int64_t k = 0; k < count; k++)
+        jacobians_along(o, k, result + k * o->phases * o->nonzeros);
+    return 0;
+}
+
+#ifdef __AVX2__
 enum { LANES = 4 };
 #else
 enum { LANES = 2 };
@@ -17,7 +67,6 @@ enum { LANES = 2 };
 enum { ALIGNED = 64, COLUMNS = 8, WIDEST = 24 }; /* columns that go together: as many as bands allow for, and at most */
 typedef double lanes __attribute__((vector_size(LANES * sizeof(double)), may_alias));
 
-#define EXPORTED __attribute__((visibility("default")))
 #define INLINED static inline __attribute__((always_inline))
 #define UNROLL _Pragma("GCC unroll 24")
 
@@ -135,14 +184,12 @@ static void orbit_of_width(int64_t width, int64_t n, int64_t reach, int64_t fart
 
 /* Transition matrices phi of several orbits, (points, 2n, 2n), each with steps of its own length, in `kicks` kicks with
    `drifts` between them. `jacobians` has the non-zeros of J at the kicks, (kicks, indptr[n]), ordered by rows, of one
-   point `stride` numbers after that before;
-   none is farther than `reach` from the diagonal. Of phi, which is zero before, what is farther than `farthest` from the
+   point `stride` numbers after that before; none is farther than `reach` from the diagonal. Of phi, which is zero before, what is farther than `farthest` from the
    diagonals of its blocks stays zero; with `band` >= 0, and no less than farthest + COLUMNS - 1, phi has the bands of
-   its blocks, (points, 2n, 2(2 band + 1)). Returns 0, or 1 where there is no memory. */
-EXPORTED int casadi_skin_splitting(int64_t points, int64_t n, int64_t reach, int64_t farthest, const int32_t *indptr,
-                                   const int32_t *indices, int64_t kicks, const double *weights, const double *drifts,
-                                   const double *steps, const double *jacobians, int64_t stride, int64_t band,
-                                   double *phi)
+   its blocks, (points, 2n, 2(2 band + 1)). Fails where there is no memory. */
+KERNEL(transitions)(int64_t points, int64_t n, int64_t reach, int64_t farthest, const int32_t *indptr,
+                    const int32_t *indices, int64_t kicks, const double *weights, const double *drifts,
+                    const double *steps, const double *jacobians, int64_t stride, int64_t band, double *phi)
 {
     const int64_t nonzeros = indptr[n], entries = 4 * n * (band < 0 ? n : 2 * band + 1), width = width_for(n, farthest);
     lanes *x, *v;
@@ -157,24 +204,14 @@ EXPORTED int casadi_skin_splitting(int64_t points, int64_t n, int64_t reach, int
     return 0;
 }
 
-/* What gives J along orbits: casadi_skin_jacobians of jacobian.c with its arguments, `phases` for one orbit at a time. */
-typedef struct {
-    void (*jacobians)(int64_t, int64_t, int64_t, int64_t, const double *, int64_t, const double *, const double *,
-                      int64_t, const double *, const void *, double *, double *, double *);
-    int64_t sites, nodes, phases, stride;
-    const double *values, *weights, *parameters, *constant;
-    const void *terms;
-    double *states, *products, *found;
-} orbits;
-
 /* Transition matrices phi of several orbits in several numbers of steps, (levels, points, 2n, 2n) in kicks[r] kicks, all
    of whose entries are computed. J is sampled orbit by orbit, so that it stays in the cache of a core; `weights` and
    `drifts` are those of one number of steps after the other, and so are the phases; `steps` has shape (levels, points).
-   Matrices of one level are `apart` numbers after those of the level before.
-   Returns 0, or 1 where there is no memory. */
-EXPORTED int casadi_skin_flows(const orbits *o, int64_t points, int64_t n, int64_t reach, const int32_t *indptr,
-                               const int32_t *indices, int64_t levels, const int64_t *kicks, const double *weights,
-                               const double *drifts, const double *steps, int64_t apart, double *phi)
+   Matrices of one level are `apart` numbers after those of the level before; `found` has room for one orbit's J. Fails
+   where there is no memory. */
+KERNEL(flows)(const orbits *o, int64_t points, int64_t n, int64_t reach, const int32_t *indptr, const int32_t *indices,
+              int64_t levels, const int64_t *kicks, const double *weights, const double *drifts, const double *steps,
+              double *found, int64_t apart, double *phi)
 {
     const int64_t width = width_for(n, n);
     lanes *x, *v;
@@ -183,11 +220,10 @@ EXPORTED int casadi_skin_flows(const orbits *o, int64_t points, int64_t n, int64
     if (memory == NULL)
         return 1;
     for (int64_t p = 0; p < points; p++) {
-        o->jacobians(1, o->sites, o->nodes, o->phases, o->values + p * o->stride, o->stride, o->weights,
-                     o->parameters + p, indptr[n], o->constant, o->terms, o->states, o->products, o->found);
+        jacobians_along(o, p, found);
         for (int64_t r = 0, k = 0; r < levels; k += kicks[r], r++)
             orbit_of_width(width, n, reach, n, indptr, indices, kicks[r], weights + k, drifts + k - r,
-                           steps[r * points + p], o->found + k * indptr[n], -1, phi + r * apart + p * 4 * n * n, x, v, scaled);
+                           steps[r * points + p], found + k * indptr[n], -1, phi + r * apart + p * 4 * n * n, x, v, scaled);
     }
     free(memory);
     return 0;

@@ -116,6 +116,14 @@ class _Parser(argparse.ArgumentParser):
         self.exit(WRONG_INPUT, f"{self.prog}: {words}; see {self.prog} --help\n")
 
 
+class _Version(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        from casadi_skin.native import kernels_in_words
+
+        print(f"casadi-skin {__version__} (kernels: {kernels_in_words()})")
+        parser.exit()
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="casadi-skin",
@@ -123,7 +131,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Example: casadi-skin new chain && casadi-skin run chain.toml. Exit status: 0 done, 1 failed or ended "
         "early, 2 wrong input, 130 interrupted.",
     )
-    parser.add_argument("--version", action="version", version=f"casadi-skin {__version__}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version, and which kernels are in use")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     run = commands.add_parser(

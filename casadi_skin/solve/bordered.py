@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.native.bordered import BorderedKernel, bordered_kernel
+from casadi_skin.native import MOST, WIDEST, BorderedKernel, Structure, kernels
 from casadi_skin.zero.problem import Array, Indices, Problem, SingularError, Solve
 
 if TYPE_CHECKING:
@@ -34,9 +34,9 @@ class CompiledFactors:
         self.kernel, self.memory, self.orientation = kernel, memory, orientation
 
     @property
-    def addresses(self) -> tuple[int, int, int]:
-        """Where the compiled solver, its layout and the factors begin."""
-        return self.kernel.solve_address, self.kernel.address, self.memory.ctypes.data
+    def compiled(self) -> tuple[Structure, Array]:
+        """The layout and the factors, for kernels that solve by themselves."""
+        return self.kernel.layout, self.memory
 
     def __call__(self, b: Array) -> Array:
         x = np.array(b.reshape(b.shape[0], -1).T, order="C")
@@ -122,11 +122,12 @@ class BandLayout:
         )
 
     def kernel(self, problem: Problem) -> BorderedKernel | None:
-        """The compiled kernel of this layout; None where there is none."""
+        """The compiled kernel of this layout; None where there is none, and where border or band are wide."""
+        if not kernels() or problem.size - problem.states > MOST or self.width > WIDEST:
+            return None
         parts = self.inside, self.right, self.below, self.corner
         places = [(part.source, part.target) for part in parts]
-        sizes = problem.states, problem.size, self.width
-        return bordered_kernel(sizes, places, problem.pattern, (SINGULAR, ACCURATE))
+        return BorderedKernel((problem.states, problem.size, self.width), places, problem.pattern, (SINGULAR, ACCURATE))
 
 
 @dataclass(frozen=True)

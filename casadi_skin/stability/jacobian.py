@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import Monomials, NotPolynomialError, polynomial_terms
-from casadi_skin.native.jacobian import JacobianKernel, Orbits, jacobian_kernel
+from casadi_skin.native import JacobianKernel, Structure, kernels
 from casadi_skin.zero.problem import Array, Indices, Problem
 
 if TYPE_CHECKING:
@@ -113,16 +114,10 @@ class JacobianAlong:
     @cached_property
     def _kernel(self) -> JacobianKernel | None:
         """The compiled kernel of a polynomial right-hand side; None where there is none."""
-        if not isinstance(self._values, _Terms):
+        if not kernels() or not isinstance(self._values, _Terms):
             return None
-        terms = [
-            (group.power, place, coefficient, states)
-            for group in self._values.monomials
-            for place, coefficient, states in zip(
-                self._moving[group.rows].tolist(), group.coefficients.tolist(), group.factors.T.tolist(), strict=True
-            )
-        ]
-        return jacobian_kernel(self._constant, terms)
+        terms = [replace(group, rows=self._moving[group.rows]) for group in self._values.monomials]
+        return JacobianKernel(self._constant, terms)
 
     def along(self, problem: Problem, z: Array, theta: Array, found: Array) -> None:
         """Fill in the non-zeros at phases of several orbits z of a problem, shape (orbits, phases, non-zeros)."""
@@ -133,7 +128,7 @@ class JacobianAlong:
         else:
             self._kernel(self.size, z, weights, parameters, found)
 
-    def orbits(self, problem: Problem, z: Array, theta: Array) -> Orbits | None:
+    def orbits(self, problem: Problem, z: Array, theta: Array) -> Structure | None:
         """What another kernel needs to compute them, orbit by orbit; None where this one's cannot."""
         weights = problem.sampling(theta)
         if weights is None or self._kernel is None:

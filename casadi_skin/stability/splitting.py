@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.native.splitting import COLUMNS, Sequences, flows_kernel, splitting_kernel
+from casadi_skin.native import LANES, Sequences, flows, kernels, transitions
 from casadi_skin.stability.jacobian import JacobianAlong, repeated
 from casadi_skin.stability.stepping import OrbitState, SteppedFlow
 from casadi_skin.zero.problem import Array
@@ -127,8 +127,7 @@ class SplittingMap:
 
     def __call__(self, nonzeros: Array, durations: Array) -> Array:
         """Transition matrices, shape (points, 2n, 2n), from J's non-zeros (points, len(fractions), non-zeros)."""
-        kernel = splitting_kernel()
-        if kernel is None:
+        if not kernels():
             return propagated(self.jacobian, self.sequence.drifts, [self.run(nonzeros, durations)])[0]
         jacobian, sequence = self.jacobian, self.sequence
         pattern, stages = (jacobian.indptr, jacobian.indices), (sequence.kicks, sequence.drifts)
@@ -136,8 +135,8 @@ class SplittingMap:
         far = reach * sequence.kicks.size
         if far < jacobian.size:
             far = self.reach(nonzeros, durations)
-        far = min(far, jacobian.size if self.half_width is None else self.half_width + 1 - COLUMNS)
-        return kernel(pattern, (reach, far), stages, durations / self.steps, nonzeros, self.half_width)
+        far = min(far, jacobian.size if self.half_width is None else self.half_width + 1 - LANES)
+        return transitions(pattern, (reach, far), stages, durations / self.steps, nonzeros, self.half_width)
 
     def reach(self, nonzeros: Array, durations: Array) -> int:
         """How far entries that are not negligible are from the diagonals of the blocks."""
@@ -266,17 +265,17 @@ class SplittingFlow(SteppedFlow):
         return found
 
     def half_width(self, orbits: Sequence[OrbitState]) -> int | None:
-        if splitting_kernel() is None or self.model.size <= LONG:
+        if not kernels() or self.model.size <= LONG:
             return None
         coarse = self._splitting(
             STEPS[0]
         )  # all numbers of steps reach as far: the sums of their kicks and drifts agree
-        width = coarse.reach(self._linearised(orbits, coarse.fractions), self._durations(orbits)) + SPARE + COLUMNS - 1
+        width = coarse.reach(self._linearised(orbits, coarse.fractions), self._durations(orbits)) + SPARE + LANES - 1
         return width if 2 * width + 1 < self.model.size // 2 else None
 
     def several(self, wanted: Sequence[tuple[int, Sequence[OrbitState]]], half_width: int | None = None) -> list[Array]:
         """As that of other flows; without a compiled kernel all at once where they fit into the cache."""
-        if splitting_kernel() is not None:
+        if kernels():
             found = None if half_width is not None else self._sampled_inside(wanted)
             return found or super().several(wanted, half_width)
         maps = [self._splitting(steps) for steps, _ in wanted]
@@ -294,8 +293,7 @@ class SplittingFlow(SteppedFlow):
 
         None where it cannot, and where kicks do not reach through the whole chain.
         """
-        kernel, jacobian, found = flows_kernel(), self.jacobian, list[Array]()
-        assert kernel is not None
+        jacobian, found = self.jacobian, list[Array]()
         for _, group in groupby(wanted, key=lambda item: id(item[1])):
             those = list(group)
             sequences, phases = self._sequences(tuple(steps for steps, _ in those))
@@ -310,7 +308,7 @@ class SplittingFlow(SteppedFlow):
                 sampled, part = jacobian.orbits(problem, z, phases), slice(done, done + len(z))
                 if sampled is None:
                     return None
-                kernel(sampled, pattern, jacobian.half_bandwidth, sequences, lengths[:, part], result[:, part])
+                flows(sampled, pattern, jacobian.half_bandwidth, sequences, lengths[:, part], result[:, part])
                 done += len(z)
             found.extend(result)
         return found

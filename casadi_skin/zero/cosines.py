@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.model.polynomial import Program, lifted
-from casadi_skin.native.equations import EquationsKernel, has_kernel
+from casadi_skin.native import EquationsKernel, has_kernel
 from casadi_skin.zero.problem import Array, Indices, Scalar, sparse_matrix
 
 

@@ -6,7 +6,7 @@ give through Cauchy products: the asymptotic numerical method (Damil and Potier-
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Protocol
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import Monomials, polynomial_terms
-from casadi_skin.native.taylor import Term, taylor_kernel
+from casadi_skin.native import Structure, TaylorKernel, kernels
 from casadi_skin.zero.cosines import cosine_matrix, second_derivative_matrix
 from casadi_skin.zero.problem import Array, Indices, Solve
 
@@ -124,18 +124,6 @@ class _Sum:
                 products.complete(k)
 
 
-def _single(groups: Sequence[Monomials]) -> list[Term]:
-    """Terms one by one, without those that are linear: nothing is left of them when the order sought is taken out."""
-    return [
-        (group.power, row, coefficient, states)
-        for group in groups
-        if group.power + group.degree > 1
-        for row, coefficient, states in zip(
-            group.rows.tolist(), group.coefficients.tolist(), group.factors.T.tolist(), strict=True
-        )
-    ]
-
-
 @dataclass(frozen=True)
 class PolynomialForm:
     """Right-hand side and normalisation of a model as polynomials of its state and parameter."""
@@ -196,9 +184,9 @@ class TaylorRecursion:
         self._coefficients = np.zeros((orders + 1, problem.size))
         states = self._coefficients[:, : problem.states]
         D2, at_zero = second_derivative_matrix(H), (2.0 / H) * cosine_matrix(H).sum(axis=0)
-        self._kernel = taylor_kernel(self._coefficients, D2, at_zero, _single(form.force), _single(form.norm))
-        self.put, self.right_side = self._put, self._right_side
-        if self._kernel is not None:
+        self.put, self.right_side, self._kernel = self._put, self._right_side, None
+        if kernels():
+            self._kernel = TaylorKernel(self._coefficients, D2, at_zero, form.force, form.norm)
             self.put, self.right_side = self._kernel.put, self._kernel.right_side
             return
         self._start = np.zeros((orders + 1, N))  # the state at phase zero, which the normalisation is about
@@ -247,19 +235,16 @@ class TaylorRecursion:
         """
         self.put(0, z)
         self.put(1, slope)
-        if not self.solve_all(getattr(solve, "addresses", None)):
+        if not self.solve_all(solve):
             for k in range(2, self.orders + 1):
                 self.put(k, solve(self.right_side(k)))
         return self._coefficients.copy()
 
-    @property
-    def is_compiled(self) -> bool:
-        """Whether a kernel computes the right-hand sides."""
-        return self._kernel is not None
-
-    def solve_all(self, compiled: tuple[int, int, int] | None) -> bool:
-        """All orders beyond the first two by a compiled solver at addresses; False where one of both is not there."""
+    def solve_all(self, solve: Solve, tail: Callable[[], Structure] | None = None) -> bool:
+        """All orders beyond the first two by the compiled kernel; False where it or the solver is not there."""
+        compiled = getattr(solve, "compiled", None)
         if self._kernel is None or compiled is None:
             return False
-        self._kernel.solve_all(*compiled)
+        layout, factors = compiled
+        self._kernel.solve_all(layout, factors, None if tail is None else tail())
         return True

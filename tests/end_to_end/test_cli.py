@@ -9,6 +9,7 @@ import pytest
 from apart import modules_of
 
 from casadi_skin import Chain, __version__
+from casadi_skin.native import kernels_in_words
 from casadi_skin.runs.program import main
 
 pytestmark = pytest.mark.usefixtures("blank")
@@ -46,7 +47,7 @@ def test_help_is_there(arguments: list[str], capsys: pytest.CaptureFixture[str])
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert status(["--version"]) == 0
-    assert capsys.readouterr().out.strip() == f"casadi-skin {__version__}"
+    assert capsys.readouterr().out.strip() == f"casadi-skin {__version__} (kernels: {kernels_in_words()})"
 
 
 @pytest.mark.parametrize(

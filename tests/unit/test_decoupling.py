@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from kernels import needs_kernels, numpy_alone
 from numpy.polynomial import chebyshev as chebyshev_polynomial
 from numpy.polynomial.chebyshev import chebroots
 
-from casadi_skin.native.decoupling import decoupling_kernel
-from casadi_skin.native.library import without
+from casadi_skin import native
 from casadi_skin.stability.tongues import chebyshev, decoupling
 from casadi_skin.stability.tongues.decoupling import DEGREE
 
-needs_compiler = pytest.mark.skipif(without() is not None, reason="no C compiler here")
 Array = np.ndarray
 
 
@@ -39,11 +38,6 @@ def random_intervals(size: int, dtype: type, seed: int = 7) -> tuple[Array, Arra
     return K, same, columns
 
 
-@pytest.fixture
-def by_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(decoupling, "decoupling_kernel", lambda: None)
-
-
 def invariance(K: Array, T: Array, same: Array, columns: Array) -> float:
     """What is left of K T - T L with L block diagonal, from the rows of K T that T has unit blocks in."""
     valid = columns[columns >= 0]
@@ -52,12 +46,10 @@ def invariance(K: Array, T: Array, same: Array, columns: Array) -> float:
     return float(np.max(np.abs(K @ T - T @ L)))
 
 
-@pytest.mark.parametrize("kernel", [pytest.param(True, marks=needs_compiler), False])
+@pytest.mark.usefixtures("way")
 @pytest.mark.parametrize("dtype", [float, complex])
 @pytest.mark.parametrize("size", [2, 3, 8, 23])
-def test_bases_are_invariant(size: int, dtype: type, kernel: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    if not kernel:
-        monkeypatch.setattr(decoupling, "decoupling_kernel", lambda: None)
+def test_bases_are_invariant(size: int, dtype: type) -> None:
     K, same, columns = random_intervals(size, dtype)
     T, found = decoupling._invariant(K, same, columns)
     assert found.tolist() == [True] * 5 + [False]
@@ -67,17 +59,16 @@ def test_bases_are_invariant(size: int, dtype: type, kernel: bool, monkeypatch: 
         assert np.array_equal(T[i, DEGREE // 2], np.eye(size, columns.shape[1]) * (np.arange(columns.shape[1]) < count))
 
 
-@needs_compiler
+@needs_kernels
 @pytest.mark.parametrize("dtype", [float, complex])
 @pytest.mark.parametrize("size", [2, 3, 8, 23])
-def test_kernel_and_numpy_find_the_same(size: int, dtype: type, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert decoupling_kernel() is not None
+def test_kernel_and_numpy_find_the_same(size: int, dtype: type) -> None:
     K, same, columns = random_intervals(size, dtype)
     compiled, apart = decoupling._invariant(K, same, columns), decoupling.contracts(K, same)
-    monkeypatch.setattr(decoupling, "decoupling_kernel", lambda: None)
-    plain = decoupling._invariant(K, same, columns)
+    with numpy_alone():
+        plain, also = decoupling._invariant(K, same, columns), decoupling.contracts(K, same)
     assert np.array_equal(compiled[1], plain[1])
-    assert apart.tolist() == decoupling.contracts(K, same).tolist()
+    assert apart.tolist() == also.tolist()
     np.testing.assert_allclose(compiled[0][:5], plain[0][:5], rtol=0, atol=1e-12)
 
 
@@ -98,25 +89,23 @@ def test_forms_have_the_eigenvalues_of_their_columns() -> None:
             assert max(np.min(np.abs(exact - mu)) for mu in np.linalg.eigvals(block)) < 1e-8
 
 
-@needs_compiler
+@needs_kernels
 @pytest.mark.parametrize("dtype", [float, complex])
 def test_steps_from_the_identity_give_all_mu(dtype: type) -> None:
     """Within the square of the last step, which is small but not zero, and as numpy's do."""
-    kernel = decoupling_kernel()
-    assert kernel is not None
     K, same, _ = random_intervals(6, dtype)
     K = K[2:, decoupling.PROBES]
-    values, fine = kernel.contracts(K, same[2:], decoupling.STEPS, 1e-9, decoupling.LARGEST)
+    values, fine = native.contracts(K, same[2:], decoupling.STEPS, 1e-9, decoupling.LARGEST)
     assert fine.tolist() == [True] * 3 + [False]
     for here, matrices in zip(values[:3], K[:3], strict=True):
         exact = np.linalg.eigvals(matrices)
         assert np.sort_complex(here) == pytest.approx(np.sort_complex(exact), abs=1e-9)
     plain, _ = decoupling._steps_from_identity(K[:3], same[2:5])
-    compiled, _ = kernel.contracts(K[:3], same[2:5], decoupling.STEPS, decoupling.SMALL, decoupling.LARGEST)
+    compiled, _ = native.contracts(K[:3], same[2:5], decoupling.STEPS, decoupling.SMALL, decoupling.LARGEST)
     np.testing.assert_allclose(compiled, plain, rtol=0, atol=1e-12)
 
 
-@needs_compiler
+@needs_kernels
 @pytest.mark.parametrize("dtype", [float, complex])
 def test_what_is_no_number_is_not_found(dtype: type) -> None:
     K, same, columns = random_intervals(3, dtype)

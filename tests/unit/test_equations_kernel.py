@@ -7,19 +7,17 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 import pytest
+from kernels import needs_kernels, numpy_alone
 from lattices import plane
 from small_models import pendulums
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.native.equations import OPERATIONS
-from casadi_skin.native.library import without
+from casadi_skin.native import OPERATIONS
 from casadi_skin.solve import ipopt
 from casadi_skin.zero.problem import Problem
 from casadi_skin.zero.request import family_request
 from casadi_skin.zero.trigonometric import TrigonometricProblem
-
-needs_compiler = pytest.mark.skipif(without() is not None, reason="no C compiler here")
 
 
 def two_oscillators(force: Callable[[ca.SX, ca.SX], ca.SX]) -> OdeModel:
@@ -49,7 +47,7 @@ MODELS = {
 }
 
 
-@needs_compiler
+@needs_kernels
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("harmonics", [1, 4, 7])
 def test_residuals_and_jacobians_are_those_of_casadi(name: str, harmonics: int) -> None:
@@ -66,7 +64,7 @@ def test_residuals_and_jacobians_are_those_of_casadi(name: str, harmonics: int) 
             np.testing.assert_array_equal(values[k], alone)
 
 
-@needs_compiler
+@needs_kernels
 def test_every_operation_of_the_kernel_is_tried() -> None:
     used = set[int]()
     for force in FORCES.values():
@@ -103,12 +101,12 @@ def test_points_of_one_programme_that_cannot_be_evaluated_leave_the_others_as_th
     np.testing.assert_allclose(nonzeros[::2], expected[1], rtol=0, atol=1e-13)
 
 
-@needs_compiler
+@needs_kernels
 @pytest.mark.parametrize("name", ["pendulums", "plane"])
-def test_families_of_lattices_are_the_same_by_casadi(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_families_of_lattices_are_the_same_by_casadi(name: str) -> None:
     model = pendulums() if name == "pendulums" else plane((4, 3))
     compiled = follow_family(model, 1, 0.5, at=(0.2, 0.5))
-    monkeypatch.setattr(TrigonometricProblem, "_kernel", None)
-    plain = follow_family(model, 1, 0.5, at=(0.2, 0.5))
+    with numpy_alone():
+        plain = follow_family(model, 1, 0.5, at=(0.2, 0.5))
     np.testing.assert_allclose(compiled.S, plain.S, rtol=0, atol=1e-12)
     np.testing.assert_allclose(compiled.Omega, plain.Omega, rtol=0, atol=1e-13)

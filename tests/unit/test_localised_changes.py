@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kernels import needs_kernels, numpy_alone
 from numpy.typing import NDArray
 
 from casadi_skin import Bond, Branch, Chain, LongLattice, Site, follow_family, read_result
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.family_localised import EdgeOrbits, localised_changes
-from casadi_skin.native import elimination
-from casadi_skin.native.library import without
+from casadi_skin.native import eliminated
 from casadi_skin.runs.program import main
 from casadi_skin.stability.localised import LocalisedFloquet
 from casadi_skin.stability.result import ContinuousSpectrum
@@ -182,9 +182,9 @@ def test_the_determinant_is_that_of_many_cells(medium: Medium, swing: float) -> 
     assert np.all(np.abs(np.abs(phases) - 1.0) < 1e-12)
 
 
-@pytest.mark.skipif(without() is not None, reason="no C compiler here")
+@needs_kernels
 @pytest.mark.parametrize("medium", MEDIA)
-def test_cells_are_eliminated_alike_by_the_kernel_and_by_numpy(medium: Medium, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cells_are_eliminated_alike_by_the_kernel_and_by_numpy(medium: Medium) -> None:
     """At real exponents in arcs and gaps, at complex ones, and where cosines and sines part."""
     two = example(medium, swing=0.0)
     cells = np.concatenate([0.3 * two.cells[:1] + 0.7 * two.cells[1:], two.cells, two.cells])
@@ -196,15 +196,16 @@ def test_cells_are_eliminated_alike_by_the_kernel_and_by_numpy(medium: Medium, m
         return [*parts, np.array([hill.at_end(end, parity) for end in (0.0, 1.3) for parity in PARITIES])]
 
     compiled = found()
-    monkeypatch.setattr(elimination, "_function", lambda: None)
-    for one, other in zip(compiled, found(), strict=True):
+    with numpy_alone():
+        plain = found()
+    for one, other in zip(compiled, plain, strict=True):
         assert np.max(np.abs(one - other) / np.maximum(np.abs(other), 1.0)) < 1e-11
 
 
-@pytest.mark.skipif(without() is not None, reason="no C compiler here")
+@needs_kernels
 def test_a_pivot_that_vanishes_is_an_error() -> None:
     with pytest.raises(np.linalg.LinAlgError):
-        elimination.eliminated(np.zeros((2, 1, 1)), np.ones(1), (0, 0), 1, np.zeros((1, 1)))
+        eliminated(np.zeros((2, 1, 1)), np.ones(1), (0, 0), 1, np.zeros((1, 1)))
 
 
 @pytest.mark.parametrize("medium", MEDIA)

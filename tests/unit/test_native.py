@@ -1,72 +1,37 @@
-"""Compiled kernels: the same numbers as numpy's, from a cache that is private, and numpy where there is no compiler."""
+"""Compiled kernels: the same numbers as numpy's, built with the package, and numpy where there was no compiler."""
 
 from __future__ import annotations
 
+import ctypes
 import itertools
 import os
-import stat
-import warnings
+import platform
+import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
+from kernels import forget, needs_kernels, numpy_alone
 from lattices import plane
 from small_models import pendulums
 
-from casadi_skin import Chain, follow_family
+from casadi_skin import Branch, Chain, follow_family, native
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import Monomials
-from casadi_skin.native import bordered, elimination, tail, taylor
-from casadi_skin.native import jacobian as native_jacobian
-from casadi_skin.native import library as native
-from casadi_skin.native.decoupling import decoupling_kernel
-from casadi_skin.native.library import KernelWarning, cache_folder, library, without
-from casadi_skin.native.splitting import splitting_kernel
 from casadi_skin.solve.bordered import BorderedSolver, CompiledFactors
-from casadi_skin.stability import splitting
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
 from casadi_skin.stability.stepping import OrbitState, SteppedFlow
-from casadi_skin.zero import recursion, trigonometric
 from casadi_skin.zero.recursion import PolynomialForm, TaylorRecursion
 from casadi_skin.zero.request import family_request
 from casadi_skin.zero.trigonometric import TrigonometricProblem
 
-needs_compiler = pytest.mark.skipif(without() is not None, reason="no C compiler here")
 
-
-@pytest.fixture
-def fresh() -> Iterator[None]:
-    """Nothing that this process loaded before."""
-    forget()
-    yield
-    forget()
-
-
-def forget() -> None:
-    own = (
-        library,
-        splitting_kernel,
-        decoupling_kernel,
-        taylor._functions,
-        native_jacobian._function,
-        bordered._functions,
-        tail._function,
-        elimination._function,
-    )
-    for kept in (*own, trigonometric._kept):
-        kept.cache_clear()
-
-
-@pytest.fixture
-def caches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fresh: None) -> Path:
-    """An empty folder for caches."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    return tmp_path / "casadi_skin"
-
-
-def both_ways(model: OdeModel, steps: int, orbits: int, monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
+def both_ways(model: OdeModel, steps: int, orbits: int) -> list[np.ndarray]:
     """Transition matrices along random states, by the kernel and by numpy."""
     jacobian, generator = JacobianAlong(model), np.random.default_rng(3)
     flow = SplittingMap(jacobian, steps)
@@ -74,13 +39,11 @@ def both_ways(model: OdeModel, steps: int, orbits: int, monkeypatch: pytest.Monk
     values = jacobian(0.3 * generator.normal(size=(phases, model.size)), generator.normal(size=phases))
     nonzeros, durations = values.reshape(orbits, flow.fractions.size, -1), generator.uniform(0.5, 1.5, size=orbits)
     found = [flow(nonzeros, durations)]
-    with monkeypatch.context() as patch:
-        patch.setattr(splitting, "splitting_kernel", lambda: None)
-        found.append(flow(nonzeros, durations))
-    return found
+    with numpy_alone():
+        return [*found, flow(nonzeros, durations)]
 
 
-@needs_compiler
+@needs_kernels
 @pytest.mark.parametrize(
     "model",
     [
@@ -90,13 +53,12 @@ def both_ways(model: OdeModel, steps: int, orbits: int, monkeypatch: pytest.Monk
     ],
     ids=lambda model: f"{model.name}, {model.size}",
 )
-def test_kernel_and_numpy_agree_to_rounding(model: OdeModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert splitting_kernel() is not None
-    compiled, plain = both_ways(model, 5, 3, monkeypatch)
+def test_kernel_and_numpy_agree_to_rounding(model: OdeModel) -> None:
+    compiled, plain = both_ways(model, 5, 3)
     np.testing.assert_allclose(compiled, plain, rtol=1e-13, atol=1e-14 * np.max(np.abs(plain)))
 
 
-@needs_compiler
+@needs_kernels
 @pytest.mark.parametrize("sites", [2, 9, 24, 31])
 def test_a_flow_that_samples_orbits_itself_gives_the_same_bits(sites: int) -> None:
     """Against the kernels of J and of the flow one after the other; orbits of two resolutions, one taken twice."""
@@ -110,7 +72,7 @@ def test_a_flow_that_samples_orbits_itself_gives_the_same_bits(sites: int) -> No
         np.testing.assert_array_equal(one, other)
 
 
-@needs_compiler
+@needs_kernels
 @pytest.mark.parametrize(
     "model",
     [
@@ -119,9 +81,7 @@ def test_a_flow_that_samples_orbits_itself_gives_the_same_bits(sites: int) -> No
     ],
     ids=lambda model: f"{model.name}, {model.size}",
 )
-def test_jacobians_along_orbits_by_the_kernel_are_those_at_their_states(
-    model: OdeModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_jacobians_along_orbits_by_the_kernel_are_those_at_their_states(model: OdeModel) -> None:
     """Orbits in odd cosines, sampled by the kernel; and by the problem itself where there is none."""
     problem, generator = TrigonometricProblem(model, 5), np.random.default_rng(4)
     z, theta = generator.normal(size=(3, problem.size)), np.linspace(0.0, 2.0, 7)
@@ -135,30 +95,35 @@ def test_jacobians_along_orbits_by_the_kernel_are_those_at_their_states(
         )
         at_states = along(exact.T, np.full(7, one[problem.parameter_index]))
         np.testing.assert_allclose(values, at_states, rtol=0, atol=1e-13 * np.max(np.abs(at_states)))
-    monkeypatch.setattr(JacobianAlong, "_kernel", None)
-    along.along(problem, z, theta, plain)
+    with numpy_alone():
+        JacobianAlong(model).along(problem, z, theta, plain)
     np.testing.assert_allclose(found, plain, rtol=0, atol=1e-13 * np.max(np.abs(found)))
 
 
-@needs_compiler
+@needs_kernels
 def test_the_kernel_of_jacobians_takes_terms_of_all_degrees() -> None:
     generator = np.random.default_rng(6)
     sites, nodes, phases = 4, 3, 6
     values, weights = generator.normal(size=(2, sites * nodes + 2)), generator.normal(size=(nodes, phases))
     constant, parameters = generator.normal(size=5), np.array([0.7, -1.3])
-    terms = [(power, place, generator.normal(), list(range(place))) for power in range(3) for place in range(5)]
+    terms = [
+        Monomials(power, np.array([place]), generator.normal(size=1), np.arange(place)[:, None])
+        for power in range(3)
+        for place in range(5)
+    ]
     expected = np.tile(constant, (2, phases, 1))
     states = np.einsum("kam,mi->kia", values[:, : sites * nodes].reshape(2, sites, nodes), weights)
-    for power, place, coefficient, factors in terms:
-        expected[:, :, place] += coefficient * parameters[:, None] ** power * np.prod(states[:, :, factors], axis=2)
+    for term in terms:
+        products = np.prod(states[:, :, term.factors[:, 0]], axis=2)
+        expected[:, :, term.rows[0]] += term.coefficients[0] * parameters[:, None] ** term.power * products
     found = np.full(expected.shape, np.nan)
-    native_jacobian.JacobianKernel(constant, terms)(sites, values, weights, parameters, found)
+    native.JacobianKernel(constant, terms)(sites, values, weights, parameters, found)
     np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13)
 
 
-@needs_compiler
+@needs_kernels
 @pytest.mark.parametrize("highest", [1, 5])
-def test_series_by_the_kernel_are_those_by_numpy(highest: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_series_by_the_kernel_are_those_by_numpy(highest: int) -> None:
     """Random terms of all degrees and powers of the parameter, in any order, also without any state."""
     generator, orders = np.random.default_rng(5), 9
     problem = TrigonometricProblem(Chain(5, 1.0, 0.3, -1.0).gauge_model(), 6)
@@ -176,14 +141,14 @@ def test_series_by_the_kernel_are_those_by_numpy(highest: int, monkeypatch: pyte
     z, slope = generator.normal(size=(2, problem.size))
     mixing = generator.normal(size=(problem.size, problem.size)) / problem.size
     found = TaylorRecursion(problem, form, orders).series(z, slope, lambda right: mixing @ right)
-    monkeypatch.setattr(recursion, "taylor_kernel", lambda *arguments: None)
-    plain = TaylorRecursion(problem, form, orders).series(z, slope, lambda right: mixing @ right)
+    with numpy_alone():
+        plain = TaylorRecursion(problem, form, orders).series(z, slope, lambda right: mixing @ right)
     sizes = np.max(np.abs(plain), axis=1, keepdims=True)
     assert np.all(sizes > 0.0)
     np.testing.assert_allclose(found / sizes, plain / sizes, rtol=0, atol=1e-12)
 
 
-@needs_compiler
+@needs_kernels
 @pytest.mark.parametrize("sites", [4, 24])
 def test_orders_solved_by_the_kernel_are_those_solved_one_by_one(sites: int) -> None:
     chain = Chain(sites, 1.0, 0.25, -1.0)
@@ -198,116 +163,115 @@ def test_orders_solved_by_the_kernel_are_those_solved_one_by_one(sites: int) -> 
     np.testing.assert_allclose(found / sizes, plain / sizes, rtol=0, atol=1e-12)
 
 
-@needs_compiler
-def test_multipliers_of_a_family_do_not_depend_on_the_kernel(caches: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    chain = Chain(10, 1.0, 0.25, -1.0)
-    found = follow_family(chain, 1, 1.0, at=(0.2, 1.0), stability=True, events=False, tolerance=1e-9)
-    assert list(caches.glob("splitting-*.so"))
+@needs_kernels
+def test_multipliers_of_a_family_do_not_depend_on_the_kernels() -> None:
+    """Those for any processor and those for AVX2 give the same bits, numpy the same numbers but for rounding."""
+
+    def family() -> Branch:
+        return follow_family(Chain(10, 1.0, 0.25, -1.0), 1, 1.0, at=(0.2, 1.0), stability=True, tolerance=1e-9)
+
+    found = family()
+    with plain_library():
+        assert native.kernels_in_words() == "compiled"
+        plain = family()
+    with numpy_alone():
+        assert native.kernels_in_words() == "numpy"
+        by_numpy = family()
+    assert found.changes
+    assert len(by_numpy.changes) == len(found.changes)
+    for one, other, last in zip(found.orbits, plain.orbits, by_numpy.orbits, strict=True):
+        np.testing.assert_array_equal(one.floquet().multipliers, other.floquet().multipliers)
+        assert (one.Omega, one.S) == (other.Omega, other.S)
+        assert abs(one.Omega - last.Omega) <= 1e-10
+        assert abs(one.S - last.S) <= 1e-8
+        np.testing.assert_allclose(one.floquet().multipliers, last.floquet().multipliers, rtol=0, atol=1e-10)
+
+
+@contextmanager
+def plain_library() -> Iterator[None]:
+    """The kernels for any processor."""
+
+    class Plain(ctypes.CDLL):
+        has_avx2 = staticmethod(lambda: 0)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("casadi_skin.native.ctypes.CDLL", Plain)
+        forget()
+        yield
     forget()
-    monkeypatch.setenv(native.SWITCH, "0")
-    assert splitting_kernel() is None
-    plain = follow_family(chain, 1, 1.0, at=(0.2, 1.0), stability=True, events=False, tolerance=1e-9)
-    assert list(caches.glob("taylor-*.so"))
-    for one, other in zip(found.orbits, plain.orbits, strict=True):
-        assert abs(one.Omega - other.Omega) <= 1e-10
-        assert abs(one.S - other.S) <= 1e-8
-        np.testing.assert_allclose(one.floquet().multipliers, other.floquet().multipliers, rtol=0, atol=1e-10)
+
+
+# The build ------------------------------------------------------------------------------------------------------------
+
+CLONE = Path(__file__).parents[2]
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler here")
+
+
+def build(folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """What `python hatch_build.py` says in a folder with the kernels alone."""
+    shutil.copy(CLONE / "hatch_build.py", folder)
+    shutil.copytree(CLONE / "casadi_skin" / "native", folder / "casadi_skin" / "native", ignore=ignored)
+    command = [sys.executable, str(folder / "hatch_build.py")]
+    return subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, check=False)
+
+
+ignored = shutil.ignore_patterns("*.so", "__pycache__")
 
 
 @needs_compiler
-def test_a_library_is_compiled_once_and_is_of_its_user_alone(caches: Path) -> None:
-    old = os.umask(0)
-    try:
-        assert library("splitting") is not None
-    finally:
-        os.umask(old)
-    (compiled,) = caches.iterdir()
-    assert stat.S_IMODE(caches.stat().st_mode) == 0o700
-    made = compiled.stat().st_mtime_ns
-    library.cache_clear()
-    assert library("splitting") is not None
-    assert compiled.stat().st_mtime_ns == made
+def test_kernels_are_built_in_a_clone_and_nothing_else_is_left_there(tmp_path: Path) -> None:
+    done = build(tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    (made,) = (path for path in tmp_path.rglob("*") if path.suffix not in {"", ".c", ".h", ".py"})
+    library = ctypes.CDLL(str(made))
+    for name in native.FUNCTIONS:
+        assert hasattr(library, name)
+        assert hasattr(library, f"{name}_avx2") == (platform.machine() == "x86_64")
 
 
+@pytest.mark.parametrize(("compiler", "words"), [("/bin/false", "/bin/false"), ("no-such-cc", "No such file")])
+def test_a_build_without_a_compiler_says_so(compiler: str, words: str, tmp_path: Path) -> None:
+    done = build(tmp_path, CC=compiler)
+    assert done.returncode == 1
+    assert done.stderr.startswith("no kernels: ")
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert not list((tmp_path / "casadi_skin" / "native").glob("*.so"))
+
+
+def test_a_library_of_another_system_is_no_fault(tmp_path: Path) -> None:
+    (tmp_path / "kernels.so").write_bytes(b"of another system")
+    with numpy_alone(tmp_path / "kernels.so"):
+        assert native.kernels() == {}
+        assert native.kernels_in_words() == "numpy"
+
+
+@needs_kernels
+def test_the_kernels_in_use_are_those_of_the_sources() -> None:
+    """Else `python hatch_build.py` builds them anew; in a package that is not edited they are of one age."""
+    sources = [path.stat().st_mtime for path in native.LIBRARY.parent.glob("*.[ch]")]
+    if native.LIBRARY.parent == CLONE / "casadi_skin" / "native":
+        assert max(sources) <= native.LIBRARY.stat().st_mtime
+
+
+@pytest.mark.slow
 @needs_compiler
-def test_another_processor_or_source_is_compiled_anew(
-    caches: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "one.c").write_text("int one(void) { return 1; }")
-    monkeypatch.setattr(native, "SOURCES", tmp_path)
-    monkeypatch.setattr(native, "PROCESSOR", tmp_path / "cpuinfo")  # none: code for every processor
-    for count, text in enumerate(("", "flags\t: sse2", "flags\t: sse2 avx"), start=1):
-        if text:
-            (tmp_path / "cpuinfo").write_text(f"processor\t: 0\n{text}\n\nprocessor\t: 1\n")
-        library.cache_clear()
-        assert library("one") is not None
-        assert len(list(caches.iterdir())) == count
-    for count, name in enumerate(("one.c", "shared.h"), start=4):
-        (tmp_path / name).write_text("int one(void) { return 2; }")
-        library.cache_clear()
-        assert library("one") is not None
-        assert len(list(caches.iterdir())) == count
-
-
-@needs_compiler
-@pytest.mark.parametrize("fault", ["open", "link", "file", "relative", "parent", "rubbish", "source", "homeless"])
-def test_what_is_not_private_or_not_whole_is_not_loaded(
-    fault: str, caches: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    words = str(caches)
-    if fault == "open":
-        caches.mkdir(mode=0o755)
-    elif fault == "link":
-        (tmp_path / "elsewhere").mkdir(mode=0o700)
-        caches.symlink_to(tmp_path / "elsewhere")
-    elif fault == "file":
-        caches.write_text("")
-    elif fault == "relative":
-        monkeypatch.setenv("XDG_CACHE_HOME", "caches")
-        words = "relative path"
-    elif fault == "parent":
-        tmp_path.chmod(0o777)
-        words = "everybody may write"
-    elif fault == "homeless":
-        monkeypatch.setattr(Path, "home", lambda: Path("~nobody-of-this-name").expanduser())
-        monkeypatch.delenv("XDG_CACHE_HOME")
-        words = "no folder of caches"
-    elif fault == "rubbish":
-        assert library("splitting") is not None
-        (compiled,) = caches.iterdir()
-        caches = tmp_path / "other" / "casadi_skin"  # a library that is loaded once stays what it is
-        caches.mkdir(mode=0o700, parents=True)
-        (caches / compiled.name).write_bytes(b"no library")
-        monkeypatch.setenv("XDG_CACHE_HOME", str(caches.parent))
-        words = str(caches)
-        library.cache_clear()
-    else:
-        (tmp_path / "splitting.c").write_text("nothing")
-        monkeypatch.setattr(native, "SOURCES", tmp_path)
-        words = "failed: .*error"
-    with pytest.warns(KernelWarning, match=words):
-        assert library("splitting") is None
-    assert splitting_kernel() is None
-
-
-@needs_compiler
-def test_libraries_of_other_users_are_not_loaded(caches: Path) -> None:
-    assert library("splitting") is not None
-    library.cache_clear()
-    (compiled,) = caches.iterdir()
-    try:
-        os.chown(compiled, 65534, -1)
-    except PermissionError:
-        pytest.skip("files can be given away by root alone")
-    with pytest.warns(KernelWarning, match="of another user"):
-        assert library("splitting") is None
-
-
-def test_no_compiler_is_no_fault(caches: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CC", "no-such-compiler")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert library("splitting") is None
-    assert "no-such-compiler" in str(without())
-    assert not caches.exists()
-    assert cache_folder() == caches
+@pytest.mark.parametrize(
+    ("compiler", "tag", "words"),
+    [("cc", f"py3-none-{platform.system().lower()}", "compiled"), ("/bin/false", "py3-none-any", "numpy")],
+)
+def test_a_wheel_has_kernels_where_there_is_a_compiler(compiler: str, tag: str, words: str, tmp_path: Path) -> None:
+    """Built from a clone with kernels of its own, which stay out of it, and installed away from it."""
+    pytest.importorskip("hatchling")
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
+    environment = os.environ | {"CC": compiler, "PYTHONPATH": ""}
+    options = ["--no-deps", "--no-build-isolation", "--no-index"]
+    subprocess.run([*pip, "wheel", *options, "--wheel-dir", str(tmp_path), str(CLONE)], env=environment, check=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    assert f"-{tag}" in wheel.name
+    subprocess.run([*pip, "install", "--no-deps", "--target", str(tmp_path / "site"), str(wheel)], check=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "casadi_skin", "--version"], env=os.environ | {"PYTHONPATH": str(tmp_path / "site")},
+        cwd=tmp_path, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert f"kernels: {words}" in done.stdout

@@ -16,7 +16,6 @@ from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import Stretch
 from casadi_skin.follow.series import SeriesContinuation
 from casadi_skin.lattice.closed_forms import duffing_frequency
-from casadi_skin.zero import recursion
 from casadi_skin.zero.problem import SingularError
 from casadi_skin.zero.recursion import PolynomialForm, TaylorRecursion
 from casadi_skin.zero.request import family_request
@@ -44,13 +43,6 @@ def followed(chain: Chain, mode: int, amplitude_max: float, tolerance: float, at
 
 
 # The series ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(params=["compiled", "numpy"])
-def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the kernel, where there is a compiler, and by numpy."""
-    if request.param == "numpy":
-        monkeypatch.setattr(recursion, "taylor_kernel", lambda *arguments: None)
 
 
 def series_at_start(chain: Chain, mode: int, harmonics: int, orders: int) -> tuple[Family, np.ndarray]:

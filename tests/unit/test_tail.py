@@ -14,7 +14,6 @@ from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.dynamics.resonances import threshold
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.polynomials import Stretch
-from casadi_skin.lattice import tail_series as tail_recursion
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
@@ -117,7 +116,7 @@ def test_an_endless_tail_has_no_power_series_across_the_edge_of_its_band() -> No
     assert math.isnan(parameter.series(edge - 1e-3, 24).end)
 
 
-@pytest.mark.parametrize("way", ["compiled", "numpy"])
+@pytest.mark.usefixtures("way")
 @pytest.mark.parametrize(
     ("sites", "mode"),
     [
@@ -125,12 +124,8 @@ def test_an_endless_tail_has_no_power_series_across_the_edge_of_its_band() -> No
         *(pytest.param(*more, marks=pytest.mark.slow) for more in ((math.inf, 1), (300, 300), (math.inf, "last"))),
     ],
 )
-def test_power_series_of_a_branch_solve_the_equations(
-    sites: float, mode: int | str, way: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_power_series_of_a_branch_solve_the_equations(sites: float, mode: int | str) -> None:
     """Residuals fall as the 25th power of the distance, from points in and beside the band."""
-    if way == "numpy":
-        monkeypatch.setattr(tail_recursion, "has_tail_kernel", lambda: False)
     chain = Chain(sites, 1.0, 0.4, -1.0 if mode == 1 else 1.0)  # type: ignore[arg-type]
     request = family_request(chain, mode, 2.0, tolerance=1e-10, corrector="newton", tail="eliminated")
     tools, form = Family(request), PolynomialForm.of(request.coordinates.scaled)

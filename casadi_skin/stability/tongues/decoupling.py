@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.native.decoupling import decoupling_kernel
+from casadi_skin import native
 from casadi_skin.stability.tongues import chebyshev
 from casadi_skin.zero.problem import Array
 
@@ -49,11 +49,10 @@ def contracts(K: Numbers, same: Booleans) -> Booleans:
 
     It is tested at five nodes, the middle among them; between these the squares of distances are polynomials.
     """
-    kernel = decoupling_kernel()
-    if kernel is None:
-        values, fine = _steps_from_identity(K[:, PROBES], same)
+    if native.kernels():
+        values, fine = native.contracts(K[:, PROBES], same, STEPS, SMALL, LARGEST)
     else:
-        values, fine = kernel.contracts(K[:, PROBES], same, STEPS, SMALL, LARGEST)
+        values, fine = _steps_from_identity(K[:, PROBES], same)
     fine[fine] = _stay_apart(values[fine], same[fine])
     return fine
 
@@ -203,9 +202,8 @@ def _invariant(K: Numbers, same: Booleans, columns: Indices) -> tuple[Numbers, B
     """
     intervals, count, size = K.shape[:3]
     degree = count - 1
-    kernel = decoupling_kernel()
-    if kernel is not None:
-        return kernel.invariant(K, same, columns, nested_nodes(degree), ITERATIONS, CONVERGED)
+    if native.kernels():
+        return native.invariant(K, same, columns, nested_nodes(degree), ITERATIONS, CONVERGED)
     valid = columns >= 0
     places = np.where(valid, columns, 0)
     each = np.arange(intervals)[:, None]

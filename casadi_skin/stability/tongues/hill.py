@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.native.elimination import eliminated
+from casadi_skin.native import eliminated, kernels
 from casadi_skin.zero.problem import Array
 
 # Waves of a linear medium of alike cells, as its end answers them: decay from cell to cell, and the response there ----
@@ -230,12 +230,8 @@ class Hill:
 
         They are eliminated from the edge on: what the medium answers, alone complex at real exponents, comes last.
         """
-        if len(cells) > 1 and self._springs is not None:
-            springs, ends = self._springs
-            found = eliminated(cells, springs, ends, self.medium.sites, squares)
-            if found is not None:
-                behind, log, phase = found
-                return log, phase, behind
+        if kernels() and len(cells) > 1 and self._springs is not None:
+            return eliminated(cells, *self._springs, self.medium.sites, squares)
         log, phase, behind = 0.0, 1.0, None
         for n in range(len(cells) - 1, 0, -1):
             A = np.asarray(cells[n] - (0.0 if behind is None else self._through(bonds, n, behind)), squares.dtype)

@@ -25,8 +25,6 @@ from one_program import PROGRAMS
 pytestmark = pytest.mark.benchmark
 
 HERE = Path(__file__).parent
-KERNELS = ("kernels from the cache", "empty cache", "no compiler")
-PORTABLE = '#!/bin/sh\nexec cc "$@" -march=x86-64-v3\n'  # the compiler of kernels that valgrind can run
 SOLVES = """import sys, numpy as np
 A = np.random.default_rng(0).normal(size=(193, 193))
 for _ in range(int(sys.argv[1])): np.linalg.solve(A, A[0])"""
@@ -39,20 +37,18 @@ def skip_without(name: str) -> None:
         pytest.skip(message)
 
 
-def stages(name: str, calls: int, folder: Path, **environment: str) -> list[float]:
+def stages(name: str, calls: int, folder: Path) -> list[float]:
     """Seconds of loading and building, and of each call."""
     command = [sys.executable, str(HERE / "one_program.py"), name, str(calls), str(folder)]
-    run = subprocess.run(command, capture_output=True, text=True, check=True, env={**os.environ, **environment})
+    run = subprocess.run(command, capture_output=True, text=True, check=True)
     return [float(value) for value in json.loads(run.stdout.splitlines()[-1])]
 
 
-def counted(command: list[str], folder: Path, **environment: str) -> int:
+def counted(command: list[str], folder: Path) -> int:
     """Instructions of one process."""
     valgrind = ["valgrind", "--tool=cachegrind", "--cache-sim=no", "--cachegrind-out-file=/dev/null"]
     fixed = {"PYTHONHASHSEED": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    run = subprocess.run(
-        [*valgrind, *command], cwd=folder, capture_output=True, text=True, env={**os.environ, **fixed, **environment}
-    )
+    run = subprocess.run([*valgrind, *command], cwd=folder, capture_output=True, text=True, env=os.environ | fixed)
     if "SIGILL" in run.stderr:
         pytest.skip("valgrind cannot run AVX-512: install bifpy as auto_family.py says")
     assert run.returncode == 0, run.stderr
@@ -71,27 +67,18 @@ def solve_instructions(tmp_path_factory: pytest.TempPathFactory) -> float:
     return (many - few) / 20
 
 
-@pytest.mark.parametrize("kernels", KERNELS)
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_first_call(name: str, kernels: str, tmp_path: Path) -> None:
+def test_first_call(name: str, tmp_path: Path) -> None:
     skip_without(name)
-    if kernels != KERNELS[0] and not name.startswith("this"):
-        pytest.skip("has no kernels of this package")
-    environment = {"XDG_CACHE_HOME": str(tmp_path)}
-    if kernels == KERNELS[2]:
-        environment["CASADI_SKIN_KERNELS"] = "0"
-    if kernels == KERNELS[0]:
-        stages(name, 1, tmp_path, **environment)
     rows = []
     for repeat in range(3):
         before = unit_seconds()
         folder = tmp_path / str(repeat)
-        folder.mkdir(mode=0o700)
-        cold = {"XDG_CACHE_HOME": str(folder)} if kernels == KERNELS[1] else {}
-        found = stages(name, 4, folder, **(environment | cold))
+        folder.mkdir()
+        found = stages(name, 4, folder)
         rows.append(np.array([found[0], found[1], min(found[2:])]) / (0.5 * (before + unit_seconds())))
     built, first, later = np.min(rows, axis=0)
-    print(f"\n{name:<46} {kernels:<24} {built:8.0f} {first:8.0f} {later:8.0f}")
+    print(f"\n{name:<46} {built:8.0f} {first:8.0f} {later:8.0f}")
     assert later < built + first
 
 
@@ -104,13 +91,8 @@ def test_instructions(name: str, solve_instructions: float, tmp_path: Path) -> N
         PROGRAMS[name](tmp_path)()  # compiled, and its file of constants written
         first = later = counted([str(tmp_path / "family")], tmp_path)
     else:
-        compiler = tmp_path / "compiler"
-        compiler.write_text(PORTABLE)
-        compiler.chmod(0o700)
-        environment = {"CC": str(compiler), "XDG_CACHE_HOME": str(tmp_path)}
         command = [sys.executable, str(HERE / "one_program.py"), name]
-        stages(name, 1, tmp_path, **environment)
-        counts = [counted([*command, str(calls), str(tmp_path)], tmp_path, **environment) for calls in range(3)]
+        counts = [counted([*command, str(calls), str(tmp_path)], tmp_path) for calls in range(3)]
         first, later = counts[1] - counts[0], counts[2] - counts[1]
     solves = f"{first / solve_instructions:8.0f} {later / solve_instructions:8.0f}"
     print(f"\n{name:<46} {solves}   {1e-6 * later:9.0f} million")

@@ -1,0 +1,25 @@
+/* What the kernels share: their names, and terms of polynomials.
+
+   Every source is compiled for any processor, and on x86-64 for AVX2 too, under names of its own. Fields of structures
+   have eight bytes each, as native/__init__.py writes them. */
+
+#include <stdint.h>
+
+_Static_assert(sizeof(void *) == 8 && sizeof(double) == 8, "fields of structures have eight bytes");
+
+#ifdef __AVX2__
+#define NAMED(name) name##_avx2
+#else
+#define NAMED(name) name
+#endif
+#define KERNEL(name) __attribute__((visibility("default"))) int NAMED(name) /* returns 0, or 1 where it fails */
+
+/* Terms coefficient * p^power * product of `degree` states, each added to a place of its own, a row or a non-zero. */
+typedef struct {
+    int64_t count;
+    const int64_t *powers, *degrees, *places, *first_factors, *factors;
+    const double *coefficients;
+} terms;
+
+/* Solutions of `count` systems in the place of their right-hand sides, (count, size), by factors in `memory`. */
+int NAMED(bordered_solve)(const void *layout, double *memory, int64_t count, double *x);

@@ -1,0 +1,14 @@
+/* Which of the compiled kernels the processor can run. */
+
+#include "kernel.h"
+
+#ifndef __AVX2__
+KERNEL(has_avx2)(void)
+{
+#ifdef __x86_64__
+    return __builtin_cpu_supports("avx2") != 0;
+#else
+    return 0;
+#endif
+}
+#endif
