@@ -13,6 +13,7 @@ from casadi_skin.model.conserved import pinned_components, symmetry_class
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.loading import ModelFileError, call, named, read_source, run_file
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.runs.output import InputError
 from casadi_skin.runs.request import Numbers, Request, chain_of, check_state, lattice_of, state_of, values_of
 from casadi_skin.runs.rules import SceneError, check_known, refusal, toml_repr
 from casadi_skin.runs.scene import (
@@ -349,3 +350,19 @@ def _check_continuation(request: Request) -> None:
     for item, value in enumerate(table.at, start=1):
         if not low <= value <= high:
             raise refusal("[continuation] at", f"{value!r} as item {item}", f"numbers from {low!r} to {high!r}")
+
+
+def bound(scene: Scene, path: Path) -> Request:
+    """The request of a scene; raises SceneError and InputError that begin with its file."""
+    try:
+        request = bind(scene, path)
+    except SceneError as error:
+        raise SceneError(f"{path}: {error}") from None
+    if scene.search is not None:
+        from casadi_skin.runs.tasks import check_search
+
+        try:
+            check_search(request)
+        except (ValueError, TypeError) as error:
+            raise InputError(f"{path}: [search] {error}") from error
+    return request

@@ -27,6 +27,7 @@ from casadi_skin.results.saving import read_result
 from casadi_skin.results.tables import EVENT_COLUMNS, event_rows
 from casadi_skin.runs.map_result import read_map, write_map
 
+PAGE = "explore.html"
 FILES = ("family.nc", "branch.nc", "cycles_*.nc", "other_*.nc", "curve_*.nc")
 POINTS = 3000  # of a curve
 NUMBERS = 400_000  # of wave forms, in all

@@ -1,4 +1,4 @@
-"""The command line: words -> a scene, a study."""
+"""The command line: its commands and their options as a table, and standard streams whose faults are known."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from importlib import import_module
 from pathlib import Path
 from types import FrameType
-from typing import Any, NoReturn, TextIO
+from typing import Any, NamedTuple, NoReturn, TextIO
 
 from casadi_skin._version import __version__
-from casadi_skin.runs import explore_command, map_command, start_commands
-from casadi_skin.runs.output import FAILED, WRONG_INPUT, add_output, add_study_options, exit_status
+from casadi_skin.runs.output import FAILED, WRONG_INPUT, add_study_options, exit_status
 
 # Standard output and error of a command: faults of the first end it in one line, those of the second are nothing ------
 
@@ -103,6 +101,116 @@ def _discard(stream: TextIO | None) -> None:
 
 RARELY = (200_000, 20, 50)  # thresholds of the collector: modules live to the end, and a picture is 20,000 objects
 
+# The commands: what each is for, an example, and its options; options of which one may be given stand in one list --
+
+
+Option = tuple[str, dict[str, Any]]  # a name, and what argparse takes with it
+
+
+def switch(name: str, words: str) -> Option:
+    """An option that is there or not."""
+    return name, {"action": "store_true", "help": words}
+
+
+def value(name: str, words: str | None, metavar: str | None, kind: Callable[[str], object], **more: object) -> Option:
+    """An option or an argument with a value."""
+    return name, {"type": kind, "help": words, **({} if metavar is None else {"metavar": metavar}), **more}
+
+
+class Command(NamedTuple):
+    """A command: what it is for, what it does, an example, and its options."""
+
+    purpose: str
+    words: str
+    example: str
+    options: Sequence[Sequence[Option]]
+
+
+SCENE = [value("scene", None, "SCENE.toml", Path)]
+OUT = [value("--out", "directory of the results (default: results/NAME-OF-THE-SCENE)", "DIR", Path)]
+OVERWRITE = switch("--overwrite", "replace the results that DIR holds")
+QUIET = switch("--quiet", "print nothing but errors")
+OUTPUT = [QUIET, switch("--json", "print the results as JSON, and nothing else")]
+MEASURED = (
+    "scene whose family is measured, the first of several; its accuracy and methods do not matter "
+    "(default: j = 1, g = -1, N = 24 to S = 1)"
+)
+PAGE = "the file (default: DIR/explore.html, beside a file its name with .html)"
+COMMANDS = {
+    "run": Command(
+        "compute what a scene asks for",
+        "Compute what a scene asks for.",
+        "casadi-skin run examples/softening_end_breather.toml --out results/breather",
+        [SCENE, OUT, [switch("--resume", "go on with a run that was killed, interrupted or ended early"), OVERWRITE],
+         OUTPUT],
+    ),
+    "check": Command(
+        "print the plan of a scene",
+        "Print what a run would do.",
+        "casadi-skin check examples/fput_modes.toml",
+        [SCENE, [switch("--measure", "build and solve at the start of families too: unknowns, expected cost")], OUTPUT],
+    ),
+    "spectrum": Command(
+        "linear frequencies of a scene's model",
+        "Print the linear frequencies omega_j.",
+        "casadi-skin spectrum examples/fput_modes.toml --out results/spectrum",
+        [SCENE, [value("--out", "also write spectrum.csv and its picture there", "DIR", Path)], [OVERWRITE], OUTPUT],
+    ),
+    "map": Command(
+        "a scene over one or two of its parameters, on one machine or many",
+        "Compute the map that a scene's table [map] asks for, cell by cell.",
+        "casadi-skin map examples/stability_chart.toml --workers 2",
+        [SCENE, OUT, [value("--workers", "processes on this machine (default: 1)", "N", int, default=1)],
+         [value("--scheduler", "a dask scheduler, whose workers compute the cells", "ADDRESS", str),
+          value("--part", "one share of a batch array; whoever comes last joins them", "K/N", str),
+          switch("--collect", "join what all shares have; compute nothing")],
+         [switch("--resume", "compute what is missing of a map that was begun"), OVERWRITE],
+         [switch("--no-pictures", "tables alone")], OUTPUT],
+    ),
+    "tradeoff": Command(
+        "what accuracy costs, method by method",
+        "Measure time, memory and true errors of every method and tolerance on one family.",
+        "casadi-skin tradeoff examples/softening_end_breather.toml --quick",
+        [[value("scene", MEASURED, "SCENE.toml", Path, nargs="?")],
+         [switch("--quick", "three tolerances, each timed once")],
+         [value("--repeats", "timed runs of each setting (default: 5; 1 if quick)", "K", int)]],
+    ),
+    "explore": Command(
+        "a page that shows a run or a map in a browser",
+        "Write one HTML file with linked pictures of the branches of a run, or of a map, without network. "
+        "A map, a branch or a diagram that was saved as one file is shown too.",
+        "casadi-skin explore results/chain",
+        [[value("directory", "the directory of a run or of a map, or a file of one", "DIR", Path)],
+         [value("--out", PAGE, "FILE.html", Path)], [QUIET]],
+    ),
+    "new": Command(
+        "write a commented scene to start from",
+        "Write a scene of a chain, a lattice or a model, with a comment on every line, that runs as it is.",
+        "casadi-skin new chain --out breather.toml",
+        [[value("kind", "what the scene is of; a model comes with its Python file", None, str,
+                choices=("chain", "lattice", "model"))],
+         [value("--out", "the file (default: KIND.toml)", "SCENE.toml", Path)], [QUIET]],
+    ),
+    "schema": Command(
+        "the JSON schema of scenes, for editors",
+        "Print the JSON schema of scenes; editors complete and check scenes with it.",
+        "casadi-skin schema --out scene.schema.json",
+        [[value("--out", "write it there in place of printing it", "FILE.json", Path)]],
+    ),
+    "completion": Command(
+        "completion of commands and options for a shell",
+        "Print what a shell needs to complete commands, options and files.",
+        'eval "$(casadi-skin completion bash)"',
+        [[value("shell", None, None, str, choices=("bash", "zsh", "tcsh"))]],
+    ),
+}  # fmt: skip
+COMMANDS["help"] = Command(
+    "what a command does",
+    "Print what a command does, with an example.",
+    "casadi-skin help run",
+    [[value("verb", "default: all of them", "COMMAND", str, nargs="?", choices=(*COMMANDS, "help"))]],
+)
+
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
@@ -132,73 +240,17 @@ def _parser() -> argparse.ArgumentParser:
         "early, 2 wrong input, 130 interrupted.",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version, and which kernels are in use")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-
-    run = commands.add_parser(
-        "run",
-        help="compute what a scene asks for",
-        description="Compute what a scene asks for.",
-        epilog="Example: casadi-skin run examples/softening_end_breather.toml --out results/breather",
-    )
-    run.add_argument("scene", type=Path, metavar="SCENE.toml")
-    run.add_argument(
-        "--out", type=Path, metavar="DIR", help="directory of the results (default: results/NAME-OF-THE-SCENE)"
-    )
-    held = run.add_mutually_exclusive_group()
-    held.add_argument(
-        "--resume", action="store_true", help="go on with a run that was killed, interrupted or ended early"
-    )
-    held.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
-    add_output(run)
-    run.set_defaults(act="scene_commands:run")
-
-    check = commands.add_parser(
-        "check",
-        help="print the plan of a scene",
-        description="Print what a run would do.",
-        epilog="Example: casadi-skin check examples/fput_modes.toml",
-    )
-    check.add_argument("scene", type=Path, metavar="SCENE.toml")
-    check.add_argument(
-        "--measure", action="store_true", help="build and solve at the start of families too: unknowns, expected cost"
-    )
-    add_output(check)
-    check.set_defaults(act="scene_commands:check")
-
-    spectrum = commands.add_parser(
-        "spectrum",
-        help="linear frequencies of a scene's model",
-        description="Print the linear frequencies omega_j.",
-        epilog="Example: casadi-skin spectrum examples/fput_modes.toml --out results/spectrum",
-    )
-    spectrum.add_argument("scene", type=Path, metavar="SCENE.toml")
-    spectrum.add_argument("--out", type=Path, metavar="DIR", help="also write spectrum.csv and its picture there")
-    spectrum.add_argument("--overwrite", action="store_true", help="replace the results that DIR holds")
-    add_output(spectrum)
-    spectrum.set_defaults(act="scene_commands:spectrum")
-
-    map_command.add_map(commands)
-    work = commands.add_parser(
-        "tradeoff",
-        help="what accuracy costs, method by method",
-        description="Measure time, memory and true errors of every method and tolerance on one family.",
-        epilog="Example: casadi-skin tradeoff examples/softening_end_breather.toml --quick",
-    )
-    work.add_argument(
-        "scene",
-        type=Path,
-        nargs="?",
-        metavar="SCENE.toml",
-        help="scene whose family is measured, the first of several; its accuracy and methods do not matter "
-        "(default: j = 1, g = -1, N = 24 to S = 1)",
-    )
-    work.add_argument("--quick", action="store_true", help="three tolerances, each timed once")
-    work.add_argument("--repeats", type=int, metavar="K", help="timed runs of each setting (default: 5; 1 if quick)")
-    add_study_options(work, Path("results/tradeoff"))
-    work.set_defaults(act="tradeoff:run")
-
-    explore_command.add_explore(commands)
-    start_commands.add_first_steps(commands, parser)
+    added = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, command in COMMANDS.items():
+        one = added.add_parser(
+            name, help=command.purpose, description=command.words, epilog=f"Example: {command.example}"
+        )
+        for options in command.options:
+            group = one if len(options) == 1 else one.add_mutually_exclusive_group()
+            for option, given in options:
+                group.add_argument(option, **given)
+    add_study_options(added.choices["tradeoff"], Path("results/tradeoff"))
+    parser.set_defaults(parser=parser, parsers=added.choices)
     return parser
 
 
@@ -215,7 +267,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with guarded_streams():
             return _status(arguments)
     except OutputError as error:
-        _complain(f"standard output: {error}")
+        with suppress(OSError, ValueError, AttributeError):  # standard error may be closed, too
+            sys.stderr.write(f"casadi-skin: standard output: {error}\n")
         return FAILED
     finally:
         gc.set_threshold(*before)
@@ -227,21 +280,9 @@ def _status(arguments: Sequence[str] | None) -> int:
     if unknown:
         _Parser(prog=f"casadi-skin {parsed.command}").error(f"unrecognized arguments: {' '.join(unknown)}")
     signal.signal(signal.SIGTERM, _interrupt)
-    return exit_status(lambda: _act_of(parsed)(parsed))
+    from casadi_skin.runs.commands import ACTS  # here: --help needs none of it
 
-
-def _act_of(parsed: argparse.Namespace) -> Callable[[argparse.Namespace], int]:
-    """What a command does; its module is loaded when it is wanted."""
-    if callable(parsed.act):
-        return parsed.act  # type: ignore[no-any-return]
-    module, name = parsed.act.split(":")
-    return getattr(import_module(f"casadi_skin.runs.{module}"), name)  # type: ignore[no-any-return]
-
-
-def _complain(words: str) -> None:
-    """A line on standard error, if it can be written."""
-    with suppress(OSError, ValueError, AttributeError):
-        sys.stderr.write(f"casadi-skin: {words}\n")
+    return exit_status(lambda: ACTS[parsed.command](parsed))
 
 
 if __name__ == "__main__":

@@ -19,7 +19,9 @@ from matplotlib.ticker import LogLocator
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.methods import FLOWS, TRANSCRIPTIONS
 from casadi_skin.results.figures.style import blank, colours, finished, style, title
+from casadi_skin.runs.binding import bound
 from casadi_skin.runs.output import InputError
+from casadi_skin.runs.reading import read_scene
 from casadi_skin.runs.study import Study, letter, run_study
 from casadi_skin.runs.tradeoff_settings import (
     COLUMNS,
@@ -114,9 +116,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _family_of(path: Path) -> FamilyRequest:
     """The first family of a scene, with every position an unknown and by default methods."""
-    from casadi_skin.runs.scene_commands import bound, read_scene
-
-    scene = read_scene(path)[0]
+    scene = read_scene(path)
     accepted = "a scene with a table [family], and a model of finite length"
     families = [] if scene.family is None else bound(scene, path).families
     if not families or families[0].coordinates.localised is not None:
