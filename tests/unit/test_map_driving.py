@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from maps import TINY, of_models
 
-from casadi_skin.runs import map_drive as driving
+from casadi_skin.runs import map as driving
 from casadi_skin.runs.map import Drive, Engine, Mapped
 from casadi_skin.runs.map_cell import Job
 from casadi_skin.runs.map_grid import FAILED, LATE, Grid, Result, Row, Task, plain
