@@ -83,8 +83,8 @@ class Result(WithVerbs):
     plot: ClassVar[Callable[..., Any]]
     """Draw the result into matplotlib axes: `casadi_skin.results.figures.drawing.plot`."""
     to_dataframe: ClassVar[Callable[..., Any]]
-    """A pandas DataFrame: `casadi_skin.results.frames.result_to_dataframe`; needs the extra `pandas`."""
+    """A pandas DataFrame: `casadi_skin.results.words.to_dataframe`; needs the extra `pandas`."""
     to_xarray: ClassVar[Callable[..., Any]]
-    """An xarray Dataset: `casadi_skin.results.frames.result_to_xarray`; needs the extra `xarray`."""
+    """An xarray Dataset: `casadi_skin.results.words.to_dataset`; needs the extra `xarray`."""
     save: ClassVar[Callable[..., Any]]
     """Write the result to a file of data: `casadi_skin.results.saving.save_result`."""

@@ -13,6 +13,7 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.optimise.optimum import CosineOrbit, Optimum
 from casadi_skin.optimise.search import SearchResult
 from casadi_skin.optimise.search_problem import Outcome, SearchProblem
+from casadi_skin.points.edge_curve import EdgeCurve
 from casadi_skin.results.dataset import Dataset, Variable, versions, write_csv, write_netcdf
 from casadi_skin.results.quantities import PHASES, Cell, unique_names
 from casadi_skin.stability.tongues.diagram import (
@@ -151,6 +152,14 @@ def _tongue(mode: int, number: Cell, t: Tongue) -> dict[str, Cell]:
         "" if t.modes is None else f"{t.modes[0]} {t.modes[1]}", "" if t.order is None else t.order, int(t.decided),
     )  # fmt: skip
     return dict(zip(TONGUE_COLUMNS, values, strict=True))
+
+
+def edge_columns(curve: EdgeCurve) -> dict[str, Any]:
+    """dict[str, Any] of a curve of edges: parameters, S with its error, Omega, mu and the kind."""
+    columns: dict[str, Any] = {"point": np.arange(len(curve))}
+    columns |= {name: curve[name] for name in curve.points[0].parameters}
+    columns |= {"S_error": curve.errors, "Omega": np.array([point.edge.Omega for point in curve])}
+    return columns | {"mu": np.array([point.edge.mu for point in curve])}
 
 
 # Files of a search: search.csv (optima), starts.csv (where each start led), search.nc, and the journal's records ------

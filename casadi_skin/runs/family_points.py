@@ -23,9 +23,9 @@ from casadi_skin.results import figures
 from casadi_skin.results.branch_records import EdgeRecord, Records
 from casadi_skin.results.dataset import dataset_of, write_csv, write_netcdf
 from casadi_skin.results.figures.bands import band_figure, skin_figure
-from casadi_skin.results.frames import edge_columns
 from casadi_skin.results.quantities import Cell
 from casadi_skin.results.saving import restored, saved
+from casadi_skin.results.tables import edge_columns
 from casadi_skin.runs.output import Lines, named
 from casadi_skin.runs.parts import Offshoots, ended_well, mode_of, picture
 from casadi_skin.runs.progress import Progress
