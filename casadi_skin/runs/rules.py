@@ -1,30 +1,23 @@
-"""Reports of faults of a scene: one line with the place, the value and the accepted values."""
+"""Faults of a scene, each one line with the place, the given and the accepted; and the rules that tie its keys.
+
+Bounds of single keys are in the tables (see scene.py). A rule is a condition, and the message where it holds; the first
+one that holds is reported.
+"""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from string import Formatter
+from typing import Any, NamedTuple
 
 from casadi_skin.lattice.stiffness import stiffness
 from casadi_skin.model.arguments import LONGEST, cut, nearest
 from casadi_skin.model.methods import COLLOCATION_TABLES, FLOWS, FULL_PERIOD_FLOWS, SHOOTING, TRIGONOMETRIC
 from casadi_skin.optimise.names import FREE, NAMED
 from casadi_skin.runs.output import InputError
-from casadi_skin.runs.scene import (
-    AMPLITUDE,
-    SELECTED,
-    AccuracyTable,
-    ChainTable,
-    ContinuationTable,
-    DynamicsTable,
-    FamilyTable,
-    MethodTable,
-    ModelTable,
-    Scene,
-    one_of,
-)
+from casadi_skin.runs.scene import AMPLITUDE, SELECTED, MethodTable, Scene, one_of
 
 LONGEST_LIST = 400  # characters of a message on several names
 
@@ -68,12 +61,19 @@ def check_unknown(found: Iterable[Unknown]) -> None:
         raise SceneError(words + (f"; and {len(names) - shown} more" if shown < len(names) else ""))
 
 
-def check_known(place: str, name: str, known: Sequence[str]) -> None:
+def unknown(place: str, name: str, known: Iterable[str]) -> str:
+    """The message on a name that is not known, with the nearest one that is; empty for one that is."""
+    names = tuple(known)
+    if name in names:
+        return ""
+    near = nearest(name, names)
+    return f"{place}: given {toml_repr(name)}{did_you_mean(near and toml_repr(near), ', '.join(names) or 'none')}"
+
+
+def check_known(place: str, name: str, known: Iterable[str]) -> None:
     """Raises SceneError, with the nearest known name, for an unknown one."""
-    if name not in known:
-        near = nearest(name, known)
-        hint = did_you_mean(near and toml_repr(near), ", ".join(known) or "none")
-        raise SceneError(f"{place}: given {toml_repr(name)}{hint}")
+    if words := unknown(place, name, known):
+        raise SceneError(words)
 
 
 def is_table(value: object) -> bool:
@@ -107,488 +107,437 @@ def with_kind(value: object) -> str:
     return f"{toml_repr(value)} ({kinds.get(type(value), 'a date or time')})"
 
 
-# Checks that tie the keys of [dynamics], [export], [figures] and [search] to other tables -----------------------------
-
-LONGEST_ENVELOPE = 700.0  # the same as in dynamics, which loads numerics
-
-
-def check_dynamics(scene: Scene) -> None:
-    dynamics = scene.dynamics
-    if dynamics is None:
-        return
-    alone = scene.family is None and scene.orbit is None
-    if alone:
-        _check_start(scene, dynamics)
-    elif dynamics.moving:
-        raise refusal("[dynamics] moving", "true", "without [family] and [orbit], which start at phase zero")
-    elif scene.family is None:
-        for name in ("S", "mode"):
-            if getattr(dynamics, name) is not None:
-                raise refusal(f"[dynamics] {name}", repr(getattr(dynamics, name)), "beside a [family]")
-    elif dynamics.S is None:
-        raise SceneError("[dynamics] S: missing; accepted: a finite number > 0, up to amplitude_max")
-    else:
-        _check_orbit_of_family("dynamics", scene, scene.family, dynamics.S, dynamics.mode)
-    if (dynamics.duration is None) == (dynamics.periods is None):
-        given = "neither duration nor periods" if dynamics.duration is None else "duration and periods"
-        raise refusal("[dynamics]", given, "duration or periods, one of them")
-    _check_kinds(dynamics, alone)
-    if scene.chain is not None:
-        _check_envelope(scene.chain)
-        _check_perturbation(scene.chain, dynamics)
-
-
-def check_figures(scene: Scene) -> None:
-    formats = scene.figures.formats
-    for item, name in enumerate(formats, start=1):
-        if name in formats[: item - 1]:
-            raise refusal("[figures] formats", f"{toml_repr(name)} as item {item} again", "each format once")
-
-
-def _check_orbit_of_family(table: str, scene: Scene, family: FamilyTable, S: float, mode: int | None) -> None:
-    """An orbit at S of the family of a mode, which has to be named where there are several.
-
-    Whether a model has a mode by the number of one that is named, as "last", shows with the model alone.
-    """
-    followed = scene.modes()
-    modes = f"one of the modes of [family], {toml_repr(list(followed))}"
-    if mode is None and len(followed) > 1:
-        raise SceneError(f"[{table}] mode: missing; accepted: {modes}")
-    named = any(isinstance(known, str) for known in followed)
-    if mode is not None and mode not in followed and not named:
-        raise refusal(f"[{table}] mode", toml_repr(mode), modes)
-    if family.amplitude_max < S:
-        raise refusal(f"[{table}] S", repr(S), f"a number <= amplitude_max = {family.amplitude_max!r}")
-
-
-def _check_envelope(chain: ChainTable) -> None:
-    """Refuse chains whose displacements at the far end are below the smallest double."""
-    if abs(chain.gamma) < 1 and (chain.sites - 1) * math.atanh(abs(chain.gamma)) > LONGEST_ENVELOPE:
-        given = f"with sites = {chain.sites} and gamma = {chain.gamma!r}, whose far end is below the smallest double"
-        raise refusal("[dynamics]", given, f"(sites - 1) artanh|gamma| <= {LONGEST_ENVELOPE:g}")
-
-
-def _check_start(scene: Scene, dynamics: DynamicsTable) -> None:
-    """Requirements of a motion from near rest."""
-    for name in ("equilibrium", "solution", "search"):
-        if getattr(scene, name) is not None:
-            raise refusal("[dynamics]", f"beside [{name}]", "beside [family] or [orbit], or with a start of its own")
-    kinds = ("mode", "site", "vector", "seed")
-    given = [name for name in kinds if getattr(dynamics, name) is not None]
-    if len(given) != 1:
-        words = f"without [family] and [orbit], with {' and '.join(given) or 'none of ' + ', '.join(kinds)}"
-        raise refusal(
-            "[dynamics]", words, f"one of {', '.join(kinds)}, with size and duration, from which motion starts"
-        )
-    for name in ("S", "periods"):
-        if getattr(dynamics, name) is not None:
-            raise refusal(f"[dynamics] {name}", repr(getattr(dynamics, name)), "beside a [family] or an [orbit]")
-    for name in ("size", "duration"):
-        if getattr(dynamics, name) is None:
-            raise SceneError(f"[dynamics] {name}: missing; accepted: beside {given[0]} a finite number > 0")
-    if scene.chain is not None and abs(scene.chain.gamma) == 1:
-        given_gamma = f"with gamma = {scene.chain.gamma!r} and without [family]"
-        raise refusal("[dynamics]", given_gamma, "|gamma| < 1: sites off the edge have no image in the gauge")
-
-
-def _check_kinds(dynamics: DynamicsTable, alone: bool) -> None:
-    """One kind of perturbation, and its size."""
-    kinds = [name for name in ("site", "vector", "seed") if getattr(dynamics, name) is not None]
-    if len(kinds) > 1:
-        raise refusal("[dynamics]", " and ".join(kinds), "site, vector or seed, one of them or none")
-    if kinds and dynamics.size is None:
-        raise SceneError(f"[dynamics] size: missing; accepted: beside {kinds[0]} a finite number > 0")
-    if dynamics.size is not None and not kinds and not alone:
-        raise refusal("[dynamics] size", repr(dynamics.size), "beside one of site, vector, seed")
-    if dynamics.vector is not None and not any(dynamics.vector):
-        raise refusal("[dynamics] vector", "zeros", "a vector with a direction")
-
-
-def _check_perturbation(chain: ChainTable, dynamics: DynamicsTable) -> None:
-    kinds = [name for name in ("site", "vector", "seed") if getattr(dynamics, name) is not None]
-    if dynamics.site is not None and not 1 <= dynamics.site <= chain.sites:
-        raise refusal("[dynamics] site", toml_repr(dynamics.site), f"whole numbers from 1 to {chain.sites} (sites)")
-    if dynamics.vector is not None and len(dynamics.vector) not in (chain.sites, 2 * chain.sites):
-        accepted = f"{chain.sites} displacements, or these and {chain.sites} velocities"
-        raise refusal("[dynamics] vector", f"a list of {len(dynamics.vector)}", accepted)
-    edge = chain.sites if chain.gamma > 0 else 1
-    if abs(chain.gamma) == 1 and kinds and not _moves_alone(dynamics, int(edge), int(chain.sites)):
-        reason = "at |gamma| = 1 displacements off the edge have no image in the gauge"
-        raise refusal(f"[dynamics] {kinds[0]}", f"with gamma = {chain.gamma!r}", f"site {edge} alone ({reason})")
-
-
-def _moves_alone(dynamics: DynamicsTable, edge: int, sites: int) -> bool:
-    """Whether the perturbation moves the edge site alone; random displacements of several sites do not."""
-    if dynamics.vector is not None:
-        return not any(value for i, value in enumerate(dynamics.vector) if i % sites != edge - 1)
-    return dynamics.site == edge or sites == 1
-
-
-def check_export(scene: Scene) -> None:
-    export = scene.export
-    if export is None:
-        return
-    if scene.sites == math.inf:
-        raise refusal("[export]", "with sites = inf", "with a whole number of sites")
-    if export.c is None and export.fmu is None:
-        raise refusal("[export]", "neither c nor fmu", "one of them, or both")
-    if export.inputs and export.fmu is None:
-        raise refusal("[export] inputs", toml_repr(list(export.inputs)), "beside fmu")
-    if scene.chain is not None and export.c not in (None, "all") and abs(scene.chain.gamma) == 1:
-        for part in export.c:
-            if part in ("flow", "residual", "newton", "ipopt"):
-                given = f"{toml_repr(part)} with gamma = {scene.chain.gamma!r}"
-                accepted = "rhs, jacobian, variational, orbit (the gauge holds the edge site alone)"
-                raise refusal("[export] c", given, accepted)
-    if export.S is None:
-        if export.mode is not None:
-            raise refusal("[export] mode", toml_repr(export.mode), "beside S, the orbit of that mode's family")
-        if scene.orbit is None and export.c is not None and "orbit" in export.c:
-            raise refusal("[export] c", '"orbit" without S', "with S, that of the orbit")
-        return
-    if scene.family is None:
-        raise refusal("[export] S", repr(export.S), "beside a [family], one of whose orbits it names")
-    _check_orbit_of_family("export", scene, scene.family, export.S, export.mode)
-
-
-def check_search(scene: Scene) -> None:
-    search, chain = scene.search, scene.chain
-    if search is None:
-        return
-    if scene.family is not None:
-        raise refusal("[search]", "beside [family]", "[search] or [family] in one scene")
-    if chain is None:
-        return
-    if chain.sites == math.inf:
-        raise refusal("[search]", "with sites = inf", "with a whole number of sites")
-    if chain.g == 0:
-        raise refusal("[chain] g", repr(chain.g), "with a [search] a finite number other than 0")
-    if isinstance(search.mode, int) and search.mode > chain.sites:
-        raise refusal(
-            "[search] mode", toml_repr(search.mode), f"whole numbers from 1 to {chain.sites} (sites), first, last"
-        )
-    check_known("[search] objective", search.objective, tuple(NAMED))
-    for name in search.free:
-        check_known("[search] free", name, tuple(FREE))
-    for name, (lower, upper) in search.bounds.items():
-        check_known("[search] bounds", name, tuple({**FREE, **NAMED}))
-        if not lower <= upper:
-            raise refusal(
-                f"[search] bounds {name}", toml_repr([lower, upper]), "a list [lower, upper] with lower <= upper"
-            )
-    for item, held in enumerate(search.constraints, start=1):
-        place = f"[search] constraints, item {item}"
-        check_known(place, held.quantity, tuple(NAMED))
-        if (held.equal is None) == (held.lower is None and held.upper is None):
-            given = "equal beside a bound" if held.equal is not None else "neither equal nor a bound"
-            raise refusal(place, given, "equal, or lower and upper or one of these")
-
-
-# Checks that tie one key of a scene to another, of any scene; bounds of single keys are in the tables -----------------
+# The rules: a condition on a scene, and the message where it holds ----------------------------------------------------
 
 NEAREST = 1e-12  # relative, of the end of a family to its start
-NARROWEST_BAND = 1e-10  # the same as in lattice.chain_coordinates, which loads numerics
+NARROWEST_BAND = 1e-10  # the same as in lattice.full_chain, which loads numerics
+LONGEST_ENVELOPE = 700.0  # the same as in dynamics, which loads numerics
+LOWEST_DEGREE = 2  # of families; the same as in zero.request, which loads numerics
+KICKS = ("site", "vector", "seed")  # keys of [dynamics], one of which a perturbation has
+STARTS = ("mode", *KICKS)  # of which a motion from rest has one
 
 
-def check_chain_family(scene: Scene, chain: ChainTable, family: FamilyTable) -> None:
-    """Raises SceneError for families that the chain does not have."""
-    if chain.g == 0:
-        reason = "the family would be the linear mode at every amplitude"
-        raise refusal("[chain] g", repr(chain.g), f"with a [family] a finite number other than 0 ({reason})")
-    if abs(chain.gamma) == 1 and scene.stability is not None and scene.stability.vectors:
-        reason = "the vectors form Jordan chains that the gauge does not have"
-        raise refusal("[stability] vectors", f"true with gamma = {chain.gamma!r}", f"false ({reason})")
-    for mode in family.modes(chain.sites):
-        _check_gauge(chain, mode)
-        _check_frequency(chain, mode)
-        _check_period(chain, family, mode)
+class Words(Formatter):
+    """Messages with values of the scene: {continuation.to!r}, and as TOML has it {model.name!t}."""
+
+    def convert_field(self, value: Any, conversion: Any) -> Any:
+        """A value in a message."""
+        if conversion != "t":
+            return super().convert_field(value, conversion)
+        return toml_repr(list(value) if isinstance(value, tuple) else value)
 
 
-def check_infinite(scene: Scene) -> None:
-    """Refuse requests that need every site of an infinite chain."""
-    for name in ("spectrum", "dynamics", "orbit"):
-        if getattr(scene, name) is not None:
-            raise refusal(f"[{name}]", "with sites = inf", "with a whole number of sites: all of them take part in it")
-    if scene.stability is not None and scene.stability.vectors:
-        raise refusal("[stability] vectors", "true with sites = inf", "false: all sites take part in them")
+class Absent:
+    """A table that a scene does not have: false, and none of its keys is given."""
+
+    def __bool__(self) -> bool:
+        return False
+
+    def __getattr__(self, name: str) -> None:
+        return None
 
 
-def check_long_lattice(scene: Scene) -> None:
-    """Refuse requests that need every site of a lattice with a linear tail."""
-    names = ("spectrum", "dynamics", "orbit", "equilibrium", "continuation", "search", "export")
-    for name in names:
-        if getattr(scene, name) is not None:
-            raise refusal(f"[{name}]", "with a linear tail (edge, or more than 100000 cells)", "with all sites unknown")
-    if scene.stability is not None and scene.stability.vectors:
-        raise refusal("[stability] vectors", "true with a linear tail", "false: all sites take part in them")
+class Seen:
+    """A scene as rules see it: its tables by name, those that it lacks as `Absent`."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene, self.sites, self.modes = scene, scene.sites, scene.modes()
+        self.transcription, self.lacking = scene.methods.transcription, MethodTable()
+        self.sought = scene.given("family", "equilibrium", "orbit", "solution")
+        self.at_rest = scene.family is None and scene.orbit is None  # where [dynamics] starts
+        self.tables: dict[str, Any] = {name: getattr(scene, name) or Absent() for name in Scene.__struct_fields__}
+        self.tables["curve"] = self.tables["continuation"].curve or Absent()
+
+    def __getattr__(self, name: str) -> Any:
+        return self.tables[name]
+
+    def given(self, table: str, *keys: str) -> list[str]:
+        """Which of these keys a table has."""
+        return [key for key in keys if getattr(self.tables[table], key) is not None]
+
+    def asks_of_family(self, table: str) -> bool:
+        """Whether a table asks for an orbit of a family."""
+        return bool(self.family) and self.tables[table].S is not None
 
 
-def _check_gauge(chain: ChainTable, mode: int) -> None:
-    """Refuse the modes that have no family at |gamma| = 1, where every coupling acts one way only."""
-    only = chain.sites if chain.g > 0 else 1
-    if abs(chain.gamma) == 1 and mode != only:
-        reason = (
-            "at |gamma| = 1 all frequencies meet and only mode N (g > 0) or mode 1 (g < 0), "
-            "in which the edge site alone moves, can be followed"
-        )
-        raise refusal("[family] mode", f"mode {mode} with gamma = {chain.gamma!r}", f"mode {only} ({reason})")
-
-
-def _check_frequency(chain: ChainTable, mode: int) -> None:
-    """Refuse a mode that does not oscillate: omega_j^2 = 2 + alpha - 2 s cos(j pi/(N+1)) <= 0."""
-    own = stiffness(chain.sites, chain.gamma, mode)
-    if chain.alpha + own <= 0:
-        given = f"mode {mode}, which has omega^2 = {chain.alpha + own:.6g} at alpha = {chain.alpha!r}"
-        accepted = f"modes with omega^2 > 0; for mode {mode}: alpha > {-own:.12g}"
-        raise refusal("[family] mode", given, accepted)
-    s = math.sqrt((1 - chain.gamma) * (1 + chain.gamma))
-    if chain.sites > 1 and 0 < 4 * s < NARROWEST_BAND * (chain.alpha + own):
-        reason = "beside a larger one the modes of the band are the same in doubles"
-        accepted = f"with a [family] up to {4 * s / NARROWEST_BAND:.3g} ({reason})"
-        raise refusal("[chain] alpha", repr(chain.alpha), accepted)
-
-
-def _check_period(chain: ChainTable, family: FamilyTable, mode: int) -> None:
-    """Refuse an end at a period that the linear mode, where the family starts, has or exceeds."""
-    if family.period_max is None:
-        return
-    linear = 2 * math.pi / math.sqrt(chain.alpha + stiffness(chain.sites, chain.gamma, mode))
-    if family.period_max <= linear * (1 + NEAREST):
-        accepted = f"a finite number > {linear:.12g} (the period of linear mode {mode})"
-        raise refusal("[family] period_max", repr(family.period_max), accepted)
-
-
-LOWEST_DEGREE = 2  # of families; the same as in orbits.request, which loads numerics
+Rule = tuple[Callable[[Any], object], str]  # the condition: true, or values for the message by name, or all of it
 
 
 def check_scene(scene: Scene) -> None:
     """Raises SceneError for the first key that does not go with another one."""
-    _check_accuracy(scene.accuracy)
-    if scene.accuracy.certify and scene.family is None:
-        raise refusal("[accuracy] certify", toml_repr(scene.accuracy.certify), "with a [family], else false")
-    if scene.model is not None:
-        _check_file(scene.model)
-    _check_method(scene)
-    _check_sought(scene)
-    _check_orbit(scene)
-    _check_continuation(scene)
-    if scene.family is not None:
-        _check_modes(scene)
-        if scene.chain is not None:
-            check_chain_family(scene, scene.chain, scene.family)
-        _check_at(scene.family)
-        _check_at_periods(scene.family)
-    if scene.sites == math.inf:
-        check_infinite(scene)
-    if scene.lattice is not None and scene.lattice.long:
-        check_long_lattice(scene)
-    check_dynamics(scene)
-    check_search(scene)
-    check_export(scene)
-    check_figures(scene)
+    seen = Seen(scene)
+    known = {**seen.tables, "sites": seen.sites, "modes": seen.modes}
+    for table, rules in RULES:
+        for condition, message in rules if seen.tables[table] else ():
+            found = condition(seen)
+            if found:
+                more = found if isinstance(found, dict) else {}
+                raise SceneError(Words().vformat(message, (found,), {**known, **more}))
 
 
-def _check_accuracy(accuracy: AccuracyTable) -> None:
-    if accuracy.preset is not None and accuracy.tolerance is not None:
-        given = f'preset = "{accuracy.preset}" and tolerance = {accuracy.tolerance!r}'
-        raise refusal("[accuracy]", given, "preset or tolerance, one of them or neither")
+def again(values: Sequence[object]) -> dict[str, Any] | None:
+    """The first item of a list that was there before; None where each is there once."""
+    return first(values, lambda item, value: value in values[: item - 1])
 
 
-def _check_file(model: ModelTable) -> None:
-    """Refuse names that the file of a model does not have, or lacks."""
-    file, name = model.file, model.name
-    if "\0" in file:
-        raise refusal("[model] file", toml_repr(file), "the name of a file")
-    if file.endswith(".json"):
-        if name is not None:
-            raise refusal("[model] name", f'{toml_repr(name)} with file = "{file}"', "none: the file holds one model")
-    elif not file.endswith(".py"):
-        raise refusal("[model] file", toml_repr(file), "a name that ends in .py or .json")
-    elif name is None:
-        raise SceneError("[model] name: missing; accepted: with a Python file the name of the model in it")
+def first(values: Sequence[Any], wrong: Callable[[int, Any], bool]) -> dict[str, Any] | None:
+    """The first item, its number from 1 and its value, that is wrong; None where there is none."""
+    found = ((item, value) for item, value in enumerate(values, start=1) if wrong(item, value))
+    return next(({"item": item, "value": value} for item, value in found), None)
 
 
-def _check_method(scene: Scene) -> None:
-    method, transcription = scene.method, scene.methods.transcription
-    if scene.family is not None:
-        _check_family_method(method)
-    if scene.orbit is not None or scene.solution is not None:
-        _check_boundary_method(method)
-    if method.degree is not None and transcription in (TRIGONOMETRIC, SHOOTING):
-        given = f'{method.degree} with transcription = "{transcription}"'
-        accepted = " or ".join(f'"{name}"' for name in COLLOCATION_TABLES)
-        raise refusal("[method] degree", given, f"with transcription = {accepted} only")
-    if method.walker == "series" and transcription not in (None, TRIGONOMETRIC):
-        given = f'"series" with transcription = "{transcription}"'
-        raise refusal("[method] walker", given, '"arclength", or transcription = "trigonometric"')
+def _oscillates(s: Seen) -> Iterator[str]:
+    """Faults of the modes of a chain: those that do not move, and the period where they start.
+
+    A mode has omega_j^2 = 2 + alpha - 2 s cos(j pi/(N+1)), where s^2 = 1 - gamma^2.
+    """
+    chain, family = s.chain, s.family
+    for mode in family.modes(chain.sites) if chain else ():
+        only = chain.sites if chain.g > 0 else 1
+        if abs(chain.gamma) == 1 and mode != only:
+            reason = "at |gamma| = 1 all frequencies meet and only mode N (g > 0) or mode 1 (g < 0), in which the edge"
+            given = f"mode {mode} with gamma = {chain.gamma!r}"
+            yield f"[family] mode: given {given}; accepted: mode {only} ({reason} site alone moves, can be followed)"
+        own = stiffness(chain.sites, chain.gamma, mode)
+        square = chain.alpha + own
+        if square <= 0:
+            given = f"mode {mode}, which has omega^2 = {square:.6g} at alpha = {chain.alpha!r}"
+            accepted = f"modes with omega^2 > 0; for mode {mode}: alpha > {-own:.12g}"
+            yield f"[family] mode: given {given}; accepted: {accepted}"
+            continue
+        coupling = math.sqrt((1 - chain.gamma) * (1 + chain.gamma))
+        if chain.sites > 1 and 0 < 4 * coupling < NARROWEST_BAND * square:
+            largest = f"with a [family] up to {4 * coupling / NARROWEST_BAND:.3g}"
+            reason = "beside a larger one the modes of the band are the same in doubles"
+            yield f"[chain] alpha: given {chain.alpha!r}; accepted: {largest} ({reason})"
+        linear = 2 * math.pi / math.sqrt(square)
+        if family.period_max is not None and family.period_max <= linear * (1 + NEAREST):
+            accepted = f"a finite number > {linear:.12g} (the period of linear mode {mode})"
+            yield f"[family] period_max: given {family.period_max!r}; accepted: {accepted}"
 
 
-def _check_family_method(method: MethodTable) -> None:
-    """Refuse methods that families do not have."""
-    if method.degree is not None and method.degree < LOWEST_DEGREE:
-        accepted = f"with a [family] a whole number >= {LOWEST_DEGREE} and <= 12"
-        raise refusal("[method] degree", toml_repr(method.degree), accepted)
-    if method.intervals is not None:
-        raise refusal("[method] intervals", toml_repr(method.intervals), "beside [orbit] or [solution]")
-    if method.flow not in (None, *FLOWS):
-        raise refusal("[method] flow", f"{toml_repr(method.flow)} with [family]", one_of(FLOWS))
+def _modes(s: Seen) -> Iterator[str]:
+    """Faults of the modes of [family]: each once; those of a chain are known to be there."""
+    there = "whole numbers from 1" if s.sites is None else f"whole numbers from 1 to {s.sites} (sites)"
+    for place, mode in enumerate(s.modes):
+        if s.sites == math.inf and mode != (-1 if s.chain.g > 0 else 1):
+            named = '"last"' if mode == -1 else '"first"' if mode == 1 else toml_repr(mode)
+            only = f'"{"last" if s.chain.g > 0 else "first"}" (of an infinite chain, with g = {s.chain.g:g})'
+            yield f"[family] mode: given {named}; accepted: {only}"
+        outside = isinstance(mode, int) and (mode < 1 or (s.sites is not None and mode > s.sites))
+        if outside and s.sites != math.inf:
+            yield f"[family] mode: given {toml_repr(mode)}; accepted: {there}, first, last"
+        if mode in s.modes[:place]:
+            yield f"[family] mode: given {mode} more than once; accepted: each mode once"
 
 
-def _check_boundary_method(method: MethodTable) -> None:
-    """Refuse methods that orbits and solutions of boundary-value problems do not have."""
-    for name in ("tail", "walker"):
-        if getattr(method, name) is not None:
-            raise refusal(f"[method] {name}", toml_repr(getattr(method, name)), "beside [family]")
-    for name, known in (("transcription", COLLOCATION_TABLES), ("flow", FULL_PERIOD_FLOWS)):
-        if getattr(method, name) not in (None, *known):
-            raise refusal(f"[method] {name}", f"{toml_repr(getattr(method, name))} without [family]", one_of(known))
+def _search(s: Seen) -> Iterator[str]:
+    """Faults of the names and bounds of a [search]."""
+    search = s.search
+    yield unknown("[search] objective", search.objective, NAMED)
+    for name in search.free:
+        yield unknown("[search] free", name, FREE)
+    for name, (lower, upper) in search.bounds.items():
+        yield unknown("[search] bounds", name, {**FREE, **NAMED})
+        if not lower <= upper:
+            given = toml_repr([lower, upper])
+            yield f"[search] bounds {name}: given {given}; accepted: a list [lower, upper] with lower <= upper"
+    for item, held in enumerate(search.constraints, start=1):
+        place = f"[search] constraints, item {item}"
+        yield unknown(place, held.quantity, NAMED)
+        if (held.equal is None) == (held.lower is None and held.upper is None):
+            given = "equal beside a bound" if held.equal is not None else "neither equal nor a bound"
+            yield f"{place}: given {given}; accepted: equal, or lower and upper or one of these"
 
 
-def _check_sought(scene: Scene) -> None:
-    """One of [family], [orbit], [solution] and [search], and the tables that may stand beside it."""
-    sought = [name for name in ("family", "equilibrium", "orbit", "solution") if getattr(scene, name) is not None]
-    if len(sought) > 1:
-        words = " or ".join(f"[{name}]" for name in sought[:2])
-        raise refusal(f"[{sought[1]}]", f"beside [{sought[0]}]", f"{words} in one scene")
-    if scene.solution is not None and scene.model is None:
-        beside = "[chain]" if scene.lattice is None else "[lattice]"
-        raise refusal("[solution]", f"beside {beside}", "beside [model], whose file states a boundary-value problem")
-    if scene.solution is not None and scene.model is not None and scene.model.file.endswith(".json"):
-        given = f'with file = "{scene.model.file}"'
-        raise refusal("[solution]", given, "with a Python file: a saved model is no boundary-value problem")
-    table = scene.continuation
-    cycles = table is not None and ("hopf" in table.switch or (not table.switch and bool(table.depth)))
-    periodic = scene.family is not None or scene.orbit is not None or scene.solution is not None
-    if scene.stability is not None and not periodic and not cycles:
-        accepted = (
-            "beside a [family], an [orbit] or a [solution], or with "
-            '"hopf" in [continuation] switch, whose stability it asks for'
-        )
-        raise refusal("[stability]", "without [family], [orbit] or [solution]", accepted)
-    if scene.stability is not None and scene.stability.sites is not None and scene.family is None:
-        raise refusal("[stability] sites", f"{scene.stability.sites} without [family]", "beside a [family] of a chain")
-    if scene.continuation is not None and not sought:
-        accepted = "beside a [family], an [equilibrium], an [orbit] or a [solution], from which it follows"
-        raise refusal("[continuation]", "without [family], [equilibrium], [orbit] or [solution]", accepted)
-    if scene.equilibrium is not None and scene.method != MethodTable():
-        raise refusal("[method]", "beside [equilibrium]", "beside [family], [orbit] or [solution]")
+def _one(faults: Callable[[Seen], Iterator[str]]) -> Rule:
+    """The first of some faults, whose messages are made where they are found, as a rule."""
+    return (lambda s: next(filter(None, faults(s)), None)), "{}"
 
 
-def _check_orbit(scene: Scene) -> None:
-    orbit = scene.orbit
-    if orbit is None:
-        return
-    if scene.chain is not None and not orbit.symmetric:
-        raise refusal("[orbit] symmetric", "false with [chain]", "true: the orbits of a chain come in families")
-    if orbit.period is not None and orbit.transient is not None:
-        raise refusal("[orbit]", "period and transient", "period or transient, one of them")
-    if orbit.section is not None and orbit.symmetric:
-        raise refusal("[orbit] section", "with symmetric = true", "without: the symmetry fixes the phase")
-    if orbit.symmetric and orbit.transient is not None:
-        reason = "the orbit starts where the symmetry has its phase zero"
-        raise refusal("[orbit] transient", "with symmetric = true", f"period ({reason})")
+def _orbit_of_family(name: str) -> tuple[Rule, ...]:
+    """Rules on the orbit at S of the family of a mode, which has to be named where there are several.
+
+    Whether a model has a mode by the number of one that is named, as "last", shows with the model alone.
+    """
+    modes = "accepted: one of the modes of [family], {modes!t}"
+    return (
+        (lambda s: s.asks_of_family(name) and s.tables[name].mode is None and len(s.modes) > 1,
+         f"[{name}] mode: missing; {modes}"),
+        (lambda s: s.asks_of_family(name) and s.tables[name].mode not in (None, *s.modes)
+         and not any(isinstance(mode, str) for mode in s.modes),
+         f"[{name}] mode: given {{{name}.mode}}; {modes}"),
+        (lambda s: s.asks_of_family(name) and s.family.amplitude_max < s.tables[name].S,
+         f"[{name}] S: given {{{name}.S!r}}; accepted: a number <= amplitude_max = {{family.amplitude_max!r}}"),
+    )  # fmt: skip
 
 
-def _check_continuation(scene: Scene) -> None:
-    table = scene.continuation
-    if table is None:
-        return
-    for item, value in enumerate(table.at, start=1):
-        if value in table.at[: item - 1]:
-            raise refusal("[continuation] at", f"{value!r} as item {item} again", "each number once")
-    if scene.family is not None:
-        _check_of_family(scene, table)
-    if table.depth is not None and scene.family is not None:
-        raise refusal("[continuation] depth", "beside [family]", "beside [equilibrium], [orbit] or [solution]")
-    if "hopf" in table.switch and scene.equilibrium is None and scene.orbit is None:
-        beside = "family" if scene.family is not None else "solution"
-        raise refusal("[continuation] switch", f'"hopf" beside [{beside}]', '"branch point" and "period doubling"')
-    _check_multipliers(scene, table)
-    if table.curve is not None and table.curve.further and scene.family is None:
-        raise refusal("[continuation] curve", "further = true without [family]", "beside [family]")
-    for item, kind in enumerate(table.switch, start=1):
-        if kind in table.switch[: item - 1]:
-            raise refusal("[continuation] switch", f"{toml_repr(kind)} as item {item} again", "each kind once")
-    if table.curve is not None and table.curve.parameter == table.parameter:
-        raise refusal("[continuation] curve", f"parameter = {toml_repr(table.parameter)} again", "another parameter")
-    if table.parameter == SELECTED and scene.solution is not None:
-        raise refusal("[continuation] parameter", toml_repr(SELECTED), "with [orbit] select, whose value it moves")
+def _moves_alone(s: Seen) -> bool:
+    """Whether the perturbation moves the edge site alone; random displacements of several sites do not."""
+    chain, dynamics = s.chain, s.dynamics
+    edge = chain.sites if chain.gamma > 0 else 1
+    if dynamics.vector is not None:
+        return not any(value for i, value in enumerate(dynamics.vector) if i % chain.sites != edge - 1)
+    return bool(dynamics.site == edge or chain.sites == 1)
 
 
-def _check_multipliers(scene: Scene, table: ContinuationTable) -> None:
-    """Refuse to switch where multipliers decide, which nothing computes."""
-    if table.depth and not table.switch and scene.orbit is not None and scene.stability is None:
-        given = f"{table.depth} beside [orbit] without [stability]"
-        raise refusal("[continuation] depth", given, "with [stability]")
-    needed = {"period doubling"} | ({"branch point"} if scene.orbit is not None else set())
-    for kind in table.switch:
-        if kind in needed and scene.stability is None:
-            raise refusal("[continuation] switch", f'"{kind}" without [stability]', "with [stability]")
-        if kind in needed and scene.equilibrium is not None and "hopf" not in table.switch:
-            accepted = 'beside "hopf", whose cycles have period doublings'
-            raise refusal("[continuation] switch", f'"{kind}" beside [equilibrium]', accepted)
+def _cycles(s: Seen) -> bool:
+    """Whether cycles are followed from Hopf points."""
+    table = s.continuation
+    return bool(table) and ("hopf" in table.switch or (not table.switch and bool(table.depth)))
 
 
-def _check_of_family(scene: Scene, table: ContinuationTable) -> None:
-    """Beside a family branches that leave it are followed in S, and edges of its tongues in a parameter."""
-    if table.parameter != AMPLITUDE:
-        raise refusal("[continuation] parameter", toml_repr(table.parameter), '"S" beside [family]')
-    if not table.switch and table.curve is None:
-        raise refusal("[continuation]", "beside [family] without switch or curve", "with one of them, or both")
-    for key in ("at", "back_to"):
-        if getattr(table, key) not in ((), None):
-            raise refusal(f"[continuation] {key}", "beside [family]", "beside [equilibrium], [orbit] or [solution]")
-    if scene.stability is None or not scene.stability.events:
-        raise refusal("[continuation]", "beside [family] without [stability] events", "with [stability], events = true")
-    if not table.to > 0.0:
-        raise refusal("[continuation] to", repr(table.to), "a number > 0, which is S, beside [family]")
+def _without_multipliers(s: Seen) -> dict[str, Any] | None:
+    """The first kind of special point in switch that multipliers decide, where there are none."""
+    needed = {"period doubling"} | ({"branch point"} if s.orbit else set())
+    cycles = "hopf" in s.continuation.switch
+    return first(
+        s.continuation.switch, lambda _, k: k in needed and (not s.stability or (s.equilibrium and not cycles))
+    )
 
 
-# Families ------------------------------------------------------------------------------------------------------------
-
-
-def _check_modes(scene: Scene) -> None:
-    """Each mode once; those of a chain are known to be there."""
-    seen: set[int | str] = set()
-    for mode in scene.modes():
-        if scene.sites == math.inf and scene.chain is not None and mode != (-1 if scene.chain.g > 0 else 1):
-            g = scene.chain.g
-            only = f'"{"last" if g > 0 else "first"}" (of an infinite chain, with g = {g:g})'
-            raise refusal(
-                "[family] mode", '"last"' if mode == -1 else '"first"' if mode == 1 else toml_repr(mode), only
-            )
-        if isinstance(mode, int) and mode < 1 and scene.sites != math.inf:
-            raise refusal("[family] mode", toml_repr(mode), f"{_modes_there(scene)}, first, last")
-        if scene.sites is not None and isinstance(mode, int) and scene.sites != math.inf and mode > scene.sites:
-            raise refusal("[family] mode", toml_repr(mode), f"{_modes_there(scene)}, first, last")
-        if mode in seen:
-            raise refusal("[family] mode", f"{mode} more than once", "each mode once")
-        seen.add(mode)
-
-
-def _modes_there(scene: Scene) -> str:
-    return "whole numbers from 1" if scene.sites is None else f"whole numbers from 1 to {scene.sites} (sites)"
-
-
-def _check_at_periods(family: FamilyTable) -> None:
-    longest = math.inf if family.period_max is None else family.period_max
-    for key, values in (("at_Omega", family.at_Omega), ("at_period", family.at_period)):
-        for item, value in enumerate(values, start=1):
-            if value in values[: item - 1]:
-                raise refusal(f"[family] {key}", f"{value!r} as item {item} again", "each number once")
-            if key == "at_period" and value > longest:
-                accepted = f"numbers <= period_max = {longest!r}"
-                raise refusal(f"[family] {key}", f"{value!r} as item {item}", accepted)
-            if key == "at_Omega" and 2 * math.pi / value > longest:
-                accepted = f"numbers >= 2 pi/period_max = {2 * math.pi / longest:.12g}"
-                raise refusal(f"[family] {key}", f"{value!r} as item {item}", accepted)
-
-
-def _check_at(family: FamilyTable) -> None:
-    for item, value in enumerate(family.at, start=1):
-        if value > family.amplitude_max:
-            accepted = f"numbers <= amplitude_max = {family.amplitude_max!r}"
-            raise refusal("[family] at", f"{value!r} as item {item}", accepted)
-        if item > 1 and value <= family.at[item - 2]:
-            given = f"{value!r} as item {item} after {family.at[item - 2]!r}"
-            raise refusal("[family] at", given, "numbers in strictly ascending order")
+# fmt: off
+BESIDE_SOLUTION = "beside [equilibrium], [orbit] or [solution]"
+RULES: tuple[tuple[str, tuple[Rule, ...]], ...] = (  # by the table without which they are not asked
+    ("accuracy", (
+        (lambda s: s.accuracy.preset is not None and s.accuracy.tolerance is not None,
+         '[accuracy]: given preset = "{accuracy.preset}" and tolerance = {accuracy.tolerance!r}; '
+         "accepted: preset or tolerance, one of them or neither"),
+        (lambda s: s.accuracy.certify and not s.family,
+         "[accuracy] certify: given {accuracy.certify!t}; accepted: with a [family], else false"),
+    )),
+    ("model", (
+        (lambda s: "\0" in s.model.file, "[model] file: given {model.file!t}; accepted: the name of a file"),
+        (lambda s: s.model.file.endswith(".json") and s.model.name is not None,
+         '[model] name: given {model.name!t} with file = "{model.file}"; accepted: none: the file holds one model'),
+        (lambda s: not s.model.file.endswith((".json", ".py")),
+         "[model] file: given {model.file!t}; accepted: a name that ends in .py or .json"),
+        (lambda s: s.model.file.endswith(".py") and s.model.name is None,
+         "[model] name: missing; accepted: with a Python file the name of the model in it"),
+    )),
+    ("family", (
+        (lambda s: s.method.degree is not None and s.method.degree < LOWEST_DEGREE,
+         "[method] degree: given {method.degree}; "
+         f"accepted: with a [family] a whole number >= {LOWEST_DEGREE} and <= 12"),
+        (lambda s: s.method.intervals is not None,
+         "[method] intervals: given {method.intervals}; accepted: beside [orbit] or [solution]"),
+        (lambda s: s.method.flow not in (None, *FLOWS),
+         f"[method] flow: given {{method.flow!t}} with [family]; accepted: {one_of(FLOWS)}"),
+    )),
+    ("method", (
+        (lambda s: (s.orbit or s.solution) and s.method.tail is not None,
+         "[method] tail: given {method.tail!t}; accepted: beside [family]"),
+        (lambda s: (s.orbit or s.solution) and s.method.walker is not None,
+         "[method] walker: given {method.walker!t}; accepted: beside [family]"),
+        (lambda s: (s.orbit or s.solution) and s.method.transcription not in (None, *COLLOCATION_TABLES),
+         "[method] transcription: given {method.transcription!t} without [family]; "
+         f"accepted: {one_of(COLLOCATION_TABLES)}"),
+        (lambda s: (s.orbit or s.solution) and s.method.flow not in (None, *FULL_PERIOD_FLOWS),
+         f"[method] flow: given {{method.flow!t}} without [family]; accepted: {one_of(FULL_PERIOD_FLOWS)}"),
+        (lambda s: s.method.degree is not None and s.transcription in (TRIGONOMETRIC, SHOOTING)
+         and {"transcription": s.transcription},
+         '[method] degree: given {method.degree} with transcription = "{transcription}"; '
+         "accepted: with transcription = " + " or ".join(f'"{name}"' for name in COLLOCATION_TABLES) + " only"),
+        (lambda s: s.method.walker == "series" and s.transcription not in (None, TRIGONOMETRIC)
+         and {"transcription": s.transcription},
+         '[method] walker: given "series" with transcription = "{transcription}"; '
+         'accepted: "arclength", or transcription = "trigonometric"'),
+        (lambda s: len(s.sought) > 1 and {"one": s.sought[0], "two": s.sought[1]},
+         "[{two}]: given beside [{one}]; accepted: [{one}] or [{two}] in one scene"),
+    )),
+    ("solution", (
+        (lambda s: not s.model and {"other": "lattice" if s.lattice else "chain"},
+         "[solution]: given beside [{other}]; accepted: beside [model], whose file states a boundary-value problem"),
+        (lambda s: s.model.file.endswith(".json"),
+         '[solution]: given with file = "{model.file}"; '
+         "accepted: with a Python file: a saved model is no boundary-value problem"),
+    )),
+    ("stability", (
+        (lambda s: not (s.family or s.orbit or s.solution or _cycles(s)),
+         "[stability]: given without [family], [orbit] or [solution]; accepted: beside a [family], an [orbit] or a "
+         '[solution], or with "hopf" in [continuation] switch, whose stability it asks for'),
+        (lambda s: s.stability.sites is not None and not s.family,
+         "[stability] sites: given {stability.sites} without [family]; accepted: beside a [family] of a chain"),
+    )),
+    ("continuation", (
+        (lambda s: not s.sought,
+         "[continuation]: given without [family], [equilibrium], [orbit] or [solution]; accepted: beside a [family], "
+         "an [equilibrium], an [orbit] or a [solution], from which it follows"),
+    )),
+    ("equilibrium", (
+        (lambda s: s.method != s.lacking,
+         "[method]: given beside [equilibrium]; accepted: beside [family], [orbit] or [solution]"),
+    )),
+    ("orbit", (
+        (lambda s: s.chain and not s.orbit.symmetric,
+         "[orbit] symmetric: given false with [chain]; accepted: true: the orbits of a chain come in families"),
+        (lambda s: s.orbit.period is not None and s.orbit.transient is not None,
+         "[orbit]: given period and transient; accepted: period or transient, one of them"),
+        (lambda s: s.orbit.section is not None and s.orbit.symmetric,
+         "[orbit] section: given with symmetric = true; accepted: without: the symmetry fixes the phase"),
+        (lambda s: s.orbit.symmetric and s.orbit.transient is not None,
+         "[orbit] transient: given with symmetric = true; "
+         "accepted: period (the orbit starts where the symmetry has its phase zero)"),
+    )),
+    ("continuation", (
+        (lambda s: again(s.continuation.at),
+         "[continuation] at: given {value!r} as item {item} again; accepted: each number once"),
+        (lambda s: s.family and s.continuation.parameter != AMPLITUDE,
+         '[continuation] parameter: given {continuation.parameter!t}; accepted: "S" beside [family]'),
+        (lambda s: s.family and not s.continuation.switch and not s.curve,
+         "[continuation]: given beside [family] without switch or curve; accepted: with one of them, or both"),
+        (lambda s: s.family and s.continuation.at,
+         f"[continuation] at: given beside [family]; accepted: {BESIDE_SOLUTION}"),
+        (lambda s: s.family and s.continuation.back_to is not None,
+         f"[continuation] back_to: given beside [family]; accepted: {BESIDE_SOLUTION}"),
+        (lambda s: s.family and not s.stability.events,
+         "[continuation]: given beside [family] without [stability] events; "
+         "accepted: with [stability], events = true"),
+        (lambda s: s.family and not s.continuation.to > 0.0,
+         "[continuation] to: given {continuation.to!r}; accepted: a number > 0, which is S, beside [family]"),
+        (lambda s: s.family and s.continuation.depth is not None,
+         f"[continuation] depth: given beside [family]; accepted: {BESIDE_SOLUTION}"),
+        (lambda s: "hopf" in s.continuation.switch and not s.equilibrium and not s.orbit
+         and {"beside": "family" if s.family else "solution"},
+         '[continuation] switch: given "hopf" beside [{beside}]; accepted: "branch point" and "period doubling"'),
+        (lambda s: s.continuation.depth and not s.continuation.switch and s.orbit and not s.stability,
+         "[continuation] depth: given {continuation.depth} beside [orbit] without [stability]; "
+         "accepted: with [stability]"),
+        (lambda s: not s.stability and _without_multipliers(s),
+         '[continuation] switch: given "{value}" without [stability]; accepted: with [stability]'),
+        (_without_multipliers,
+         '[continuation] switch: given "{value}" beside [equilibrium]; '
+         'accepted: beside "hopf", whose cycles have period doublings'),
+        (lambda s: s.curve.further and not s.family,
+         "[continuation] curve: given further = true without [family]; accepted: beside [family]"),
+        (lambda s: again(s.continuation.switch),
+         "[continuation] switch: given {value!t} as item {item} again; accepted: each kind once"),
+        (lambda s: s.curve and s.curve.parameter == s.continuation.parameter,
+         "[continuation] curve: given parameter = {continuation.parameter!t} again; accepted: another parameter"),
+        (lambda s: s.continuation.parameter == SELECTED and s.solution,
+         f'[continuation] parameter: given "{SELECTED}"; accepted: with [orbit] select, whose value it moves'),
+    )),
+    ("family", (
+        _one(_modes),
+        (lambda s: s.chain and s.chain.g == 0,
+         "[chain] g: given {chain.g!r}; accepted: with a [family] a finite number other than 0 "
+         "(the family would be the linear mode at every amplitude)"),
+        (lambda s: s.chain and abs(s.chain.gamma) == 1 and s.stability.vectors,
+         "[stability] vectors: given true with gamma = {chain.gamma!r}; "
+         "accepted: false (the vectors form Jordan chains that the gauge does not have)"),
+        _one(_oscillates),
+        (lambda s: first(s.family.at, lambda _, value: value > s.family.amplitude_max),
+         "[family] at: given {value!r} as item {item}; accepted: numbers <= amplitude_max = {family.amplitude_max!r}"),
+        (lambda s: (found := first(s.family.at, lambda i, value: i > 1 and value <= s.family.at[i - 2]))
+         and {**found, "before": s.family.at[found["item"] - 2]},
+         "[family] at: given {value!r} as item {item} after {before!r}; accepted: numbers in strictly ascending order"),
+        (lambda s: again(s.family.at_Omega),
+         "[family] at_Omega: given {value!r} as item {item} again; accepted: each number once"),
+        (lambda s: (found := first(s.family.at_Omega, lambda _, v: 2 * math.pi / v > (s.family.period_max or math.inf)))
+         and {**found, "least": 2 * math.pi / s.family.period_max},
+         "[family] at_Omega: given {value!r} as item {item}; accepted: numbers >= 2 pi/period_max = {least:.12g}"),
+        (lambda s: again(s.family.at_period),
+         "[family] at_period: given {value!r} as item {item} again; accepted: each number once"),
+        (lambda s: first(s.family.at_period, lambda _, value: value > (s.family.period_max or math.inf)),
+         "[family] at_period: given {value!r} as item {item}; accepted: numbers <= period_max = {family.period_max!r}"),
+    )),
+    ("chain", (
+        (lambda s: s.sites == math.inf and (given := s.scene.given("spectrum", "dynamics", "orbit"))
+         and {"name": given[0]},
+         "[{name}]: given with sites = inf; accepted: with a whole number of sites: all of them take part in it"),
+        (lambda s: s.sites == math.inf and s.stability.vectors,
+         "[stability] vectors: given true with sites = inf; accepted: false: all sites take part in them"),
+    )),
+    ("lattice", (
+        (lambda s: s.lattice.long and (given := s.scene.given(
+            "spectrum", "dynamics", "orbit", "equilibrium", "continuation", "search", "export")) and {"name": given[0]},
+         "[{name}]: given with a linear tail (edge, or more than 100000 cells); accepted: with all sites unknown"),
+        (lambda s: s.lattice.long and s.stability.vectors,
+         "[stability] vectors: given true with a linear tail; accepted: false: all sites take part in them"),
+    )),
+    ("dynamics", (
+        (lambda s: s.at_rest and (given := s.scene.given("equilibrium", "solution", "search")) and {"name": given[0]},
+         "[dynamics]: given beside [{name}]; accepted: beside [family] or [orbit], or with a start of its own"),
+        (lambda s: s.at_rest and len(given := s.given("dynamics", *STARTS)) != 1
+         and {"kinds": " and ".join(given) or f"none of {', '.join(STARTS)}"},
+         "[dynamics]: given without [family] and [orbit], with {kinds}; "
+         f"accepted: one of {', '.join(STARTS)}, with size and duration, from which motion starts"),
+        (lambda s: s.at_rest and s.dynamics.S is not None,
+         "[dynamics] S: given {dynamics.S!r}; accepted: beside a [family] or an [orbit]"),
+        (lambda s: s.at_rest and s.dynamics.periods is not None,
+         "[dynamics] periods: given {dynamics.periods!r}; accepted: beside a [family] or an [orbit]"),
+        (lambda s: s.at_rest and (lacking := [n for n in ("size", "duration") if not s.given("dynamics", n)])
+         and {"name": lacking[0], "kind": s.given("dynamics", *STARTS)[0]},
+         "[dynamics] {name}: missing; accepted: beside {kind} a finite number > 0"),
+        (lambda s: s.at_rest and s.chain and abs(s.chain.gamma) == 1,
+         "[dynamics]: given with gamma = {chain.gamma!r} and without [family]; "
+         "accepted: |gamma| < 1: sites off the edge have no image in the gauge"),
+        (lambda s: not s.at_rest and s.dynamics.moving,
+         "[dynamics] moving: given true; accepted: without [family] and [orbit], which start at phase zero"),
+        (lambda s: not s.at_rest and not s.family and s.dynamics.S is not None,
+         "[dynamics] S: given {dynamics.S!r}; accepted: beside a [family]"),
+        (lambda s: not s.at_rest and not s.family and s.dynamics.mode is not None,
+         "[dynamics] mode: given {dynamics.mode!r}; accepted: beside a [family]"),
+        (lambda s: s.family and s.dynamics.S is None,
+         "[dynamics] S: missing; accepted: a finite number > 0, up to amplitude_max"),
+        *_orbit_of_family("dynamics"),
+        (lambda s: s.dynamics.duration is None and s.dynamics.periods is None,
+         "[dynamics]: given neither duration nor periods; accepted: duration or periods, one of them"),
+        (lambda s: s.dynamics.duration is not None and s.dynamics.periods is not None,
+         "[dynamics]: given duration and periods; accepted: duration or periods, one of them"),
+        (lambda s: len(given := s.given("dynamics", *KICKS)) > 1 and {"kinds": " and ".join(given)},
+         "[dynamics]: given {kinds}; accepted: site, vector or seed, one of them or none"),
+        (lambda s: s.dynamics.size is None and (given := s.given("dynamics", *KICKS)) and {"kind": given[0]},
+         "[dynamics] size: missing; accepted: beside {kind} a finite number > 0"),
+        (lambda s: s.dynamics.size is not None and not s.at_rest and not s.given("dynamics", *KICKS),
+         "[dynamics] size: given {dynamics.size!r}; accepted: beside one of site, vector, seed"),
+        (lambda s: s.dynamics.vector is not None and not any(s.dynamics.vector),
+         "[dynamics] vector: given zeros; accepted: a vector with a direction"),
+        (lambda s: s.chain and abs(s.chain.gamma) < 1
+         and (s.chain.sites - 1) * math.atanh(abs(s.chain.gamma)) > LONGEST_ENVELOPE,
+         "[dynamics]: given with sites = {sites} and gamma = {chain.gamma!r}, whose far end is below the smallest "
+         f"double; accepted: (sites - 1) artanh|gamma| <= {LONGEST_ENVELOPE:g}"),
+        (lambda s: s.chain and s.dynamics.site is not None and not 1 <= s.dynamics.site <= s.chain.sites,
+         "[dynamics] site: given {dynamics.site!t}; accepted: whole numbers from 1 to {sites} (sites)"),
+        (lambda s: s.chain and s.dynamics.vector is not None
+         and (count := len(s.dynamics.vector)) not in (s.chain.sites, 2 * s.chain.sites) and {"count": count},
+         "[dynamics] vector: given a list of {count}; "
+         "accepted: {sites} displacements, or these and {sites} velocities"),
+        (lambda s: s.chain and abs(s.chain.gamma) == 1 and (given := s.given("dynamics", *KICKS))
+         and not _moves_alone(s) and {"kind": given[0], "edge": s.chain.sites if s.chain.gamma > 0 else 1},
+         "[dynamics] {kind}: given with gamma = {chain.gamma!r}; accepted: site {edge} alone "
+         "(at |gamma| = 1 displacements off the edge have no image in the gauge)"),
+    )),
+    ("search", (
+        (lambda s: s.family, "[search]: given beside [family]; accepted: [search] or [family] in one scene"),
+        (lambda s: s.sites == math.inf, "[search]: given with sites = inf; accepted: with a whole number of sites"),
+        (lambda s: s.chain and s.chain.g == 0,
+         "[chain] g: given {chain.g!r}; accepted: with a [search] a finite number other than 0"),
+        (lambda s: s.chain and isinstance(s.search.mode, int) and s.search.mode > s.chain.sites,
+         "[search] mode: given {search.mode!t}; accepted: whole numbers from 1 to {sites} (sites), first, last"),
+        (lambda s: s.chain and next(filter(None, _search(s)), None), "{}"),
+    )),
+    ("export", (
+        (lambda s: s.sites == math.inf, "[export]: given with sites = inf; accepted: with a whole number of sites"),
+        (lambda s: s.export.c is None and s.export.fmu is None,
+         "[export]: given neither c nor fmu; accepted: one of them, or both"),
+        (lambda s: s.export.inputs and s.export.fmu is None,
+         "[export] inputs: given {export.inputs!t}; accepted: beside fmu"),
+        (lambda s: s.chain and s.export.c not in (None, "all") and abs(s.chain.gamma) == 1
+         and first(s.export.c, lambda _, part: part in ("flow", "residual", "newton", "ipopt")),
+         "[export] c: given {value!t} with gamma = {chain.gamma!r}; "
+         "accepted: rhs, jacobian, variational, orbit (the gauge holds the edge site alone)"),
+        (lambda s: s.export.S is None and s.export.mode is not None,
+         "[export] mode: given {export.mode!t}; accepted: beside S, the orbit of that mode's family"),
+        (lambda s: s.export.S is None and not s.orbit and "orbit" in (s.export.c or ()),
+         '[export] c: given "orbit" without S; accepted: with S, that of the orbit'),
+        (lambda s: s.export.S is not None and not s.family,
+         "[export] S: given {export.S!r}; accepted: beside a [family], one of whose orbits it names"),
+        *_orbit_of_family("export"),
+    )),
+    ("figures", (
+        (lambda s: again(s.figures.formats),
+         "[figures] formats: given {value!t} as item {item} again; accepted: each format once"),
+    )),
+)
+# fmt: on
