@@ -12,27 +12,16 @@ import numpy as np
 
 from casadi_skin.follow.boundary_solutions import BoundarySolutions
 from casadi_skin.follow.branch_points import branch_points_between
-from casadi_skin.follow.crossing_place import ONE_PLACE
+from casadi_skin.follow.crossings import ONE_PLACE
 from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
-from casadi_skin.follow.location import special_orbit
+from casadi_skin.follow.location import Located, locate_rest, special_orbit
 from casadi_skin.follow.refined import BoundaryError, refined
-from casadi_skin.follow.rest_location import Located, locate
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.special_points import (
-    BOUND,
-    BRANCH_POINT,
-    FINE,
-    FOLD,
-    HETEROCLINIC,
-    HOMOCLINIC,
-    HOPF,
-    NotLocatedError,
-    fold_between,
-)
-from casadi_skin.follow.turns import turning
+from casadi_skin.follow.special_points import FINE, NotLocatedError, fold_between, turning
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.points.period_limit import joined_words, unbounded
 from casadi_skin.zero.family import TWO_PI
+from casadi_skin.zero.kinds import BOUND, BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF
 from casadi_skin.zero.orbit import Sizes
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import AlgebraicProblem, sizes_of
@@ -203,7 +192,7 @@ def _hopf_near(space: BoundarySolutions, orbit: Point) -> tuple[EquilibriumEquat
     sizes = sizes_of([x, space.sizes.states[: x.size]])  # an equilibrium near zero has the size of the branch
     equilibria = EquilibriumEquations(statics, 1e-10, "newton", sizes, space.parameter, space.to)
     y, u = x / equilibria.sizes, orbit.parameter
-    found = locate(equilibria, HOPF, y, u, 2j * np.pi / values[PERIOD])
+    found = locate_rest(equilibria, HOPF, y, u, 2j * np.pi / values[PERIOD])
     if found is None:
         return None
     reach = np.ptp(states, axis=0) / equilibria.sizes

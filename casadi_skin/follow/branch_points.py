@@ -13,11 +13,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casadi_skin.follow.crossed_branches import Bordered, closed, crossings, outer_eigenvalues, quiet
-from casadi_skin.follow.crossing_place import ONE_PLACE, crossing_places
+from casadi_skin.follow.crossings import (
+    ONE_PLACE,
+    Bordered,
+    closed,
+    crossing_places,
+    crossings,
+    outer_eigenvalues,
+    quiet,
+)
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import LocalCurve
-from casadi_skin.follow.special_points import BRANCH_POINT
+from casadi_skin.zero.kinds import BRANCH_POINT
 from casadi_skin.zero.problem import EPSILON, Array, Problem, SingularError
 from casadi_skin.zero.settings import Point
 

@@ -15,8 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.follow.double_points import double_between, interpolated
-from casadi_skin.follow.exponents import STEP, TURN, Exponents, beside_on_tangent, is_real, nearest_order, turned
+from casadi_skin.follow.crossings import double_between, interpolated
 from casadi_skin.follow.followed import Followed
 from casadi_skin.follow.normal_forms import (
     branching_equation,
@@ -25,13 +24,29 @@ from casadi_skin.follow.normal_forms import (
     second_singular,
     terms_of,
 )
-from casadi_skin.follow.rest_codimension_two import CUSP, DEGENERATE_PITCHFORK, DEGENERATE_TRANSCRITICAL
-from casadi_skin.follow.sample import Sample
-from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS, NotLocatedError, zero_between
-from casadi_skin.follow.stretch import Stretch, height
-from casadi_skin.follow.stretch_search import StretchSearch
+from casadi_skin.follow.search import (
+    STEP,
+    TURN,
+    Exponents,
+    StretchSearch,
+    beside_on_tangent,
+    is_real,
+    nearest_order,
+    turned,
+)
+from casadi_skin.follow.special_points import NotLocatedError, zero_between
+from casadi_skin.follow.stretch import Sample, Stretch, height
 from casadi_skin.points.ends import shrunk
 from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.zero.kinds import (
+    BRANCH_POINT,
+    CUSP,
+    DEGENERATE_PITCHFORK,
+    DEGENERATE_TRANSCRITICAL,
+    DOUBLING,
+    FOLD,
+    TORUS,
+)
 from casadi_skin.zero.problem import EPSILON, Array
 from casadi_skin.zero.settings import End, Point
 from casadi_skin.zero.stated_problem import PERIOD

@@ -13,11 +13,11 @@ from casadi_skin.follow.following import Following, run_following
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, SolutionSpace
-from casadi_skin.follow.special_points import BRANCH_POINT, FOLD
 from casadi_skin.model.arguments import check_name, check_options, duration, function_of, number, numbers, truth, whole
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.symmetries import check_forcing_period
 from casadi_skin.zero.family import MAX_POINTS, Method
+from casadi_skin.zero.kinds import BRANCH_POINT, FOLD
 from casadi_skin.zero.problem import Scalar
 from casadi_skin.zero.request import FamilyModel, family_request
 from casadi_skin.zero.settings import ContinuationSettings, Target

@@ -13,8 +13,7 @@ import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.events import at_requested_value
-from casadi_skin.follow.ledger import Ledger
+from casadi_skin.follow.events import Ledger, at_requested_value
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.walk import Walk

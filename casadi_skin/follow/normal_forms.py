@@ -21,8 +21,9 @@ from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.rest_normal_forms import DECIDED, Critical
 from casadi_skin.follow.rest_normal_forms import critical as at_equilibrium
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.special_points import DOUBLING, FOLD, TORUS, SpecialPoint
+from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.closure import Closure
+from casadi_skin.zero.kinds import DOUBLING, FOLD, TORUS
 from casadi_skin.zero.linearised import Linearised, Vector, full_derivative, null_vectors
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point

@@ -18,23 +18,31 @@ from typing import cast
 
 import numpy as np
 
-from casadi_skin.follow.double_points import double_between
+from casadi_skin.follow.crossings import double_between
 from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
-from casadi_skin.follow.equilibrium_search import EquilibriumSearch
-from casadi_skin.follow.rest_location import BRANCH_POINT, FOLD, HOPF, jacobian_of
+from casadi_skin.follow.location import jacobian_of
+from casadi_skin.follow.rest_events import EquilibriumSearch
 from casadi_skin.follow.rest_normal_forms import critical_pair, lyapunov_terms
-from casadi_skin.follow.sample import Sample
 from casadi_skin.follow.special_points import FINE, zero_between
-from casadi_skin.follow.stretch import Stretch, crossings, height, less
+from casadi_skin.follow.stretch import Sample, Stretch, crossings, height, less
+from casadi_skin.zero.augmented import ExtendedSystem, HopfSystem
+from casadi_skin.zero.kinds import (
+    BAUTIN,
+    BRANCH_POINT,
+    CUSP,
+    DEGENERATE_PITCHFORK,
+    DEGENERATE_TRANSCRITICAL,
+    FOLD,
+    HOPF,
+    HOPF_HOPF,
+    TAKENS,
+    ZERO_HOPF,
+)
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest_systems import ExtendedSystem, HopfSystem
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.statics import ComplexArray, NullSpace, Statics
 from casadi_skin.zero.unresolved import Unresolved
 
-CUSP, TAKENS, ZERO_HOPF = "cusp", "bogdanov-takens", "zero-hopf"
-BAUTIN, HOPF_HOPF = "generalized hopf", "hopf-hopf"
-DEGENERATE_PITCHFORK, DEGENERATE_TRANSCRITICAL = "degenerate pitchfork", "degenerate transcritical"
 VANISHES = 1e-3  # of a test at the ends of a stretch: it is less at a root, and more at a pole
 SYMMETRIC = 1e-9  # of all terms: a quadratic coefficient that a symmetry makes zero
 CHANGE = 1e-6  # of the unknowns: a step along a curve, for rates

@@ -11,12 +11,13 @@ import numpy as np
 
 from casadi_skin.follow.equilibrium_equations import corrector_of
 from casadi_skin.follow.follow import following_settings
-from casadi_skin.follow.rest_codimension_two import TAKENS, Followed, special_on_curve
-from casadi_skin.follow.rest_location import BRANCH_POINT, FOLD, HOPF, SYSTEMS, jacobian_of
+from casadi_skin.follow.location import SYSTEMS, jacobian_of
+from casadi_skin.follow.rest_codimension_two import Followed, special_on_curve
 from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.special_points import SpecialPoint, check_second
 from casadi_skin.solve.levels import ExactLevels, Levels
+from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, TAKENS
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import AlgebraicProblem, Course, sizes_at
 from casadi_skin.zero.settings import End, Point
@@ -128,6 +129,6 @@ def _started(point: SpecialPoint, parameter: str, to: float, at: tuple[float, ..
 
 
 def _extended(space: CurveSpace, matrix: Array, y: Array, near: complex | None) -> tuple[AlgebraicProblem, Array]:
-    from casadi_skin.zero.rest_systems import ExtendedSystem
+    from casadi_skin.zero.augmented import ExtendedSystem
 
     return cast(ExtendedSystem, space.problem).started(matrix, y, np.zeros(1), near)

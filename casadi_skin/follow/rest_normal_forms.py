@@ -13,12 +13,12 @@ from typing import cast
 import numpy as np
 
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.rest_location import FOLD, HOPF
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.special_points import SpecialPoint
+from casadi_skin.zero.kinds import FOLD, HOPF
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.statics import ComplexArray, Linearised, NullSpace, Statics, balanced, upper_pair
+from casadi_skin.zero.statics import BalancedMatrix, ComplexArray, NullSpace, Statics, balanced, upper_pair
 
 DECIDED = 1e-8  # of the terms that a coefficient is the sum of: one that is smaller has no known sign
 
@@ -90,7 +90,7 @@ def critical_pair(A: Array, near: float | None = None) -> tuple[float, ComplexAr
 
     The pair is that nearest to i `near`, by default that nearest to the imaginary axis.
     """
-    linear = Linearised(A)
+    linear = BalancedMatrix(A)
     values = linear.eigensystem[0]
     k = upper_pair(values, None if near is None else 1j * near)
     right, left = linear.vectors(k)

@@ -9,8 +9,8 @@ from typing import NoReturn
 
 import numpy as np
 
-from casadi_skin.follow.detection import special_between
 from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
+from casadi_skin.follow.rest_events import special_between
 from casadi_skin.follow.solution import Equilibrium, Solution
 from casadi_skin.follow.space import EQUILIBRIA, SolutionSpace
 from casadi_skin.model.jumps import PARAMETER, STATE

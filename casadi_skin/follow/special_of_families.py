@@ -7,7 +7,8 @@ from itertools import pairwise
 
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
-from casadi_skin.follow.special_points import FOLD, NotLocatedError, SpecialPoint
+from casadi_skin.follow.special_points import NotLocatedError, SpecialPoint
+from casadi_skin.zero.kinds import FOLD
 from casadi_skin.zero.unresolved import Unresolved
 
 

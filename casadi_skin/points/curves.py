@@ -22,7 +22,7 @@ from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.refined import BoundaryError
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, ORBITS, SolutionSpace
-from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS, SpecialPoint, check_second
+from casadi_skin.follow.special_points import SpecialPoint, check_second
 from casadi_skin.model.arguments import check_name
 from casadi_skin.points.breaking import turns_of
 from casadi_skin.points.edge_crossing import CrossingWalk
@@ -31,6 +31,7 @@ from casadi_skin.points.edge_orbits import parameters_of
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.augmented import KAPPA, PUSH, Critical, CriticalProblem
 from casadi_skin.zero.closure import Closure
+from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS
 from casadi_skin.zero.linearised import Linearised
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import ContinuationSettings, End, Point

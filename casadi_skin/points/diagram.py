@@ -14,11 +14,12 @@ from casadi_skin.follow.following import Following, run_following
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.space import SolutionSpace
-from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, HOPF, SpecialPoint
+from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import whole
 from casadi_skin.model.result import Result
 from casadi_skin.points.leaving import TOLERANCE
 from casadi_skin.points.switch import leaving_space
+from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, HOPF
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import End, Point
 from casadi_skin.zero.stated_problem import PERIOD

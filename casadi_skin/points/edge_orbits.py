@@ -14,13 +14,14 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.space import SolutionSpace
-from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, EDGE, SpecialPoint
+from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.points.breaking import breaking_of
 from casadi_skin.points.edge_fold import multipliers_of
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues.diagram import LocalisedDiagram, StabilityEdge
 from casadi_skin.zero.family import Targets
+from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE
 from casadi_skin.zero.problem import Scalar, SingularError
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.unresolved import Unresolved

@@ -11,13 +11,13 @@ from casadi_skin.follow.boundary_solutions import BoundarySolutions
 from casadi_skin.follow.find import find_equilibrium
 from casadi_skin.follow.followed import Followed
 from casadi_skin.follow.following import Following, run_following
-from casadi_skin.follow.location import special_orbit
+from casadi_skin.follow.location import locate_rest, special_orbit
 from casadi_skin.follow.rest_curve import curve_space
-from casadi_skin.follow.rest_location import HOPF, locate
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium
-from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, FOLD, TORUS, SpecialPoint
+from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero import mesh
+from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, TORUS
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import sizes_of
 from casadi_skin.zero.settings import ErrorEstimate, Point
@@ -63,7 +63,7 @@ def _hopf_near(space: Followed, orbit: Point) -> SpecialPoint | None:
     statics = Statics(model, {key: values[key] for key in model.parameter_names})
     unit = float(space.sizes.scalars[len(space.critical.orbit.free)])
     equilibria = EquilibriumSpace(statics, 1e-10, "newton", sizes_of([x]), name, values[name] + unit)
-    found = locate(equilibria, HOPF, x / equilibria.sizes, 0.0, 2j * np.pi / period)
+    found = locate_rest(equilibria, HOPF, x / equilibria.sizes, 0.0, 2j * np.pi / period)
     if found is None:
         return None
     course = equilibria.course

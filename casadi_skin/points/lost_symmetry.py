@@ -15,9 +15,10 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.special_points import BRANCH_POINT, SpecialPoint
+from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.points.breaking import breaking_of
+from casadi_skin.zero.kinds import BRANCH_POINT
 from casadi_skin.zero.problem import Array
 
 MOST = 10  # states of a model all of whose changes of sign are tried

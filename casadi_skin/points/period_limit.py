@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.follow.special_points import HETEROCLINIC, HOMOCLINIC
 from casadi_skin.model.conserved import SymmetryClass, pinned_components
 from casadi_skin.points.rests import (
     BESIDE,
@@ -28,6 +27,7 @@ from casadi_skin.points.rests import (
     in_the_part,
     stays,
 )
+from casadi_skin.zero.kinds import HETEROCLINIC, HOMOCLINIC
 from casadi_skin.zero.orbit import UNFOLDING
 from casadi_skin.zero.problem import EPSILON, Array, Scalar
 from casadi_skin.zero.settings import Point

@@ -15,15 +15,15 @@ from casadi_skin.follow.find import find_equilibrium
 from casadi_skin.follow.follow import following_settings, following_space
 from casadi_skin.follow.following import Following, run_following
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.rest_location import BRANCH_POINT, HOPF
 from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium, Solution
 from casadi_skin.follow.space import SolutionSpace
-from casadi_skin.follow.special_points import DOUBLING, SpecialPoint
+from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import duration
 from casadi_skin.points.breaking import breaking_space, start_of
 from casadi_skin.points.leaving import TOLERANCE, born_at, doubled_solutions, leaving_orbits, other_solutions
 from casadi_skin.zero.family import MAX_POINTS
+from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, HOPF
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import AlgebraicProblem, Course, power_of_two, sizes_at
 from casadi_skin.zero.settings import ContinuationSettings, Point

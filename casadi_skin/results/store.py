@@ -31,7 +31,7 @@ CLASSES = {  # that a file may name, by module: "other=own" where the name in fi
     "dynamics.starts": "Spreading",
     "follow.boundary_space": "BoundarySpace",
     "follow.branch": "Branch",
-    "follow.ledger": "StabilityChange",
+    "follow.events": "StabilityChange",
     "follow.orbit": "Orbit",
     "follow.rest_curve": "CurveSpace",
     "follow.rest_space": "EquilibriumSpace",

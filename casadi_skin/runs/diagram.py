@@ -11,10 +11,9 @@ import numpy as np
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.rest_curve import UnfoldingError
-from casadi_skin.follow.rest_location import BRANCH_POINT, FOLD, HOPF
 from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.space import SolutionSpace
-from casadi_skin.follow.special_points import DOUBLING, TORUS, SpecialPoint
+from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.points.curves import curve_space
 from casadi_skin.points.diagram import LEAVING, Further
 from casadi_skin.results import figures
@@ -25,6 +24,7 @@ from casadi_skin.results.tables import UNRESOLVED
 from casadi_skin.runs.parts import picture
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import ContinuationTable
+from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, TORUS
 from casadi_skin.zero.settings import End
 from casadi_skin.zero.stated_problem import PERIOD
 

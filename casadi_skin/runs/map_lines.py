@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.follow.special_points import EDGE, FOLD, HOPF, SpecialPoint
+from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.results.dataset import write_csv
 from casadi_skin.runs.binding import Files, bind
 from casadi_skin.runs.first_solution import first_solution
@@ -26,6 +26,7 @@ from casadi_skin.runs.map_store import DONE, UNKNOWN, Columns
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.rules import SceneError
 from casadi_skin.runs.scene import Scene
+from casadi_skin.zero.kinds import EDGE, FOLD, HOPF
 
 BEYOND = 1e-3  # of S: how far beyond an edge the family is followed that it is found on
 AGREE = 1e-6  # of S: within which the edge is the one that the map has

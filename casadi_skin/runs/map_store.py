@@ -19,8 +19,6 @@ import msgspec
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from casadi_skin.follow.rest_codimension_two import CUSP, TAKENS, ZERO_HOPF
-from casadi_skin.follow.special_points import BRANCH_POINT, DOUBLING, FOLD, HOPF, TORUS
 from casadi_skin.optimise.names import FREE, NAMED
 from casadi_skin.results.journal import Journal, mapped, record_at, scan
 from casadi_skin.results.quantities import FAMILY_ERRORS, FAMILY_PROOFS, FAMILY_QUANTITIES, FAMILY_STABILITY
@@ -44,6 +42,7 @@ from casadi_skin.runs.map_grid import (
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.rules import SceneError, check_known
 from casadi_skin.runs.scene import Scene
+from casadi_skin.zero.kinds import BRANCH_POINT, CUSP, DOUBLING, FOLD, HOPF, TAKENS, TORUS, ZERO_HOPF
 
 DECODER = msgspec.msgpack.Decoder(MapRecord)
 JOURNALS = "journal*.msgpack"

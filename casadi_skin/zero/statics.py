@@ -28,7 +28,7 @@ FAINT = 1e-3  # of the unit by which a component acts on others: the least unit 
 
 
 @dataclass(frozen=True, eq=False)
-class Linearised:
+class BalancedMatrix:
     """A square matrix df/dx.
 
     Attributes:
@@ -356,13 +356,13 @@ class Statics:
 
     # Eigenvalues ----------------------------------------------------------------------------------------------------
 
-    def linearised(self, x: Array, p: Array, moved: Array | None = None) -> Linearised:
+    def linearised(self, x: Array, p: Array, moved: Array | None = None) -> BalancedMatrix:
         """df/dx, and its change where the state is off by `moved`; raises ArithmeticError where it is not finite."""
         A = self.jacobian(x, p)
         if not np.all(np.isfinite(A)):
             raise ArithmeticError(f"{self.model.name}: the derivatives are not finite at the equilibrium")
         change = None if moved is None or not np.any(moved) else self.jacobian(x + moved, p) - A
-        return Linearised(A, max(EPSILON, self.model.rounding), change)
+        return BalancedMatrix(A, max(EPSILON, self.model.rounding), change)
 
     def spectrum(self, x: Array, p: Array, moved: Array | None = None) -> Spectrum:
         """Eigenvalues of the linearisation, of a model of second order +-sqrt(mu) of those of df/dx.

@@ -8,7 +8,7 @@ import pytest
 from equilibrium_models import symbols
 
 from casadi_skin import OdeModel, find_equilibrium
-from casadi_skin.follow import detection
+from casadi_skin.follow import rest_events as detection
 
 
 def bump(place: float, shape: str, moves: bool = False) -> OdeModel:
