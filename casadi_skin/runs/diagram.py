@@ -18,7 +18,7 @@ from casadi_skin.points.curves import curve_space
 from casadi_skin.points.diagram import LEAVING, Further
 from casadi_skin.results import figures
 from casadi_skin.results.dataset import dataset_of, write_csv, write_netcdf
-from casadi_skin.results.figures.profiles import chosen_solutions
+from casadi_skin.results.figures.solutions import chosen_solutions
 from casadi_skin.results.quantities import Cell, unique_names
 from casadi_skin.results.tables import UNRESOLVED
 from casadi_skin.runs.parts import picture

@@ -88,7 +88,7 @@ def _write_families(request: Request, branches: Sequence[Branch], directory: Pat
     picture(request.scene, directory / "profile", figures.profile_figure, branches)
     for branch in branches:
         if request.scene.chain is None:
-            from casadi_skin.results.figures.profiles import plane_figure
+            from casadi_skin.results.figures.families import plane_figure
 
             picture(request.scene, directory / f"plane_j{mode_of(branch)}", plane_figure, branch)
         picture(request.scene, directory / f"multipliers_j{mode_of(branch)}", figures.multiplier_figure, branch)
@@ -103,7 +103,7 @@ def passed_rows(branch: Branch) -> list[dict[str, Cell]]:
 
 def _write_films(branches: Sequence[Branch], directory: Path, progress: Progress) -> None:
     """A film of each family's mode, at the last requested point or at the end."""
-    from casadi_skin.results.figures.spacetime import animate
+    from casadi_skin.results.figures.solutions import animate
 
     for branch in branches:
         progress.say(f"film of j = {mode_of(branch)}")

@@ -31,9 +31,8 @@ from casadi_skin.optimise.search import SearchResult, SearchStatus, search
 from casadi_skin.optimise.search_problem import Ending
 from casadi_skin.results.branch_records import OutcomeRecord, data_of, value_of
 from casadi_skin.results.dataset import Dataset, write_csv, write_netcdf
-from casadi_skin.results.figures.profiles import spreading_figure
+from casadi_skin.results.figures.evolutions import spacetime_figure, spreading_figure
 from casadi_skin.results.figures.search import search_figure
-from casadi_skin.results.figures.spacetime import spacetime_figure
 from casadi_skin.results.figures.style import number
 from casadi_skin.results.journal import Journal
 from casadi_skin.results.tables import evolution_columns, evolution_rows, evolution_variables, write_search

@@ -24,9 +24,8 @@ from casadi_skin.dynamics import Evolution
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice import closed_forms as multiple_scales
-from casadi_skin.results.figures.bifurcation import draw_band, family_path, family_pieces, label_ends
-from casadi_skin.results.figures.profiles import LINES, MARKERS
-from casadi_skin.results.figures.spacetime import draw_spacetime
+from casadi_skin.results.figures.evolutions import draw_spacetime
+from casadi_skin.results.figures.families import LINES, MARKERS, draw_band, family_path, family_pieces, label_ends
 from casadi_skin.results.figures.style import AMPLITUDE, blank, colours, finished, number, number_sites, style, title
 from casadi_skin.results.quantities import columns_of, csv_row, places_of
 from casadi_skin.results.tables import EVENT_COLUMNS, event_rows

@@ -142,7 +142,7 @@ def test_check_mentions_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 @pytest.mark.slow
 def test_without_a_table_nothing_of_it_is_imported(tmp_path: Path) -> None:
     loaded = modules_of_a_run(write_scene(tmp_path / "plain.toml", ""), tmp_path / "out")
-    assert not loaded & {"casadi_skin.dynamics", "casadi_skin.runs.tasks", "casadi_skin.results.figures.spacetime"}
+    assert not loaded & {"casadi_skin.dynamics", "casadi_skin.runs.tasks", "casadi_skin.results.figures.evolutions"}
     assert not [name for name in loaded if "export" in name and name.startswith("casadi_skin")]
     assert not (tmp_path / "out" / "dynamics.csv").exists()
 

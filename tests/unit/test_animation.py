@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from casadi_skin import Chain, Orbit, follow_family
-from casadi_skin.results.figures.spacetime import animate
+from casadi_skin.results.figures.solutions import animate
 
 
 @pytest.fixture(scope="module")

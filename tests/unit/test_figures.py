@@ -18,9 +18,8 @@ from matplotlib.lines import Line2D
 from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.results.figures.bands import spectrum_figure
-from casadi_skin.results.figures.bifurcation import frequency_figure
+from casadi_skin.results.figures.families import frequency_figure, profile_figure
 from casadi_skin.results.figures.multipliers import multiplier_figure
-from casadi_skin.results.figures.profiles import profile_figure
 from casadi_skin.results.figures.style import blank, finished, save, style
 
 pytestmark = pytest.mark.usefixtures("pictures")

@@ -22,11 +22,11 @@ from casadi_skin.dynamics import simulate_orbit
 from casadi_skin.follow.orbit import cosine_curve
 from casadi_skin.follow.solution import Solution
 from casadi_skin.results.figures.bands import spectrum_figure
-from casadi_skin.results.figures.bifurcation import frequency_figure
-from casadi_skin.results.figures.branch import branch_figure, orbit_figure, smooth
+from casadi_skin.results.figures.branches import branch_figure, smooth
+from casadi_skin.results.figures.evolutions import spacetime_figure
+from casadi_skin.results.figures.families import frequency_figure, profile_figure
 from casadi_skin.results.figures.multipliers import multiplier_figure
-from casadi_skin.results.figures.profiles import portrait_figure, profile_figure
-from casadi_skin.results.figures.spacetime import animate, spacetime_figure
+from casadi_skin.results.figures.solutions import animate, orbit_figure, portrait_figure
 from casadi_skin.results.quantities import extremes
 from casadi_skin.runs.progress import Progress
 

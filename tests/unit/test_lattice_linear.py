@@ -9,7 +9,7 @@ from lattices import GAINS, chain, dimer, fput, plane
 from casadi_skin import Bond, Chain, Lattice, Site, follow_family
 from casadi_skin.lattice.linear import bands, brillouin_zone, lattice_modes, winding_numbers
 from casadi_skin.results.figures.bands import band_figure, skin_figure
-from casadi_skin.results.figures.profiles import plane_figure
+from casadi_skin.results.figures.families import plane_figure
 from casadi_skin.runs.family_points import lattice_lines
 
 

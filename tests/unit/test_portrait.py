@@ -7,7 +7,7 @@ import pytest
 from equilibrium_models import rosenzweig_macarthur
 
 from casadi_skin import find_equilibrium
-from casadi_skin.results.figures.profiles import portrait_figure
+from casadi_skin.results.figures.solutions import portrait_figure
 
 
 def test_equilibria_are_points_of_the_portrait_and_more_than_six_are_refused() -> None:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.dynamics import Evolution, distance_from_orbit, evolve, simulate_orbit
-from casadi_skin.results.figures.spacetime import COLOURS, spacetime_figure
+from casadi_skin.results.figures.evolutions import COLOURS, spacetime_figure
 from casadi_skin.results.figures.style import save
 
 pytestmark = pytest.mark.usefixtures("pictures")

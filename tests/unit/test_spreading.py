@@ -11,7 +11,7 @@ from casadi_skin import Bond, Chain, Lattice, OdeModel, Site
 from casadi_skin.dynamics import EvolutionError, evolve
 from casadi_skin.dynamics.starts import energies_by_site, initial_state, spreading
 from casadi_skin.lattice.linear import lattice_modes
-from casadi_skin.results.figures.profiles import spreading_figure
+from casadi_skin.results.figures.evolutions import spreading_figure
 
 
 def test_energies_of_sites_are_those_written_by_hand() -> None:

@@ -10,8 +10,17 @@ import numpy as np
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import bands, brillouin_zone, lattice_modes, winding_numbers
 from casadi_skin.lattice.spectrum import linear_spectrum
-from casadi_skin.results.figures.profiles import MARKED_SITES, moving
-from casadi_skin.results.figures.style import DASHES, blank, finished, number_sites, position_label, style, title
+from casadi_skin.results.figures.style import (
+    DASHES,
+    MARKED_SITES,
+    blank,
+    finished,
+    moving,
+    number_sites,
+    position_label,
+    style,
+    title,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -15,9 +15,8 @@ from casadi_skin.certify.certificate import Certificate, ProvedStability, Proved
 from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.dynamics.starts import Spreading
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.family import Family
-from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Equilibrium, Solution
+from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.lattice.linear import Bands, LatticeModes
 from casadi_skin.model.arguments import check_name, check_options, short_repr
@@ -26,8 +25,8 @@ from casadi_skin.optimise.search import SearchResult
 from casadi_skin.optimise.search_orbit import ParetoFront
 from casadi_skin.points.diagram import Diagram
 from casadi_skin.points.edge_curve import EdgeCurve
-from casadi_skin.results.figures.bifurcation import CURVES, WIDTHS, family_path, family_pieces
-from casadi_skin.results.figures.branch import LOOKS, draw_marks, label_of, smooth, stability_pieces
+from casadi_skin.results.figures.branches import courses, draw_marks, draw_pieces, smooth, stability_pieces
+from casadi_skin.results.figures.families import family_path, family_pieces
 from casadi_skin.results.figures.multipliers import draw_moduli
 from casadi_skin.results.figures.search import draw_starts
 from casadi_skin.results.figures.style import (
@@ -40,7 +39,7 @@ from casadi_skin.results.figures.style import (
     plain,
     style,
 )
-from casadi_skin.results.quantities import extremes, numbers_of
+from casadi_skin.results.quantities import numbers_of
 from casadi_skin.results.words import Rows, described
 from casadi_skin.stability.growth import TransientGrowth
 from casadi_skin.stability.reduction import ComplexArray
@@ -69,24 +68,19 @@ def draw(result: Any, axes: Axes, **options: Any) -> None:
 def _(result: Branch, axes: Axes, x: str | None = None, y: str | None = None, colour: Any = None) -> None:
     if not result.solutions:
         raise ValueError("plot: the branch has no points; accepted: one with points")
-    space, name = result.space, result.parameter
-    if isinstance(space, Family) and x is None and y in (None, "Omega"):
+    of_family, name = result.space.connects == FAMILY, result.parameter
+    if of_family and x is None and y in (None, "Omega"):
         path = family_path(result, False)
         pieces = family_pieces(result, path)
-        labels = amplitude_label(space.model), r"frequency $\Omega$"
+        labels = amplitude_label(result.space.model), r"frequency $\Omega$"
     else:
-        first = name or next(iter(result.solutions[0].parameters), "")
-        chosen = x or first, y or _second(result)
+        chosen = x or name or next(iter(result.solutions[0].parameters), ""), y or _second(result)
         path = np.column_stack([_along(result, quantity) for quantity in chosen])
         pieces = stability_pieces(result, path) if chosen[0] == name else [(None, path)]
-        if not isinstance(space, Family):
-            pieces = [(stable, smooth(piece)) for stable, piece in pieces]
         labels = plain(chosen[0]), plain(chosen[1])
     if colour is None:
         colour = axes._get_lines.get_next_color()  # type: ignore[attr-defined]  # that of the next line, as axes.plot takes
-    for stable, piece in pieces:
-        look = _look(result, stable)
-        axes.plot(*piece.T, color=colour, zorder=3, **{**look, "label": label_of(look["label"], piece, path)})
+    draw_pieces(axes, result, path, pieces, colour)
     draw_marks(axes, result, path, colour)
     axes.set(xlabel=labels[0], ylabel=labels[1])
     legend_once(axes)
@@ -96,28 +90,14 @@ def _(result: Branch, axes: Axes, x: str | None = None, y: str | None = None, co
 def _(result: Diagram, axes: Axes, x: str | None = None, y: str | None = None) -> None:
     colours = [axes._get_lines.get_next_color() for _ in range(2)]  # type: ignore[attr-defined]
     for branch in result.branches:
-        orbits = bool(branch.solutions) and isinstance(branch.solutions[0], Orbit)
-        draw(branch, axes, x=x, y=y, colour=colours[orbits])
-
-
-def _look(branch: Branch, stable: bool | None) -> dict[str, Any]:
-    """Line style of a stretch: of a family by its stability, else by its kind too, with broader lines for orbits."""
-    if isinstance(branch.space, Family):
-        return LOOKS[stable]
-    orbits = isinstance(branch.solutions[0], Orbit)
-    curve = CURVES.get((branch.space.kind, orbits))
-    if curve is not None:
-        return {"lw": 1.8, "ls": curve[1], "label": curve[0]}
-    kind = "orbits" if orbits else "equilibria" if isinstance(branch.solutions[0], Equilibrium) else "solutions"
-    label = kind if stable is None else f"{kind}, {LOOKS[stable]['label']}"
-    return {**LOOKS[stable], "lw": WIDTHS[orbits], "label": label}
+        draw(branch, axes, x=x, y=y, colour=colours[branch.space.connects == ORBITS])
 
 
 def _second(branch: Branch) -> str:
     """The default quantity drawn upwards: the free parameter of a curve, else the first state."""
     space = branch.space
     free = [name for name in space.free if name != "period" and not name.startswith("unfolding")]
-    return free[0] if isinstance(branch.solutions[0], Equilibrium) and free else space.state_names[0]
+    return free[0] if space.connects == EQUILIBRIA and free else space.state_names[0]
 
 
 def _along(branch: Branch, name: str) -> Array:
@@ -130,11 +110,9 @@ def _along(branch: Branch, name: str) -> Array:
     check_name("plot", name, dict.fromkeys([*known, *numbers_of(branch)]))
     if name in states and name not in solutions[0].parameters:
         place = states.index(name)
-        if isinstance(branch.space, Family):
+        if branch.space.connects == FAMILY:
             return np.array([orbit.evaluate(0.0, branch.space.output_sites)[place] for orbit in branch.orbits])
-        if isinstance(solutions[0], Equilibrium):
-            return np.array([solution.evaluate(0.0)[place] for solution in solutions])
-        return np.array([extremes(solution)[1][place] for solution in solutions])
+        return courses(branch, place)[0]
     return branch[name]
 
 
@@ -147,16 +125,10 @@ def _(result: EdgeCurve, axes: Axes, colour: Any = None) -> None:
 
 @draw.register(Solution)
 def _(result: Solution, axes: Axes, states: Sequence[str] | None = None) -> None:
-    start, end = result.interval
+    (start, end), space = result.interval, result.space
     t = np.linspace(start, end, SAMPLES)
-    _draw_states(axes, t, result.evaluate(t), _names(result), states)
-
-
-def _names(solution: Solution) -> Sequence[str]:
-    """Names of the results of `evaluate`."""
-    if isinstance(solution.space, Family):
-        return solution.space.coordinates.position_names
-    return solution.space.state_names
+    names = space.coordinates.position_names if space.connects == FAMILY else space.state_names  # type: ignore[attr-defined]
+    _draw_states(axes, t, result.evaluate(t), names, states)
 
 
 @draw.register(Evolution)

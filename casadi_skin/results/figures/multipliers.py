@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.follow.family import Family
-from casadi_skin.results.figures.profiles import requested
 from casadi_skin.results.figures.style import amplitude_label, blank, colours, finished, number, plain, style
 from casadi_skin.results.figures.style import title as model_title
 from casadi_skin.stability.localised import LocalisedFloquet
@@ -310,6 +309,18 @@ def _draw_waves(axes: Axes, floquet: LocalisedFloquet) -> None:
         values = floquet.of_finite_size.others
         label = f"finite-size, {floquet.sites} sites"
         axes.plot(values.real, values.imag, ".", ms=2.5, color="0.35", label=label, zorder=3)
+
+
+def requested(branch: Branch, at_most: int) -> dict[tuple[float, int], Orbit]:
+    """Requested orbits by value and the number of times that it was passed before, evenly picked where there are more.
+
+    The value is that of the quantity that the branch is followed in.
+    """
+    found = [(value, o) for value, o in zip(branch.values.tolist(), branch.orbits, strict=True) if o.point.requested]
+    values, orbits = [value for value, _ in found], [orbit for _, orbit in found]
+    keys = [(value, values[:i].count(value)) for i, value in enumerate(values)]
+    picked = [round(i) for i in np.linspace(0, len(orbits) - 1, min(at_most, len(orbits)))]
+    return {keys[i]: orbits[i] for i in picked}
 
 
 def multiplier_figure(branch: Branch, title: str = "") -> Figure | None:

@@ -263,6 +263,8 @@ def write_png(stream: BinaryIO, pixels: NDArray[np.uint8], dpi: float) -> None:
         stream.write(struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content)))
 
 
+MARKED_SITES = 60  # profiles of longer lattices are lines without markers, of the positions that move
+
 MOST_VALUES = 6  # of parameters in a title
 DPI = 200  # of pictures as PNG
 WIDEST = 8.3  # inches: 9 points are 7 at the width of a page, 6.5 inches
@@ -382,6 +384,14 @@ def amplitude_label(model: Any) -> str:
 def is_sum_of_squares(model: Any) -> bool:
     """Whether S is the sum of squares of the positions, as in every model without a normalisation of its own."""
     return not isinstance(model, OdeModel) or model.normalisation is None
+
+
+def moving(profiles: Array) -> tuple[int, int]:
+    """First and last position where profiles (some, positions) exceed 1e-3 of their largest; all of a short lattice."""
+    largest = np.max(np.abs(profiles), axis=1, keepdims=True)
+    seen = np.flatnonzero(np.any(np.abs(profiles) > 1e-3 * largest, axis=0)) + 1
+    sites = profiles.shape[1]
+    return (int(seen[0]), int(seen[-1])) if sites > MARKED_SITES else (1, sites)
 
 
 def number_sites(axes: Axes, first: int, last: int, label: str) -> None:

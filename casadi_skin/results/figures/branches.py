@@ -1,39 +1,51 @@
-"""A branch of orbits or solutions of any model against its parameter; one of them in time and in its phase plane."""
+"""Branches against a parameter: lines by stability with marks of special points, bifurcation diagrams, curves, edges.
+
+A branch is a path in the plane; `stability_pieces` cuts it where stability changes, `smooth` bends it, and one table
+has the looks of stable and unstable stretches, one the symbols of special points, one the curves in two parameters.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.family import Family
-from casadi_skin.follow.orbit import Orbit, cosine_curve
 from casadi_skin.follow.solution import Solution
-from casadi_skin.results.figures.style import DASHES, blank, colours, finished, number, plain, style
+from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS, SOLUTIONS
+from casadi_skin.results.figures.style import amplitude_label, blank, colours, finished, plain, style
 from casadi_skin.results.figures.style import title as model_title
 from casadi_skin.results.quantities import extremes
-from casadi_skin.zero.problem import Array, Indices
+from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import End
-from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.zero.stated_problem import PERIOD
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from casadi_skin.follow.branch import Branch
-
-
-# A branch as lines in a plane: a piece for each stretch of one stability, and marks of special points -----------------
+    from casadi_skin.points.edge_curve import EdgeCurve
 
 SAME_PLACE = 5e-3  # of the extent of a branch: a distance that a picture does not show
 LOOKS: dict[bool | None, dict[str, Any]] = {
     True: {"label": "stable", "lw": 2.0},
     False: {"label": "unstable", "lw": 2.0, "ls": (0, (3.0, 1.6))},
     None: {"label": "stability not computed", "lw": 0.9},
+}
+WIDTHS = {False: 1.5, True: 2.8}  # of lines of equilibria, and of cycles
+DASHED, DOTTED = (0, (4.0, 1.4)), (0, (1.0, 1.2))
+CURVES = {  # words and dashes of a curve of special points, by kind and whether they are orbits
+    ("fold", False): ("folds", "-"),
+    ("hopf", False): ("Hopf points", DASHED),
+    ("branch point", False): ("branch points", DOTTED),
+    ("period doubling", False): ("period doublings", DASHED),
+    ("torus", False): ("tori", DOTTED),
+    ("fold", True): ("folds of cycles", "-"),
+    ("period doubling", True): ("period doublings", DASHED),
+    ("torus", True): ("tori", DOTTED),
+    ("branch point", True): ("branch points of cycles", DOTTED),
 }
 CLOSE = 0.008  # of the width of a picture: marks that are closer overlap
 ROUNDING = 1e-6  # of a quantity: a change that is no course of a curve
@@ -70,6 +82,10 @@ MARKS = {  # the symbols of the field, as far as there are any
 }
 PLAIN = ("d", "0.8")
 LIMITS = ("homoclinic", "heteroclinic")  # possible ends of a branch of cycles
+Pieces = Sequence[tuple[bool | None, Array]]
+
+
+# Branches as lines in a plane -----------------------------------------------------------------------------------------
 
 
 def stability_pieces(branch: Branch, path: Array) -> list[tuple[bool | None, Array]]:
@@ -135,6 +151,32 @@ def special_places(branch: Branch, path: Array) -> dict[int, str]:
     return {lead + i: s.point.special for i, s in enumerate(branch.solutions) if s.point.special}
 
 
+def courses(branch: Branch, state: int) -> list[Array]:
+    """A state along a branch: its value at equilibria, its largest and its smallest along orbits and solutions."""
+    if branch.space.connects == EQUILIBRIA:
+        return [np.array([solution.evaluate(0.0)[state] for solution in branch.solutions])]
+    low, high = np.array([[side[state] for side in extremes(solution)] for solution in branch.solutions]).T
+    return [high, low]
+
+
+def draw_pieces(axes: Axes, branch: Branch, path: Array, pieces: Pieces, colour: Any, orbits: str = "orbits") -> None:
+    """A path with a line for each piece, of a family by its stability, else by its kind too, broader for orbits."""
+    space = branch.space
+    closed = space.connects == ORBITS
+    kind = {ORBITS: orbits, EQUILIBRIA: "equilibria"}.get(space.connects, "solutions")
+    for stable, piece in pieces:
+        look = LOOKS[stable]
+        if (space.kind, closed) in CURVES:
+            words, dashes = CURVES[space.kind, closed]
+            look = {"lw": 1.8, "ls": dashes, "label": words}
+        elif space.connects != FAMILY:
+            silent = stable is None and (kind == "solutions" or orbits == "orbits")
+            look = {**look, "lw": WIDTHS[closed], "label": kind if silent else f"{kind}, {look['label']}"}
+        seen = np.any(np.ptp(piece, axis=0) > SAME_PLACE * np.ptp(path, axis=0))
+        drawn = piece if space.connects == FAMILY else smooth(piece)
+        axes.plot(*drawn.T, color=colour, zorder=3, **{**look, "label": look["label"] if seen else "_nolegend_"})
+
+
 def draw_lines(
     axes: Axes,
     branch: Branch,
@@ -148,10 +190,10 @@ def draw_lines(
     Pieces of one stability are one line with gaps between them: a line takes a fifth of a millisecond, a gap nothing.
     With `strip`, changes whose marks would overlap are shown by a strip along the lower edge, dark where unstable.
     """
-    gap = np.full((1, 2), np.nan)
+    gap, orbits = np.full((1, 2), np.nan), branch.space.connects in (FAMILY, ORBITS)
     for stable in dict.fromkeys(stable for stable, _ in pieces):
         line = np.vstack([part for known, piece in pieces if known is stable for part in (gap, piece)])[1:]
-        axes.plot(*line.T, color=colour, zorder=3, **(LOOKS[stable] if _may_be_stable(branch) else {"lw": 1.4}))
+        axes.plot(*line.T, color=colour, zorder=3, **(LOOKS[stable] if orbits else {"lw": 1.4}))
     joints = np.array([piece[-1] for _, piece in pieces[:-1]]).reshape(-1, 2)
     joints = joints[~_are_marked(joints, path[list(special_places(branch, path))], np.ptp(path, axis=0))]
     if joints.size and strip and np.all(np.diff(path[:, 0]) > 0.0) and crowded(joints[:, 0]):
@@ -187,39 +229,35 @@ def thinned(places: Array) -> Array:
     return np.asarray(places[kept])
 
 
-def _may_be_stable(branch: Branch) -> bool:
-    """Whether its solutions are orbits."""
-    return all(isinstance(solution, Orbit) for solution in branch.solutions[:1])
+def draw_special(axes: Axes, branch: Branch, path: Array, size: float) -> None:
+    """A symbol for each special point."""
+    places = special_places(branch, path)
+    for kind in dict.fromkeys(places.values()):
+        points = path[[i for i, found in places.items() if found == kind]]
+        marker, face = MARKS.get(kind, PLAIN)
+        look: dict[str, Any] = {"mfc": face, "mec": "black", "ls": "none", "zorder": 5}
+        axes.plot(*points.T, marker, color="black", ms=size, label=kind, **look)
 
 
 def draw_marks(axes: Axes, branch: Branch, path: Array, colour: Any) -> None:
-    """Marks of folds, of values that were requested, and of an early end."""
-    places = special_places(branch, path)
-    for kind in dict.fromkeys(places.values()):
-        chosen = [i for i, found in places.items() if found == kind]
-        marker, face = MARKS.get(kind, PLAIN)
-        axes.plot(*path[chosen].T, marker, color="black", ms=5, mfc=face, mec="black", ls="none", label=kind, zorder=5)
-    lead = len(path) - len(branch)
+    """Marks of special points, of values that were requested, and of an early end."""
+    draw_special(axes, branch, path, 5)
+    lead, last = len(path) - len(branch), special_places(branch, path).get(len(path) - 1)
     marked = [lead + i for i, solution in enumerate(branch.solutions) if solution.point.requested]
     if marked:
-        axes.plot(
-            *path[marked].T,
-            "o",
-            color=colour,
-            ms=4,
-            mfc="white",
-            mec=colour,
-            label="requested",
-            zorder=6,
-            clip_on=False,
-        )
-    reached = branch.stopped or (lead + len(branch) - 1 in places and places[lead + len(branch) - 1] in LIMITS)
-    if branch.end not in (End.REACHED, End.RETURNED, End.CLOSED) and not reached:
+        look: dict[str, Any] = {"mfc": "white", "mec": colour, "label": "requested", "zorder": 6, "clip_on": False}
+        axes.plot(*path[marked].T, "o", color=colour, ms=4, **look)
+    if branch.end not in (End.REACHED, End.RETURNED, End.CLOSED) and not branch.stopped and last not in LIMITS:
         axes.plot(*path[-1], "x", ms=6, color="black", label="ended early", zorder=7)
 
 
-SAMPLES = 2001  # of an orbit
-SHOWN = 6  # states drawn against time
+def solution_title(solution: Solution, name: str = "", without: Iterable[str] = ()) -> str:
+    """The model of a solution, or `name` in its place, and the values of its parameters but for some."""
+    known = {key: value for key, value in solution.parameters.items() if key not in set(without)}
+    return model_title(solution.space.model, known, name)
+
+
+# Branches in one parameter, and curves in two -------------------------------------------------------------------------
 
 
 def branch_figure(branch: Branch, title: str = "") -> Figure:
@@ -238,16 +276,14 @@ def branch_figure(branch: Branch, title: str = "") -> Figure:
         ValueError: the branch is a family, or has no solutions.
     """
     space = branch.space
-    if not isinstance(space, BoundarySpace) or not space.parameter or not branch.solutions:
-        given = "a family" if isinstance(space, Family) else "one without a parameter or solutions"
-        given = "one of equilibria, see bifurcation_figure" if space.stability_included else given
+    if space.connects not in (ORBITS, SOLUTIONS) or not space.parameter or not branch.solutions:
+        names = {FAMILY: "a family", EQUILIBRIA: "one of equilibria, see bifurcation_figure"}
+        given = names.get(space.connects, "one without a parameter or solutions")
         raise ValueError(f"branch: given {given}; accepted: a branch of orbits or solutions in a parameter")
     state = plain(space.state_names[0])
-    low, high = np.array([[side[0] for side in extremes(solution)] for solution in branch.solutions]).T
     from matplotlib.lines import Line2D
 
-    panels: list[tuple[str, list[Array]]] = [(f"{state}: largest and smallest value", [high, low])]
-    panels += _second_panel(branch, space)
+    panels = [(f"{state}: largest and smallest value", courses(branch, 0)), *_second_panel(branch)]
     with style():
         figure = blank(6.0, 3.6 if len(panels) == 1 else 5.6)
         axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
@@ -261,101 +297,116 @@ def branch_figure(branch: Branch, title: str = "") -> Figure:
                 panel.legend(handles, ["largest", "smallest"], loc="best")
             panel.set_ylabel(label)
         axes[-1].set_xlabel(plain(space.parameter))
-        axes[0].set_title(_title(branch.solutions[0], title, (space.parameter, *space.statement.free)), y=1.0)
+        axes[0].set_title(solution_title(branch.solutions[0], title, (space.parameter, *space.free)), y=1.0)
         return finished(figure, axes, 5, in_black=True, plain=True)
 
 
-def _second_panel(branch: Branch, space: BoundarySpace) -> list[tuple[str, list[Array]]]:
+def _second_panel(branch: Branch) -> list[tuple[str, list[Array]]]:
     """The period where it is unknown, else the largest multiplier where there are multipliers."""
-    if space.periodic is not None and PERIOD in space.statement.free:
+    if branch.space.connects == ORBITS and PERIOD in branch.space.free:
         return [("period", [branch.period])]
     if not branch.with_stability or not branch.orbits[0].floquet().others.size:
         return []
     return [("largest |multiplier|", [branch.max_abs_multiplier])]
 
 
-def orbit_figure(solution: Solution, title: str = "") -> Figure:
-    """States against time over the interval or the period and, of two or more, the plane of the first two.
-
-    Of many states the first six are drawn; of many positions of a family those that move most, the largest first.
+def bifurcation_figure(branches: Sequence[Branch], title: str = "", state: int = 0) -> Figure:
+    """A state of equilibria, and its largest and smallest value along cycles, against the parameter.
 
     Arguments:
-        solution: an orbit of any kind, or a solution of a boundary-value problem.
+        branches: branches of equilibria and orbits in one parameter.
+        title: stands in place of the name of the model.
+        state: place of the state among its names, from 0.
+
+    Returns:
+        The figure: stable stretches solid, unstable ones dashed, cycles in broader lines of another colour, and a
+        symbol for each kind of special point. Lines are smooth curves through the points computed.
+
+    Raises:
+        ValueError: there is no solution, or a branch is followed in another parameter.
+    """
+    held = [branch for branch in branches if len(branch)]
+    if not held or any(branch.parameter != held[0].parameter for branch in held):
+        raise ValueError("branches: given none, or several parameters; accepted: branches in one parameter")
+    first = held[0].solutions[0]
+    name = plain(first.space.state_names[state])
+    rest, cycle = colours(2)
+    with style():
+        figure = blank(6.4, 4.2)
+        axes = figure.subplots()
+        for branch in held:
+            colour = cycle if branch.space.connects in (FAMILY, ORBITS) else rest
+            for heights in courses(branch, state):
+                path = np.column_stack([branch.values, heights])
+                draw_pieces(axes, branch, path, stability_pieces(branch, path), colour, "cycles")
+                draw_special(axes, branch, path, 6)
+        equilibria = [branch.space.connects == EQUILIBRIA for branch in held]
+        both = f"{name}, of cycles largest and smallest" if any(equilibria) else f"{name}: largest and smallest value"
+        what = name if all(equilibria) else both
+        axes.set(xlabel=plain(held[0].parameter), ylabel=what)
+        axes.set_title(solution_title(first, title, (held[0].parameter, *held[0].space.free)), y=1.0)
+        return finished(figure, [axes], 3, plain=True)
+
+
+def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
+    """Curves of special points in the plane of two parameters, with their points of codimension two.
+
+    Arguments:
+        curves: results of `point.curve`, all in the same two parameters.
         title: stands in place of the name of the model.
 
     Returns:
         The figure.
+
+    Raises:
+        ValueError: a branch is no curve in these two parameters.
     """
-    chosen, t, known = drawn_states(solution), times(solution), len(solution.space.state_names)
-    names, x, plane = _names(solution, chosen), _states(solution, t, chosen), in_plane(solution, t)
+    planes = {(curve.parameter, *curve.space.free[:1]) for curve in curves if curve.space.kind}
+    if len(planes) != 1 or len(next(iter(planes))) != 2:
+        raise ValueError("curves: given branches of other kinds or in other parameters; accepted: curves in one plane")
+    second, first = next(iter(planes))
     with style():
-        figure = blank(5.0 if plane is None else 8.0, 3.6)
-        axes = figure.subplots(1, 1 if plane is None else 2, squeeze=False)[0]
-        for i, colour in enumerate(colours(len(names))):
-            axes[0].plot(t, x[:, i], color=colour, ls=DASHES[i], lw=1.4, label=names[i])
-        more = f" ({len(names)} of {known})" if known > len(names) else ""
-        axes[0].set(xlabel="t", ylabel=f"states{more}", xlim=(t[0], t[-1]))
-        if plane is not None:
-            points, labels = plane
-            axes[1].plot(*points.T, color="black", lw=1.4)
-            words = "t = 0" if isinstance(solution, Orbit) else f"t = {t[0]:.4g}"
-            axes[1].plot(*points[0], "o", ms=5, mfc="white", mec="black", label=words)
-            axes[1].set(xlabel=labels[0], ylabel=labels[1])
-        figure.suptitle(orbit_title(solution, title))
-        return finished(figure, axes, SHOWN + 1, plain=True)
+        figure = blank(6.0, 4.4)
+        axes = figure.subplots()
+        looks = [(curve.space.kind, curve.space.connects == ORBITS) for curve in curves]
+        order = [look for look in CURVES if look in looks]
+        for curve, look in zip(curves, looks, strict=True):
+            words, dashes = CURVES[look]
+            path = np.column_stack([curve[first], curve[second]])
+            colour = colours(max(2, len(order)))[order.index(look) if len(order) > 1 else int(look[0] == "hopf")]
+            axes.plot(*smooth(path).T, ls=dashes, lw=1.8, color=colour, label=words)
+            draw_special(axes, curve, path, 6)
+        axes.set(xlabel=plain(first), ylabel=plain(second))
+        axes.set_title(solution_title(curves[0].solutions[0], title, (first, second, *curves[0].space.free)), y=1.0)
+        return finished(figure, [axes], 4, plain=True)
 
 
-def drawn_states(solution: Solution) -> Indices:
-    """Indices of the states that are drawn, six at the most: of a family with more positions those that move most."""
-    count = len(solution.space.state_names)
-    if count <= SHOWN or not isinstance(solution.space, Family):
-        return np.arange(min(count, SHOWN))
-    return np.argsort(-np.abs(_states(solution, np.zeros(1), np.arange(count))[0]), kind="stable")[:SHOWN]
+def edges_figure(curves: Sequence[EdgeCurve], title: str = "") -> Figure:
+    """Edges of tongues of families in the plane of a parameter and S, with their error bars where these show.
 
+    Arguments:
+        curves: results of `Branch.edge(number).curve`, all in the same parameter.
+        title: stands in place of the name of the model.
 
-def _names(solution: Solution, chosen: Indices) -> list[str]:
-    return [plain(solution.space.state_names[i]) for i in chosen]
+    Returns:
+        The figure.
 
-
-def _states(solution: Solution, t: Array, chosen: Indices) -> Array:
-    if isinstance(solution, Orbit):
-        return solution.evaluate(t, solution.output_sites[chosen])
-    return solution.evaluate(t)[:, chosen]
-
-
-def times(solution: Solution) -> Array:
-    """Times over the interval or the period at which a solution looks smooth: those of its mesh among them."""
-    start, end = solution.interval
-    even = np.linspace(start, end, SAMPLES)
-    if not isinstance(solution.point.problem, BoundaryProblem):
-        return even
-    return np.unique(np.concatenate([even, np.clip(solution.t, start, end)]))
-
-
-def in_plane(solution: Solution, t: Array) -> tuple[Array, tuple[str, str]] | None:
-    """Points of a solution in the plane of the first two states drawn, shape (times, 2), and the names of the axes.
-
-    Of an orbit of a family with one position that and its velocity; None for another solution with one state.
+    Raises:
+        ValueError: curves are in different parameters.
     """
-    chosen = drawn_states(solution)[:2]
-    names, x = _names(solution, chosen), _states(solution, t, chosen)
-    if len(names) > 1:
-        return x, (names[0], names[1])
-    if not (isinstance(solution, Orbit) and isinstance(solution.space, Family)):
-        return None
-    velocity = cosine_curve(solution).points(solution.Omega * t)[0][:, 1]
-    return np.column_stack([x, velocity]), (names[0], rf"velocity of {names[0]} over $\Omega$")
-
-
-def orbit_title(solution: Solution, name: str = "") -> str:
-    """A solution in words: its model, with mode and S of an orbit of a family, or with the period of another orbit."""
-    words = _title(solution, name, ())
-    if isinstance(solution.space, Family):
-        assert isinstance(solution, Orbit)
-        return f"{words}, $j = {solution.space.coordinates.mode_number}$, $S = {number(solution.S)}$"
-    return f"{words}, period ${number(solution.period)}$" if isinstance(solution, Orbit) else words
-
-
-def _title(solution: Solution, name: str, without: tuple[str, ...]) -> str:
-    known = {key: value for key, value in solution.parameters.items() if key not in without}
-    return model_title(solution.space.model, known, name)
+    if len({curve.parameter for curve in curves}) != 1:
+        raise ValueError("curves: given edges in different parameters, or none; accepted: edges in one parameter")
+    model, name = curves[0].points[0].orbit.model, curves[0].parameter
+    words = {"real": "through 1 or -1", "complex": "Krein collisions"}
+    with style():
+        figure = blank(6.0, 4.4)
+        axes = figure.subplots()
+        kinds = [*words, *sorted({curve.kind for curve in curves} - set(words))]
+        for kind, colour in zip(kinds, colours(len(kinds)), strict=True):
+            alike = [curve for curve in curves if curve.kind == kind]
+            for k, curve in enumerate(alike):
+                path = np.column_stack([curve[name], curve.S])
+                axes.plot(*smooth(path).T, lw=1.4, color=colour, label=words.get(kind, kind) if k == 0 else None)
+        axes.set(xlabel=plain(name), ylabel=amplitude_label(model))
+        axes.set_title(title or f"edges of tongues of {getattr(model, 'name', 'the chain')}", y=1.0)
+        return finished(figure, [axes], 4, plain=True)

@@ -1,4 +1,4 @@
-"""Bifurcation diagrams: branches of equilibria and cycles against a parameter; curves in two parameters."""
+"""Families: frequency against amplitude with the linear band and the theory, and profiles (paper, Figs. 3 and 7)."""
 
 from __future__ import annotations
 
@@ -9,200 +9,32 @@ import numpy as np
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import band_edges, lattice_modes
 from casadi_skin.lattice.spectrum import linear_spectrum
-from casadi_skin.results.figures.branch import (
-    LOOKS,
-    MARKS,
-    PLAIN,
-    draw_lines,
-    draw_marks,
-    label_of,
-    smooth,
-    stability_pieces,
-)
-from casadi_skin.results.figures.multipliers import frequency_pieces, shade_unresolved
+from casadi_skin.results.figures.branches import Pieces, draw_lines, draw_marks, stability_pieces
+from casadi_skin.results.figures.multipliers import frequency_pieces, requested, shade_unresolved
 from casadi_skin.results.figures.style import (
+    MARKED_SITES,
     amplitude_label,
     blank,
     colours,
     common_model,
     family,
     finished,
-    plain,
+    is_sum_of_squares,
+    moving,
+    number,
+    number_sites,
+    position_label,
     style,
     title,
 )
-from casadi_skin.results.figures.style import title as model_title
-from casadi_skin.results.quantities import extremes
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from casadi_skin.follow.branch import Branch
-    from casadi_skin.points.edge_curve import EdgeCurve
-
-DASHED, DOTTED = (0, (4.0, 1.4)), (0, (1.0, 1.2))
-CURVES = {  # words and dashes of a curve of special points, by kind and whether they are orbits
-    ("fold", False): ("folds", "-"),
-    ("hopf", False): ("Hopf points", DASHED),
-    ("branch point", False): ("branch points", DOTTED),
-    ("period doubling", False): ("period doublings", DASHED),
-    ("torus", False): ("tori", DOTTED),
-    ("fold", True): ("folds of cycles", "-"),
-    ("period doubling", True): ("period doublings", DASHED),
-    ("torus", True): ("tori", DOTTED),
-    ("branch point", True): ("branch points of cycles", DOTTED),
-}
-WIDTHS = {False: 1.5, True: 2.8}  # of lines of equilibria, and of cycles
-
-
-def bifurcation_figure(branches: Sequence[Branch], title: str = "", state: int = 0) -> Figure:
-    """A state of equilibria, and its largest and smallest value along cycles, against the parameter.
-
-    Arguments:
-        branches: branches of equilibria and orbits in one parameter.
-        title: stands in place of the name of the model.
-        state: place of the state among its names, from 0.
-
-    Returns:
-        The figure: stable stretches solid, unstable ones dashed, cycles in broader lines of another colour, and a
-        symbol for each kind of special point. Lines are smooth curves through the points computed.
-
-    Raises:
-        ValueError: there is no solution, or a branch is followed in another parameter.
-    """
-    held = [branch for branch in branches if len(branch)]
-    if not held or any(branch.parameter != held[0].parameter for branch in held):
-        raise ValueError("branches: given none, or several parameters; accepted: branches in one parameter")
-    first = held[0].solutions[0]
-    name = plain(first.space.state_names[state])
-    rest, cycle = colours(2)
-    with style():
-        figure = blank(6.4, 4.2)
-        axes = figure.subplots()
-        for branch in held:
-            orbits = isinstance(branch.solutions[0], Orbit)
-            for heights in _heights(branch, state):
-                path = np.column_stack([branch.values, heights])
-                _draw(axes, branch, path, cycle if orbits else rest)
-                _mark(axes, branch, path)
-        equilibria = [isinstance(branch.solutions[0], Equilibrium) for branch in held]
-        both = f"{name}, of cycles largest and smallest" if any(equilibria) else f"{name}: largest and smallest value"
-        what = name if all(equilibria) else both
-        axes.set(xlabel=plain(held[0].parameter), ylabel=what)
-        axes.set_title(_title(held[0], title, (held[0].parameter,)), y=1.0)
-        return finished(figure, [axes], 3, plain=True)
-
-
-def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
-    """Curves of special points in the plane of two parameters, with their points of codimension two.
-
-    Arguments:
-        curves: results of `point.curve`, all in the same two parameters.
-        title: stands in place of the name of the model.
-
-    Returns:
-        The figure.
-
-    Raises:
-        ValueError: a branch is no curve in these two parameters.
-    """
-    planes = {(curve.parameter, *curve.space.free[:1]) for curve in curves if curve.space.kind}
-    if len(planes) != 1 or len(next(iter(planes))) != 2:
-        raise ValueError("curves: given branches of other kinds or in other parameters; accepted: curves in one plane")
-    second, first = next(iter(planes))
-    with style():
-        figure = blank(6.0, 4.4)
-        axes = figure.subplots()
-        looks = [(curve.space.kind, isinstance(curve.solutions[0], Orbit)) for curve in curves]
-        order = [look for look in CURVES if look in looks]
-        for curve, look in zip(curves, looks, strict=True):
-            words, dashes = CURVES[look]
-            path = np.column_stack([curve[first], curve[second]])
-            colour = colours(max(2, len(order)))[order.index(look) if len(order) > 1 else int(look[0] == "hopf")]
-            axes.plot(*smooth(path).T, ls=dashes, lw=1.8, color=colour, label=words)
-            _mark(axes, curve, path)
-        axes.set(xlabel=plain(first), ylabel=plain(second))
-        axes.set_title(_title(curves[0], title, (first, second)), y=1.0)
-        return finished(figure, [axes], 4, plain=True)
-
-
-def edges_figure(curves: Sequence[EdgeCurve], title: str = "") -> Figure:
-    """Edges of tongues of families in the plane of a parameter and S, with their error bars where these show.
-
-    Arguments:
-        curves: results of `Branch.edge(number).curve`, all in the same parameter.
-        title: stands in place of the name of the model.
-
-    Returns:
-        The figure.
-
-    Raises:
-        ValueError: curves are in different parameters.
-    """
-    if len({curve.parameter for curve in curves}) != 1:
-        raise ValueError("curves: given edges in different parameters, or none; accepted: edges in one parameter")
-    model, name = curves[0].points[0].orbit.model, curves[0].parameter
-    words = {"real": "through 1 or -1", "complex": "Krein collisions"}
-    with style():
-        figure = blank(6.0, 4.4)
-        axes = figure.subplots()
-        kinds = [*words, *sorted({curve.kind for curve in curves} - set(words))]
-        for kind, colour in zip(kinds, colours(len(kinds)), strict=True):
-            alike = [curve for curve in curves if curve.kind == kind]
-            for k, curve in enumerate(alike):
-                path = np.column_stack([curve[name], curve.S])
-                axes.plot(*smooth(path).T, lw=1.4, color=colour, label=words.get(kind, kind) if k == 0 else None)
-        axes.set(xlabel=plain(name), ylabel=amplitude_label(model))
-        axes.set_title(title or f"edges of tongues of {getattr(model, 'name', 'the chain')}", y=1.0)
-        return finished(figure, [axes], 4, plain=True)
-
-
-def _has_orbits(branch: Branch) -> bool:
-    return isinstance(branch.solutions[0], Orbit)
-
-
-def _heights(branch: Branch, state: int) -> list[Array]:
-    """A state along a branch: its value at equilibria, its largest and smallest along orbits."""
-    if isinstance(branch.solutions[0], Equilibrium):
-        return [np.array([solution.evaluate(0.0)[state] for solution in branch.solutions])]
-    low, high = np.array([[side[state] for side in extremes(solution)] for solution in branch.solutions]).T
-    return [high, low]
-
-
-def _draw(axes: Axes, branch: Branch, path: Array, colour: object) -> None:
-    first = branch.solutions[0]
-    kind = "equilibria" if isinstance(first, Equilibrium) else "cycles" if _has_orbits(branch) else "solutions"
-    for stable, piece in stability_pieces(branch, path):
-        look = {**LOOKS[stable], "lw": WIDTHS[_has_orbits(branch)]}
-        known = look.pop("label")
-        words = label_of(kind if kind == "solutions" and stable is None else f"{kind}, {known}", piece, path)
-        axes.plot(*smooth(piece).T, color=colour, zorder=3, label=words, **look)
-
-
-def _mark(axes: Axes, branch: Branch, path: Array) -> None:
-    """A symbol for each special point."""
-    for kind in dict.fromkeys(solution.point.special for solution in branch.solutions):
-        if not kind:
-            continue
-        marker, face = MARKS.get(kind, PLAIN)
-        places = [i for i, solution in enumerate(branch.solutions) if solution.point.special == kind]
-        axes.plot(*path[places].T, marker, color="black", ms=6, mfc=face, mec="black", ls="none", label=kind, zorder=5)
-
-
-def _title(branch: Branch, title: str, without: tuple[str, ...]) -> str:
-    solution = branch.solutions[0]
-    names = (*without, *branch.space.free)
-    known = {key: value for key, value in solution.parameters.items() if key not in names}
-    return model_title(solution.space.model, known, title)
-
-
-# Frequency against amplitude of families: stability, the linear band, the theory's line (paper, Fig. 3a, d and 7) -----
 
 FLAT = 0.02  # of the height of a picture: a change of frequency that it does not show
 APART = 30.0  # ratio of shifts that one linear scale does not show
@@ -216,7 +48,7 @@ def family_path(branch: Branch, shift: bool) -> Array:
     return np.column_stack([np.append(0.0, branch.S), np.append(0.0 if shift else branch.start.Omega, values)])
 
 
-def family_pieces(branch: Branch, path: Array, shift: bool = False) -> list[tuple[bool | None, Array]]:
+def family_pieces(branch: Branch, path: Array, shift: bool = False) -> Pieces:
     """The path of a family, as `family_path` makes it, in stretches of one stability each, exact where it is known."""
     diagram = branch.stability_diagram
     if diagram is None or not diagram.pieces:
@@ -362,3 +194,159 @@ def frequency_figure(branches: Sequence[Branch]) -> Figure:
         label = rf"frequency shift $\Omega - \omega_{{{mode}}}$" if shift else r"frequency $\Omega$"
         axes.set(xlabel=amplitude_label(model), ylabel=label)
         return finished(figure, [axes], 3, in_black=True, plain=True)
+
+
+# Profiles of requested orbits beside their linear mode (paper, Fig. 3b, e) --------------------------------------------
+
+MARKERS, LINES = "os^Dv<", ("-", "--", "-.", ":")
+DEEPEST = -290.0  # log10 of sizes that are drawn as they are
+DECADES = 2.0  # that an axis spans whose whole powers of ten are ticks enough: each tick takes half a millisecond
+
+
+def _logarithms(orbit: Orbit) -> Array:
+    """log10 of |y_n(0)|/||y||, nan at rest and at nodes, shape (positions,)."""
+    logs = orbit.log10_displacements(orbit.output_sites)[0] - np.log10(_norm(orbit))
+    around = np.pad(logs, 1, constant_values=-np.inf)
+    return np.where(logs > np.maximum(around[:-2], around[2:]) - 13.0, logs, np.nan)
+
+
+def _norm(orbit: Orbit) -> float:
+    """||y|| at t = 0."""
+    return float(np.sqrt(orbit.S)) if is_sum_of_squares(orbit.model) else float(np.linalg.norm(orbit.profile))
+
+
+def _looks(keys: Sequence[tuple[float, int]], marked: bool) -> dict[tuple[float, int], dict[str, Any]]:
+    """How profiles at each S are drawn: markers, which shrink so that those of coinciding profiles show, or dashes."""
+    looks: dict[tuple[float, int], dict[str, Any]] = {}
+    for k, (key, colour) in enumerate(zip(keys, colours(len(keys)), strict=True)):
+        passage = f" (passage {key[1] + 1})" if key[1] else ""
+        marker = {"marker": MARKERS[k % len(MARKERS)], "ms": 5.0 - 2.0 * k / len(keys), "mfc": "white"}
+        dashes = marker if marked else {"ls": LINES[k % len(LINES)]}
+        looks[key] = {"color": colour, "lw": 0.9, "label": f"$S = {number(key[0])}${passage}", **dashes}
+    return looks
+
+
+def _draw_profiles(
+    panels: Sequence[Axes], branch: Branch, orbits: dict[tuple[float, int], Orbit], looks: dict[Any, dict[str, Any]]
+) -> None:
+    """Profiles over the linear mode: as they are in the first panel, sizes in the second, if there is one.
+
+    Sizes that would come near the smallest double are drawn as powers of ten.
+    """
+    from matplotlib.ticker import MaxNLocator, NullLocator
+
+    coordinates = family(branch).coordinates
+    mode_logs, signs = coordinates.linear_profile
+    n, mode = coordinates.output_sites, signs * 10.0**mode_logs
+    dot = "o" if mode.size == 1 else None
+    first, *second = panels
+    first.plot(n, mode, marker=dot, color="0.65", lw=3, ms=9, label="linear mode")
+    for key, orbit in orbits.items():
+        y = orbit.evaluate(0.0, n) / _norm(orbit)
+        first.plot(n, y * (np.sign(y @ mode) or 1.0), **looks[key])
+    mode_logs = np.where(np.isfinite(mode_logs), mode_logs, np.nan)
+    for axes in second:
+        logs = {key: _logarithms(orbit) for key, orbit in orbits.items()}
+        deep = any(np.nanmin(values) < DEEPEST for values in (mode_logs, *logs.values()))
+        axes.plot(n, mode_logs if deep else 10.0**mode_logs, marker=dot, color="0.65", lw=3, ms=9)
+        for key, values in logs.items():
+            axes.plot(n, values if deep else 10.0**values, **looks[key])
+        if deep:
+            axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))
+            axes.yaxis.set_major_formatter(lambda power, _: rf"$10^{{{power:.0f}}}$")
+        else:
+            axes.set_yscale("log")
+            powers = np.concatenate([mode_logs, *logs.values()])
+            if np.nanmax(powers) - np.nanmin(powers) > DECADES:
+                axes.yaxis.set_minor_locator(NullLocator())
+    panels[0].axhline(0.0, color="0.45", lw=0.5, zorder=0)
+    panels[0].set_title(f"$j = {coordinates.mode_number}$", loc="left", y=1.0)
+    panels[0].set_ylabel(r"$y_n(0)\,/\,\Vert y\Vert$")
+    for axes in panels[1:]:
+        axes.set_ylabel(r"$|y_n(0)|\,/\,\Vert y\Vert$")
+
+
+def profile_figure(branches: Sequence[Branch]) -> Figure | None:
+    """Profiles y_n(0) of requested orbits, scaled to norm 1, over the linear mode.
+
+    A row a family, at most six orbits each, with the sign that overlaps with the linear mode; of a long lattice the
+    positions that move. Where a profile spans more than 3 decades, sizes at all positions stand beside them on a
+    logarithmic scale.
+
+    Arguments:
+        branches: families of one model at the same values of its parameters.
+
+    Returns:
+        The figure; None where nothing was requested.
+
+    Raises:
+        ValueError: there is no branch, one is no family, or they are of different models.
+    """
+    model, parameters = common_model(branches)
+    chosen = [(branch, orbits) for branch in branches if (orbits := requested(branch, len(MARKERS)))]
+    if not chosen:
+        return None
+    shown = family(chosen[0][0]).coordinates.output_sites
+    profiles = np.array([orbit.evaluate(0.0, shown) for _, orbits in chosen for orbit in orbits.values()])
+    logs = np.array([_logarithms(orbit) for _, orbits in chosen for orbit in orbits.values()])
+    steep = bool(np.any(np.nanmax(logs, axis=1) > np.nanmin(logs, axis=1) + 3.0))
+    keys = sorted({key for _, orbits in chosen for key in orbits})
+    rows, columns = len(chosen), 2 if steep else 1
+    with style():
+        looks = _looks(keys, shown.size <= MARKED_SITES)
+        figure = blank(3.7 * columns, 0.9 + (2.6 if rows == 1 else 1.5 * rows))
+        panels = figure.subplots(rows, columns, sharex="col", squeeze=False)
+        for row, (branch, orbits) in zip(panels, chosen, strict=True):
+            _draw_profiles(row, branch, orbits, looks)
+        low, high = moving(profiles)
+        for axes, ends in zip(panels[-1], ((shown[low - 1], shown[high - 1]), (shown[0], shown[-1])), strict=False):
+            number_sites(axes, int(ends[0]), int(ends[1]), position_label(model))
+        figure.suptitle(title(model, parameters))
+        figure.align_ylabels()
+        return finished(figure, panels[:, 0], columns * (2 if any(passage for _, passage in keys) else 3), plain=True)
+
+
+# Orbits of a lattice in two dimensions: displacements in the plane, and their sizes -----------------------------------
+
+MOST_ORBITS = 3  # side by side
+DEEPEST_PLANE = -8.0  # of the logarithms drawn
+
+
+def plane_figure(branch: Branch) -> Figure | None:
+    """Displacements at t = 0 over their norm in the plane, and their decimal logarithms, one column a requested orbit.
+
+    Arguments:
+        branch: a family.
+
+    Returns:
+        The figure; None where the model is no lattice in two dimensions, or no orbit was requested.
+
+    Raises:
+        ValueError: the branch is no family.
+    """
+    lattice = family(branch).model
+    orbits = [orbit for orbit in branch.orbits if orbit.point.requested][-MOST_ORBITS:]
+    if not isinstance(lattice, Lattice) or len(lattice.declaration.cells) != 2 or not orbits:
+        return None
+    rows, columns = lattice.declaration.cells[0], lattice.declaration.cells[1] * len(lattice.declaration.sites)
+    with style():
+        figure = blank(0.6 + 2.8 * len(orbits), 5.2)
+        panels = figure.subplots(2, len(orbits), squeeze=False)
+        for k, orbit in enumerate(orbits):
+            y = orbit.profile.reshape(rows, columns) / np.sqrt(orbit.S)
+            largest = float(np.max(np.abs(y)))
+            with np.errstate(divide="ignore"):
+                logs = np.maximum(np.log10(np.abs(y)), DEEPEST_PLANE)
+            looks: Sequence[tuple[np.ndarray, str, float, float, str]] = (
+                (y, "RdBu", -largest, largest, rf"$y(0)/\|y\|$, $S = {number(orbit.S)}$"),
+                (logs, "viridis", float(np.min(logs)), 0.0, r"$\log_{10}|y(0)|/\|y\|$"),
+            )
+            for panel, (values, colours, low, high, words) in zip(panels[:, k], looks, strict=True):
+                extent = (0.5, rows + 0.5, 0.5, columns + 0.5)
+                image = panel.imshow(values.T, cmap=colours, vmin=low, vmax=high, origin="lower", extent=extent)
+                figure.colorbar(image, ax=panel, shrink=0.8, use_gridspec=False)
+                panel.set_title(words)
+                panel.set_xlabel("cell $n$")
+                panel.set_ylabel("cell $m$" if len(lattice.declaration.sites) == 1 else "sites along $m$")
+        figure.suptitle(title(lattice, family(branch).coordinates.parameters))
+        return finished(figure, (), 1)
