@@ -3,9 +3,10 @@
 Banded problems are solved by band LU with the dense columns and rows in a border, compiled. The band alone is
 singular at a linear mode (its null vector is the mode), so its diagonal entry at the largest entry of the state is
 raised, and an unknown more in the border takes that back; Schur complement of a bordered matrix, Keller (1977),
-Govaerts (2000) chapter 3. Everything else, and all where the kernel is missing, goes to SuperLU: of collocation the
-unknowns within the intervals first, in an order that the model's own pattern determines, so that dense blocks are left
-between ends of intervals alone (the condensation of Ascher, Mattheij and Russell 1995, section 7.2).
+Govaerts (2000) chapter 3. Everything else goes to SuperLU, and bands do where the kernel is missing, in their own
+order: of collocation the unknowns within the intervals first, in an order that the model's own pattern determines, so
+that dense blocks are left between ends of intervals alone (the condensation of Ascher, Mattheij and Russell 1995,
+section 7.2).
 """
 
 from __future__ import annotations
@@ -166,8 +167,8 @@ class BorderedSolver:
 
         self.problem, size = problem, problem.size
         self._last: tuple[Array, Array, Solve] | None = None
-        band = BandLayout.of(problem)
-        self._kernel = None if band is None else band.kernel(problem)
+        self._band = BandLayout.of(problem)
+        self._kernel = None if self._band is None else self._band.kernel(problem)
         self._probes = np.zeros((size, 2))
         self._probes[-1, 0], self._probes[:-1, 1] = 1.0, problem.residual_size * problem.probe
         places = problem.kept("closed", lambda: _Places.of(problem))
@@ -261,7 +262,9 @@ class BorderedSolver:
         self._close(nonzeros, row)
         try:
             if not self.problem.in_order:
-                return SparseFactors(splu(self._closed), self._order, None)
+                # A band is solved most accurately as it stands.
+                factors = splu(self._closed, permc_spec="COLAMD" if self._band is None else "NATURAL")
+                return SparseFactors(factors, self._order, None)
             self._closed.data *= self._scales
             return SparseFactors(splu(self._closed, permc_spec="NATURAL"), self._order, self._scale)
         except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
@@ -295,19 +298,18 @@ class Steps:
 
 
 class StackedSolver:
-    """Solves for states of one problem at once, by the compiled kernel."""
+    """Solves for states of one problem at once, by the compiled kernel, else one after the other."""
 
-    def __init__(self, problem: Problem, kernel: BorderedKernel) -> None:
-        self._problem, self._kernel = problem, kernel
+    def __init__(self, problem: Problem, layout: BandLayout) -> None:
+        self._problem, self._kernel = problem, layout.kernel(problem)
 
     @staticmethod
     def of(problem: Problem) -> StackedSolver | None:
-        """The one that serves all problems that differ in their constants only; None without band or kernel."""
+        """The one that serves all problems that differ in their constants only; None where there is no band."""
         if "stacked" not in problem.shared:
             layout = BandLayout.of(problem)
             full = np.unique(problem.pattern[0]).size == problem.size - 1  # no equation without an unknown
-            kernel = layout.kernel(problem) if layout is not None and full else None
-            problem.shared["stacked"] = None if kernel is None else StackedSolver(problem, kernel)
+            problem.shared["stacked"] = StackedSolver(problem, layout) if layout is not None and full else None
         found: StackedSolver | None = problem.shared["stacked"]
         return found
 
@@ -315,6 +317,18 @@ class StackedSolver:
         """Solutions at states z, by residuals (states, unknowns); None where a matrix is singular but for rounding."""
         x = np.zeros((len(z), 3, z.shape[1]))
         x[:, 0], x[:, 1, :-1], x[:, 2, -1] = residuals, self._problem.probe, 1.0
-        orientation = self._kernel.steps(z, nonzeros, rows, x)
+        steps = self._one_by_one if self._kernel is None else self._kernel.steps
+        signs = steps(z, nonzeros, rows, x)
         newton, response, along = x.swapaxes(0, 1)
-        return None if orientation is None else Steps(newton, along, response, orientation)
+        return None if signs is None else Steps(newton, along, response, signs)
+
+    def _one_by_one(self, z: Array, nonzeros: Array, rows: Array, x: Array) -> Array | None:
+        """As the kernel's steps: right-hand sides x are overwritten by solutions."""
+        solver, signs = BorderedSolver.of(self._problem), np.empty(len(z))
+        for k in range(len(z)):
+            try:
+                solve = solver.factor(z[k], nonzeros[k], rows[k])
+            except SingularError:
+                return None
+            x[k], signs[k] = solve(x[k].T).T, solve.orientation
+        return signs

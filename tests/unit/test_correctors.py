@@ -8,6 +8,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from kernels import needs_kernels
 from numpy.typing import NDArray
 from orbit_problems import gauss_problem
 
@@ -226,7 +227,7 @@ def test_ipopts_own_words_are_kept() -> None:
 # Linear algebra -----------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(params=["band", "sparse"])
+@pytest.fixture(params=[pytest.param("band", marks=needs_kernels), "sparse"])
 def factors(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """The compiled band with its border, without a way out to SuperLU; and SuperLU, where the kernel is missing."""
     if request.param == "sparse":

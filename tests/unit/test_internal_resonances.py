@@ -74,6 +74,7 @@ def test_run_ends_in_one_line_at_an_exact_resonance(tmp_path: Path, capsys: pyte
     assert "resonance at harmonic 3" in told
 
 
+@pytest.mark.usefixtures("way")
 @pytest.mark.parametrize("off", [1e-9, 1e-7])
 def test_families_beside_a_resonance_are_followed(off: float) -> None:
     chain = Chain(10, RESONANT.alpha + off, 0.2, 1)
