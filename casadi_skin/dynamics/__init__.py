@@ -2,7 +2,7 @@
 
 from casadi_skin.dynamics.evolution import Evolution, EvolutionError
 from casadi_skin.dynamics.evolve import distance_from_orbit, evolve, perturbed, simulate_orbit
-from casadi_skin.lattice.motion import EquationsOfMotion, equations_of_motion
+from casadi_skin.dynamics.motion import EquationsOfMotion, equations_of_motion
 
 __all__ = [
     "EquationsOfMotion",

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.lattice.motion import GAUGE, EquationsOfMotion
+from casadi_skin.dynamics.motion import GAUGE, EquationsOfMotion
 from casadi_skin.model.expressions import at_instants, instants
 from casadi_skin.model.integrators import IntegrationError, stiff_cvodes
 from casadi_skin.model.ode import OdeModel

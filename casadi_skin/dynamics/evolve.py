@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.dynamics.evolution import Evolution, EvolutionError
+from casadi_skin.dynamics.motion import GAUGE, PHYSICAL, EquationsOfMotion, MovingModel, equations_of_motion
 from casadi_skin.dynamics.splitting import symplectic
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import CosineSeries, Curve, Orbit, cosine_curve
-from casadi_skin.lattice.motion import GAUGE, PHYSICAL, EquationsOfMotion, MovingModel, equations_of_motion
 from casadi_skin.model.arguments import by_name, number, short_repr, state_by_name
 from casadi_skin.model.expressions import real_array
 from casadi_skin.model.integrators import IntegrationError, Integrator, Trajectory, cvodes, dop853, stiff_cvodes

@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 
 from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.dynamics.evolve import checked_vector
+from casadi_skin.dynamics.motion import equations_of_motion
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.declaration import PERIODIC, Array
 from casadi_skin.lattice.lattice import Bond, Lattice, Site
 from casadi_skin.lattice.linear import lattice_modes
-from casadi_skin.lattice.motion import equations_of_motion
 from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.result import Result

@@ -12,15 +12,14 @@ import numpy as np
 from casadi_skin.lattice.cell_motion import edge_motion, pinned_vectors, tail_coefficients
 from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.cell_tail_parameter import CellTailParameter
-from casadi_skin.lattice.linear_modes import linear_modes
 from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.lattice.nonlinear_core import Core, core_model, core_of
 from casadi_skin.lattice.tail_parameter import Regime
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.model.methods import TRIGONOMETRIC
-from casadi_skin.stability.tongues.hill import Medium
 from casadi_skin.zero.cosines import cosine_matrix
 from casadi_skin.zero.family import Localised, Method, normalised
+from casadi_skin.zero.linear_modes import linear_modes
 from casadi_skin.zero.model_coordinates import DEEPEST, ModelCoordinates, check_alone
 from casadi_skin.zero.problem import Array, Indices, Problem
 from casadi_skin.zero.settings import Point
@@ -97,13 +96,10 @@ class CellCoreWithTail(ModelCoordinates):
             tried = [math.ceil(self._stability_sites / p)]
         sites = tuple(dict.fromkeys(p * int(min(cells, most)) for cells in tried))
         ends = [math.sqrt(max(edge.square, 0.0)) for edge in self.tail.edges]
-        return Localised(sites, tuple(zip(ends[::2], ends[1::2], strict=True)), self.lattice.at_last, p)
-
-    @property
-    def medium(self) -> Medium:
-        """The tail as it answers perturbations, without an end."""
-        lattice = self.lattice
-        return Medium(lattice.cell, lattice.coupling, lattice.inlet, lattice.outlet)
+        bands, lattice = tuple(zip(ends[::2], ends[1::2], strict=True)), self.lattice
+        return Localised(
+            sites, bands, lattice.at_last, lattice.cell, lattice.coupling, lattice.inlet, lattice.outlet, self.attached
+        )
 
     def cut(self, sites: int) -> tuple[EdgeCells, int]:
         return EdgeCells(self._cells_at_edge(sites)), self.mode_number

@@ -15,7 +15,6 @@ from casadi_skin.lattice.log_profile import continued_logarithms
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
-from casadi_skin.stability.tongues.hill import Medium
 from casadi_skin.zero.family import Localised, normalised
 from casadi_skin.zero.problem import Array, Indices, Problem
 from casadi_skin.zero.settings import Point
@@ -61,12 +60,8 @@ class CoreWithTail(ChainCoordinates):
             return None
         sites = (self._stability_sites,) if self._stability_sites is not None else self._as_many_as_decide
         low, high = self.chain.band()
-        return Localised(sites, ((math.sqrt(low), math.sqrt(high)),), self.chain.gamma >= 0)
-
-    @property
-    def medium(self) -> Medium:
-        """The tail as it answers perturbations, without an end."""
-        return Medium(np.array([[2.0 + self.chain.alpha]]), self.chain.coupling)
+        bands, stiffness = ((math.sqrt(low), math.sqrt(high)),), np.array([[2.0 + self.chain.alpha]])
+        return Localised(sites, bands, self.chain.gamma >= 0, stiffness, self.chain.coupling)
 
     @property
     def _as_many_as_decide(self) -> tuple[int, ...]:

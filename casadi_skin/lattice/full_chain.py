@@ -14,7 +14,6 @@ from casadi_skin.lattice.log_profile import continued_logarithms
 from casadi_skin.lattice.uniform_chain import standing_wave
 from casadi_skin.model.methods import EVERY_SITE
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.zero.cosines import quarter_phases
 from casadi_skin.zero.family import Coordinates, normalised, numbered, shift_by_projection
 from casadi_skin.zero.problem import Array, Indices, Problem
@@ -171,16 +170,10 @@ class EdgeSite(ChainCoordinates):
     def Omega_shift(self, problem: Problem, z: Array) -> float:
         return self._alone.Omega_shift(problem, z)
 
-    def with_resting(self, point: Point, floquet: ReversibleFloquet) -> ReversibleFloquet:
-        """The other sites are linear oscillators that nothing drives in the gauge: no growth of the Jordan block."""
-        resting = self.chain.sites - 1
-        if resting == 0:
-            return floquet
-        phase = 0.5 * np.pi * self.chain.linear_frequency(1) / point.Omega
-        off = phase * point.error.Omega / point.Omega
-        error = abs(np.sin(2.0 * phase)) * off + off**2 + np.finfo(float).eps
-        mu = np.full(resting, -(np.sin(phase) ** 2), complex)
-        return ReversibleFloquet(mu, np.full(resting, error), floquet.trivial_deviation, floquet.power)
+    @property
+    def resting(self) -> tuple[int, float]:
+        """Linear oscillators that nothing drives in the gauge: without the growth of the Jordan block."""
+        return self.chain.sites - 1, self.chain.linear_frequency(1)
 
     @property
     def without_vectors(self) -> str:

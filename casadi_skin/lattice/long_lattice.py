@@ -14,10 +14,10 @@ import numpy as np
 from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.declaration import FIXED, PERIODIC, Array, Bond, Site
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.lattice.linear_modes import symmetrising_scale
 from casadi_skin.lattice.spectrum import LinearSpectrum
 from casadi_skin.model.arguments import check_name, short_repr
 from casadi_skin.model.result import WithVerbs
+from casadi_skin.zero.linear_modes import symmetrising_scale
 from casadi_skin.zero.statement import named_values
 
 if TYPE_CHECKING:

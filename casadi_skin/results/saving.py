@@ -12,6 +12,7 @@ import casadi as ca
 import msgspec
 
 from casadi_skin._version import __version__
+from casadi_skin.dynamics.motion import EquationsOfMotion, equations_of_motion
 from casadi_skin.fmu.model import FmuModel, OtherModelError, at_symbols, checked, identity, noises
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.family import Family
@@ -19,7 +20,6 @@ from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.long_lattice import LongLattice
-from casadi_skin.lattice.motion import EquationsOfMotion, equations_of_motion
 from casadi_skin.model.arguments import cut, file_path, short_repr
 from casadi_skin.model.files import replacing
 from casadi_skin.model.ode import OdeModel

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from casadi_skin.dynamics import Evolution, evolve, simulate_orbit
+from casadi_skin.dynamics.motion import equations_of_motion
 from casadi_skin.dynamics.starts import Spreading, spreading
 from casadi_skin.export.c_code import export_c
 from casadi_skin.fmu.archive import export_fmu
@@ -22,7 +23,6 @@ from casadi_skin.lattice.declaration import INDICES
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import lattice_modes
 from casadi_skin.lattice.long_lattice import LongLattice
-from casadi_skin.lattice.motion import equations_of_motion
 from casadi_skin.lattice.uniform_chain import Array
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.optimise.families import ChainFamily, ModelFamily

@@ -20,7 +20,7 @@ from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.multipliers import floquet_vectors, floquets, vectors_of_map
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.relative import RelativeFlow, complement
-from casadi_skin.stability.result import Floquet
+from casadi_skin.stability.result import Floquet, ReversibleFloquet
 from casadi_skin.stability.splitting import SplittingFlow
 from casadi_skin.stability.stepping import FlowMap, OrbitState, Transition
 from casadi_skin.zero.family import Coordinates
@@ -139,7 +139,18 @@ class FamilyStability(ABC):
             results = floquets(flow, states, self.accelerations, self.tolerance, self.coordinates.symplectic)
         pairs = 1 + self.coordinates.free_motions.shape[1]
         results = results if pairs == 1 else [replace(found, pairs=pairs) for found in results]
-        return [self.coordinates.with_resting(point, found) for point, found in zip(points, results, strict=True)]
+        return [self._with_resting(point, found) for point, found in zip(points, results, strict=True)]
+
+    def _with_resting(self, point: Point, floquet: ReversibleFloquet) -> ReversibleFloquet:
+        """The stability of all positions, from that of those which are solved for."""
+        resting, frequency = self.coordinates.resting
+        if not resting:
+            return floquet
+        phase = 0.5 * np.pi * frequency / point.Omega
+        off = phase * point.error.Omega / point.Omega
+        error = abs(np.sin(2.0 * phase)) * off + off**2 + np.finfo(float).eps
+        mu = np.full(resting, -(np.sin(phase) ** 2), complex)
+        return ReversibleFloquet(mu, np.full(resting, error), floquet.trivial_deviation, floquet.power)
 
     def _localised(self, localised: Localised, point: Point, by: str | None) -> LocalisedFloquet:
         """Stability of localised perturbations, on as many sites as decide it."""
@@ -154,7 +165,7 @@ class FamilyStability(ABC):
             (transition,) = flow.transitions([state], self.tolerance)
             found = localised_floquet(
                 transition, (first, better), self.tolerance, localised.bands, state.Omega, localised.cut_first,
-                localised.cell,
+                len(localised.stiffness),
             )  # fmt: skip
             if not found.unresolved.size:
                 break

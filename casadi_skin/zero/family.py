@@ -25,17 +25,15 @@ from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.methods import COLLOCATION_TABLES, SHOOTING, TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import NoQuantityError
-from casadi_skin.stability.tongues.hill import Medium
 from casadi_skin.zero.problem import Array, Indices, Problem
 
 if TYPE_CHECKING:
-    from casadi_skin.stability.result import ReversibleFloquet
     from casadi_skin.zero.settings import Point
 
 LOG10 = float(np.log(10.0))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Localised:
     """Stability of localised perturbations alone, at the edge of a linear tail that is too long, or cut.
 
@@ -43,13 +41,20 @@ class Localised:
         sites: numbers of sites at the edge to be tried, until all that decays into the tail is decided.
         bands: lowest and highest frequency of each linear band of the tail.
         cut_first: whether the tail is before the first of these sites; else it is behind the last.
-        cell: number of sites of a cell of the tail.
+        stiffness: symmetric, of one cell of the tail with unit masses, shape (sites, sites).
+        coupling: s > 0 of the bonds that join cells.
+        inlet, outlet: sites of a cell that are joined to the far side and to the edge's side.
+        attached: index of the position that is joined to the tail.
     """
 
     sites: tuple[int, ...]
     bands: tuple[tuple[float, float], ...]
     cut_first: bool
-    cell: int = 1
+    stiffness: Array
+    coupling: float
+    inlet: int = 0
+    outlet: int = 0
+    attached: int = 0
 
 
 class Coordinates(ABC):
@@ -125,16 +130,6 @@ class Coordinates(ABC):
     def localised(self) -> Localised | None:
         """Where stability is that of localised perturbations alone, their sites; None where it is that of all."""
         return None
-
-    @property
-    def medium(self) -> Medium | None:
-        """The medium beyond the edge, without an end, where stability is that of localised perturbations."""
-        return None
-
-    @property
-    def attached(self) -> int:
-        """Index of the position that is joined to the medium."""
-        return 0
 
     def cut(self, sites: int) -> tuple[Any, int | str]:
         """The model of so many sites at the edge alone, and the mode of the same family there."""
@@ -251,9 +246,10 @@ class Coordinates(ABC):
         """Directions along which forces neither act nor change, as orthonormal columns in scaled positions: momenta."""
         return np.empty((self.mode.size, 0))
 
-    def with_resting(self, point: Point, floquet: ReversibleFloquet) -> ReversibleFloquet:
-        """The stability of all positions, from that of those which are solved for."""
-        return floquet
+    @property
+    def resting(self) -> tuple[int, float]:
+        """Number of positions that rest beside those solved for, linear oscillators, and their frequency."""
+        return 0, 0.0
 
     @property
     def without_vectors(self) -> str:

@@ -10,7 +10,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.lattice.linear_modes import SYMMETRIC, LinearModes, linear_modes, with_small_amplitudes
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.jumps import JumpError
@@ -18,6 +17,7 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
 from casadi_skin.zero.cosines import quarter_phases
 from casadi_skin.zero.family import Coordinates, shift_by_projection
+from casadi_skin.zero.linear_modes import SYMMETRIC, LinearModes, linear_modes, with_small_amplitudes
 from casadi_skin.zero.problem import EPSILON, Array, Problem
 from casadi_skin.zero.statement import named_values
 

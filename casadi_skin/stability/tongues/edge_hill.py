@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.stability.stepping import OrbitState
-from casadi_skin.stability.tongues.hill import Hill, Layout, coefficients
+from casadi_skin.stability.tongues.hill import Hill, Layout, Medium, coefficients
 from casadi_skin.stability.tongues.localised_samples import FILLS, NARROW_GAP, Sample, names_of_arcs
 from casadi_skin.zero.family import Coordinates
 from casadi_skin.zero.problem import Array, Indices, Problem
@@ -16,7 +16,7 @@ SPARE = 16  # further ones
 
 
 class EdgeHill:
-    """Hill's equations of the orbits of a family in its coordinates, which have a medium."""
+    """Hill's equations of the orbits of a family at the edge of a medium without an end."""
 
     def __init__(self, coordinates: Coordinates) -> None:
         self.coordinates = coordinates
@@ -26,8 +26,6 @@ class EdgeHill:
         """Number of localised multipliers outside the circle, of the better orbit; None where they are not counted."""
         best, localised = state.better or state, self.coordinates.localised
         assert localised is not None
-        if self.coordinates.medium is None:
-            return None
         with np.errstate(all="ignore"):
             hill = self.hill(best.problem, best.z)
             layout = Layout(hill.Omega, localised.bands)
@@ -48,9 +46,9 @@ class EdgeHill:
 
     def hill(self, problem: Problem, z: Array) -> Hill:
         """Hill's equations of an orbit."""
-        coordinates = self.coordinates
-        medium = coordinates.medium
-        assert medium is not None
+        localised = self.coordinates.localised
+        assert localised is not None
+        medium = Medium(localised.stiffness, localised.coupling, localised.inlet, localised.outlet)
         count, p = PHASES * problem.resolution + SPARE, medium.sites
         q = problem.sample(z, np.pi * np.arange(count) / count)
         parameter = np.full((1, count), float(z[problem.parameter_index]))
@@ -60,7 +58,7 @@ class EdgeHill:
         cells = q.shape[1] // p
         own, beside = np.zeros((count, cells, p, p)), np.zeros((count, cells - 1, p, p))
         cell, next_cell = rows // p, columns // p
-        if coordinates.attached >= p:  # the medium is behind the last cell
+        if localised.attached >= p:  # the medium is behind the last cell
             cell, next_cell = cells - 1 - cell, cells - 1 - next_cell
         entries = -np.asarray(slopes.nonzeros())
         for target, apart in ((own, 0), (beside, 1)):
