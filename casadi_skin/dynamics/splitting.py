@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from casadi_skin.lattice.uniform_chain import Array
+from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.model.integrators import (
     NOT_FINITE,
     IntegrationError,

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from casadi_skin.export.codegen import c_source
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.uniform_chain import Array
+from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.model.arguments import number, numbers, short_repr
 from casadi_skin.model.jumps import INPUT, NAMES, STATE, TIME, Switch, switches
 from casadi_skin.model.ode import OdeModel

@@ -12,8 +12,7 @@ import numpy as np
 from casadi_skin.lattice.cell_motion import edge_motion, pinned_vectors, tail_coefficients
 from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.cell_tail_parameter import CellTailParameter
-from casadi_skin.lattice.long_lattice import LongLattice
-from casadi_skin.lattice.nonlinear_core import Core, core_model, core_of
+from casadi_skin.lattice.long_lattice import Core, LongLattice, core_model, core_of
 from casadi_skin.lattice.tail_parameter import Regime
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.model.methods import TRIGONOMETRIC

@@ -10,8 +10,7 @@ import numpy as np
 
 from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
-from casadi_skin.lattice.full_chain import ChainCoordinates
-from casadi_skin.lattice.log_profile import continued_logarithms
+from casadi_skin.lattice.full_chain import ChainCoordinates, continued_logarithms
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from casadi_skin.lattice.chain import declared_chain
 from casadi_skin.lattice.declaration import FIXED, Bond, Declaration, Site, Uniform, Value, listed
-from casadi_skin.lattice.declared_chain import declared_chain
 from casadi_skin.lattice.equations import Equations, forcing_period_of
 from casadi_skin.lattice.structure import Structure, structure_of
 from casadi_skin.model.arguments import short_repr

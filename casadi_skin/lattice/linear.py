@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from casadi_skin.lattice.declaration import Array
-from casadi_skin.lattice.gauge import logs_of
 from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.lattice.structure import logs_of
 from casadi_skin.model.expressions import expression
 from casadi_skin.model.result import Result
 from casadi_skin.zero.linear_modes import symmetrising_scale

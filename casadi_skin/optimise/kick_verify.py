@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 from casadi_skin.dynamics import EvolutionError, distance_from_orbit, evolve
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.lattice.uniform_chain import Array
+from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.optimise.kick_nlp import KickedFlow
 from casadi_skin.optimise.optimum import CosineOrbit
 

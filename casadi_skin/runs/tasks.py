@@ -19,11 +19,11 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.lattice.declaration import INDICES
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import lattice_modes
 from casadi_skin.lattice.long_lattice import LongLattice
-from casadi_skin.lattice.uniform_chain import Array
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.optimise.families import ChainFamily, ModelFamily
 from casadi_skin.optimise.family_search import FamilyNlp, FamilySearch

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from casadi_skin import Chain
 from casadi_skin.dynamics import evolve
-from casadi_skin.lattice.uniform_chain import Array
+from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.model.methods import INTEGRATORS
 
 QUICK = examples(25, database=None, derandomize=True)

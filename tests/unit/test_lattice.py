@@ -13,7 +13,7 @@ import pytest
 from lattices import GAINS, chain, dimer, fput, plane
 
 from casadi_skin import Bond, Chain, Lattice, OdeModel, Site, Uniform, follow_family, search_orbit
-from casadi_skin.lattice.declared_chain import declared_chain
+from casadi_skin.lattice.chain import declared_chain
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin import Chain
-from casadi_skin.lattice.uniform_chain import standing_wave
+from casadi_skin.lattice.closed_forms import standing_wave
 
 Array = NDArray[np.float64]
 
