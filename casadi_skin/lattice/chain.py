@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from casadi_skin.lattice import uniform_chain as linear
+from casadi_skin.lattice import closed_forms as linear
 from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.lattice.declaration import FIXED, Declaration
 from casadi_skin.lattice.spectrum import LinearSpectrum, of_norm_one

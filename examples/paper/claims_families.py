@@ -23,8 +23,8 @@ from paper_data import (
 from scipy.optimize import brentq
 
 from casadi_skin.follow.branch import Branch
+from casadi_skin.lattice import closed_forms as linear
 from casadi_skin.lattice import closed_forms as multiple_scales
-from casadi_skin.lattice import uniform_chain as linear
 
 EXCELLENT = 0.05  # relative error of the shift up to which theory is called in excellent agreement here
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from casadi_skin.lattice import uniform_chain as linear
+from casadi_skin.lattice import closed_forms as linear
 
 EPS = float(np.finfo(float).eps)
 DIGITS = 50
