@@ -81,8 +81,8 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
     "Branch": {
         "certify": "certify.stretch:certify_branch",
         "certify_change": "certify.stability:certify_change",
-        "edge": "points.edge_orbits:edge",
-        "edges_left": "points.edge_orbits:edges_left",
+        "edge": "points.edges:edge",
+        "edges_left": "points.edges:edges_left",
         "follow_all": "points.diagram:follow_all",
         "quantity": "results.quantities:along",
         "quantity_of": "results.quantities:sought",

@@ -16,13 +16,11 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import CosineSeries, Curve, Orbit, cosine_curve
 from casadi_skin.model.arguments import by_name, number, short_repr, state_by_name
 from casadi_skin.model.expressions import real_array
-from casadi_skin.model.integrators import IntegrationError, Integrator, Trajectory, cvodes, dop853, stiff_cvodes
+from casadi_skin.model.integrators import IntegrationError, Integrator, Trajectory, cvodes, dop853, far_state, simulated
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.problem import Array
 
 SYMPLECTIC = "symplectic"
-FAR = 1e6  # times the largest component, beyond which a state has escaped
-MOST_STEPS = 20_000  # in which it escapes
 INTEGRATORS: Mapping[str, Integrator] = {"cvodes": cvodes, "dop853": dop853, "symplectic": symplectic}
 
 
@@ -105,29 +103,8 @@ def _evolved(
 
 def escape_of(equations: EquationsOfMotion, state: Array, duration: float) -> str:
     """Which component runs to infinity from a state in finite time, in words; empty where none does soon."""
-    found = far_state(equations, state, 0.0, duration)
+    found = far_state(equations.physical, equations.values, state, 0.0, duration)
     return "" if found is None else f"{found[1]} runs to infinity"
-
-
-def far_state(equations: EquationsOfMotion, state: Array, time: float, end: float) -> tuple[float, str, float] | None:
-    """When a component is far away, by name, and its value then, from a state at a time; None where none is soon.
-
-    Positions alone count where there are some.
-    """
-    from scipy.integrate import DOP853
-
-    field, values, moving = equations.physical.vector_field, equations.values, equations.positions or None
-    far = FAR * max(1.0, float(np.max(np.abs(state))))
-    with np.errstate(all="ignore"):
-        rule = DOP853(lambda t, x: np.array(field(t, x, values)).ravel(), time, state, end, rtol=1e-6)
-        for _ in range(MOST_STEPS):  # a stiff model would take very many
-            rule.step()
-            k = int(np.argmax(np.abs(rule.y[:moving])))
-            if abs(rule.y[k]) > far:
-                return float(rule.t), equations.names[k], float(rule.y[k])
-            if rule.status != "running":
-                break
-    return None
 
 
 def _integrator(method: str, step: float | None) -> Integrator:
@@ -383,22 +360,6 @@ def simulate(
         raise ValueError(f"t: given {short_repr(times.tolist())}; accepted: two or more times, ascending")
     if not 1e-13 <= number("tolerance", tolerance) <= 1e-2:
         raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-13 to 1e-2")
-    try:
-        later = stiff_cvodes(equations.physical, equations.values, x, times[1:], tolerance, float(times[0]))
-    except IntegrationError as error:
-        raise _in_words(error, equations, x, times) from error
+    later = simulated(equations.physical, equations.values, x, times, tolerance)
     states = np.vstack([x[None], later.states])
     return Evolution(equations, times, states, "cvodes", tolerance, PHYSICAL, later.evaluations)
-
-
-def _in_words(error: IntegrationError, equations: EquationsOfMotion, start: Array, times: Array) -> IntegrationError:
-    """The failure with the time of the last state and its largest component in place of CVODES' word alone."""
-    before = error.trajectory.states
-    state, time = (before[-1], float(times[len(before)])) if len(before) else (start, float(times[0]))
-    escape = far_state(equations, state, time, float(times[-1]))
-    if escape is not None:
-        reason = f"{escape[1]} runs to infinity: it is {escape[2]:.3g} at t = {escape[0]:.6g}"
-    else:
-        k = int(np.argmax(np.abs(state)))
-        reason = f"{equations.names[k]} = {state[k]:.3g} is its largest component there, and CVODES {error.reason}"
-    return IntegrationError("cvodes", reason, error.trajectory, times[1:], float(times[0]))

@@ -307,9 +307,9 @@ class Branch(Result):
         return None if tongue is None else tongue.start
 
     edge: ClassVar[Callable[..., SpecialPoint]]
-    """The edge of a tongue of a family as a special point: `casadi_skin.points.edge_orbits.edge`."""
+    """The edge of a tongue of a family as a special point: `casadi_skin.points.edges.edge`."""
     edges_left: ClassVar[Callable[..., Iterator[SpecialPoint | Unresolved]]]
-    """Edges of tongues at which other orbits leave a family: `casadi_skin.points.edge_orbits.edges_left`."""
+    """Edges of tongues at which other orbits leave a family: `casadi_skin.points.edges.edges_left`."""
 
     # Special points ---------------------------------------------------------------------------------------------------
 

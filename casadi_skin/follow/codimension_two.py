@@ -34,9 +34,9 @@ from casadi_skin.follow.search import (
     nearest_order,
     turned,
 )
+from casadi_skin.follow.shrinking import shrunk
 from casadi_skin.follow.special_points import NotLocatedError, zero_between
 from casadi_skin.follow.stretch import Sample, Stretch, height
-from casadi_skin.points.ends import shrunk
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.zero.kinds import (
     BRANCH_POINT,

@@ -20,7 +20,7 @@ from casadi_skin.model import methods
 from casadi_skin.model.arguments import by_name, check_name, number, short_repr, state_by_name, truth, whole
 from casadi_skin.model.conserved import SymmetryClass, quantities, symmetry_class
 from casadi_skin.model.expressions import Expression, expression_of
-from casadi_skin.model.integrators import IntegrationError, stiff_cvodes
+from casadi_skin.model.integrators import IntegrationError, simulated, stiff_cvodes
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.symmetries import check_forcing_period
@@ -35,12 +35,14 @@ from casadi_skin.zero.stated_problem import PERIOD
 from casadi_skin.zero.statement import Bounds, Statement
 from casadi_skin.zero.statics import Statics
 
-TOLERANCES = (1e-13, 1e-2)
+TOLERANCE_RANGE = (1e-13, 1e-2)
 MOST_STARTS = 1_000_000
-SETTLED = 0.05  # of the sizes of the state: where a simulation ends, from the equilibrium that it is said to settle at
-FAR = 4.0  # powers of two between the sizes of a guess and those of the equilibrium found
-SAME = 1e-6  # of the sizes: distance of two equilibria that are the same
-ACCEPTED = "numbers, one a state, numbers by state name, a simulation or another equilibrium"
+SETTLED_DISTANCE = (
+    0.05  # of the sizes of the state: where a simulation ends, from the equilibrium that it is said to settle at
+)
+FAR_POWERS_OF_TWO = 4.0  # powers of two between the sizes of a guess and those of the equilibrium found
+SAME_EQUILIBRIUM_DISTANCE = 1e-6  # of the sizes: distance of two equilibria that are the same
+ACCEPTED_GUESSES = "numbers, one a state, numbers by state name, a simulation or another equilibrium"
 
 
 @runtime_checkable
@@ -136,7 +138,7 @@ def find_equilibria(
             except ArithmeticError:
                 continue
             apart = [np.max(np.abs(other.positions - equilibrium.positions) / space.sizes) for other in found]
-            if min(apart, default=np.inf) > SAME:
+            if min(apart, default=np.inf) > SAME_EQUILIBRIUM_DISTANCE:
                 found.append(equilibrium)
     return tuple(sorted(found, key=lambda equilibrium: tuple(equilibrium.positions)))
 
@@ -150,7 +152,7 @@ def _statics(model: Any, parameters: Mapping[str, float] | None) -> Statics:
 
 
 def _check(tolerance: float, corrector: str) -> None:
-    low, high = TOLERANCES
+    low, high = TOLERANCE_RANGE
     if not low <= number("tolerance", tolerance) <= high:
         raise ValueError(f"tolerance: given {tolerance!r}; accepted: {low:g} to {high:g}")
     check_name("corrector", corrector, methods.CORRECTORS)
@@ -168,7 +170,7 @@ def positions_of(model: OdeModel, guess: Any, label: str = "guess") -> Array:
     try:
         values = np.asarray(guess, dtype=float).ravel()
     except (TypeError, ValueError):
-        raise ValueError(f"{label}: given {short_repr(guess)}; accepted: {ACCEPTED}") from None
+        raise ValueError(f"{label}: given {short_repr(guess)}; accepted: {ACCEPTED_GUESSES}") from None
     if values.size not in (model.size, model.full_size):
         shown = ", ".join(names[: model.size])
         raise ValueError(f"{label}: given {values.size}; accepted: {model.size} numbers: {shown}")
@@ -216,7 +218,7 @@ def _in_own_units(found: Equilibrium) -> Equilibrium:
     """An equilibrium solved for again where the sizes of its guess are far from its own."""
     space = cast(EquilibriumSpace, found.space)
     sizes = sizes_at(space.statics, found.positions, (), space.sizes)
-    if np.max(np.abs(np.log2(sizes / space.sizes))) < FAR:
+    if np.max(np.abs(np.log2(sizes / space.sizes))) < FAR_POWERS_OF_TWO:
         return found
     again = replace(space, sizes=sizes)
     z, row = np.append(found.positions / sizes, 0.0), again.problem.parameter_row()
@@ -226,25 +228,24 @@ def _in_own_units(found: Equilibrium) -> Equilibrium:
 
 def _settled(statics: Statics, start: Array, transient: float, tolerance: float, corrector: str) -> Equilibrium:
     """The stable equilibrium that a simulation approaches; raises EquilibriumError where it does not settle."""
-    from casadi_skin.dynamics.evolve import simulate
-
     model = statics.model
     if not transient > 0.0:
         raise ValueError(f"transient: given {transient!r}; accepted: a finite number > 0")
     full = np.concatenate([start, np.zeros(model.full_size - model.size)])
-    states = simulate(model, full, np.linspace(0.0, transient, 201), parameters=statics.given).states
+    values = np.array(list(statics.values.values()))
+    states = simulated(model.first_order(), values, full, np.linspace(0.0, transient, 201), 1e-9).states
     end = np.array(states[-1][: model.size])
     space = EquilibriumSpace(statics, tolerance, corrector, sizes_of([end]))
     last = np.stack([state[: model.size] for state in states[-50:]])
     moving = float(np.max(np.ptp(last, axis=0) / np.maximum(np.abs(end), space.sizes)))
-    if moving > SETTLED:
+    if moving > SETTLED_DISTANCE:
         words = f"over its last quarter the state changes by {moving:.2g} of its size"
         raise EquilibriumError(
             f"{model.name}: the simulation does not settle: {words}; try a longer transient or a guess"
         )
     found = _near(space, end)
     apart = float(np.max(np.abs(found.positions - end) / np.maximum(np.abs(end), space.sizes)))
-    if apart > SETTLED:
+    if apart > SETTLED_DISTANCE:
         words = f"the equilibrium found is {apart:.2g} of the state's size from where the simulation ends"
         raise EquilibriumError(f"{model.name}: the simulation does not settle: {words}; try a longer transient")
     return found
@@ -255,10 +256,16 @@ def _settled(statics: Statics, start: Array, transient: float, tolerance: float,
 NOT_ZERO = 100.0  # tolerances that the unfolding parameter may differ from zero by
 LONGEST_RETURN, RETURN_SAMPLES = 8.0, 1601  # stated periods in which a motion may come back, and places looked at
 RETURN_TOLERANCE = 1e-6
-GONE, BACK = 0.5, 0.1  # of the ranges of the states: distance from the start that has left it, and that has come back
-OTHER = 0.1  # relative difference of the stated period and another one
-TRIALS, SAME_TIME = 3, 1e-9  # random points at which a field is compared with itself after one turn
-SHRUNK, STILL = 1e-6, 1e-12  # motion relative to that of the guess, and to the states, that counts as rest
+GONE_DISTANCE, RETURNED_DISTANCE = (
+    0.5,
+    0.1,
+)  # of the ranges of the states: distance from the start that has left it, and that has come back
+OTHER_PERIOD_RTOL = 0.1  # relative difference of the stated period and another one
+TURN_TRIALS, SAME_TIME = 3, 1e-9  # random points at which a field is compared with itself after one turn
+SHRUNK_MOTION, STILL_MOTION = (
+    1e-6,
+    1e-12,
+)  # motion relative to that of the guess, and to the states, that counts as rest
 
 
 def find_orbit(
@@ -366,7 +373,7 @@ def rotations_of(model: OdeModel, given: Mapping[str, int] | None, symmetric: bo
             raise TypeError(f"rotations: given {short_repr(k)} for {name}; accepted: a whole number of turns")
         turns[names.index(name)] = k
     field, generator, turned = model.vector_field, np.random.default_rng(0), [n for n, k in known.items() if k]
-    for _ in range(TRIALS if turned else 0):
+    for _ in range(TURN_TRIALS if turned else 0):
         t, x, p = (np.abs(generator.normal(size=n)) for n in (1, model.full_size, model.parameters.numel()))
         here, there = (np.array(field(t, at, p)).ravel() for at in (x, x + TWO_PI * turns))
         if not np.max(np.abs(there - here)) <= SAME_TIME * (1.0 + np.max(np.abs(here))):
@@ -417,7 +424,7 @@ def _check_moves(name: str, solution: Solution, guess: Guess, length: float) -> 
     statement, states = solution.statement, solution.states
     wanted = np.ptp(sampled(statement, guess, np.linspace(0.0, length, SAMPLES)), axis=0)
     moved, size = np.ptp(states, axis=0), np.max(np.abs(states), axis=0)
-    if np.any(moved > np.maximum(SHRUNK * wanted, STILL * size)):
+    if np.any(moved > np.maximum(SHRUNK_MOTION * wanted, STILL_MOTION * size)):
         return
     raise BoundaryError(f"{name}: {equilibrium_words(solution.problem, solution.point.z)}")
 
@@ -432,10 +439,10 @@ def _returning_words(statement: Statement, guess: Guess, model: OdeModel, period
     except IntegrationError:  # from there nothing comes back
         return ""
     away = np.linalg.norm((states - start) / np.maximum(np.ptp(states, axis=0), np.finfo(float).tiny), axis=1)
-    gone = int(np.argmax(away > GONE)) if np.any(away > GONE) else times.size
+    gone = int(np.argmax(away > GONE_DISTANCE)) if np.any(away > GONE_DISTANCE) else times.size
     least = gone + np.flatnonzero((away[gone + 1 : -1] < away[gone:-2]) & (away[gone + 1 : -1] <= away[gone + 2 :])) + 1
-    back = least[away[least] < BACK]
-    if not back.size or abs(times[back[0]] / period - 1.0) < OTHER:
+    back = least[away[least] < RETURNED_DISTANCE]
+    if not back.size or abs(times[back[0]] / period - 1.0) < OTHER_PERIOD_RTOL:
         return ""
     found = float(times[back[0]])
     return f"from there the motion comes back after {found:.4g}, {found / period:.3g} times the given period"

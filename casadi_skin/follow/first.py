@@ -32,7 +32,7 @@ from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.zero.statement import Statement
 
-FACTORS = (10.0, 0.1)  # of a parameter, and their squares, at which the problem may be easier
+EASIER_PARAMETER_FACTORS = (10.0, 0.1)  # of a parameter, and their squares, at which the problem may be easier
 MOST_PARAMETERS = 3  # that are tried
 MOST_POINTS = 60  # of a continuation
 
@@ -56,7 +56,7 @@ def other_ways(space: BoundarySpace, guess: Guess, first: First) -> tuple[Soluti
             return replace(found, found_by=tried[-1]), tried[-1]
     for name, value in _parameters(space):
         starts = []
-        for factor in FACTORS:
+        for factor in EASIER_PARAMETER_FACTORS:
             for easier_value in (factor * value, factor**2 * value):
                 starts.append(f"{easier_value:g}")
                 easier = _found(_at(by_newton, name, easier_value), guess, first)
@@ -108,22 +108,32 @@ def _turns(solution: Solution) -> bool:
 
 # Solving a stated boundary-value problem: a mesh that adapts until the estimated error meets the tolerance ------------
 
-OPTIONS = ("tolerance", "transcription", "degree", "corrector", "intervals", "flow", "walker", "time_limit", "progress")
+FIRST_SOLUTION_OPTIONS = (
+    "tolerance",
+    "transcription",
+    "degree",
+    "corrector",
+    "intervals",
+    "flow",
+    "walker",
+    "time_limit",
+    "progress",
+)
 NOT_METHODS = ("tolerance", "time_limit", "progress")
-TRIES = 6  # resolutions on which a first solution is sought
+RESOLUTIONS_TRIED = 6  # resolutions on which a first solution is sought
 GUESS_SAMPLES = 2001  # of a guess that is looked at for jumps
 QUICK_TRIES = 1  # the same by another way
-JUMPS = (90, 200, 450)  # the same where the guess has jumps, on a mesh that follows its length
-STEEP = 0.02  # of the mean interval: a shorter one on such a mesh is in a jump
-TOLERANCES = (1e-13, 1e-1)
-UNSOLVED = 1e-6  # relative change by a Newton step of a solution that its corrector accepts
+JUMP_RESOLUTIONS = (90, 200, 450)  # the same where the guess has jumps, on a mesh that follows its length
+STEEP_INTERVAL_RATIO = 0.02  # of the mean interval: a shorter one on such a mesh is in a jump
+TOLERANCE_RANGE = (1e-13, 1e-1)
+UNSOLVED_CHANGE = 1e-6  # relative change by a Newton step of a solution that its corrector accepts
 
 
 def accuracy_of(options: Mapping[str, Any]) -> tuple[float, Method]:
     """Tolerance and methods; raises ValueError for options that are unknown or out of range."""
     for name in options:
-        check_name("options", name, OPTIONS)
-    low, high = TOLERANCES
+        check_name("options", name, FIRST_SOLUTION_OPTIONS)
+    low, high = TOLERANCE_RANGE
     tolerance = number("tolerance", options.get("tolerance", 1e-8))
     if not low <= tolerance <= high:
         raise ValueError(f"tolerance: given {tolerance!r}; accepted: {low:g} to {high:g}")
@@ -204,12 +214,16 @@ def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) ->
     `tries` is the largest number of resolutions.
     """
     statement, point_solver = space.statement, space.point_solver
-    resolutions = [r for r in point_solver.levels.resolutions if r >= int(space.method.intervals or 1)][:TRIES]
+    resolutions = [r for r in point_solver.levels.resolutions if r >= int(space.method.intervals or 1)][
+        :RESOLUTIONS_TRIED
+    ]
     failures = []
     undetermined = ""
     for problem, z in itertools.islice(_first_problems(statement, point_solver.levels, resolutions, guess), tries):
         correction = _corrected(point_solver.levels.corrector(problem), z, problem)
-        if not correction.converged and problem.resolution in JUMPS:  # Ipopt's scaling suffers from steep jumps
+        if (
+            not correction.converged and problem.resolution in JUMP_RESOLUTIONS
+        ):  # Ipopt's scaling suffers from steep jumps
             correction = _corrected(NewtonCorrector(problem), z, problem)
         backwards = problem.backwards(correction.z) if correction.converged else ""
         if backwards:
@@ -221,7 +235,7 @@ def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) ->
             try:
                 return refined(point_solver, *(resolved or (problem, correction)))
             except BoundaryError as error:
-                if problem.resolution not in JUMPS:
+                if problem.resolution not in JUMP_RESOLUTIONS:
                     raise
                 failures.append(str(error))
                 continue
@@ -245,7 +259,7 @@ def _sized(levels: Levels, problem: BoundaryProblem, correction: Correction, unm
         return correction
     if unmeasured:
         problem.measure_by(z - step)
-    if problem.profile_change(z - step, step) <= UNSOLVED:
+    if problem.profile_change(z - step, step) <= UNSOLVED_CHANGE:
         return correction
     finished = NewtonCorrector(problem).correct(z, row, 0.0)
     return finished if finished.converged else correction
@@ -266,8 +280,8 @@ def _first_problems(
         problem = levels.problem(guess.intervals).with_constants(guess.problem.constants)
         assert isinstance(problem, BoundaryProblem)
         yield problem, packed(problem, guess)
-    for resolution, lengths in zip(JUMPS, along_the_guess(statement, guess, JUMPS), strict=False):
-        if np.min(lengths) < STEEP / resolution:
+    for resolution, lengths in zip(JUMP_RESOLUTIONS, along_the_guess(statement, guess, JUMP_RESOLUTIONS), strict=False):
+        if np.min(lengths) < STEEP_INTERVAL_RATIO / resolution:
             problem = levels.problem(resolution)
             assert isinstance(problem, BoundaryProblem)
             steep = problem.with_constants(lengths)

@@ -9,7 +9,7 @@ from casadi_skin.zero.problem import Problem, Scalar, SingularError
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import BoundaryProblem
 
-MEANINGLESS = 1e-2  # estimated error beyond which a solution is no solution, rounding or not
+MEANINGLESS_ERROR = 1e-2  # estimated error beyond which a solution is no solution, rounding or not
 
 
 class BoundaryError(ArithmeticError):
@@ -39,7 +39,7 @@ def refined(point_solver: PointSolver, problem: Problem, correction: Correction)
     backwards = point.problem.backwards(point.z)
     if backwards:
         raise BoundaryError(f"{name}: {backwards}")
-    if point.error.relative(1.0) > MEANINGLESS:
+    if point.error.relative(1.0) > MEANINGLESS_ERROR:
         family = in_family(point.problem, point.z)
         if family:
             raise FamilyError(f"{name}: {family}")

@@ -12,7 +12,7 @@ from casadi_skin.follow.orbit import Orbit
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.ode import OdeModel
 
-AMPLITUDE = "S"
+AMPLITUDE_NAME = "S"
 
 
 def restated(orbit: Orbit, parameter: str) -> Orbit:
@@ -50,7 +50,7 @@ def with_amplitude(model: OdeModel) -> tuple[OdeModel, str, ca.SX]:
     form = amplitude_square(model)
     if form.parameter is not None:
         return model, form.parameter, form.form - model.parameters[model.parameter_names.index(form.parameter)]
-    name = AMPLITUDE
+    name = AMPLITUDE_NAME
     while name in (*model.parameter_names, *model.state_names):
         name += "_"
     S = ca.SX.sym(name)

@@ -16,6 +16,8 @@ from casadi_skin.model.ode import OdeModel
 
 LONGEST = 1e8  # radians that may be followed: a thousand times 10^4 periods of a chain
 NOT_FINITE = "it is not finite then"
+ESCAPE_FACTOR = 1e6  # times the largest component, beyond which a state has escaped
+ESCAPE_STEPS = 20_000  # in which it escapes
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +212,46 @@ def stiff_cvodes(
     options = CvodesOptions(local, local * size_of(start), STIFF_STEPS, stiff=True)
     dae = {"t": time, "x": x, "p": p, "ode": model.field_at(time, x, p)}
     return followed_by_cvodes(dae, parameters, start, t, options, origin, gap)
+
+
+def simulated(model: OdeModel, parameters: Array, start: Array, times: Array, tolerance: float) -> Trajectory:
+    """States at all but the first of the times by `stiff_cvodes`; raises IntegrationError with what runs away."""
+    try:
+        return stiff_cvodes(model, parameters, start, times[1:], tolerance, float(times[0]))
+    except IntegrationError as error:
+        trajectory, reason = error.trajectory, error.reason
+        before = trajectory.states
+        state, time = (before[-1], float(times[len(before)])) if len(before) else (start, float(times[0]))
+        escape = far_state(model, parameters, state, time, float(times[-1]))
+        if escape is not None:
+            words = f"{escape[1]} runs to infinity: it is {escape[2]:.3g} at t = {escape[0]:.6g}"
+        else:
+            k = int(np.argmax(np.abs(state)))
+            words = f"{model.state_names[k]} = {state[k]:.3g} is its largest component there, and CVODES {reason}"
+        raise IntegrationError("cvodes", words, trajectory, times[1:], float(times[0])) from error
+
+
+def far_state(
+    model: OdeModel, parameters: Array, state: Array, time: float, end: float
+) -> tuple[float, str, float] | None:
+    """When a component is far away, by name, and its value then, from a state at a time; None where none is soon.
+
+    Positions alone count where there are some.
+    """
+    from scipy.integrate import DOP853
+
+    field, moving = model.vector_field, model.size if model.order == 2 else None
+    far = ESCAPE_FACTOR * max(1.0, float(np.max(np.abs(state))))
+    with np.errstate(all="ignore"):
+        rule = DOP853(lambda t, x: np.array(field(t, x, parameters)).ravel(), time, state, end, rtol=1e-6)
+        for _ in range(ESCAPE_STEPS):  # a stiff model would take very many
+            rule.step()
+            k = int(np.argmax(np.abs(rule.y[:moving])))
+            if abs(rule.y[k]) > far:
+                return float(rule.t), model.state_names[k], float(rule.y[k])
+            if rule.status != "running":
+                break
+    return None
 
 
 # The Dormand-Prince method of order 8 (Hairer, Norsett and Wanner 1993, II.5) of scipy on CasADi functions ------------

@@ -24,10 +24,8 @@ from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, ORBITS, SolutionSpace
 from casadi_skin.follow.special_points import SpecialPoint, check_second
 from casadi_skin.model.arguments import check_name
-from casadi_skin.points.breaking import turns_of
-from casadi_skin.points.edge_crossing import CrossingWalk
-from casadi_skin.points.edge_curve import EdgeCurve, EdgeWalk, edge_curve
-from casadi_skin.points.edge_orbits import parameters_of
+from casadi_skin.points.edges import CrossingWalk, EdgeCurve, EdgeWalk, edge_curve, parameters_of
+from casadi_skin.points.lost_symmetry import turns_of
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.augmented import KAPPA, PUSH, Critical, CriticalProblem
 from casadi_skin.zero.closure import Closure

@@ -17,17 +17,17 @@ from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import whole
 from casadi_skin.model.result import Result
-from casadi_skin.points.leaving import TOLERANCE
+from casadi_skin.points.leaving import DEFAULT_TOLERANCE
 from casadi_skin.points.switch import leaving_space
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, HOPF
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import End, Point
 from casadi_skin.zero.stated_problem import PERIOD
 
-LEAVING = (HOPF, BRANCH_POINT, DOUBLING)
-SAME = 1e-6  # relative distance of special points that are one
-SAMPLES = 257  # of an orbit, whose extrema distinguish it
-SAMPLED = 1e-3  # relative error of such an extremum
+LEAVING_KINDS = (HOPF, BRANCH_POINT, DOUBLING)
+SAME_POINT_RTOL = 1e-6  # relative distance of special points that are one
+EXTREMA_SAMPLES = 257  # of an orbit, whose extrema distinguish it
+EXTREMUM_RTOL = 1e-3  # relative error of such an extremum
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ def follow_all(
     stability: bool = True,
     max_points: int = 500,
     max_step: float = 0.2,
-    tolerance: float = TOLERANCE,
+    tolerance: float = DEFAULT_TOLERANCE,
 ) -> Diagram:
     """Follow all branches that leave a branch of equilibria, orbits or solutions, and those that leave these.
 
@@ -105,7 +105,9 @@ def follow_all(
     if isinstance(branch.space, Family) or not branch.parameter or branch.space.kind:
         what = "a family" if isinstance(branch.space, Family) else "another one"
         raise ValueError(f"follow_all: given {what}; accepted: a branch in one parameter")
-    further = Further(branch, LEAVING, depth, {"max_points": max_points, "max_step": max_step, "tolerance": tolerance})
+    further = Further(
+        branch, LEAVING_KINDS, depth, {"max_points": max_points, "max_step": max_step, "tolerance": tolerance}
+    )
     names, origins, complete = [""], list[SpecialPoint | None]([None]), True
     for name, point, space in further:
         if len(names) == limit:
@@ -274,7 +276,7 @@ def _extent(point: SpecialPoint) -> tuple[Array, float]:
     """Smallest and largest value of each component, and their relative error."""
     solution = point.solution
     if isinstance(solution, Equilibrium):
-        return np.concatenate([solution.positions, solution.positions]), SAME
-    states = solution.evaluate(np.linspace(*solution.interval, SAMPLES))
+        return np.concatenate([solution.positions, solution.positions]), SAME_POINT_RTOL
+    states = solution.evaluate(np.linspace(*solution.interval, EXTREMA_SAMPLES))
     at_rest = point.kind == HOPF
-    return np.concatenate([states.min(axis=0), states.max(axis=0)]), SAME if at_rest else SAMPLED
+    return np.concatenate([states.min(axis=0), states.max(axis=0)]), SAME_POINT_RTOL if at_rest else EXTREMUM_RTOL

@@ -26,8 +26,13 @@ from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.zero.statics import Statics
 
-ACCEPTED = "orbits over the whole period (symmetric=False), and of models that conserve something branch points alone"
-RESTS, SHARE = 1e-5, 1e-2  # of the largest component: a component below it rests; of a usual one: its scale
+ACCEPTED_ORBITS = (
+    "orbits over the whole period (symmetric=False), and of models that conserve something branch points alone"
+)
+RESTING_COMPONENT_RATIO, SCALE_SHARE = (
+    1e-5,
+    1e-2,
+)  # of the largest component: a component below it rests; of a usual one: its scale
 
 
 def leaving_orbits(
@@ -57,7 +62,7 @@ def leaving_orbits(
     conserves = model.hamiltonian is not None or bool(model.conserved)
     if periodic.symmetry is not SymmetryClass.FULL or (conserves and turns == 2):
         words = "a period doubling of" if turns == 2 else "a branch point on a part of the period of"
-        raise ValueError(f"follow: given {words} {model.name}; accepted: {ACCEPTED}")
+        raise ValueError(f"follow: given {words} {model.name}; accepted: {ACCEPTED_ORBITS}")
     if conserves:  # what selects one of a family, and what keeps the equations regular, stays
         statement = old.statement.with_parameters(**orbit.parameters)
     elif model.forced:
@@ -91,8 +96,8 @@ def leaving_orbits(
 def _floors(orbit: Orbit) -> Array:
     """Least scales of components: a share of a usual one for those that rest, as they may move soon."""
     floors, largest = orbit.problem.floors, np.max(np.abs(orbit.states), axis=0)
-    rests = largest <= RESTS * np.max(largest)
-    return np.asarray(np.where(rests, np.maximum(floors, SHARE * np.median(largest[~rests])), floors))
+    rests = largest <= RESTING_COMPONENT_RATIO * np.max(largest)
+    return np.asarray(np.where(rests, np.maximum(floors, SCALE_SHARE * np.median(largest[~rests])), floors))
 
 
 def _left(orbit: Orbit, turns: int) -> Left | None:
@@ -146,12 +151,12 @@ def _perturbation(orbit: Orbit, values: dict[str, float], t: Array) -> Array:
 
 # Cycles that are born at a Hopf point ---------------------------------------------------------------------------------
 
-TOLERANCE = 1e-8  # of orbits, by default
+DEFAULT_TOLERANCE = 1e-8  # of orbits, by default
 
 
 def born_at(
     statics: Statics, x: Array, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings,
-    tolerance: float = TOLERANCE,
+    tolerance: float = DEFAULT_TOLERANCE,
 ) -> BoundarySpace:  # fmt: skip
     """The space of the cycles born at a Hopf point of a model, which is the start of their branch.
 

@@ -20,8 +20,8 @@ from casadi_skin.follow.solution import Equilibrium, Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import duration
-from casadi_skin.points.breaking import breaking_space, start_of
-from casadi_skin.points.leaving import TOLERANCE, born_at, doubled_solutions, leaving_orbits, other_solutions
+from casadi_skin.points.leaving import DEFAULT_TOLERANCE, born_at, doubled_solutions, leaving_orbits, other_solutions
+from casadi_skin.points.lost_symmetry import breaking_space, start_of
 from casadi_skin.zero.family import MAX_POINTS
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, HOPF
 from casadi_skin.zero.problem import Array
@@ -29,11 +29,11 @@ from casadi_skin.zero.rest_problem import AlgebraicProblem, Course, power_of_two
 from casadi_skin.zero.settings import ContinuationSettings, Point
 from casadi_skin.zero.statics import ROUNDED, Statics
 
-PROBE = 1e-2  # of the unit of length: a step along the branch that leaves, for the direction of its parameter
+PROBE_STEP = 1e-2  # of the unit of length: a step along the branch that leaves, for the direction of its parameter
 SHORT = 1e-4  # of the range of the parameter: a step along the branch that leaves, for its units
-TRIES = 20  # of such steps
-FEW = 1e-6  # of the largest: components of a tangent that are rounding
-SAME = 1e-4  # of a direction: the difference that distinguishes two branches
+PROBE_TRIES = 20  # of such steps
+ROUNDED_TANGENT_RATIO = 1e-6  # of the largest: components of a tangent that are rounding
+SAME_DIRECTION_DISTANCE = 1e-4  # of a direction: the difference that distinguishes two branches
 
 
 def switch(
@@ -50,7 +50,7 @@ def switch(
     until: Callable[[Any], bool] | None = None,
     stability: bool = False,
     events: bool = True,
-    tolerance: float = TOLERANCE,
+    tolerance: float = DEFAULT_TOLERANCE,
     progress: Callable[[Any], None] | None = None,
 ) -> Branch:
     """The branch that leaves at a special point.
@@ -166,9 +166,11 @@ def other_branch(
     reach = _reach(leaving, z, tangent)
     if reach is not None:  # in units of the branch that leaves, where those of the point say nothing
         grown, silent = np.abs(tangent[:n]), np.abs(x) <= ROUNDED * sizes
-        sizes = power_of_two(np.where(silent & (grown > FEW * np.max(grown)), reach * grown * sizes, sizes))
+        sizes = power_of_two(
+            np.where(silent & (grown > ROUNDED_TANGENT_RATIO * np.max(grown)), reach * grown * sizes, sizes)
+        )
         leaving, z, tangent = _towards(space, solution, direction, sizes, to, settings, at)
-    for sign in (float(side), -float(side)) if abs(tangent[-1]) > SAME else (float(side),):
+    for sign in (float(side), -float(side)) if abs(tangent[-1]) > SAME_DIRECTION_DISTANCE else (float(side),):
         if _goes_on(leaving, z, sign * tangent):
             first = replace(solution.point, problem=leaving.problem, z=z, tangent=sign * tangent, special="")
             return replace(leaving, first=first)
@@ -202,9 +204,9 @@ def _reach(space: EquilibriumSpace, z: Array, tangent: Array) -> float | None:
 
     None where no step shows it.
     """
-    weights, step = space.point_solver.metric(space.problem, z), PROBE
+    weights, step = space.point_solver.metric(space.problem, z), PROBE_STEP
     row = weights * tangent
-    for _ in range(TRIES):
+    for _ in range(PROBE_TRIES):
         correction = space.levels.corrector(space.problem).correct(z + step * tangent, row, float(row @ z) + step)
         gone = abs(float(correction.z[-1])) if correction.converged else np.inf
         if SHORT / 30.0 <= gone <= SHORT * 30.0:
@@ -217,7 +219,7 @@ def _reach(space: EquilibriumSpace, z: Array, tangent: Array) -> float | None:
 def _goes_on(space: EquilibriumSpace, z: Array, tangent: Array) -> bool:
     """Whether the parameter goes on to its end along a tangent, judged after a small step along it."""
     weights = space.point_solver.metric(space.problem, z)
-    guess, row = z + PROBE * tangent, weights * tangent
+    guess, row = z + PROBE_STEP * tangent, weights * tangent
     correction = space.levels.corrector(space.problem).correct(guess, row, float(row @ guess))
     if not correction.converged:
         raise EquilibriumError(f"{space.model.name}: the other branch cannot be started: {correction.status.value}")
@@ -256,7 +258,11 @@ def _off(point: Point, units: Array) -> Array:
     """What the unknowns of a special point may be off by: along the branch, and each by its error."""
     profile = point.error.profile if np.isfinite(point.error.profile) else 0.0
     rate = abs(float(point.tangent[-1]))
-    along = point.tangent * (point.error.parameter / rate) if rate > SAME else np.zeros_like(point.tangent)
+    along = (
+        point.tangent * (point.error.parameter / rate)
+        if rate > SAME_DIRECTION_DISTANCE
+        else np.zeros_like(point.tangent)
+    )
     return np.asarray(along + profile * units)
 
 

@@ -55,7 +55,7 @@ CLASSES = {  # that a file may name, by module: "other=own" where the name in fi
     "optimise.search_problem": "Ending Outcome Start",
     "points.curves": "OrbitCurveSpace",
     "points.diagram": "Diagram",
-    "points.edge_curve": "EdgeCurve EdgePoint",
+    "points.edges": "EdgeCurve EdgePoint",
     "stability.growth": "TransientGrowth",
     "stability.localised": "LocalisedFloquet",
     "stability.result": "ContinuousSpectrum FullPeriodFloquet ReversibleFloquet",

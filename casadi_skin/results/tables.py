@@ -13,7 +13,7 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.optimise.optimum import CosineOrbit, Optimum
 from casadi_skin.optimise.search import SearchResult
 from casadi_skin.optimise.search_problem import Outcome, SearchProblem
-from casadi_skin.points.edge_curve import EdgeCurve
+from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.results.dataset import Dataset, Variable, versions, write_csv, write_netcdf
 from casadi_skin.results.quantities import PHASES, Cell, unique_names
 from casadi_skin.stability.tongues.diagram import (

@@ -28,7 +28,7 @@ from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.optimise.search import SearchResult
 from casadi_skin.optimise.search_orbit import ParetoFront
 from casadi_skin.points.diagram import Diagram
-from casadi_skin.points.edge_curve import EdgeCurve
+from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.results.dataset import Dataset, Variable, branch_to_xarray, to_xarray
 from casadi_skin.results.quantities import columns_of, places_of, unique_names
 from casadi_skin.results.tables import EVENT_COLUMNS, edge_columns, edge_rows

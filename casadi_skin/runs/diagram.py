@@ -15,7 +15,7 @@ from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.points.curves import curve_space
-from casadi_skin.points.diagram import LEAVING, Further
+from casadi_skin.points.diagram import LEAVING_KINDS, Further
 from casadi_skin.results import figures
 from casadi_skin.results.dataset import dataset_of, write_csv, write_netcdf
 from casadi_skin.results.figures.solutions import chosen_solutions
@@ -44,7 +44,7 @@ def further_spaces(
     started are named in `failures`.
     """
     options = {"max_points": table.max_points, "max_step": table.max_step}
-    kinds = table.switch or (() if table.depth is None else LEAVING)
+    kinds = table.switch or (() if table.depth is None else LEAVING_KINDS)
     depth, halves = (float("inf"), 1) if table.depth is None else (table.depth, 2)
     further = Further(branches[-1], kinds, depth, {**options, "tolerance": tolerance}, halves)
     for name, point, space in further:

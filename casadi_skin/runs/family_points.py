@@ -17,7 +17,7 @@ from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import REAL, bands, brillouin_zone, lattice_modes, winding_numbers
 from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.points.edge_curve import EdgeCurve
+from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.points.switch import leaving_space
 from casadi_skin.results import figures
 from casadi_skin.results.branch_records import EdgeRecord, Records

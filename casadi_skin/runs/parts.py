@@ -20,7 +20,7 @@ from casadi_skin.zero.settings import End
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from casadi_skin.points.edge_curve import EdgeCurve
+    from casadi_skin.points.edges import EdgeCurve
 
 Arguments = ParamSpec("Arguments")
 

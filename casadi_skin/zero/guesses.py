@@ -25,14 +25,14 @@ class Evaluated(Protocol):
 
 
 Guess: TypeAlias = Evaluated | Mapping[str, Any] | Callable[[float], Any] | ArrayLike | tuple[ArrayLike, ArrayLike]
-SAMPLES = 4001  # of a guess that has jumps
+JUMP_SAMPLES = 4001  # of a guess that has jumps
 FIRST_SAMPLES = 501  # of any guess
-SMOOTH = 50.0  # ranges that a state without jumps goes through in an interval, at its greatest speed
-CLOSES = 1e-6  # relative to the ranges of the states: a function that closes to this is left alone
-CLOSER = 0.1  # of how far it is from closing after the stated period, after its own
-NEAR = 0.25  # of the stated period, where its own is sought
-CLOSING, CLOSING_STEPS = 1e-9, 12  # last step, relative to the period, and the number of steps
-ACCEPTED = (
+SMOOTH_RANGES = 50.0  # ranges that a state without jumps goes through in an interval, at its greatest speed
+CLOSED_GUESS_RTOL = 1e-6  # relative to the ranges of the states: a function that closes to this is left alone
+CLOSER_RATIO = 0.1  # of how far it is from closing after the stated period, after its own
+NEAR_PERIOD_RATIO = 0.25  # of the stated period, where its own is sought
+CLOSING_STEP, CLOSING_STEPS = 1e-9, 12  # last step, relative to the period, and the number of steps
+ACCEPTED_GUESSES = (
     "numbers, one a state; a function of t; numbers or functions by state name; (t, x) with x of shape (times, "
     "states) or (states, times); a simulation or a solution"
 )
@@ -102,18 +102,18 @@ def _closing_time(at: Callable[[float], Array], period: float, rotation: Array) 
     first, own = at(0.0), period
     miss = scaled(own)
     before, h = float(np.linalg.norm(miss)), 1e-4 * period
-    if before <= CLOSES:
+    if before <= CLOSED_GUESS_RTOL:
         return period
     for _ in range(CLOSING_STEPS):
         slope = (scaled(own + h) - scaled(own - h)) / (2.0 * h)
         step = float(slope @ miss) / float(slope @ slope)
         own -= step
-        if not abs(own - period) <= NEAR * period:
+        if not abs(own - period) <= NEAR_PERIOD_RATIO * period:
             return period
         miss = scaled(own)
-        if abs(step) <= CLOSING * period:
+        if abs(step) <= CLOSING_STEP * period:
             break
-    return own if np.linalg.norm(miss) <= CLOSER * before else period
+    return own if np.linalg.norm(miss) <= CLOSER_RATIO * before else period
 
 
 def along_the_guess(statement: Statement, guess: Guess, counts: Sequence[int]) -> list[Array]:
@@ -125,13 +125,15 @@ def along_the_guess(statement: Statement, guess: Guess, counts: Sequence[int]) -
     if is_straight(guess):
         return []
     start, end = statement.span(np.array(list(statement.values.values())))
-    for samples in (FIRST_SAMPLES, SAMPLES):
+    for samples in (FIRST_SAMPLES, JUMP_SAMPLES):
         times = known_times(statement, guess, samples)
         fine = np.unique(np.concatenate([times, 0.5 * (times[1:] + times[:-1])]))
         values = sampled(statement, guess, fine)
         ranges = np.ptp(values, axis=0)
         steps = np.abs(np.diff(values, axis=0)) / np.where(ranges > 0.0, ranges, np.inf)
-        if np.all(np.max(steps, axis=1) * (end - start) < SMOOTH * np.diff(fine)):  # samples may be dense in a jump
+        if np.all(
+            np.max(steps, axis=1) * (end - start) < SMOOTH_RANGES * np.diff(fine)
+        ):  # samples may be dense in a jump
             return []
     length = np.diff(fine) / (end - start) + np.sum(steps, axis=1) + 4.0 / (fine.size - 1)
     total = np.concatenate([[0.0], np.cumsum(length)])
@@ -172,17 +174,17 @@ def _values(statement: Statement, guess: Guess, t: Array) -> Array:
             accepted = f"one that gives {len(names)} numbers"
             raise ValueError(f"guess: the function fails: {_words(error)}; accepted: {accepted}") from error
     if _is_sampled(guess):
-        times, values = (real_array("guess", part, ACCEPTED) for part in guess)
+        times, values = (real_array("guess", part, ACCEPTED_GUESSES) for part in guess)
         turned = values.shape == (len(names), times.size) != (times.size, len(names))  # as scipy has it
         return _interpolated(times, values.T if turned else values, t)
-    return np.tile(real_array("guess", guess, ACCEPTED).ravel(), (t.size, 1))
+    return np.tile(real_array("guess", guess, ACCEPTED_GUESSES).ravel(), (t.size, 1))
 
 
 def _evaluated(guess: Evaluated, t: Array) -> Array:
     try:
         return np.asarray(guess.evaluate(t), dtype=float)
     except Exception as error:  # of a class, or of somebody else's object
-        raise ValueError(f"guess: {short_repr(guess)} fails: {_words(error)}; accepted: {ACCEPTED}") from error
+        raise ValueError(f"guess: {short_repr(guess)} fails: {_words(error)}; accepted: {ACCEPTED_GUESSES}") from error
 
 
 def _column(name: str, given: Any, t: Array) -> Array:

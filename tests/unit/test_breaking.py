@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from casadi_skin import Bond, Branch, Chain, Lattice, Orbit, Site, follow_family
-from casadi_skin.points import edge_orbits as at_edges
+from casadi_skin.points import edges as at_edges
 from casadi_skin.runs.program import main
 from casadi_skin.stability.tongues.diagram import StabilityEdge
 

@@ -23,7 +23,7 @@ FLOORS = (  # from the ground up; rooms of one floor may import from each other
     {"__main__"},
 )
 STILL_UP = {  # imports that run up: each of them is to go
-    ("follow", "dynamics"), ("follow", "points"), ("zero", "stability"),
+    ("zero", "stability"),
 }  # fmt: skip
 
 

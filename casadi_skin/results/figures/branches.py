@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from casadi_skin.points.edge_curve import EdgeCurve
+    from casadi_skin.points.edges import EdgeCurve
 
 SAME_PLACE = 5e-3  # of the extent of a branch: a distance that a picture does not show
 LOOKS: dict[bool | None, dict[str, Any]] = {

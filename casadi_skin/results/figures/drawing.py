@@ -24,7 +24,7 @@ from casadi_skin.optimise.kick import SmallestKick
 from casadi_skin.optimise.search import SearchResult
 from casadi_skin.optimise.search_orbit import ParetoFront
 from casadi_skin.points.diagram import Diagram
-from casadi_skin.points.edge_curve import EdgeCurve
+from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.results.figures.branches import courses, draw_marks, draw_pieces, smooth, stability_pieces
 from casadi_skin.results.figures.families import family_path, family_pieces
 from casadi_skin.results.figures.multipliers import draw_moduli

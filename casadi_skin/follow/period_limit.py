@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.model.conserved import SymmetryClass, pinned_components
-from casadi_skin.points.rests import (
-    BESIDE,
-    CONVERGED,
+from casadi_skin.follow.rests import (
+    CONVERGED_STEP,
+    LINEAR_DISTANCE,
     Connection,
     Course,
     Pins,
@@ -27,6 +26,7 @@ from casadi_skin.points.rests import (
     in_the_part,
     stays,
 )
+from casadi_skin.model.conserved import SymmetryClass, pinned_components
 from casadi_skin.zero.kinds import HETEROCLINIC, HOMOCLINIC
 from casadi_skin.zero.orbit import UNFOLDING
 from casadi_skin.zero.problem import EPSILON, Array, Scalar
@@ -35,15 +35,15 @@ from casadi_skin.zero.settings import Point
 if TYPE_CHECKING:
     from casadi_skin.follow.boundary_solutions import BoundarySolutions
 
-SMALLEST = 1e-9  # of the orbit's extent: smaller components are reported as 0
-NEAREST = 1e-9  # of the way that is followed: nearer to its limit the parameter does not separate orbits
-SAFETY = 3.0  # between an estimated distance and the reported error
-LONGEST = 36.0  # times the time of growth by e: a longer stay is beyond doubles
-AGREES = 0.25  # of a stay: what it may differ from that of the linearised flow
-ROUNDED = 100.0 * EPSILON  # of a parameter: its rounding at a saddle-node
-COMES = 0.1  # of the place where an orbit is beside an equilibrium: how near it has to come
-SHORTER = 0.3  # of a truncation: the next one
-OUTSIDE = 3.0  # of the distance at which an orbit passes an equilibrium: the nearest truncation
+SMALLEST_REPORTED_RATIO = 1e-9  # of the orbit's extent: smaller components are reported as 0
+NEAREST_TO_LIMIT = 1e-9  # of the way that is followed: nearer to its limit the parameter does not separate orbits
+DISTANCE_SAFETY = 3.0  # between an estimated distance and the reported error
+LONGEST_STAY = 36.0  # times the time of growth by e: a longer stay is beyond doubles
+STAY_AGREEMENT_RTOL = 0.25  # of a stay: what it may differ from that of the linearised flow
+PARAMETER_ROUNDING = 100.0 * EPSILON  # of a parameter: its rounding at a saddle-node
+CLOSE_APPROACH_RATIO = 0.1  # of the place where an orbit is beside an equilibrium: how near it has to come
+TRUNCATION_FACTOR = 0.3  # of a truncation: the next one
+NEAREST_TRUNCATION_FACTOR = 3.0  # of the distance at which an orbit passes an equilibrium: the nearest truncation
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ def unbounded(space: BoundarySolutions, before: Point, after: Point) -> Point | 
     """The later of two orbits as the end of its branch, where the period grows without bound; None where it goes on."""
     index, place, period = after.problem.parameter_index, after.problem.index_of(Scalar.OMEGA), space.interval(after)[1]
     rate = abs(float(after.tangent[index] / after.tangent[place]))
-    allowed = max(space.tolerance, NEAREST) * after.problem.parameter_size(after.z)
-    if period <= space.interval(before)[1] or rate * period > LONGEST * SAFETY * allowed:
+    allowed = max(space.tolerance, NEAREST_TO_LIMIT) * after.problem.parameter_size(after.z)
+    if period <= space.interval(before)[1] or rate * period > LONGEST_STAY * DISTANCE_SAFETY * allowed:
         return None
     walking = space.statement.model.parameter_names.index(space.parameter)
     way = abs(space.to - space.statement.values[space.parameter])
@@ -71,17 +71,20 @@ def unbounded(space: BoundarySolutions, before: Point, after: Point) -> Point | 
     value, rests = float(course.p[walking]), [stay.rest for stay in beside[:-1]]
     doubles = [float(rest.p[walking]) for rest in rests if len(rest.centre)]
     left = rate * sum(1.0 / min(rest.growth, rest.decay) for rest in rests if not len(rest.centre))
-    if left > SAFETY * allowed or any(abs(double - value) > allowed * way for double in doubles):
+    if left > DISTANCE_SAFETY * allowed or any(abs(double - value) > allowed * way for double in doubles):
         return None
     if not _grows(beside, in_a_period(*stays(space, before, walking))):
         return None
-    limit = _limit(space, after, course, (beside, found), doubles, SAFETY * allowed * way)
+    limit = _limit(space, after, course, (beside, found), doubles, DISTANCE_SAFETY * allowed * way)
     if limit is None:
         return None
     if np.isnan(limit.parameter):
-        limit = Limit(value, SAFETY * left * way, solved=False)
+        limit = Limit(value, DISTANCE_SAFETY * left * way, solved=False)
     apart = abs(limit.parameter - value)  # the parameter of an orbit has an error as well
-    if apart > SAFETY * (allowed * way + space.tolerance * abs(value)) or limit.error > SAFETY * allowed * way:
+    if (
+        apart > DISTANCE_SAFETY * (allowed * way + space.tolerance * abs(value))
+        or limit.error > DISTANCE_SAFETY * allowed * way
+    ):
         return None
     return _marked(space, after, limit, beside)
 
@@ -108,14 +111,14 @@ def _grows(after: Sequence[Stay], before: Sequence[Stay]) -> bool:
         return False
     for stay, one in zip(after[:-1], before[:-1], strict=True):
         rest, length, other = stay.rest, stay.end - stay.start, one.end - one.start
-        if not (length > other and stay.nearest < COMES * BESIDE):
+        if not (length > other and stay.nearest < CLOSE_APPROACH_RATIO * LINEAR_DISTANCE):
             return False
         if len(rest.centre):
             expected, own, slack = 0.5 * np.log(one.speed / stay.speed), np.log(length / other), 0.0
         else:
             expected, slack = np.log(one.nearest / stay.nearest), np.log(rest.skew)
             own = (length - other) / (1.0 / rest.growth + 1.0 / rest.decay)
-        if not abs(expected - own) <= AGREES * own + slack:
+        if not abs(expected - own) <= STAY_AGREEMENT_RTOL * own + slack:
             return False
     return True
 
@@ -133,7 +136,10 @@ def _limit(
     NaN where they exist and leave the parameter to the conditions that pick an orbit.
     """
     period, connections = rests[0], _connections(space, orbit, course, *rests)
-    radius, nearest = COMES * BESIDE * SAFETY, OUTSIDE * max(stay.nearest for stay in period)
+    radius, nearest = (
+        CLOSE_APPROACH_RATIO * LINEAR_DISTANCE * DISTANCE_SAFETY,
+        NEAREST_TRUNCATION_FACTOR * max(stay.nearest for stay in period),
+    )
     before: Array | None = None
     while connections and radius > nearest:
         solved = [connection.solved(radius) for connection in connections]
@@ -142,7 +148,9 @@ def _limit(
         values = np.array([one for one in solved if one is not None])
         determined = values[~np.isnan(values[:, 0])]
         if doubles:
-            own = CONVERGED * abs(space.to - space.statement.values[space.parameter]) + ROUNDED * abs(doubles[0])
+            own = CONVERGED_STEP * abs(space.to - space.statement.values[space.parameter]) + PARAMETER_ROUNDING * abs(
+                doubles[0]
+            )
             return Limit(doubles[0], own + float(np.ptp(doubles)), solved=True)
         if not len(determined):
             return Limit(np.nan, np.nan, solved=False)
@@ -152,7 +160,7 @@ def _limit(
             )
             if error <= allowed:
                 return Limit(float(np.mean(determined[:, 0])), error, solved=True)
-        before, radius = determined[:, 0], SHORTER * radius
+        before, radius = determined[:, 0], TRUNCATION_FACTOR * radius
     return None
 
 
@@ -197,7 +205,7 @@ def joined_words(space: BoundarySolutions, orbit: Point) -> str:
     course, stayed = stays(space, orbit, walking)
     found = []
     for x in places_of(space, in_a_period(course, stayed)):
-        x = np.where(np.abs(x) < SMALLEST * course.extent, 0.0, x)
+        x = np.where(np.abs(x) < SMALLEST_REPORTED_RATIO * course.extent, 0.0, x)
         state = ", ".join(f"{name} = {value:.6g}" for name, value in zip(space.state_names, x, strict=True))
         found.append(f"({state})")
     return f"orbits come to one that is {orbit.special} to {' and '.join(found)}"

@@ -28,13 +28,13 @@ if TYPE_CHECKING:
     from casadi_skin.follow.boundary_solutions import BoundarySolutions
     from casadi_skin.zero.settings import Point
 
-PLACES = 2001  # along a period at which an orbit is looked at
-SLOW = 1e-2  # of the largest speed along the orbit: it passes an equilibrium there
-NEAR = 0.2  # of the orbit's extent: how far from its slowest place an equilibrium may be
-BESIDE = 0.05  # of the orbit's extent: where an orbit is beside an equilibrium, and nearly linear
-SAME = 1e-6  # of the orbit's extent: distance of two equilibria that are one
-STEPS, CONVERGED = 30, 1e-10  # of Newton's method for an equilibrium; its last step, relative
-ZERO = 1e-9  # of the largest eigenvalue: one without growth or decay
+PERIOD_PLACES = 2001  # along a period at which an orbit is looked at
+SLOW_SPEED_RATIO = 1e-2  # of the largest speed along the orbit: it passes an equilibrium there
+EQUILIBRIUM_DISTANCE = 0.2  # of the orbit's extent: how far from its slowest place an equilibrium may be
+LINEAR_DISTANCE = 0.05  # of the orbit's extent: where an orbit is beside an equilibrium, and nearly linear
+SAME_EQUILIBRIUM_DISTANCE = 1e-6  # of the orbit's extent: distance of two equilibria that are one
+NEWTON_STEPS, CONVERGED_STEP = 30, 1e-10  # of Newton's method for an equilibrium; its last step, relative
+ZERO_EIGENVALUE_RATIO = 1e-9  # of the largest eigenvalue: one without growth or decay
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,12 +99,12 @@ class Course:
         problem, periodic = orbit.problem, space._orbit_of()
         assert isinstance(problem, BoundaryProblem)
         fractions = periodic.symmetry.value * problem._fractions()
-        turn = np.unique(np.concatenate([np.linspace(0.0, 1.0, PLACES)[:-1], fractions[fractions < 1.0]]))
+        turn = np.unique(np.concatenate([np.linspace(0.0, 1.0, PERIOD_PLACES)[:-1], fractions[fractions < 1.0]]))
         states = space.states_at(orbit, TWO_PI * turn, None)
         extent = np.ptp(states, axis=0)
         turned = TWO_PI * np.array(periodic.turns or np.zeros(extent.size))
         period = space.interval(orbit)[1]
-        extent = np.maximum(extent, SAME * np.max(extent))
+        extent = np.maximum(extent, SAME_EQUILIBRIUM_DISTANCE * np.max(extent))
         return cls(period * turn, states, extent, turned, period, problem.parameters(orbit.z))
 
     def longer(self) -> Course:
@@ -124,10 +124,10 @@ def stays(space: BoundarySolutions, orbit: Point, walking: int) -> tuple[Course,
     one, count = course.states, len(course.times)
     rates = np.array(model.vector_field.map(count)(0.0, one.T, np.tile(course.p[:, None], count))).T
     speed = np.linalg.norm(rates / course.extent, axis=1)
-    least = (speed <= np.roll(speed, 1)) & (speed <= np.roll(speed, -1)) & (speed < SLOW * np.max(speed))
+    least = (speed <= np.roll(speed, 1)) & (speed <= np.roll(speed, -1)) & (speed < SLOW_SPEED_RATIO * np.max(speed))
     rests: list[Rest] = []
     for place in np.flatnonzero(least):
-        if not any(np.all(np.abs(one[place] - rest.x) <= BESIDE * course.extent) for rest in rests):
+        if not any(np.all(np.abs(one[place] - rest.x) <= LINEAR_DISTANCE * course.extent) for rest in rests):
             rest = _rest_near(model, one[place], course, walking, float(np.max(speed)))
             if rest is not None:
                 rests.append(rest)
@@ -141,7 +141,7 @@ def stays(space: BoundarySolutions, orbit: Point, walking: int) -> tuple[Course,
 def _stays_at(rest: Rest, course: Course, speed: Array) -> list[Stay]:
     """The complete stays beside one equilibrium."""
     norms = rest.norms(course.states)
-    inside = np.all(np.array(norms) < BESIDE, axis=0)
+    inside = np.all(np.array(norms) < LINEAR_DISTANCE, axis=0)
     edges = np.flatnonzero(np.diff(inside.astype(int)))
     found = []
     for first, last in zip(edges[:-1] + 1, edges[1:], strict=True):
@@ -166,20 +166,22 @@ def _rest_near(model: OdeModel, x: Array, course: Course, walking: int, fastest:
     if rest is None:
         solved = _saddle_node(slope, start, p, walking)
         rest = None if solved is None else _classified(slope, *solved, course.extent, fastest, saddle=False)
-    return None if rest is None or np.any(np.abs(rest.x - start) > NEAR * course.extent) else rest
+    return None if rest is None or np.any(np.abs(rest.x - start) > EQUILIBRIUM_DISTANCE * course.extent) else rest
 
 
 def _equilibrium(slope: ca.Function, x: Array, p: Array) -> tuple[Array, bool]:
     """The equilibrium near a state by Newton's method, and whether that converges: beside a double one it does not."""
-    for _ in range(STEPS):
+    for _ in range(NEWTON_STEPS):
         rate, jacobian = (np.array(value) for value in slope(0.0, x, p))
         if not (np.all(np.isfinite(rate)) and np.all(np.isfinite(jacobian))):
             return x, False
-        step = np.linalg.lstsq(jacobian, rate.ravel(), rcond=ZERO)[0]
+        step = np.linalg.lstsq(jacobian, rate.ravel(), rcond=ZERO_EIGENVALUE_RATIO)[0]
         x = x - step
-        if np.max(np.abs(step)) < CONVERGED * (np.max(np.abs(x)) + 1.0):
+        if np.max(np.abs(step)) < CONVERGED_STEP * (np.max(np.abs(x)) + 1.0):
             rate = np.array(slope(0.0, x, p)[0]).ravel()
-            return x, bool(np.max(np.abs(rate)) <= CONVERGED * np.max(np.abs(jacobian)) * (np.max(np.abs(x)) + 1.0))
+            return x, bool(
+                np.max(np.abs(rate)) <= CONVERGED_STEP * np.max(np.abs(jacobian)) * (np.max(np.abs(x)) + 1.0)
+            )
     return x, False
 
 
@@ -193,7 +195,7 @@ def _saddle_node(slope: ca.Function, x: Array, p: Array, walking: int) -> tuple[
     equations = ca.vertcat(rate, jacobian @ y[n : 2 * n], ca.dot(ca.DM(near), y[n : 2 * n]) - 1.0)
     try:
         solver = ca.rootfinder(
-            "saddle_node", "newton", {"x": y, "g": equations}, {"max_iter": STEPS, "print_time": False}
+            "saddle_node", "newton", {"x": y, "g": equations}, {"max_iter": NEWTON_STEPS, "print_time": False}
         )
         found = np.array(solver(x0=np.concatenate([x, near, p[walking : walking + 1]]))["x"]).ravel()
     except RuntimeError:  # as CasADi says that Newton's method failed
@@ -206,7 +208,7 @@ def _classified(slope: ca.Function, x: Array, p: Array, extent: Array, fastest: 
     scaled = np.array(slope(0.0, x, p)[1]) * extent / extent[:, None]
     values = np.linalg.eigvals(scaled)
     size = max(float(np.max(np.abs(values))), fastest)
-    limit = (ZERO if saddle else np.sqrt(ZERO)) * size
+    limit = (ZERO_EIGENVALUE_RATIO if saddle else np.sqrt(ZERO_EIGENVALUE_RATIO)) * size
     down, up = values.real < -limit, values.real > limit
     central = values.size - int(np.sum(down)) - int(np.sum(up))
     if central != (0 if saddle else 1) or (saddle and not (np.any(down) and np.any(up))):
@@ -239,7 +241,7 @@ def in_a_period(course: Course, found: Sequence[Stay]) -> list[Stay]:
     if not found:
         return []
     first = next((stay for stay in found if stay.end > 0.0), found[-1])
-    end = first.start + course.period * (1.0 - SAME)
+    end = first.start + course.period * (1.0 - SAME_EQUILIBRIUM_DISTANCE)
     period = [stay for stay in found if first.start <= stay.start < end]
     return [*period, *[stay for stay in found if stay.start >= end][:1]]
 
@@ -252,8 +254,8 @@ def in_the_part(course: Course, found: Sequence[Stay], symmetry: SymmetryClass) 
 # A connecting orbit as a truncated boundary-value problem: from beside one equilibrium to beside the next -------------
 
 DURATION, TURN = "duration", "turn"  # of the field, which leaves its equilibria where they are (Duff 1953)
-INTERVALS = 60  # of the first mesh
-FINER = 1e-2  # of the tolerance of the orbits: that of the connecting orbit
+FIRST_MESH_INTERVALS = 60  # of the first mesh
+CONNECTING_TOLERANCE_RATIO = 1e-2  # of the tolerance of the orbits: that of the connecting orbit
 LEAST_TOLERANCE = 1e-11
 
 
@@ -308,16 +310,17 @@ class Connection:
         start, end = self._times(radius)
         statement = self._statement(radius, start, end, name)
         space = replace(
-            self.space, statement=statement, tolerance=max(FINER * self.space.tolerance, LEAST_TOLERANCE),
-            sizes=self._sizes(statement), periodic=None, parameter="", at=(), first=None, settings=None, leaves=False,
+            self.space, statement=statement, sizes=self._sizes(statement),
+            tolerance=max(CONNECTING_TOLERANCE_RATIO * self.space.tolerance, LEAST_TOLERANCE),
+            periodic=None, parameter="", at=(), first=None, settings=None, leaves=False,
             left=None,
         )  # fmt: skip
-        problem = space.levels.problem(INTERVALS)
+        problem = space.levels.problem(FIRST_MESH_INTERVALS)
         problem = problem.placed(self._guess(problem, statement, start, end), problem)
         z = self._guess(problem, statement, start, end)
         try:
             correction = space.levels.corrector(problem).correct(z, problem.parameter_row(), 0.0)
-            if not correction.converged or self._apart(problem, correction.z, z) > BESIDE:
+            if not correction.converged or self._apart(problem, correction.z, z) > LINEAR_DISTANCE:
                 return None
             point = refined(space.point_solver, problem, correction)
         except (BoundaryError, SingularError):
