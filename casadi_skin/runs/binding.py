@@ -359,10 +359,10 @@ def bound(scene: Scene, path: Path) -> Request:
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
     if scene.search is not None:
-        from casadi_skin.runs.tasks import check_search
+        from casadi_skin.runs.tasks import Search
 
         try:
-            check_search(request)
+            Search(request).problem  # noqa: B018  made, and so checked
         except (ValueError, TypeError) as error:
             raise InputError(f"{path}: [search] {error}") from error
     return request

@@ -103,7 +103,7 @@ class Branches:
         table = self.request.scene.continuation
         if self.request.scene.family is None or table is None:
             return
-        from casadi_skin.runs.family_points import follow_edges, leaving_spaces
+        from casadi_skin.runs.further import follow_edges, leaving_spaces
 
         families = [branch for branch in self.branches if len(branch)]
         for name, space in leaving_spaces(families, table, self.failures):
@@ -168,7 +168,7 @@ class Branches:
                 ),
             )
             if scene.has_diagram:
-                from casadi_skin.runs.diagram import further_spaces
+                from casadi_skin.runs.further import further_spaces
 
                 yield from further_spaces(self.branches, table, self.request.tolerance, self.failures)
             return

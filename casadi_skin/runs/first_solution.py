@@ -21,7 +21,7 @@ from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.branch_records import BranchRecord, CycleRecord, data_of, value_of
 from casadi_skin.runs.request import Request, state_of
-from casadi_skin.runs.scene import SELECTED, DynamicsTable, EquilibriumTable
+from casadi_skin.runs.scene import SELECTED, EquilibriumTable
 from casadi_skin.zero.problem import Array
 
 SAMPLES = 801  # of the cycle that is the guess
@@ -203,15 +203,10 @@ def _vanishing(condition: tuple[Expression, float] | None) -> Expression | None:
     return None if condition is None else condition[0] - condition[1]
 
 
-def dynamics_table(request: Request) -> DynamicsTable:
-    if request.scene.dynamics is None:
-        raise ValueError("scene: given one without [dynamics]; accepted: one with it")
-    return request.scene.dynamics
-
-
 def start_near_rest(request: Request) -> tuple[Array, Array | None]:
     """The state that a scene without an orbit starts from; raises ValueError for one that the model does not have."""
-    dynamics = dynamics_table(request)
+    dynamics = request.scene.dynamics
+    assert dynamics is not None
     parameters = request.parameters if isinstance(request.model, OdeModel) else None
     return initial_state(
         request.model, dynamics.size or 0.0, mode=dynamics.mode, site=dynamics.site, vector=dynamics.vector,

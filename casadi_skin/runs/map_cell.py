@@ -222,7 +222,9 @@ class Computer:
         scene = scene_at(self.job.tables, task.settings, task.amplitudes)
         request, meanings = self._request(started_at(scene, task)), Meanings()
         if scene.search is not None:
-            return [row_of_search(_searched(request), meanings)], meanings
+            from casadi_skin.runs.tasks import Search
+
+            return [row_of_search(Search(request).searched(), meanings)], meanings
         branches, fault = followed(request)
         return rows_of(branches, fault, task.amplitudes, self.job.growth, meanings), meanings
 
@@ -242,14 +244,6 @@ def started_at(scene: Scene, task: Task) -> Scene:
         period = task.period if scene.orbit.cycles == 1 and task.period else None
         return put(scene, orbit=put(scene.orbit, start=task.start, transient=None, period=period))
     return scene
-
-
-def _searched(request: Request) -> Any:
-    from casadi_skin.optimise.search import search
-    from casadi_skin.runs.tasks import family_search, search_table
-
-    problem, table = family_search(request), search_table(request.scene)
-    return search(problem, problem.starts(table.starts, table.seed), deflate=table.deflate)
 
 
 @dataclass

@@ -16,6 +16,7 @@ from casadi_skin.runs.family_plan import SPECTRUM, FamilyPlan, chain_line, famil
 from casadi_skin.runs.output import Lines, listed, named
 from casadi_skin.runs.request import Request, state_of
 from casadi_skin.runs.scene import LEAVING, ContinuationTable, EquilibriumTable
+from casadi_skin.runs.tasks import tasks_of
 from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.problem import Problem
 from casadi_skin.zero.request import FamilyRequest
@@ -37,18 +38,10 @@ def plan_lines(request: Request, measure: bool) -> Lines:
         lines += _equilibrium_lines(request, scene.equilibrium)
     elif scene.orbit is not None or request.problem is not None:
         lines += _boundary_lines(request)
-    elif scene.search is not None:
-        from casadi_skin.runs.tasks import plan_search
-
-        lines += plan_search(request)
-    else:
+    elif scene.search is None:
         lines.append(("not built", _nothing(request)))
-    if scene.dynamics is not None:
-        lines.append(("dynamics", _dynamics(request)))
-    if scene.export is not None:
-        from casadi_skin.runs.tasks import plan_export
-
-        lines += plan_export(request)
+    for task in tasks_of(request):
+        lines += task.plan()
     if scene.time_limit is not None:
         lines.append(("time limit", f"{scene.time_limit:g} s"))
     return lines
@@ -64,7 +57,7 @@ def _model_lines(request: Request) -> Lines:
     if isinstance(model, Chain):
         return [chain_line(model.sites, model.alpha, model.gamma, model.g)]
     if request.scene.lattice is not None:
-        from casadi_skin.runs.family_points import lattice_lines
+        from casadi_skin.runs.lattices import lattice_lines
 
         return lattice_lines(model, request.parameters)
     assert isinstance(model, OdeModel)
@@ -81,25 +74,6 @@ def _model_lines(request: Request) -> Lines:
         ("parameters", named(request.parameters) or "none"),
         ("declared", declared or "no symmetry, no conserved quantity"),
     ]
-
-
-def _dynamics(request: Request) -> str:
-    """The orbit followed in time, and the method."""
-    table = request.scene.dynamics
-    assert table is not None
-    kicks = {"site": f"at site {table.site}", "vector": "along a vector", "seed": f"at random, seed {table.seed}"}
-    kicked = [words for name, words in kicks.items() if getattr(table, name) is not None]
-    start = f", perturbed by {table.size:g} {kicked[0]}" if kicked else ""
-    end = f"t = {table.duration:g}" if table.duration is not None else f"{table.periods:g} periods"
-    samples = f"{table.samples} times" if table.samples is not None else "20 times a period, 401 to 4001 in all"
-    orbit = "the last orbit"
-    if not request.families and request.scene.orbit is None:
-        kicks["mode"] = f"in linear mode {table.mode}"
-        (words,) = (words for name, words in kicks.items() if getattr(table, name) is not None)
-        orbit, start = f"{'velocities' if table.moving else 'displacements'} of {table.size:g} {words}, from rest", ""
-    if request.families:
-        orbit = f"the orbit j = {table.mode or request.families[0].mode}, S = {table.S:g}"
-    return f"{orbit}{start}, to {end}; {samples}; {table.method}, tolerance {table.tolerance:g}"
 
 
 # Families -------------------------------------------------------------------------------------------------------------

@@ -24,17 +24,17 @@ if TYPE_CHECKING:
 
 def print_summary(run: Run) -> None:
     """A table of the families, or of the points of another branch that a reader looks for; and where results are."""
-    if run.search is not None:
-        from casadi_skin.runs.tasks import summary_lines
-
-        print("\n".join([*summary_lines(run.search, run.request), f"results in {run.directory}"]))
-    for path in run.exported:
-        print(f"exported to {path}")
     branches = [branch for branch in run.branches if len(branch)]
-    if not run.branches:
-        if run.evolution is not None:
-            print(f"dynamics: {run.evolution.status}\nresults in {run.directory}")
-        return
+    if run.branches:
+        _print_branches(run, branches)
+    for task in run.tasks:
+        print(*task.words(), sep="\n")
+    families = not run.branches or isinstance(run.branches[0].space, Family)
+    print(f"{'' if families else _counted(branches) + '; '}results in {run.directory}")
+
+
+def _print_branches(run: Run, branches: list[Branch]) -> None:
+    """The table of branches, and what it does not show."""
     if isinstance(run.branches[0].space, Family):
         _families(run).print()
         _print_thresholds(run.branches)
@@ -47,10 +47,6 @@ def print_summary(run: Run) -> None:
         _points(run, branches[0]).print()
         if branches[0].with_events and len(branches[0]) > 1:
             print("changes of stability were sought where neighbouring points differ; others may lie between points")
-    if run.evolution is not None:
-        print(f"dynamics: {run.evolution.status}")
-    count = "" if isinstance(run.branches[0].space, Family) else f"{_counted(branches)}; "
-    print(f"{count}results in {run.directory}")
 
 
 def _print_offshoots(run: Run) -> None:

@@ -1,95 +1,201 @@
-"""The time evolution of a scene, in a run: from which orbit or start, how long, and its files."""
+"""The tasks of a scene beside its branches: time evolution, a search, exports. Each is planned, run, and put in words.
+
+What one of them alone needs is loaded when it is run: a scene that asks for none of them loads nothing of it.
+"""
 
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
 import numpy as np
 
-from casadi_skin.dynamics import Evolution, evolve, simulate_orbit
-from casadi_skin.dynamics.motion import equations_of_motion
-from casadi_skin.dynamics.starts import Spreading, spreading
-from casadi_skin.export.c_code import export_c
-from casadi_skin.fmu.archive import export_fmu
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import Array
-from casadi_skin.lattice.declaration import INDICES
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.lattice.linear import lattice_modes
 from casadi_skin.lattice.long_lattice import LongLattice
+from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.optimise.families import ChainFamily, ModelFamily
-from casadi_skin.optimise.family_search import FamilyNlp, FamilySearch
-from casadi_skin.optimise.search import SearchResult, SearchStatus, search
-from casadi_skin.optimise.search_problem import Ending
-from casadi_skin.results.branch_records import OutcomeRecord, data_of, value_of
 from casadi_skin.results.dataset import Dataset, write_csv, write_netcdf
-from casadi_skin.results.figures.evolutions import spacetime_figure, spreading_figure
-from casadi_skin.results.figures.search import search_figure
 from casadi_skin.results.figures.style import number
-from casadi_skin.results.journal import Journal
-from casadi_skin.results.tables import evolution_columns, evolution_rows, evolution_variables, write_search
-from casadi_skin.runs.directory import EXPORT
-from casadi_skin.runs.first_solution import dynamics_table, start_near_rest
+from casadi_skin.runs.branches import Branches
+from casadi_skin.runs.directory import EXPORT, JOURNAL
+from casadi_skin.runs.output import Lines
 from casadi_skin.runs.parts import mode_of, origin, picture
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import DynamicsTable, ExportTable, Scene, SearchTable
 
-PER_PERIOD, FEWEST, MOST = 20, 401, 4001
+if TYPE_CHECKING:
+    from casadi_skin.dynamics import Evolution
+    from casadi_skin.dynamics.starts import Spreading
+    from casadi_skin.optimise.family_search import FamilySearch
+    from casadi_skin.optimise.search import SearchResult
+
+PER_PERIOD, FEWEST, MOST = 20, 401, 4001  # times of a motion that are written unless a number of them is given
 
 
-def scene_orbit(request: Request, branches: Sequence[Branch]) -> Orbit:
-    """The orbit of the scene's [dynamics]: where its family first passes S, or the last of another branch.
+class Task(ABC):
+    """A part of a run that one table of the scene asks for."""
 
-    Raises ValueError where the branch does not reach S, ArithmeticError where no orbit is found there.
+    table: ClassVar[str]
+
+    def __init__(self, request: Request) -> None:
+        self.request, self.asked = request, getattr(request.scene, self.table)
+
+    @abstractmethod
+    def plan(self) -> Lines:
+        """Pairs (subject, text) that describe the work."""
+
+    @abstractmethod
+    def run(self, run: Branches, directory: Path, scene_text: str) -> None:
+        """Do the work and write its files; failures go to those of the run."""
+
+    @abstractmethod
+    def words(self) -> list[str]:
+        """The result in lines for a terminal."""
+
+
+def tasks_of(request: Request) -> list[Task]:
+    """The tasks of a scene beside its branches, in the order in which they are run."""
+    return [kind(request) for kind in (Dynamics, Search, Export) if request.scene.given(kind.table)]
+
+
+def _at(S: float, mode: int | None, branches: Sequence[Branch]) -> Orbit:
+    """The orbit where the family of a mode first passes S.
+
+    Raises ValueError where the family does not reach S, ArithmeticError where no orbit is found there.
     """
-    dynamics = dynamics_table(request)
-    if not isinstance(branches[0].space, Family):
-        return branches[0].orbits[-1]
-    found = [b for b in branches if dynamics.mode in (None, mode_of(b))]
-    if not found or dynamics.S is None:
-        raise ValueError(f"mode {dynamics.mode}: its family was not computed")
-    orbit: Orbit = found[0].at(S=dynamics.S)
+    found = [branch for branch in branches if mode in (None, mode_of(branch))]
+    if not found:
+        raise ValueError(f"mode {mode}: its family was not computed")
+    orbit: Orbit = found[0].at(S=S)
     return orbit
 
 
-def evolve_scene(request: Request, orbit: Orbit) -> Evolution:
-    """The time evolution of an orbit, perturbed where the scene says so.
-
-    Raises ValueError where the time is out of reach, EvolutionError where the integrator fails.
-    """
-    dynamics = dynamics_table(request)
-    return simulate_orbit(
-        orbit, sample_times(dynamics, orbit.period), dynamics.size or 0.0,
-        site=dynamics.site, vector=dynamics.vector, seed=dynamics.seed,
-        method=dynamics.method, tolerance=dynamics.tolerance,
-    )  # fmt: skip
+# Time evolution -------------------------------------------------------------------------------------------------------
 
 
-def evolve_from_rest(request: Request) -> Evolution:
-    """The time evolution of a scene without an orbit; raises as `evolve_scene`.
+class Dynamics(Task):
+    """The time evolution of an orbit of the scene, or from near rest."""
 
-    Sampled by the period of the fastest linear mode, where there are such modes.
-    """
-    dynamics, model = dynamics_table(request), request.model
-    if isinstance(model, LongLattice):
-        raise ValueError("lattice: given one with a linear tail; accepted: all its cells, without edge")
-    parameters = request.parameters if isinstance(model, OdeModel) else None
-    if isinstance(model, Lattice):
-        fastest = float(np.max(lattice_modes(model, parameters).frequencies.real))
-    else:
-        fastest = (equations_of_motion(model, parameters).linear_frequencies or (0.0, 0.0))[1]
-    times = sample_times(dynamics, 2.0 * np.pi / fastest if fastest > 0.0 else dynamics.duration or 1.0)
-    start = start_near_rest(request)
-    return evolve(model, *start, times, dynamics.method, dynamics.tolerance, parameters=parameters)
+    table = "dynamics"
+    asked: DynamicsTable
+    evolution: Evolution | None = None
+
+    @property
+    def alone(self) -> bool:
+        """Whether the motion starts near rest."""
+        return not self.request.scene.given("family", "orbit")
+
+    def plan(self) -> Lines:
+        """The orbit followed in time, and the method."""
+        asked = self.asked
+        kicks = {"site": f"at site {asked.site}", "vector": "along a vector", "seed": f"at random, seed {asked.seed}"}
+        kicked = [words for name, words in kicks.items() if getattr(asked, name) is not None]
+        start = f", perturbed by {asked.size:g} {kicked[0]}" if kicked else ""
+        end = f"t = {asked.duration:g}" if asked.duration is not None else f"{asked.periods:g} periods"
+        samples = f"{asked.samples} times" if asked.samples is not None else "20 times a period, 401 to 4001 in all"
+        orbit = "the last orbit"
+        if self.alone:
+            what = "velocities" if asked.moving else "displacements"
+            how = f"in linear mode {asked.mode}" if asked.mode is not None else kicked[0]
+            orbit, start = f"{what} of {asked.size:g} {how}, from rest", ""
+        elif self.request.families:
+            orbit = f"the orbit j = {asked.mode or self.request.families[0].mode}, S = {asked.S:g}"
+        words = f"{orbit}{start}, to {end}; {samples}; {asked.method}, tolerance {asked.tolerance:g}"
+        return [("dynamics", words)]
+
+    def run(self, run: Branches, directory: Path, scene_text: str) -> None:
+        """Follow the motion as far as that can be done; of branches that were computed."""
+        from casadi_skin.dynamics import EvolutionError
+
+        if not (run.branches or self.alone):
+            return
+        run.progress.say("time evolution")
+        orbit = None
+        try:
+            if not self.alone:
+                first = run.branches[0]
+                asked = self.asked
+                orbit = first.orbits[-1] if asked.S is None else _at(asked.S, asked.mode, run.branches)
+            self.evolution = self._from_rest() if orbit is None else self._of(orbit)
+        except EvolutionError as error:
+            self.evolution = error.evolution
+            run.failures.append(f"[dynamics]: {error}")
+        except (ValueError, ArithmeticError) as error:
+            run.failures.append(f"[dynamics]: {error}")
+        if self.evolution is not None:
+            run.progress.say("writing the time evolution")
+            with interrupts_deferred():
+                self._write(orbit, self.evolution, directory, scene_text)
+
+    def words(self) -> list[str]:
+        """How far it came."""
+        return [] if self.evolution is None else [f"dynamics: {self.evolution.status}"]
+
+    def _of(self, orbit: Orbit) -> Evolution:
+        """The time evolution of an orbit, perturbed where the scene says so.
+
+        Raises ValueError where the time is out of reach, EvolutionError where the integrator fails.
+        """
+        from casadi_skin.dynamics import simulate_orbit
+
+        asked = self.asked
+        kick = {"site": asked.site, "vector": asked.vector, "seed": asked.seed}
+        how = {"method": asked.method, "tolerance": asked.tolerance}
+        return simulate_orbit(orbit, sample_times(asked, orbit.period), asked.size or 0.0, **kick, **how)  # type: ignore[arg-type]
+
+    def _from_rest(self) -> Evolution:
+        """The time evolution of a scene without an orbit; raises as `_of`.
+
+        Sampled by the period of the fastest linear mode, where there are such modes.
+        """
+        from casadi_skin.dynamics import evolve
+        from casadi_skin.dynamics.motion import equations_of_motion
+        from casadi_skin.lattice.linear import lattice_modes
+        from casadi_skin.runs.first_solution import start_near_rest
+
+        asked, model = self.asked, self.request.model
+        if isinstance(model, LongLattice):
+            raise ValueError("lattice: given one with a linear tail; accepted: all its cells, without edge")
+        parameters = self.request.parameters if isinstance(model, OdeModel) else None
+        if isinstance(model, Lattice):
+            fastest = float(np.max(lattice_modes(model, parameters).frequencies.real))
+        else:
+            fastest = (equations_of_motion(model, parameters).linear_frequencies or (0.0, 0.0))[1]
+        times = sample_times(asked, 2.0 * np.pi / fastest if fastest > 0.0 else asked.duration or 1.0)
+        return evolve(
+            model, *start_near_rest(self.request), times, asked.method, asked.tolerance, parameters=parameters
+        )
+
+    def _write(self, orbit: Orbit | None, evolution: Evolution, directory: Path, scene_text: str) -> None:
+        """dynamics.csv, dynamics.nc and the space-time picture; of a lattice also where its energy is."""
+        from casadi_skin.dynamics.starts import spreading
+        from casadi_skin.results.figures.evolutions import spacetime_figure
+        from casadi_skin.results.tables import evolution_columns, evolution_rows, evolution_variables
+
+        asked, request = self.asked, self.request
+        write_csv(directory / "dynamics.csv", evolution_columns(evolution), evolution_rows(evolution))
+        start, title = _origin_of(orbit, asked)
+        how = {"method": evolution.method, "tolerance": evolution.tolerance, "coordinates": evolution.coordinates}
+        attributes = {**origin(request, scene_text), **how, "step": evolution.step or 0.0, **start}
+        write_netcdf(directory / "dynamics.nc", Dataset(evolution_variables(evolution), attributes))
+        if asked.size is not None and orbit is not None:
+            title += f", perturbed by ${number(asked.size)}$ {_direction(asked)}"
+        near = orbit if asked.size is not None else None
+        draw = partial(spacetime_figure, profile=True, energy=True, kicked_site=asked.site, orbit=near)
+        picture(request.scene, directory / "dynamics", draw, evolution, title)
+        if isinstance(request.model, Lattice) and request.model.structure.energies is not None:
+            _write_spreading(request.scene, spreading(evolution), request.model, directory)
 
 
 def _direction(dynamics: DynamicsTable) -> str:
@@ -119,25 +225,6 @@ def sample_times(dynamics: DynamicsTable, period: float) -> Array:
     return np.linspace(0.0, end, samples)
 
 
-def write_dynamics(
-    request: Request, scene_text: str, orbit: Orbit | None, evolution: Evolution, directory: Path
-) -> None:
-    """dynamics.csv, dynamics.nc and the space-time picture; of a lattice also where its energy is."""
-    dynamics = dynamics_table(request)
-    write_csv(directory / "dynamics.csv", evolution_columns(evolution), evolution_rows(evolution))
-    start, title = _origin_of(orbit, dynamics)
-    how = {"method": evolution.method, "tolerance": evolution.tolerance, "coordinates": evolution.coordinates}
-    attributes = {**origin(request, scene_text), **how, "step": evolution.step or 0.0, **start}
-    write_netcdf(directory / "dynamics.nc", Dataset(evolution_variables(evolution), attributes))
-    if dynamics.size is not None and orbit is not None:
-        title += f", perturbed by ${number(dynamics.size)}$ {_direction(dynamics)}"
-    near = orbit if dynamics.size is not None else None
-    draw = partial(spacetime_figure, profile=True, energy=True, kicked_site=dynamics.site, orbit=near)
-    picture(request.scene, directory / "dynamics", draw, evolution, title)
-    if isinstance(request.model, Lattice) and request.model.structure.energies is not None:
-        _write_spreading(request.scene, spreading(evolution), request.model, directory)
-
-
 def _origin_of(orbit: Orbit | None, dynamics: DynamicsTable) -> tuple[dict[str, float | str], str]:
     """Start of the motion: attributes, and words of a title."""
     if orbit is None:
@@ -153,6 +240,9 @@ def _origin_of(orbit: Orbit | None, dynamics: DynamicsTable) -> tuple[dict[str, 
 
 def _write_spreading(scene: Scene, found: Spreading, lattice: Lattice, directory: Path) -> None:
     """spreading.csv, energies.csv and the picture of where the energy of a lattice is."""
+    from casadi_skin.lattice.declaration import INDICES
+    from casadi_skin.results.figures.evolutions import spreading_figure
+
     centres = [f"centre_{name}" for name in INDICES[: found.centre.shape[1]]]
     columns = ["t", "energy", *centres, "participation", "second_moment"]
     table = np.column_stack([found.t, found.total, found.centre, found.participation, found.second_moment])
@@ -163,167 +253,181 @@ def _write_spreading(scene: Scene, found: Spreading, lattice: Lattice, directory
     picture(scene, directory / "spreading", spreading_figure, found, lattice)
 
 
-# The exports of a run: C code in DIR/export and an FMU of its model, or of one of its orbits --------------------------
+# Exports: C code in DIR/export and an FMU of the model, or of one of the orbits ---------------------------------------
 
 
-def export_scene(request: Request, branches: Sequence[Branch], directory: Path) -> tuple[Path, ...]:
-    """Write the exports of a scene, and return their place; those of a resumed run are kept.
+class Export(Task):
+    """C code and an FMU; those of a resumed run are kept."""
 
-    Raises ValueError where the branch does not reach S or a part cannot be exported, ArithmeticError where no orbit is
-    found.
-    """
-    export = _exported(request)
-    target, written = directory / EXPORT, []
-    of = exported(request, branches)
-    if export.c is not None:
-        if not (target.exists() and any(target.iterdir())):  # it is written whole or not at all
-            export_c(of, target, None if export.c == "all" else export.c)
-        written.append(target)
-    if export.fmu is not None:
-        target = directory / export.fmu
-        written.append(export_fmu(of, target, export.fmi, tolerance=request.tolerance, inputs=export.inputs))
-    return tuple(written)
+    table = "export"
+    asked: ExportTable
+    written: tuple[Path, ...] = ()
 
+    def plan(self) -> Lines:
+        """What is exported, and where."""
+        asked, of = self.asked, "the chain" if isinstance(self.request.model, Chain) else "the model"
+        if asked.S is not None:
+            of = f"the orbit j = {asked.mode or self.request.families[0].mode}, S = {asked.S:g}"
+        elif self.request.scene.orbit is not None:
+            of = "the last orbit"
+        lines = []
+        if asked.c is not None:
+            parts = "all parts that need libm only" if asked.c == "all" else ", ".join(asked.c)
+            lines.append(("export", f"C code of {of} in {EXPORT}/: {parts}"))
+        if asked.fmu is not None:
+            words = f"FMU of {of} in {asked.fmu}: FMI {asked.fmi}, Model Exchange and Co-Simulation"
+            lines.append(("export", words))
+        return lines
 
-def exported(request: Request, branches: Sequence[Branch]) -> Chain | OdeModel | Orbit:
-    """The model, the orbit at S where its family first passes it, or the last orbit of another branch."""
-    export = _exported(request)
-    if export.S is not None:
-        found = [branch for branch in branches if export.mode in (None, mode_of(branch))]
-        if not found:
-            raise ValueError(f"mode {export.mode}: its family was not computed")
-        orbit: Orbit = found[0].at(S=export.S)
-        return orbit
-    if request.scene.orbit is not None and branches:
-        return branches[0].orbits[-1]
-    assert not isinstance(request.model, LongLattice)
-    return request.model
+    def run(self, run: Branches, directory: Path, scene_text: str) -> None:
+        """Write the exports."""
+        from casadi_skin.export.c_code import export_c
+        from casadi_skin.fmu.archive import export_fmu
 
+        asked, target = self.asked, directory / EXPORT
+        run.progress.say("exporting")
+        try:
+            of = self._exported(run.branches)
+            if asked.c is not None:
+                if not (target.exists() and any(target.iterdir())):  # it is written whole or not at all
+                    export_c(of, target, None if asked.c == "all" else asked.c)
+                self.written += (target,)
+            if asked.fmu is not None:
+                options = {"tolerance": self.request.tolerance, "inputs": asked.inputs}
+                self.written += (export_fmu(of, directory / asked.fmu, asked.fmi, **options),)  # type: ignore[arg-type]
+        except (ValueError, ArithmeticError) as error:
+            run.failures.append(f"[export]: {error}")
 
-def plan_export(request: Request) -> list[tuple[str, str]]:
-    """Pairs (subject, text) that describe the export."""
-    export, of = _exported(request), "the chain" if isinstance(request.model, Chain) else "the model"
-    if export.S is not None:
-        of = f"the orbit j = {export.mode or request.families[0].mode}, S = {export.S:g}"
-    elif request.scene.orbit is not None:
-        of = "the last orbit"
-    lines = []
-    if export.c is not None:
-        parts = "all parts that need libm only" if export.c == "all" else ", ".join(export.c)
-        lines.append(("export", f"C code of {of} in {EXPORT}/: {parts}"))
-    if export.fmu is not None:
-        lines.append(("export", f"FMU of {of} in {export.fmu}: FMI {export.fmi}, Model Exchange and Co-Simulation"))
-    return lines
+    def words(self) -> list[str]:
+        """Where the exports are."""
+        return [f"exported to {path}" for path in self.written]
 
-
-def _exported(request: Request) -> ExportTable:
-    if request.scene.export is None:
-        raise ValueError("scene: given one without [export]; accepted: one with it")
-    return request.scene.export
-
-
-# The search of a scene: its request, its run with a journal of starts, and its files ----------------------------------
-
-COMPLETE = (SearchStatus.FOUND, SearchStatus.ON_BOUND)
+    def _exported(self, branches: Sequence[Branch]) -> Chain | OdeModel | Orbit:
+        """The orbit at S of its family, or the last orbit of another branch, or the model."""
+        if self.asked.S is not None:
+            return _at(self.asked.S, self.asked.mode, branches)
+        if self.request.scene.orbit is not None and branches:
+            return branches[0].orbits[-1]
+        assert not isinstance(self.request.model, LongLattice)
+        return self.request.model
 
 
-def search_table(scene: Scene) -> SearchTable:
-    """The table [search]; raises ValueError where there is none."""
-    if scene.search is None:
-        raise ValueError("[search]: missing; accepted: a scene with a [search]")
-    return scene.search
+# A search -------------------------------------------------------------------------------------------------------------
 
 
-def family_search(request: Request) -> FamilySearch:
-    """The search of the scene's [search]; raises ValueError or TypeError for values that are not accepted."""
-    table, model = search_table(request.scene), request.model
-    constraints = [
-        (held.quantity, *((held.equal, held.equal) if held.equal is not None else (held.lower, held.upper)))
-        for held in table.constraints
-    ]
-    if isinstance(model, Chain):
-        family: ChainFamily | ModelFamily = ChainFamily.of(model, table.mode)
-    else:
-        assert isinstance(model, OdeModel)
-        family = ModelFamily.of(model, table.mode, request.parameters)
-    return FamilySearch.of(
-        family, S=table.S, objective=table.objective, free=table.free,
-        bounds=table.bounds, constraints=constraints, maximise=table.maximise,
-        tolerance=request.scene.accuracy.relative_tolerance,
-    )  # fmt: skip
+class Search(Task):
+    """An orbit found by optimisation, each start kept in the journal as it ends."""
 
+    table = "search"
+    asked: SearchTable
+    result: SearchResult | None = None
 
-def run_search(request: Request, journal: Path, progress: Progress) -> SearchResult:
-    """Run the search, each start kept in the journal as it ends; starts that the journal holds are not run again."""
-    problem, table = family_search(request), search_table(request.scene)
-    progress.say("building")
-    with Journal(journal, msgspec.msgpack.Decoder(OutcomeRecord)) as file:
-        if file.fault:
-            progress.report(f"{journal}: {file.fault}; what follows it is dropped and computed again")
-        known = [value_of(record.outcome) for record in file.records]
-        return search(
-            problem,
-            problem.starts(table.starts, table.seed),
-            deflate=table.deflate,
-            known=[outcome for outcome in known if outcome.ending is not Ending.INTERRUPTED],
-            keep=lambda outcome: file.append(OutcomeRecord(data_of(outcome))),
-            progress=lambda where: progress.say(str(where)),
-            workers=table.workers,
-        )
+    @cached_property
+    def problem(self) -> FamilySearch:
+        """What is searched; raises ValueError or TypeError for values that are not accepted."""
+        from casadi_skin.optimise.families import ChainFamily, ModelFamily
+        from casadi_skin.optimise.family_search import FamilySearch
 
+        asked, model = self.asked, self.request.model
+        constraints = [
+            (held.quantity, *((held.equal, held.equal) if held.equal is not None else (held.lower, held.upper)))
+            for held in asked.constraints
+        ]
+        if isinstance(model, Chain):
+            family: ChainFamily | ModelFamily = ChainFamily.of(model, asked.mode)
+        else:
+            assert isinstance(model, OdeModel)
+            family = ModelFamily.of(model, asked.mode, self.request.parameters)
+        return FamilySearch.of(
+            family, S=asked.S, objective=asked.objective, free=asked.free, bounds=asked.bounds,
+            constraints=constraints, maximise=asked.maximise, tolerance=self.request.tolerance,
+        )  # fmt: skip
 
-def write_results(request: Request, scene_text: str, result: SearchResult, directory: Path) -> None:
-    """search.csv, starts.csv, search.nc and the picture."""
-    scene = request.scene
-    table = search_table(scene)
-    write_search(result, directory, scene_text, scene.title or "")
-    if result.optima or result.others:
-        picture(scene, directory / "search", search_figure, result, table.objective)
+    def plan(self) -> Lines:
+        """The search, with the nonlinear programme of one start measured."""
+        from casadi_skin.optimise.family_search import FamilyNlp
 
+        table, problem = self.asked, self.problem
+        started = time.perf_counter()
+        problem = problem.prepared(problem.starts(1, table.seed)[0])
+        nlp = FamilyNlp(problem, problem.harmonics)
+        building = time.perf_counter() - started
+        limits = zip(problem.free, problem.bounds, strict=True)
+        bounds = ", ".join(f"{low:g} <= {name} <= {high:g}" for name, (low, high) in limits)
+        held = [f"{c.name} = {c.upper:g}" if c.equality else f"{c.lower:g} <= {c.name} <= {c.upper:g}"
+                for c in problem.conditions]  # fmt: skip
+        where = f"j = {problem.family.mode}" + ("" if "S" in problem.free else f", S = {problem.amplitudes[0]:g}")
+        tangent = " and those of its tangent" if nlp.has_tangent else ""
+        processes = f"{table.workers} process{'' if table.workers == 1 else 'es'}"
+        return [
+            ("search", f"{'largest' if table.maximise else 'smallest'} {table.objective} on the family {where}"),
+            ("free", bounds),
+            ("held", "; ".join(held) or "nothing"),
+            ("tolerance", f"{problem.tolerance:g}, relative, of objective and Omega"),
+            ("starts", f"{table.starts}, seed {table.seed}, {processes}"),
+            ("unknowns", f"{nlp.size} on {nlp.harmonics} odd cosines; more harmonics where the tolerance asks for it"),
+            ("built", f"the orbit's equations{tangent}, their exact first and second derivatives, Ipopt"),
+            ("not built", "families beyond the starts and checks" + ("" if tangent else ", the tangent")),
+            ("expected cost", f"{building:.1g} s to build (measured now); starts and checks are not estimated"),
+        ]
 
-def check_search(request: Request) -> None:
-    """Raises ValueError or TypeError where the scene's search cannot be meant."""
-    family_search(request)
+    def run(self, run: Branches, directory: Path, scene_text: str) -> None:
+        """Search, and write search.csv, starts.csv, search.nc and the picture."""
+        from casadi_skin.optimise.search import SearchStatus
+        from casadi_skin.results.figures.search import search_figure
+        from casadi_skin.results.tables import write_search
 
+        scene = self.request.scene
+        found = self.result = self.searched(run.progress, directory / JOURNAL)
+        run.progress.say("writing the search")
+        write_search(found, directory, scene_text, scene.title or "")
+        if found.optima or found.others:
+            picture(scene, directory / "search", search_figure, found, self.asked.objective)
+        if found.status is SearchStatus.INTERRUPTED:
+            raise KeyboardInterrupt
+        if found.status not in (SearchStatus.FOUND, SearchStatus.ON_BOUND):
+            run.failures.append(f"[search]: {found.reason}")
 
-def summary_lines(result: SearchResult, request: Request) -> list[str]:
-    """The result in lines for a terminal."""
-    objective = search_table(request.scene).objective
-    lines = [f"search: {result.reason}"]
-    for rank, optimum in enumerate((*result.optima, *result.others), start=1):
-        named = ", ".join(f"{name} = {value:.10g}" for name, value in list(optimum.parameters.items())[:4])
-        more = ", ..." if len(optimum.parameters) > 4 else ""
-        words = ", on another family" if optimum.on_family is False else ""
-        held = f"; on {', '.join(optimum.active)}" if optimum.active else ""
-        found = f"{objective} = {optimum.objective:.10g} at {named}{more}; Omega = {optimum.Omega:.10g}"
-        lines.append(f"{rank}: {found}{held}{words}")
-    if result.nearest is not None and result.nearest.solution is not None:
-        near = result.nearest
-        lines.append(f"nearest: from start {near.start.number}, {near.worst} off by {near.gap:.3g}")
-    return lines
+    def searched(self, progress: Progress | None = None, journal: Path = Path()) -> SearchResult:
+        """The result; in a run starts that its journal holds are not run again."""
+        from casadi_skin.optimise.search import search
 
+        starts = self.problem.starts(self.asked.starts, self.asked.seed)
+        if progress is None:
+            return search(self.problem, starts, deflate=self.asked.deflate)
+        from casadi_skin.optimise.search_problem import Ending
+        from casadi_skin.results.branch_records import OutcomeRecord, data_of, value_of
+        from casadi_skin.results.journal import Journal
 
-def plan_search(request: Request) -> list[tuple[str, str]]:
-    """Pairs (subject, text) that describe the search of a scene, with the nonlinear programme of one start measured."""
-    table, problem = search_table(request.scene), family_search(request)
-    started = time.perf_counter()
-    problem = problem.prepared(problem.starts(1, table.seed)[0])
-    nlp = FamilyNlp(problem, problem.harmonics)
-    building = time.perf_counter() - started
-    limits = zip(problem.free, problem.bounds, strict=True)
-    bounds = ", ".join(f"{low:g} <= {name} <= {high:g}" for name, (low, high) in limits)
-    held = [f"{c.name} = {c.upper:g}" if c.equality else f"{c.lower:g} <= {c.name} <= {c.upper:g}"
-            for c in problem.conditions]  # fmt: skip
-    where = f"j = {problem.family.mode}" + ("" if "S" in problem.free else f", S = {problem.amplitudes[0]:g}")
-    tangent = " and those of its tangent" if nlp.has_tangent else ""
-    return [
-        ("search", f"{'largest' if table.maximise else 'smallest'} {table.objective} on the family {where}"),
-        ("free", bounds),
-        ("held", "; ".join(held) or "nothing"),
-        ("tolerance", f"{problem.tolerance:g}, relative, of objective and Omega"),
-        ("starts", f"{table.starts}, seed {table.seed}, {table.workers} process{'' if table.workers == 1 else 'es'}"),
-        ("unknowns", f"{nlp.size} on {nlp.harmonics} odd cosines; more harmonics where the tolerance asks for it"),
-        ("built", f"the orbit's equations{tangent}, their exact first and second derivatives, Ipopt"),
-        ("not built", "families beyond the starts and checks" + ("" if tangent else ", the tangent")),
-        ("expected cost", f"{building:.1g} s to build (measured now); starts and checks are not estimated"),
-    ]
+        progress.say("building")
+        with Journal(journal, msgspec.msgpack.Decoder(OutcomeRecord)) as file:
+            if file.fault:
+                progress.report(f"{journal}: {file.fault}; what follows it is dropped and computed again")
+            known = [value_of(record.outcome) for record in file.records]
+            return search(
+                self.problem,
+                starts,
+                deflate=self.asked.deflate,
+                known=[outcome for outcome in known if outcome.ending is not Ending.INTERRUPTED],
+                keep=lambda outcome: file.append(OutcomeRecord(data_of(outcome))),
+                progress=lambda where: progress.say(str(where)),
+                workers=self.asked.workers,
+            )
+
+    def words(self) -> list[str]:
+        """The optima, each with its numbers."""
+        result, objective = self.result, self.asked.objective
+        if result is None:
+            return []
+        lines = [f"search: {result.reason}"]
+        for rank, optimum in enumerate((*result.optima, *result.others), start=1):
+            named = ", ".join(f"{name} = {value:.10g}" for name, value in list(optimum.parameters.items())[:4])
+            more = ", ..." if len(optimum.parameters) > 4 else ""
+            words = ", on another family" if optimum.on_family is False else ""
+            held = f"; on {', '.join(optimum.active)}" if optimum.active else ""
+            found = f"{objective} = {optimum.objective:.10g} at {named}{more}; Omega = {optimum.Omega:.10g}"
+            lines.append(f"{rank}: {found}{held}{words}")
+        if result.nearest is not None and result.nearest.solution is not None:
+            near = result.nearest
+            lines.append(f"nearest: from start {near.start.number}, {near.worst} off by {near.gap:.3g}")
+        return lines

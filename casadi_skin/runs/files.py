@@ -1,0 +1,261 @@
+"""Files of branches: datasets, special points, changes of stability, pictures and films; and of linear spectra."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.special_points import SpecialPoint
+from casadi_skin.lattice.spectrum import linear_frequencies
+from casadi_skin.results import figures
+from casadi_skin.results.dataset import dataset_of, write_csv, write_netcdf
+from casadi_skin.results.quantities import Cell, unique_names
+from casadi_skin.results.tables import (
+    EVENT_COLUMNS,
+    PROVED_COLUMNS,
+    TONGUE_COLUMNS,
+    UNRESOLVED,
+    edge_columns,
+    event_rows,
+    further_rows,
+    tongue_rows,
+)
+from casadi_skin.runs.parts import Offshoots, mode_of, origin, picture
+from casadi_skin.runs.progress import Progress
+from casadi_skin.runs.request import Request
+from casadi_skin.zero.family import TWO_PI
+from casadi_skin.zero.stated_problem import PERIOD
+
+if TYPE_CHECKING:
+    from casadi_skin.points.edges import EdgeCurve
+
+POINT_COLUMNS = ("branch", "kind", "S", "error", "Omega", "period", "mu", "loses")
+EMPTY: Cell = ""
+PASSED_COLUMNS = ("mode", "S_before", "S_after", "Omega_before", "Omega_after", "changes", "meetings")
+
+
+def write_branches(
+    request: Request, branches: Sequence[Branch], scene_text: str, directory: Path, progress: Progress
+) -> None:
+    """All files of branches but the table of their points."""
+    scene = request.scene
+    family = isinstance(branches[0].space, Family)
+    vectors = scene.stability is not None and scene.stability.vectors
+    dataset = dataset_of(branches, vectors)
+    dataset = replace(dataset, attributes=origin(request, scene_text, branches[0]))
+    write_netcdf(directory / ("family.nc" if family else "branch.nc"), dataset)
+    if family:
+        _write_families(request, branches, directory)
+        if scene.family is not None and scene.family.film:
+            _write_films(branches, directory, progress)
+    else:
+        _write_branch(request, branches[0], directory)
+
+
+def _write_families(request: Request, branches: Sequence[Branch], directory: Path) -> None:
+    """events.csv with the tables beside it, and the pictures of families."""
+    stability = request.scene.stability
+    if stability is not None and any(branch.with_events for branch in branches):
+        diagrams = [(b, b.diagram_of_changes) for b in branches]
+        known = [(mode_of(b), diagram) for b, diagram in diagrams if diagram is not None]
+        if request.scene.accuracy.certify:
+            rows_of = [event_rows(mode_of(b), diagram, b.certify_change) for b, diagram in diagrams if diagram]
+            columns = (*EVENT_COLUMNS, *PROVED_COLUMNS)
+            write_csv(directory / "events.csv", columns, [row for rows in rows_of for row in rows])
+        else:
+            write_csv(directory / "events.csv", EVENT_COLUMNS, [row for each in known for row in event_rows(*each)])
+        for name, names, make in (
+            ("further_events", EVENT_COLUMNS, further_rows),
+            ("tongues", TONGUE_COLUMNS, tongue_rows),
+        ):
+            write_csv(directory / f"{name}.csv", names, [row for each in known for row in make(*each)])
+        passed = [row for branch in branches if branch.with_events for row in passed_rows(branch)]
+        write_csv(directory / "passed_resonances.csv", PASSED_COLUMNS, passed)
+    picture(request.scene, directory / "frequency", figures.frequency_figure, branches)
+    picture(request.scene, directory / "profile", figures.profile_figure, branches)
+    for branch in branches:
+        if request.scene.chain is None:
+            from casadi_skin.results.figures.families import plane_figure
+
+            picture(request.scene, directory / f"plane_j{mode_of(branch)}", plane_figure, branch)
+        picture(request.scene, directory / f"multipliers_j{mode_of(branch)}", figures.multiplier_figure, branch)
+
+
+def passed_rows(branch: Branch) -> list[dict[str, Cell]]:
+    """Rows of passed_resonances.csv."""
+    found = branch.passed_resonances or ()
+    rows = [(mode_of(branch), *one.S, *one.Omega, one.changes, one.met) for one in found]
+    return [dict(zip(PASSED_COLUMNS, row, strict=True)) for row in rows]
+
+
+def _write_films(branches: Sequence[Branch], directory: Path, progress: Progress) -> None:
+    """A film of each family's mode, at the last requested point or at the end."""
+    from casadi_skin.results.figures.solutions import animate
+
+    for branch in branches:
+        progress.say(f"film of j = {mode_of(branch)}")
+        requested = [orbit for orbit in branch.orbits if orbit.point.requested]
+        animate((requested or branch.orbits)[-1], directory / f"film_j{mode_of(branch)}.gif")
+
+
+def _write_branch(request: Request, branch: Branch, directory: Path) -> None:
+    """special_points.csv and the pictures of another branch, or of a single solution."""
+    title = request.scene.title or ""
+    if len(branch) > 1:
+        write_csv(directory / "special_points.csv", special_columns(branch), special_rows(branch))
+        picture(request.scene, directory / "branch", figures.branch_figure, branch, title)
+    picture(request.scene, directory / "orbit", figures.orbit_figure, branch.solutions[-1], title)
+
+
+def special_columns(branch: Branch) -> list[str]:
+    """Columns of special_points.csv; the period of orbits alone."""
+    fixed = ("kind", "error", "period")
+    return [fixed[0], *unique_names([branch.parameter], fixed), *fixed[1 : 3 if _has_orbits(branch) else 2]]
+
+
+def special_rows(branch: Branch) -> list[dict[str, Cell]]:
+    """Rows of special_points.csv: folds and changes of stability in the order of the branch; what is unresolved last.
+
+    The error of a stretch that is not resolved is its width.
+    """
+    columns, rows, changes = special_columns(branch), list[list[Cell]](), iter(branch.located)
+    folds = {id(point.solution): point for point in branch.special_points}
+    for before, here in zip((None, *branch.solutions), branch.solutions, strict=False):
+        if branch.located and before is not None and before.stable != here.stable:
+            change = next(changes)
+            kind = f"stability {'gained' if change.stable_after else 'lost'} ({change.kind})"
+            rows.append([kind, change.value, change.error, TWO_PI / change.Omega])
+        if id(here) in folds:
+            fold = folds[id(here)]
+            period = here.period if isinstance(here, Orbit) else math.nan
+            rows.append([fold.kind, fold.parameters[branch.parameter], fold.error, period])
+    rows += [[UNRESOLVED, stretch.start, abs(stretch.end - stretch.start), math.nan] for stretch in branch.passed_over]
+    return [dict(zip(columns, row, strict=False)) for row in rows]
+
+
+def _has_orbits(branch: Branch) -> bool:
+    return isinstance(branch.solutions[0], Orbit)
+
+
+def write_diagram(
+    request: Request,
+    names: Sequence[str],
+    branches: Sequence[Branch],
+    attributes: dict[str, float | str],
+    directory: Path,
+) -> None:
+    """special_points.csv, a netCDF file a branch, and the pictures."""
+    title = request.scene.title or ""
+    for name, branch in zip(names, branches, strict=True):
+        write_netcdf(directory / f"{name}.nc", replace(dataset_of([branch]), attributes=attributes))
+    first = branches[0]
+    if not first.parameter:
+        return
+    columns = diagram_columns(first)
+    rows = [row for name, branch in zip(names, branches, strict=True) for row in diagram_rows(name, branch, columns)]
+    write_csv(directory / "special_points.csv", columns, rows)
+    in_one = [branch for branch in branches if not branch.space.kind]
+    picture(request.scene, directory / "branch", figures.bifurcation_figure, in_one, title)
+    from casadi_skin.results.figures.solutions import chosen_solutions
+
+    chosen = chosen_solutions(in_one)
+    if chosen:
+        picture(request.scene, directory / "portrait", figures.portrait_figure, chosen, title)
+    curves = [branch for branch in branches if branch not in in_one]
+    if curves:
+        picture(request.scene, directory / "curves", figures.curves_figure, curves, title)
+
+
+def diagram_columns(branch: Branch) -> list[str]:
+    """Columns of special_points.csv of a diagram; the period that orbits have free is a column of its own."""
+    fixed = ("branch", "kind", "error", "period", "frequency", "coefficient", "criticality")
+    known = [name for name in branch.solutions[0].parameters if name not in branch.space.free or name != PERIOD]
+    names = [branch.parameter, *(name for name in known if name != branch.parameter)]
+    return ["branch", "kind", *unique_names(names, fixed), *fixed[2:]]
+
+
+def diagram_rows(name: str, branch: Branch, columns: Sequence[str]) -> Iterator[dict[str, Cell]]:
+    """A row for each special point of a branch; quantities that a point does not have are empty.
+
+    A stretch that is not resolved has a row too, with its width for the error.
+    """
+    for point in branch.special_points:
+        known = list(branch_parameters(point, columns[2:-5]).values())
+        period: Cell = point.solution.period if isinstance(point.solution, Orbit) else EMPTY
+        yield dict(zip(columns, [name, point.kind, *known, point.error, period, *_critical(point)], strict=True))
+    for stretch in branch.passed_over:
+        row: dict[str, Cell] = dict.fromkeys(columns, EMPTY)
+        width = abs(stretch.end - stretch.start)
+        yield {**row, "branch": name, "kind": UNRESOLVED, columns[2]: stretch.start, "error": width}
+
+
+def branch_parameters(point: SpecialPoint, columns: Sequence[str]) -> dict[str, Cell]:
+    """Values of parameters by column; names that the table takes itself have " (of the model)" after them."""
+    return {name: float(point.parameters[name.removesuffix(" (of the model)")]) for name in columns}
+
+
+def _critical(point: SpecialPoint) -> list[Cell]:
+    try:
+        frequency, coefficient, words = point.frequency, point.coefficient, point.criticality
+    except (ValueError, ArithmeticError):
+        return [EMPTY, EMPTY, EMPTY]
+    return [frequency or EMPTY, coefficient if coefficient == coefficient else EMPTY, words]
+
+
+def write_offshoots(
+    request: Request, families: Sequence[Branch], found: Offshoots, attributes: dict[str, float | str], directory: Path
+) -> None:
+    """special_points.csv; edges.csv with its picture; a netCDF file for each branch that leaves."""
+    rows = [row for family in families for row in _rows(f"j{mode_of(family)}", family)]
+    rows += [row for name, branch in found.leaving for row in _rows(name, branch)]
+    write_csv(directory / "special_points.csv", POINT_COLUMNS, rows)
+    for name, branch in found.leaving:
+        if len(branch):
+            write_netcdf(directory / f"{name}.nc", replace(dataset_of([branch]), attributes=attributes))
+    if found.edges:
+        table = [row for mode, listed, number, curve in found.edges for row in _edge_rows(mode, listed, number, curve)]
+        write_csv(directory / "edges.csv", list(table[0]), table)
+        curves = [curve for *_, curve in found.edges]
+        picture(request.scene, directory / "edges", figures.edges_figure, curves, request.scene.title or "")
+
+
+def _rows(name: str, branch: Branch) -> Iterator[dict[str, Cell]]:
+    """A row for each special point of a branch in S."""
+    for point in branch.special_points:
+        orbit = point.solution
+        known: list[Cell] = [name, point.kind, point.parameters["S"], point.error, orbit.Omega, orbit.period]  # type: ignore[attr-defined]
+        yield dict(zip(POINT_COLUMNS, [*known, "" if point.mu is None else point.mu, _lost(point)], strict=True))
+
+
+def _lost(point: SpecialPoint) -> str:
+    return ", ".join(point.lost) if point.mu is not None else ""
+
+
+def _edge_rows(mode: int, listed: str, number: int, curve: EdgeCurve) -> Iterator[dict[str, Cell]]:
+    """A row for each point of an edge."""
+    columns = edge_columns(curve)
+    for k in range(len(curve)):
+        values: dict[str, Cell] = {name: values[k].item() for name, values in columns.items()}
+        yield {"mode": mode, "edge": number, "kind": curve.kind, "table": listed, **values}
+
+
+def write_spectrum(request: Request, directory: Path) -> None:
+    """spectrum.csv and the picture of the linear spectrum; of a lattice also where modes live, and its bands."""
+    if request.scene.chain is None:
+        from casadi_skin.lattice.lattice import Lattice
+
+        if isinstance(request.model, Lattice):
+            from casadi_skin.runs.lattices import write_lattice_spectrum
+
+            write_lattice_spectrum(request.scene, request.model, request.parameters, directory)
+            return
+    frequencies = linear_frequencies(request.model, request.parameters)
+    rows = [{"mode": j, "omega": float(w)} for j, w in enumerate(frequencies, start=1)]
+    write_csv(directory / "spectrum.csv", ("mode", "omega"), rows)
+    picture(request.scene, directory / "spectrum", figures.spectrum_figure, request.model, request.parameters)

@@ -1,0 +1,125 @@
+"""What is said and written of lattices: their declarations, the properties found in them, and their linear spectra."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from casadi_skin.lattice.declaration import INDICES
+from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.lattice.linear import REAL, bands, brillouin_zone, lattice_modes, winding_numbers
+from casadi_skin.lattice.long_lattice import LongLattice
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.results import figures
+from casadi_skin.results.dataset import write_csv
+from casadi_skin.results.figures.bands import band_figure, skin_figure
+from casadi_skin.results.quantities import Cell
+from casadi_skin.runs.output import Lines, named
+from casadi_skin.runs.parts import picture
+from casadi_skin.runs.scene import Scene
+
+ROUNDING = 1e-13  # of the largest omega^2: smaller ones are 0
+MOST_MODES = 600  # whose frequencies a plan computes at once
+
+
+def lattice_lines(lattice: LongLattice | OdeModel, parameters: Mapping[str, float]) -> Lines:
+    """The declaration of a lattice, and the properties found in it."""
+    if isinstance(lattice, LongLattice):
+        return _long_lattice_lines(lattice)
+    assert isinstance(lattice, Lattice)
+    declared = lattice.declaration
+    size = f"{' x '.join(map(str, declared.cells))} cells of {len(declared.sites)}, {declared.size} sites"
+    by_cell = f"; by cell {', '.join(declared.by_cell)}" if declared.by_cell else ""
+    return [
+        ("lattice", f"{size}, {len(declared.bonds)} bonds a cell; ends {', '.join(declared.boundary)}"),
+        ("parameters", (named(parameters) or "none") + by_cell),
+        *lattice.structure.lines(),
+        ("linear", _linear(lattice, parameters)),
+    ]
+
+
+def _linear(lattice: Lattice, parameters: Mapping[str, float]) -> str:
+    """Frequencies about rest without damping and drives, the digits that they lose, and bands and gaps of the cell."""
+    words = []
+    if lattice.declaration.size <= MOST_MODES:
+        modes = lattice_modes(lattice, parameters)
+        squares = modes.squares
+        words.append(f"omega {_from_to(squares.real.min(), squares.real.max())}")
+        if not modes.real:
+            count = int(np.sum(np.abs(squares.imag) > REAL * np.max(np.abs(squares))))
+            words[0] += f"; {count} of {squares.size} omega^2 are complex: it has no families"
+        lost = np.log10(np.max(1.0 / np.abs(np.sum(modes.left * modes.right, axis=0))))
+        if lattice.structure.log_weights is None and lost >= 1.0:
+            words.append(f"left and right modes differ so that about {lost:.0f} digits of them are lost")
+    if not lattice.declaration.differing:
+        found = bands(lattice, parameters)
+        low, high = found.squares.real.min(axis=0), found.squares.real.max(axis=0)
+        ring = "" if lattice.structure.log_weights is not None else "real part of a ring's "
+        words.append(f"{ring}bands {', '.join(_from_to(a, b) for a, b in zip(low, high, strict=True))}")
+        gaps = [_from_to(a, b) for a, b in found.gaps]
+        words.append(f"gaps {', '.join(gaps)}" if gaps else "no gap")
+    return "; ".join(words) or f"not computed for more than {MOST_MODES} sites that differ"
+
+
+def _from_to(low: float, high: float) -> str:
+    """Ends of a range of omega^2 as those of omega, imaginary where omega^2 < 0."""
+    zero = ROUNDING * max(abs(low), abs(high))
+    ends = (f"{np.sqrt(abs(end)):.6g}{'i' if end < -zero else ''}" if abs(end) > zero else "0" for end in (low, high))
+    return "from " + " to ".join(ends)
+
+
+def _long_lattice_lines(lattice: LongLattice) -> Lines:
+    """A lattice with a linear tail, and the linear modes at its edge."""
+    modes = [f"{math.sqrt(mode.square):.6g}{' (pinned to a band)' if mode.pinned else ''}" for mode in lattice.modes]
+    edge = "last" if lattice.at_last else "first"
+    sites = f"{lattice.cells} cells of {len(lattice.sites)}, {len(lattice.bonds)} bonds a cell"
+    return [
+        ("lattice", f"{sites}; ends {lattice.boundary}; a linear tail behind the {edge} cells"),
+        ("parameters", named(dict(lattice.parameters)) or "none"),
+        ("edge modes", ", ".join(modes) or "none"),
+    ]
+
+
+# Files of the linear spectrum: modes with where they live, bands of the cell, the skin effect -------------------------
+
+
+def write_lattice_spectrum(scene: Scene, lattice: Lattice, parameters: Mapping[str, float], directory: Path) -> None:
+    """spectrum.csv, where modes live, with pictures; where all cells are alike also bands and the skin effect."""
+    modes, alike = lattice_modes(lattice, parameters), not lattice.declaration.differing
+    has_skin = alike and len(lattice.declaration.cells) == 1
+    if has_skin:
+        windings = winding_numbers(lattice, modes.squares, parameters)
+        sizes = np.abs(brillouin_zone(lattice, modes.squares, parameters)).mean(axis=1)
+    rows: list[dict[str, Cell]] = []
+    for j, omega in enumerate(modes.frequencies):
+        row: dict[str, Cell] = {"mode": j + 1, "omega": float(omega.real), "growth": float(omega.imag)}
+        row |= {"participation": modes.participation[j], "left_participation": modes.left_participation[j]}
+        for k, name in zip(range(modes.centre.shape[1]), INDICES, strict=False):
+            row |= {f"centre_{name}": modes.centre[j, k], f"decay_{name}": modes.decay[j, k]}
+        if has_skin:
+            row |= {"winding_number": float(windings[j]), "beta": float(sizes[j])}
+        rows.append(row)
+    write_csv(directory / "spectrum.csv", list(rows[0]), rows)
+    if has_skin:
+        picture(scene, directory / "skin", skin_figure, lattice, parameters)
+    if modes.real and lattice.order == 2:
+        picture(scene, directory / "spectrum", figures.spectrum_figure, lattice, parameters)
+    if alike:
+        _write_bands(scene, lattice, parameters, directory)
+
+
+def _write_bands(scene: Scene, lattice: Lattice, parameters: Mapping[str, float], directory: Path) -> None:
+    """bands.csv and its picture, of a lattice whose cells are all alike."""
+    found = bands(lattice, parameters)
+    names = INDICES[: found.wave_numbers.shape[1]]
+    of_bands: list[dict[str, Cell]] = []
+    for wave, squares in zip(found.wave_numbers, found.squares, strict=True):
+        row: dict[str, Cell] = {f"k_{name}": float(k) for name, k in zip(names, wave, strict=True)}
+        for b, square in enumerate(squares, start=1):
+            row |= {f"omega_squared_{b}": float(square.real), f"imaginary_part_{b}": float(square.imag)}
+        of_bands.append(row)
+    write_csv(directory / "bands.csv", list(of_bands[0]), of_bands)
+    picture(scene, directory / "bands", band_figure, lattice, parameters)
