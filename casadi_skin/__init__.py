@@ -63,12 +63,12 @@ __all__ = [
 
 VERBS = {  # of classes by name: each a method, and the function that it is, "module:function"
     "Result": {
-        "__str__": "results.words:lines",
-        "_repr_html_": "results.figures.drawing:html_table",
-        "plot": "results.figures.drawing:plot",
+        "__str__": "results.present:lines",
+        "_repr_html_": "results.present:html_table",
+        "plot": "results.present:plot",
         "save": "results.saving:save_result",
-        "to_dataframe": "results.words:to_dataframe",
-        "to_xarray": "results.words:to_dataset",
+        "to_dataframe": "results.present:to_dataframe",
+        "to_xarray": "results.present:to_dataset",
     },
     "Solution": {"follow": "follow.follow:follow"},
     "Orbit": {"certify": "certify.certify:certify", "certify_stability": "certify.stability:certify_stability"},

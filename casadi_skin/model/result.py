@@ -81,10 +81,10 @@ class Result(WithVerbs):
     """A result that prints as a few lines, draws itself, becomes tables and is saved; libraries load on first use."""
 
     plot: ClassVar[Callable[..., Any]]
-    """Draw the result into matplotlib axes: `casadi_skin.results.figures.drawing.plot`."""
+    """Draw the result into matplotlib axes: `casadi_skin.results.present.plot`."""
     to_dataframe: ClassVar[Callable[..., Any]]
-    """A pandas DataFrame: `casadi_skin.results.words.to_dataframe`; needs the extra `pandas`."""
+    """A pandas DataFrame: `casadi_skin.results.present.to_dataframe`; needs the extra `pandas`."""
     to_xarray: ClassVar[Callable[..., Any]]
-    """An xarray Dataset: `casadi_skin.results.words.to_dataset`; needs the extra `xarray`."""
+    """An xarray Dataset: `casadi_skin.results.present.to_dataset`; needs the extra `xarray`."""
     save: ClassVar[Callable[..., Any]]
     """Write the result to a file of data: `casadi_skin.results.saving.save_result`."""

@@ -422,7 +422,7 @@ def picture(found: Map, name: str) -> Figure:
 
 def html(found: Map) -> str:
     """A map as a small table beside the picture of its first quantity that changes, for notebooks."""
-    from casadi_skin.results.figures.drawing import page
+    from casadi_skin.results.present import page
 
     rows = [(axis.name, f"{len(axis.values)} values") for axis in found.store.grid.axes]
     rows += [("cells", found.summary()), ("quantities", listed(found.names))]

@@ -13,7 +13,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from casadi_skin import BoundaryValueProblem, Chain, OdeModel, find_equilibrium, find_orbit, follow_family, simulate
-from casadi_skin.results.words import SAMPLES
+from casadi_skin.results.solutions import SAMPLES
 
 X, Y, MU = (ca.SX.sym(name) for name in ("x", "y", "mu"))
 HOPF = OdeModel(

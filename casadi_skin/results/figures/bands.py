@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.lattice.linear import bands, brillouin_zone, lattice_modes, winding_numbers
+from casadi_skin.lattice.linear import Bands, bands, brillouin_zone, lattice_modes, winding_numbers
 from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.results.figures.style import (
     DASHES,
@@ -23,9 +23,20 @@ from casadi_skin.results.figures.style import (
 )
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 RING_POINTS = 401
+
+
+def draw_bands(axes: Axes, found: Bands) -> None:
+    """Frequencies against the wave number, of two dimensions round the Brillouin zone."""
+    along = found.wave_numbers[:, 0] / np.pi
+    if found.wave_numbers.shape[1] == 2:
+        along = np.linspace(0.0, 3.0, len(along))
+        axes.set_xticks(range(4), [r"$\Gamma$", "X", "M", r"$\Gamma$"])
+    axes.plot(along, np.sqrt(np.maximum(found.squares.real, 0.0)), color="black")
+    axes.set_ylabel(r"linear frequency $\omega$")
 
 
 def band_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None) -> Figure:
@@ -46,15 +57,10 @@ def band_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None)
     with style():
         figure = blank(7.2, 3.2)
         panels = figure.subplot_mosaic("abc")
-        along = of_cell.wave_numbers[:, 0] / np.pi
-        if of_cell.wave_numbers.shape[1] == 2:
-            along = np.linspace(0.0, 3.0, len(along))
-            panels["a"].set_xticks(range(4), [r"$\Gamma$", "X", "M", r"$\Gamma$"])
-        panels["a"].plot(along, np.sqrt(np.maximum(of_cell.squares.real, 0.0)), color="black")
+        draw_bands(panels["a"], of_cell)
         lean = ", ".join(f"{beta:.4g}" for beta in of_cell.beta)
         panels["a"].set_xlabel(r"wave number $k/\pi$" if max(of_cell.beta) == min(of_cell.beta) == 1.0 else (
             rf"wave number $k/\pi$, $|\beta| = {lean}$"))  # fmt: skip
-        panels["a"].set_ylabel(r"linear frequency $\omega$")
         panels["b"].plot(modes.participation, modes.frequencies.real, "o", ms=3, mfc="white", color="black")
         panels["b"].set_xlabel("participation ratio (sites)")
         panels["b"].sharey(panels["a"])

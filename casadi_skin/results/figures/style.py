@@ -319,6 +319,21 @@ def finished(
     return figure
 
 
+def legend_once(axes: Axes, columns: int = 1) -> None:
+    """A legend in which each label stands once, together with earlier lines."""
+    drawn, labels = axes.get_legend_handles_labels()
+    if not labels:
+        return
+    handles = {name: drawn[labels.index(name)] for name in labels}
+    look: dict[str, Any] = {"frameon": True, "framealpha": 0.8, "edgecolor": "none", "fontsize": "small"}
+    legend = axes.legend(handles.values(), handles.keys(), ncols=columns, **look)
+    for handle, label in zip(legend.legend_handles, handles, strict=True):
+        lines = [line for line, name in zip(drawn, labels, strict=True) if name == label and hasattr(line, "get_color")]
+        colours = {str(line.get_color()) for line in lines}
+        if len(colours) > 1 and handle is not None:  # of several branches, each in its colour
+            handle.set(color="black")
+
+
 def number(value: float, digits: int = 6) -> str:
     """The number as it stands in a formula."""
     if value == np.inf:

@@ -1,0 +1,337 @@
+"""How solutions, branches, multipliers and evolutions are shown: lines, tables, and drawings into axes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from casadi_skin.dynamics.evolution import Evolution
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Equilibrium, Solution
+from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS
+from casadi_skin.follow.special_points import SpecialPoint
+from casadi_skin.model.arguments import check_name, short_repr
+from casadi_skin.points.diagram import Diagram
+from casadi_skin.points.edges import EdgeCurve
+from casadi_skin.results.figures.branches import courses, draw_marks, draw_pieces, smooth, stability_pieces
+from casadi_skin.results.figures.families import family_path, family_pieces
+from casadi_skin.results.figures.style import DASHES, amplitude_label, plain
+from casadi_skin.results.quantities import numbers_of, unique_names
+from casadi_skin.results.tables import edge_columns
+from casadi_skin.results.words import (
+    Columns,
+    Rows,
+    Shown,
+    complex_numbers,
+    course,
+    found,
+    listed,
+    model_words,
+    named,
+    parameters,
+    ranges,
+    samples,
+    show,
+    special_points,
+    with_error,
+)
+from casadi_skin.stability.localised import LocalisedFloquet
+from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.result import Floquet
+from casadi_skin.zero.problem import Array
+from casadi_skin.zero.statics import Spectrum
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SAMPLES, FINE = 401, 501  # times of an orbit: in a table, drawn
+SHOWN = 6  # states that are drawn where none are named
+MOST_IN_COLUMN = 4  # words of a legend
+
+
+# States in time -------------------------------------------------------------------------------------------------------
+
+
+@show.register
+def _(result: Solution) -> Shown:
+    start, end = result.interval
+    rows = [("interval", f"{start:g} to {end:g}, {result.intervals} intervals"), *parameters(result.parameters)]
+    if result.optimum is not None:
+        rows.append(("objective", f"{result.objective:.10g}: {result.status}"))
+    return _in_time("Solution", result, [*rows, ("error", f"{result.error:.1e}, relative")])
+
+
+@show.register
+def _(result: Orbit) -> Shown:
+    known = result.known_floquet or vars(result).get("_floquet")
+    rows: Rows = []
+    if result.space.connects == FAMILY:
+        rows = [("S", f"{result.S:.10g}"), ("Omega", with_error(result.Omega, result.Omega_error))]
+    rows += [("period", with_error(result.period, result.period_error)), *parameters(result.parameters)]
+    rows += [("error", f"{result.profile_error:.1e}, relative, of the state")]
+    rows += [("stability", _stability(known) if known is not None else "not computed; see floquet()")]
+    return _in_time("Orbit", result, rows)
+
+
+def _in_time(what: str, result: Any, rows: Rows) -> Shown:
+    space, (start, end), in_family = result.space, result.interval, result.space.connects == FAMILY
+
+    def columns() -> Columns:
+        t = np.linspace(start, end, SAMPLES)
+        return _states(t, space.state_names, result.evaluate(t, *([space.output_sites] if in_family else [])))
+
+    def draw(axes: Axes, states: Sequence[str] | None = None) -> int:
+        t = np.linspace(start, end, FINE)
+        names = space.coordinates.position_names if in_family else space.state_names
+        return _draw_states(axes, t, result.evaluate(t), names, states)
+
+    meaning = "states over the interval or the period"
+    return Shown(f"{what} of {model_words(result.model)}", rows, draw, meaning, columns)
+
+
+@show.register
+def _(result: Evolution) -> Shown:
+    rows = [samples(result.t), ("states", listed(result.names)), *parameters(result.parameters)]
+    rows += [("method", f"{result.method}, tolerance {result.tolerance:.1e}")]
+
+    def draw(axes: Axes, states: Sequence[str] | None = None) -> int:
+        return _draw_states(axes, result.t, result.states, result.names, states)
+
+    title = f"Time evolution of {model_words(result.model)}"
+    return Shown(title, rows, draw, "states in time", lambda: _states(result.t, result.names, result.states))
+
+
+def _states(t: Any, names: Iterable[Any], values: Any) -> Columns:
+    return {"t": t, **dict(zip(unique_names(map(str, names), ["t"]), values.T, strict=False))}
+
+
+def _draw_states(axes: Axes, t: Array, values: Array, names: Sequence[str], states: Sequence[str] | None) -> int:
+    known = [str(name) for name in names]
+    if isinstance(states, str) or not isinstance(states, Sequence | None):
+        raise TypeError(f"states: given {short_repr(states)}; accepted: a list of names")
+    most = np.sort(np.argsort(-np.ptp(values[:, : len(known)], axis=0), kind="stable")[:SHOWN])  # those that move most
+    chosen = [known[i] for i in most] if states is None else list(states)
+    for i, name in enumerate(chosen):
+        check_name("states", name, known)
+        axes.plot(t, values[:, known.index(name)], ls=DASHES[i % len(DASHES)], label=plain(name))
+    axes.set(xlabel="time $t$", xlim=(t[0], t[-1]))
+    return 1 if len(chosen) < MOST_IN_COLUMN else 2
+
+
+# Branches and their points --------------------------------------------------------------------------------------------
+
+
+@show.register
+def _(result: Equilibrium) -> Shown:
+    values = dict(zip(result.space.state_names, result.positions.tolist(), strict=True))
+    stable = "stable" if result.stable else f"unstable: {result.unstable} eigenvalues with a positive real part"
+    rows = [("state", named(values)), *parameters(result.parameters), ("error", f"{result.error:.1e}, relative")]
+
+    def columns() -> Columns:
+        states = dict(zip(unique_names(values, ["error"]), values.values(), strict=True))
+        known = {name: value for name, value in result.parameters.items() if name not in states}
+        row = {"equilibrium": 0, **known, **states, "stable": result.stable, "error": result.error}
+        return {name: [value] for name, value in row.items()}
+
+    title = f"Equilibrium of {model_words(result.model)}"
+    return Shown(title, [*rows, ("stability", stable)], show(result.spectrum).draw, "an equilibrium", columns)
+
+
+@show.register
+def _(result: Branch) -> Shown:
+    space, values = result.space, result.values if result.parameter else np.zeros(0)
+    plural = {FAMILY: "Family of orbits", ORBITS: "Branch of orbits", EQUILIBRIA: "Branch of equilibria"}
+    what = plural.get(space.connects, "Branch of solutions")
+    rows = [("points", str(len(result)))]
+    if values.size:
+        rows.append((result.parameter, course(values)))
+    if result.with_stability and not space.stability_included:
+        rows.append(("stable", f"{int(np.count_nonzero(result.stable))} of {len(result)} points"))
+        if result.with_events and result.changes_known:
+            rows.append(("changes of stability", found([f"{c.value:.8g}" for c in result.changes], result.unresolved)))
+    elif result.solutions and not space.stability_included and space.closes:
+        rows.append(("stability", "not computed; stability=True in follow computes it"))
+    special = result.special_points if space.locates_folds else ()
+    missing = result.not_located if "_sought" in vars(result) else ()
+    rows += [("special points", special_points(special))] if special else []
+    rows += [("unresolved", listed(result.known_unresolved))] if result.known_unresolved else []
+    rows += [("not located", listed(missing))] if missing else []
+
+    def draw(axes: Axes, x: str | None = None, y: str | None = None, colour: Any = None) -> None:
+        if not result.solutions:
+            raise ValueError("plot: the branch has no points; accepted: one with points")
+        if space.connects == FAMILY and x is None and y in (None, "Omega"):
+            path = family_path(result, False)
+            pieces = family_pieces(result, path)
+            labels = amplitude_label(space.model), r"frequency $\Omega$"
+        else:
+            first = x or result.parameter or next(iter(result.solutions[0].parameters), "")
+            second = y or _second(result)
+            path = np.column_stack([_along(result, first), _along(result, second)])
+            pieces = stability_pieces(result, path) if first == result.parameter else [(None, path)]
+            labels = plain(first), plain(second)
+        if colour is None:
+            colour = _next_colour(axes)
+        draw_pieces(axes, result, path, pieces, colour)
+        draw_marks(axes, result, path, colour)
+        axes.set(xlabel=labels[0], ylabel=labels[1])
+
+    return Shown(f"{what} of {model_words(space.model)}", [*rows, ("end", result.reason)], draw)
+
+
+def _next_colour(axes: Axes) -> Any:
+    """That of the next line, as `axes.plot` takes."""
+    return axes._get_lines.get_next_color()  # type: ignore[attr-defined]
+
+
+def _second(branch: Branch) -> str:
+    """The default quantity drawn upwards: the free parameter of a curve, else the first state."""
+    space = branch.space
+    free = [name for name in space.free if name != "period" and not name.startswith("unfolding")]
+    return free[0] if space.connects == EQUILIBRIA and free else space.state_names[0]
+
+
+def _along(branch: Branch, name: str) -> Array:
+    """A quantity along a branch: a parameter, a state, or a number of the table.
+
+    Of a state that moves its largest value, of an orbit of a family the value at t = 0.
+    """
+    states, solutions = branch.space.state_names, branch.solutions
+    known = [*solutions[0].parameters, branch.parameter, *states]
+    check_name("plot", name, dict.fromkeys([*known, *numbers_of(branch)]))
+    if name not in states or name in solutions[0].parameters:
+        return branch[name]
+    place = states.index(name)
+    if branch.space.connects != FAMILY:
+        return courses(branch, place)[0]
+    return np.array([orbit.evaluate(0.0, branch.space.output_sites)[place] for orbit in branch.orbits])
+
+
+@show.register
+def _(result: Diagram) -> Shown:
+    rows = [("branches", str(len(result))), ("points", str(sum(len(branch) for branch in result)))]
+    rows += [("special points", special_points(result.special_points)), ("not started", listed(result.failures))]
+    first = result.branches[0]
+
+    def draw(axes: Axes, x: str | None = None, y: str | None = None) -> None:
+        colours = [_next_colour(axes), _next_colour(axes)]
+        for branch in result.branches:
+            show(branch).draw(axes, x=x, y=y, colour=colours[branch.space.connects == ORBITS])
+
+    return Shown(f"Diagram of {model_words(first.space.model)} in {first.parameter}", rows, draw)
+
+
+@show.register
+def _(result: SpecialPoint) -> Shown:
+    name, values = result.parameter, result.parameters
+    rows = [(name, with_error(values[name], result.error)), *parameters(values, name)]
+    rows += [("loses", listed(result.lost))] if result.lost else []
+
+    def columns() -> Columns:
+        known = {name: [value] for name, value in values.items()}
+        return {"special point": [0], "kind": [result.kind], **known, "error": [result.error]}
+
+    title = f"Special point ({result.kind}) of {model_words(result.solution.model)}"
+    return Shown(title, rows, show(result.solution).draw, f"a {result.kind}", columns)
+
+
+@show.register
+def _(result: EdgeCurve) -> Shown:
+    model, values = result.points[0].orbit.model, result[result.parameter]
+    rows = [("points", str(len(result))), ("kind", result.kind)]
+    rows += [(result.parameter, course(values)), ("S", course(result.S))]
+    rows += [("error of S", f"up to {np.max(result.errors):.1e}"), ("end", result.reason)]
+
+    def draw(axes: Axes, colour: Any = None) -> None:
+        dashes = "-" if result.kind == "real" else "--"
+        axes.plot(*smooth(np.column_stack([values, result.S])).T, ls=dashes, lw=1.8, color=colour)
+        axes.set(xlabel=plain(result.parameter), ylabel=amplitude_label(model))
+
+    meaning = "the edge of a tongue of instability"
+    return Shown(f"Edge of a tongue of {model_words(model)}", rows, draw, meaning, lambda: edge_columns(result))
+
+
+# Multipliers and eigenvalues ------------------------------------------------------------------------------------------
+
+
+@show.register
+def _(result: Floquet) -> Shown:
+    trivial, others = result.multipliers[: result.trivial], result.others
+    rows = [("multipliers", f"{result.multipliers.size}, {result.trivial} of them trivial")]
+    rows += [("largest", complex_numbers(sorted(others, key=abs, reverse=True)))]
+    if isinstance(result, LocalisedFloquet):
+        rows[0] = ("localised", f"{result.mu.size} pairs beside the trivial one, on {result.sites} sites at the edge")
+        rows += _of_waves(result)
+    rows += [("error", f"{result.error:.1e}"), ("stability", _stability(result))]
+
+    def columns() -> Columns:
+        is_trivial = np.arange(result.multipliers.size) < result.trivial
+        outside = np.append(np.zeros(result.trivial, dtype=bool), result.outside)
+        return _plane("multiplier", result.multipliers, trivial=is_trivial, outside=outside)
+
+    def draw(axes: Axes) -> None:
+        from matplotlib.patches import Circle
+
+        axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, ec="0.6", lw=0.8, zorder=1))
+        axes.plot(trivial.real, trivial.imag, "+", color="0.4", ms=7, label="trivial", zorder=3)
+        _draw_plane(axes, others, result.outside)
+        axes.set_aspect("equal")
+        axes.set_adjustable("datalim")
+
+    return Shown("Floquet multipliers", rows, draw, "Floquet multipliers", columns)
+
+
+def _stability(floquet: Floquet) -> str:
+    if floquet.stable:
+        return "stable"
+    outside = f"{floquet.unstable_real} real and {floquet.unstable_complex} complex multipliers outside"
+    if floquet.max_abs_multiplier == 1.0:  # the cut of a tail does not resolve them
+        return f"unstable: {outside}"
+    return f"unstable: {outside}, largest modulus {floquet.max_abs_multiplier:.8g}"
+
+
+def _of_waves(result: LocalisedFloquet) -> Rows:
+    """Arcs of the continuous spectrum, their overlaps, and pairs that depend on the number of sites."""
+    overlaps = result.continuous.overlaps
+    words = f"at omega T from {ranges(o.angles for o in overlaps)}"
+    rows = [("waves", f"arcs of the circle, omega T from {ranges(result.continuous.arcs)}")]
+    rows += [("they overlap", words if overlaps else "nowhere with those of opposite signature")]
+    count = f"{result.finite_size.size} pairs off the circle, up to {result.finite_size_modulus:.6g}"
+    rows.append(("finite-size", f"{count}; they depend on the number of sites"))
+    if result.unresolved.size:
+        rows.append(("undecided", f"{result.unresolved.size} pairs; more stability_sites decide"))
+    if result.counted is None:
+        rows.append(("not counted", f"stability is that of the cut problem of {result.sites} sites"))
+    elif result.counted != result.listed:
+        words = f"{result.counted} outside the circle, {result.listed} in the list"
+        rows.append(("counted", f"{words}: too weakly localised to be resolved by the cut"))
+    return rows
+
+
+@show.register
+def _(result: Spectrum) -> Shown:
+    rows = [("eigenvalues", complex_numbers(result.values)), ("error", f"{np.max(result.errors):.1e}")]
+    rows += [("stability", "stable" if result.stable else "unstable")]
+
+    def draw(axes: Axes) -> None:
+        axes.axvline(0.0, color="0.6", lw=0.8, zorder=1)
+        _draw_plane(axes, result.values, result.values.real > result.errors)
+
+    title = "Eigenvalues of the linearisation"
+    return Shown(title, rows, draw, "eigenvalues", lambda: _plane("eigenvalue", result.values, error=result.errors))
+
+
+def _plane(index: str, values: Any, **more: Any) -> Columns:
+    number = np.arange(1, values.size + 1)
+    return {index: number, "real": values.real, "imaginary": values.imag, "modulus": np.abs(values), **more}
+
+
+def _draw_plane(axes: Axes, values: ComplexArray, unstable: Any) -> None:
+    """Points in the complex plane, unstable ones distinguished by their marks too."""
+    for chosen, mark, label in ((~unstable, "o", "stable"), (unstable, "s", "unstable")):
+        if np.any(chosen):
+            axes.plot(values[chosen].real, values[chosen].imag, mark, ms=4.5, mfc="none", label=label, zorder=3)
+    axes.set(xlabel="real part", ylabel="imaginary part")
