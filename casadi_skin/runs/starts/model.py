@@ -5,9 +5,4 @@ import casadi as ca
 from casadi_skin import OdeModel
 
 x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
-my_model = OdeModel(
-    "van der Pol",
-    state=ca.vertcat(x, y),
-    rhs=ca.vertcat(y, mu * (1 - x**2) * y - x),
-    parameters=mu,
-)
+my_model = OdeModel("van der Pol", state=ca.vertcat(x, y), rhs=ca.vertcat(y, mu * (1 - x**2) * y - x), parameters=mu)
