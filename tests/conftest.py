@@ -109,5 +109,7 @@ def blank(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> No
 def harmonics(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """In quick tests at most 48 harmonics: families of which the period grows without bound run out of them soon."""
     if request.param == "few":
-        monkeypatch.setattr(family, "HARMONICS", tuple(count for count in family.HARMONICS if count <= 48))
+        monkeypatch.setattr(
+            family, "HARMONICS_OFFERED", tuple(count for count in family.HARMONICS_OFFERED if count <= 48)
+        )
         monkeypatch.setattr(family, "MANY_HARMONICS", ())

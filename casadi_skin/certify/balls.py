@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from flint import arb
 
 
-PRECISION = 128  # bits of balls
-ROUNDING = 2.0**-51  # four times the unit roundoff, for each operation of a sum
-UNDERFLOW = 2.0**-900  # more than all operations of a bound can lose below the smallest double
+BALL_PRECISION_BITS = 128  # bits of balls
+SUM_ROUNDING_FACTOR = 2.0**-51  # four times the unit roundoff, for each operation of a sum
+UNDERFLOW_BOUND = 2.0**-900  # more than all operations of a bound can lose below the smallest double
 
 
 def flint() -> Any:
@@ -54,7 +54,7 @@ def rounded_up(value: Array, operations: int) -> Array:
 
     Holds in any order of the sums, with and without fused operations (Higham 2002, chapter 3).
     """
-    return np.asarray(value * (1.0 + (operations + 8) * ROUNDING) + UNDERFLOW)
+    return np.asarray(value * (1.0 + (operations + 8) * SUM_ROUNDING_FACTOR) + UNDERFLOW_BOUND)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.certify.balls import ROUNDING, Enclosed, above, rounded_up, size
+from casadi_skin.certify.balls import SUM_ROUNDING_FACTOR, Enclosed, above, rounded_up, size
 from casadi_skin.certify.certificate import Constants
 from casadi_skin.certify.system import CosineSeries, CosineSystem
 from casadi_skin.certify.tailed import TailSize
@@ -54,11 +54,11 @@ class OperatorSize:
         n = system.positions
         harmonics = (self.norms.size - 1) // n
         numbers = np.array([float(system.harmonic(i)) for i in range(harmonics)])
-        columns = self.norms / self.weights * (1.0 + ROUNDING)
+        columns = self.norms / self.weights * (1.0 + SUM_ROUNDING_FACTOR)
         rows = self.inverse_square * self.beyond
         whole = arb(float(np.max(columns[1:]))).max(rows / system.harmonic(harmonics) ** 2)
         squares = np.concatenate([[0.0], np.tile(numbers**2, n)])
-        through_square = arb(float(np.max(columns * squares) * (1.0 + ROUNDING))).max(rows)
+        through_square = arb(float(np.max(columns * squares) * (1.0 + SUM_ROUNDING_FACTOR))).max(rows)
         if in_tail is not None and squares_in_tail is not None:
             whole, through_square = whole.max(in_tail), through_square.max(squares_in_tail)
         through_amplitude = arb(float(self.norms[0])) * _amplitude_curvature(system) / nu ** (2 * system.harmonic(0))
@@ -193,11 +193,13 @@ class FiniteInverse:
         for m in sorted({m for m, row in enumerate(self.blocks) if n in row} | {n}):
             g = self.blocks[m].get(n, Enclosed(np.zeros(1), np.zeros(1)))
             block = self._toeplitz(g.middle, columns)
-            error = np.abs(block) * ROUNDING + 2.0 * self._toeplitz(g.radius, columns)
+            error = np.abs(block) * SUM_ROUNDING_FACTOR + 2.0 * self._toeplitz(g.radius, columns)
             if m == n:
                 diagonal = np.arange(H)
                 block[diagonal, diagonal] += square.middle
-                error[diagonal, diagonal] += 2.0 * square.radius + np.abs(block[diagonal, diagonal]) * ROUNDING
+                error[diagonal, diagonal] += (
+                    2.0 * square.radius + np.abs(block[diagonal, diagonal]) * SUM_ROUNDING_FACTOR
+                )
             rows.append(1 + m * H + np.arange(H))
             middle.append(block)
             radius.append(error)
@@ -247,9 +249,9 @@ class FiniteInverse:
         if identity is not None:
             product = identity - product
         count = rows.size + 2
-        lost = self.norms[rows] @ (count * ROUNDING * np.abs(block.middle) + block.radius)
+        lost = self.norms[rows] @ (count * SUM_ROUNDING_FACTOR * np.abs(block.middle) + block.radius)
         lost += self.doubt[rows] @ np.abs(block.middle)
-        exact = self.rows_above @ (np.abs(product) * (1.0 + ROUNDING))
+        exact = self.rows_above @ (np.abs(product) * (1.0 + SUM_ROUNDING_FACTOR))
         return rounded_up(exact + rounded_up(lost, count), self.inner)
 
     def derivative_norm(self, n: int) -> arb:
@@ -322,7 +324,11 @@ class FiniteInverse:
             identity[1 + n * H + np.arange(H), np.arange(H)] = 1.0
             rows, block = self._column(n, columns)
             image = self._image(rows, block, identity) / self.weights_below[:columns]
-            largest = max(largest, float(np.max(image)) * (1.0 + ROUNDING)) if np.all(np.isfinite(image)) else np.inf
+            largest = (
+                max(largest, float(np.max(image)) * (1.0 + SUM_ROUNDING_FACTOR))
+                if np.all(np.isfinite(image))
+                else np.inf
+            )
         return largest
 
     def Z(self) -> float:

@@ -13,7 +13,9 @@ from casadi_skin.zero.problem import Array
 
 Interval = tuple[float, float]
 
-NORM = "|Omega^2| + sum over positions n and harmonics k of |a_nk| nu^k, y_n(t) = d_n sum of a_nk cos(k Omega t)"
+NORM_IN_WORDS = (
+    "|Omega^2| + sum over positions n and harmonics k of |a_nk| nu^k, y_n(t) = d_n sum of a_nk cos(k Omega t)"
+)
 STABLE, UNSTABLE, UNDECIDED = "stable", "unstable", "not decided"
 NO_ABSENCE = "this is no proof that there is no orbit"
 
@@ -78,7 +80,7 @@ class Certificate(Result):
     step: int = 2
     decimals: bool = False
 
-    norm = NORM
+    norm = NORM_IN_WORDS
 
     def __repr__(self) -> str:
         if not self.proved:

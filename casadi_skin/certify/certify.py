@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 # The bounds of the theorem at one number of harmonics, about the zero near a computed orbit; series of orbits ---------
 
-LARGEST = 6000  # finite unknowns: the inverse takes a minute and a gigabyte
-STEPS = 12  # of the iteration that refines the coefficients
-SAMPLES = 128  # in half a period, of orbits that need all cosines
+MOST_FINITE_UNKNOWNS = 6000  # finite unknowns: the inverse takes a minute and a gigabyte
+REFINEMENT_STEPS = 12  # of the iteration that refines the coefficients
+HALF_PERIOD_SAMPLES = 128  # in half a period, of orbits that need all cosines
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ def cosine_coefficients(orbit: Orbit, system: CosineSystem, count: int) -> Array
     sites = np.arange(system.positions) + (1 if system.tail is None else system.tail.first_site)
     if system.step == 2:
         return orbit.coefficients(count, sites)
-    samples = max(count, SAMPLES)
+    samples = max(count, HALF_PERIOD_SAMPLES)
     phases = (np.arange(samples) + 0.5) * np.pi / samples
     coefficients = dct(orbit.evaluate(phases / orbit.Omega, sites), axis=0) / samples
     coefficients[0] *= 0.5
@@ -91,7 +91,7 @@ def carrying(orbit: Orbit, system: CosineSystem) -> int:
     """How many harmonics carry an orbit at its tolerance."""
     if system.step == 2:
         return orbit.harmonics
-    sizes = np.max(np.abs(cosine_coefficients(orbit, system, SAMPLES)), axis=1)
+    sizes = np.max(np.abs(cosine_coefficients(orbit, system, HALF_PERIOD_SAMPLES)), axis=1)
     return int(np.flatnonzero(sizes > orbit.space.tolerance * np.max(sizes))[-1]) + 1
 
 
@@ -114,9 +114,9 @@ def attempt_near(start: CosineSeries, nu: arb, computed: CosineSeries | None = N
 def _check_size(system: CosineSystem, harmonics: int) -> None:
     """Raises ValueError where the finite part has too many unknowns."""
     unknowns = 1 + system.positions * harmonics
-    if unknowns > LARGEST:
+    if unknowns > MOST_FINITE_UNKNOWNS:
         words = f"{unknowns} unknowns of {system.positions} positions and {harmonics} harmonics"
-        raise ValueError(f"{words}, accepted: up to {LARGEST}")
+        raise ValueError(f"{words}, accepted: up to {MOST_FINITE_UNKNOWNS}")
 
 
 def refined(inverse: FiniteInverse) -> CosineSeries:
@@ -124,7 +124,7 @@ def refined(inverse: FiniteInverse) -> CosineSeries:
     from flint import arb
 
     series, last = inverse.series, np.inf
-    for _ in range(STEPS):
+    for _ in range(REFINEMENT_STEPS):
         residual = np.array([float(value) for value in inverse.residual(series)[0]])
         step = inverse.matrix @ residual
         largest = float(np.max(np.abs(step)))
@@ -158,18 +158,18 @@ def distance(one: CosineSeries, other: CosineSeries, nu: arb) -> float:
     return balls.above(norm(CosineSeries(one.system, one.square - other.square, rows), nu))
 
 
-WEIGHT = 1.02
+HARMONIC_WEIGHT = 1.02
 MOST_SITES = 500  # of a long chain whose tail is no unknown elsewhere, that are all unknowns here
-MARGIN = 4  # harmonics beyond those that carry the orbit at its tolerance
-GROWTH = 1.4  # of the number of harmonics after a trial
-TRIALS = 8
-FINE = 1e-17  # radius relative to the norm that is below the resolution of doubles
-NOTHING = (float("nan"), float("nan"))
-ACCEPTED = "an orbit of a family whose model is of second order and reversible, as sums of cosines"
+HARMONICS_MARGIN = 4  # harmonics beyond those that carry the orbit at its tolerance
+HARMONICS_GROWTH = 1.4  # of the number of harmonics after a trial
+MOST_TRIALS = 8
+FINE_RADIUS = 1e-17  # radius relative to the norm that is below the resolution of doubles
+NO_BOUNDS = (float("nan"), float("nan"))
+ACCEPTED_ORBITS = "an orbit of a family whose model is of second order and reversible, as sums of cosines"
 
 
 def certify(
-    orbit: Orbit, harmonics: int | None = None, weight: float = WEIGHT, decimals: bool | None = None
+    orbit: Orbit, harmonics: int | None = None, weight: float = HARMONIC_WEIGHT, decimals: bool | None = None
 ) -> Certificate:
     """Prove that an orbit exists near a computed one, by the Newton-Kantorovich theorem in ball arithmetic.
 
@@ -195,31 +195,31 @@ def certify(
         raise ValueError(f"weight: given {weight!r}; accepted: a finite number > 1")
     if harmonics is not None and (isinstance(harmonics, bool) or not isinstance(harmonics, int) or harmonics < 1):
         raise ValueError(f"harmonics: given {short_repr(harmonics)}; accepted: a whole number >= 1")
-    with flint.ctx.workprec(balls.PRECISION), one_thread():
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS), one_thread():
         family, attempt = best_attempt(orbit, harmonics, weight, decimals)
         return _certificate(orbit, family, attempt, family.request.decimals if decimals is None else decimals)
 
 
 def best_attempt(
-    orbit: Orbit, harmonics: int | None = None, weight: float = WEIGHT, decimals: bool | None = None
+    orbit: Orbit, harmonics: int | None = None, weight: float = HARMONIC_WEIGHT, decimals: bool | None = None
 ) -> tuple[Family, Attempt]:
     """The attempt that proves most of an orbit, in the current precision of balls; raises ValueError as `certify`."""
     if not isinstance(orbit.space, Family):
-        raise ValueError(f"certify: given an orbit of {orbit.model.name}; accepted: {ACCEPTED}")
+        raise ValueError(f"certify: given an orbit of {orbit.model.name}; accepted: {ACCEPTED_ORBITS}")
     decimals = orbit.space.request.decimals if decimals is None else decimals
     family = provable(orbit.space, decimals)
     system = _system(family, orbit.S, decimals)
     if harmonics is not None:
         return family, attempt_of(orbit, system, harmonics, weight)
-    best, H = None, carrying(orbit, system) + MARGIN
-    for _ in range(TRIALS):
+    best, H = None, carrying(orbit, system) + HARMONICS_MARGIN
+    for _ in range(MOST_TRIALS):
         attempt = attempt_of(orbit, system, H, weight)
         if best is None or attempt.better_than(best):
             best = attempt
         elif attempt.fault or (not best.proved and attempt.constants.Z > 0.9 * best.constants.Z):
             break
-        H = int(np.ceil(GROWTH * H))
-        if (best.proved and best.radius <= FINE * best.size) or 1 + system.positions * H > LARGEST:
+        H = int(np.ceil(HARMONICS_GROWTH * H))
+        if (best.proved and best.radius <= FINE_RADIUS * best.size) or 1 + system.positions * H > MOST_FINITE_UNKNOWNS:
             break
     assert best is not None
     return family, best
@@ -233,9 +233,9 @@ def provable(family: Family, decimals: bool | None = None) -> Family:
     flint, coordinates = balls.flint(), family.coordinates
     decimals = family.request.decimals if decimals is None else decimals
     if family.symmetry is SymmetryClass.FULL:
-        raise ValueError(f"certify: given a family of {coordinates.model.name}; accepted: {ACCEPTED}")
+        raise ValueError(f"certify: given a family of {coordinates.model.name}; accepted: {ACCEPTED_ORBITS}")
     if isinstance(coordinates, CoreWithTail) and coordinates.chain.sites > MOST_SITES:
-        with flint.ctx.workprec(balls.PRECISION):
+        with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
             tailed_system(coordinates, family.request.amplitude_max, decimals)
         return family
     if not coordinates.is_whole:
@@ -243,7 +243,7 @@ def provable(family: Family, decimals: bool | None = None) -> Family:
     whole = family.whole
     if whole.coordinates.mode.size != whole.coordinates.model.size:
         raise ValueError("certify: given |gamma| = 1, where positions at rest have no scale; accepted: |gamma| < 1")
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         system_of(whole.coordinates, family.request.amplitude_max, step_of(whole), decimals)
     return whole
 
@@ -269,9 +269,9 @@ def _certificate(orbit: Orbit, family: Family, attempt: Attempt, decimals: bool)
     positions = series.system.positions
     square = series.square + arb(0, r) if attempt.proved else arb("nan")
     proved = attempt.proved and bool(square > 0)
-    Omega: Interval = NOTHING
-    period: Interval = NOTHING
-    energy: Interval | None = NOTHING
+    Omega: Interval = NO_BOUNDS
+    period: Interval = NO_BOUNDS
+    energy: Interval | None = NO_BOUNDS
     profile, digits, error, least = np.full((2, positions), np.nan), "", float("nan"), False
     if proved:
         nu, first = attempt.nu, series.system.harmonic(0)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.certify.balls import ROUNDING, Enclosed, above, below, rounded_up
+from casadi_skin.certify.balls import SUM_ROUNDING_FACTOR, Enclosed, above, below, rounded_up
 from casadi_skin.certify.bounds import curvature, proved_radius, series_norms
 from casadi_skin.certify.certificate import Constants
 from casadi_skin.certify.system import CosineSeries, CosineSystem, potential, weights_of
@@ -207,14 +207,14 @@ class Eigenpair:
 
 MOST_EXPONENT_ROWS = 2500  # rows of the finite part
 FIRST_EXPONENT_CUT = 8
-GROWTH = 1.5
+RADIUS_GROWTH = 1.5
 EXPONENT_STEPS = 8
-REACH = 0.1  # largest radius that W is a bound for; 1 is the norm of w in the Euclidean sense
+LARGEST_RADIUS = 0.1  # largest radius that W is a bound for; 1 is the norm of w in the Euclidean sense
 
 
 def enclosed_exponent(problem: Linearised, sigma: complex) -> tuple[complex, float] | None:
     """An exponent near `sigma` with a proved radius; None where no finite part proves one."""
-    highest, last = FIRST_EXPONENT_CUT, Constants(np.inf, np.inf, np.inf, REACH)
+    highest, last = FIRST_EXPONENT_CUT, Constants(np.inf, np.inf, np.inf, LARGEST_RADIUS)
     while problem.harmonics(highest).size * problem.positions <= MOST_EXPONENT_ROWS:
         pair = _Pair.near(problem, sigma, highest)
         if pair is not None:
@@ -226,7 +226,7 @@ def enclosed_exponent(problem: Linearised, sigma: complex) -> tuple[complex, flo
             if (0.5 * last.Y < constants.Y) if small else (0.8 * last.Z < constants.Z):
                 return None  # it is rounding, or another exponent is too near
             last = constants if small else replace(constants, Y=np.inf)
-        highest = problem.grown(highest, GROWTH)
+        highest = problem.grown(highest, RADIUS_GROWTH)
     return None
 
 
@@ -277,7 +277,11 @@ class _Pair:
     def tail(self) -> float:
         """Upper bound of 1/|lambda (sigma + m)^2| beyond the finite part."""
         nearest = self.highest + self.problem.step - abs(self.sigma)
-        return float("inf") if nearest <= 0 else (1.0 + 16 * ROUNDING) / (below(self.problem.square) * nearest**2)
+        return (
+            float("inf")
+            if nearest <= 0
+            else (1.0 + 16 * SUM_ROUNDING_FACTOR) / (below(self.problem.square) * nearest**2)
+        )
 
     @cached_property
     def size(self) -> float:
@@ -288,23 +292,23 @@ class _Pair:
         """Norms of the columns of A's finite part times a block given by its rows, in modulus within `radius`."""
         count = 2 * block.shape[0] + 4
         product = self.inverse[:, rows] @ block
-        lost = self.norms[rows] @ (count * ROUNDING * np.abs(block) + radius)
+        lost = self.norms[rows] @ (count * SUM_ROUNDING_FACTOR * np.abs(block) + radius)
         return rounded_up(np.abs(product).sum(axis=0) + rounded_up(lost, count), len(self.inverse))
 
     def finite_part(self, G: Array, square: float) -> tuple[ComplexArray, Array]:
         """The finite part of DF in doubles, and bounds of its rounding."""
         w = self.w.ravel()
         J, _ = _bordered(G, square, self.sigma, w, self.problem.harmonics(self.highest), w.conj())
-        unsure = 16 * ROUNDING * np.abs(J)
+        unsure = 16 * SUM_ROUNDING_FACTOR * np.abs(J)
         places = np.arange(1, len(J))  # of sums of G_0 and of what may be much larger than they are
-        unsure[places, places] += 32 * ROUNDING * square * np.abs(self.shifts**2)
+        unsure[places, places] += 32 * SUM_ROUNDING_FACTOR * square * np.abs(self.shifts**2)
         return J, unsure
 
     def constants(self) -> Constants:
         """The three bounds about the true linearised equations."""
         if not np.isfinite(self.tail):
-            return Constants(np.inf, np.inf, np.inf, REACH)
-        return Constants(self._Y(), self._Z(), self._W(), REACH)
+            return Constants(np.inf, np.inf, np.inf, LARGEST_RADIUS)
+        return Constants(self._Y(), self._Z(), self._W(), LARGEST_RADIUS)
 
     def _Y(self) -> float:
         """Upper bound of |A F|."""
@@ -334,7 +338,7 @@ class _Pair:
         identity = np.eye(len(J))
         product = self.inverse @ J
         count = 2 * len(J) + 4
-        lost = self.norms @ (count * ROUNDING * np.abs(J) + unsure)
+        lost = self.norms @ (count * SUM_ROUNDING_FACTOR * np.abs(J) + unsure)
         inside = rounded_up(np.abs(identity - product).sum(axis=0) + rounded_up(lost, count), len(J))
         outer = _toeplitz(problem, self.highest, self.highest + reach)
         edge = reach // problem.step * n
@@ -350,9 +354,11 @@ class _Pair:
     def _W(self) -> float:
         """Lipschitz constant of A DF within REACH."""
         length = float(rounded_up(np.abs(self.w).sum(), self.w.size))
-        beyond = np.sqrt(self.tail / below(self.problem.square)) * (1.0 + 8 * ROUNDING)
+        beyond = np.sqrt(self.tail / below(self.problem.square)) * (1.0 + 8 * SUM_ROUNDING_FACTOR)
         linear = max(float(np.max(self.norms[1:] * np.abs(self.shifts))), float(beyond))
-        total = above(self.problem.square) * (2.0 * linear + self.size * (REACH + 2.0 * (length + REACH)))
+        total = above(self.problem.square) * (
+            2.0 * linear + self.size * (LARGEST_RADIUS + 2.0 * (length + LARGEST_RADIUS))
+        )
         return float(rounded_up(np.asarray(total), 32))
 
 
@@ -396,7 +402,7 @@ def negative_eigenvalues(problem: Linearised, sigma: float) -> int | None:
         found, helps = _count(problem, sigma, highest)
         if found is not None or not helps:
             return found
-        highest = problem.grown(highest, GROWTH)
+        highest = problem.grown(highest, RADIUS_GROWTH)
     return None
 
 
@@ -410,7 +416,7 @@ def _count(problem: Linearised, sigma: float, highest: int) -> tuple[int | None,
 
     harmonics = problem.harmonics(highest)
     sizes, n = problem.sizes, problem.positions
-    total = float(sizes[0] + 2.0 * sizes[1:].sum()) * (1.0 + sizes.size * ROUNDING)
+    total = float(sizes[0] + 2.0 * sizes[1:].sum()) * (1.0 + sizes.size * SUM_ROUNDING_FACTOR)
     nearest = arb(highest + problem.step) - abs(arb(sigma))
     floor = below(problem.square * nearest**2 - arb(total) - arb(problem.radius))
     if not floor > 0.0:
@@ -434,7 +440,7 @@ def _finite_part(blocks: Array, harmonics: Array, kinetic: Enclosed) -> tuple[Ar
     for i in range(count):
         diagonal = matrix[i, sites, i, sites] + kinetic.middle[i]
         matrix[i, sites, i, sites] = diagonal
-        rounding[i] = np.max(np.abs(diagonal)) * ROUNDING
+        rounding[i] = np.max(np.abs(diagonal)) * SUM_ROUNDING_FACTOR
     return matrix.reshape(count * n, count * n), rounding
 
 
@@ -463,7 +469,7 @@ def _inertia(matrix: Array, slack: Array, through_tail: Array) -> tuple[int | No
     W = vectors / np.sqrt(np.abs(values))
     error = np.abs(W.T @ (matrix @ W) - np.diag(np.sign(values)))
     n, moduli, squares = len(matrix), np.abs(W), (W**2).sum(axis=1)
-    rounding = moduli.T @ (np.abs(matrix) @ moduli.sum(axis=1)) * (2 * n + 4) * ROUNDING
+    rounding = moduli.T @ (np.abs(matrix) @ moduli.sum(axis=1)) * (2 * n + 4) * SUM_ROUNDING_FACTOR
     own = max(float(np.max(error.sum(axis=0))), float(np.max(error.sum(axis=1)))) + 2.0 * float(np.max(rounding))
     fixed, tail = own + float(slack @ squares), float(through_tail @ squares)
     proved = float(rounded_up(np.array(fixed + tail), n + 4)) < 1.0

@@ -6,7 +6,7 @@ import numpy as np
 
 from casadi_skin.certify import balls
 from casadi_skin.certify.certificate import STABLE, UNDECIDED, UNSTABLE, ProvedStability
-from casadi_skin.certify.certify import WEIGHT, best_attempt, reason_of
+from casadi_skin.certify.certify import HARMONIC_WEIGHT, best_attempt, reason_of
 from casadi_skin.certify.exponents import Linearised, enclosed_exponent, linearised, negative_eigenvalues
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.orbit import Orbit
@@ -16,10 +16,10 @@ from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.stability.tongues.diagram import StabilityEdge
 from casadi_skin.zero.problem import Array
 
-NEAREST = 1e-8  # relative distance from a change at which proofs are tried first
-WIDER = 10.0
+NEAREST_TO_CHANGE = 1e-8  # relative distance from a change at which proofs are tried first
+DISTANCE_GROWTH = 10.0
 TWO_PI = 2.0 * np.pi
-TRIED = 3  # exponents farthest from the axis
+EXPONENTS_TRIED = 3  # exponents farthest from the axis
 
 
 def certify_stability(orbit: Orbit) -> ProvedStability:
@@ -37,13 +37,13 @@ def certify_stability(orbit: Orbit) -> ProvedStability:
         ImportError: python-flint (the extra "certify") is missing.
     """
     flint = balls.flint()
-    with flint.ctx.workprec(balls.PRECISION), one_thread():
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS), one_thread():
         family, attempt = best_attempt(orbit)
         if not attempt.proved:
             return _undecided(orbit, f"the orbit is not proved: {reason_of(attempt)}")
         if attempt.series.system.tail is not None:
             return _undecided(orbit, "the multipliers of a chain with a tail that is no unknown are not enclosed")
-        problem = linearised(attempt.series, flint.arb(WEIGHT), attempt.radius, attempt.constants.reach)
+        problem = linearised(attempt.series, flint.arb(HARMONIC_WEIGHT), attempt.radius, attempt.constants.reach)
         floquet = orbit.floquet()
         if not isinstance(floquet, ReversibleFloquet) or family.coordinates.mode.size != floquet.mu.size + 1:
             return _undecided(orbit, "its multipliers were not computed from the whole lattice's reversal")
@@ -67,13 +67,13 @@ def certify_change(branch: Branch, change: StabilityEdge) -> tuple[float, float]
     Raises:
         ValueError, ImportError: as `certify`.
     """
-    distance = max(NEAREST * change.S, 2.0 * change.error)
-    while distance <= max(0.25 * change.width, 2.0 * NEAREST * change.S):
+    distance = max(NEAREST_TO_CHANGE * change.S, 2.0 * change.error)
+    while distance <= max(0.25 * change.width, 2.0 * NEAREST_TO_CHANGE * change.S):
         ends = change.S - distance, change.S + distance
         verdicts = {branch.at(S=S).proved_stability.verdict for S in ends}
         if verdicts == {STABLE, UNSTABLE}:
             return ends
-        distance *= WIDER
+        distance *= DISTANCE_GROWTH
     return None
 
 
@@ -107,7 +107,7 @@ def _stable(orbit: Orbit, problem: Linearised, sigma: Array) -> ProvedStability:
 def _unstable(orbit: Orbit, problem: Linearised, floquet: ReversibleFloquet) -> ProvedStability:
     """An enclosure off the real axis of one of the exponents that are farthest from it."""
     sigma = _exponents(floquet, problem.step)
-    order = np.argsort(-np.abs(sigma.imag))[:TRIED]
+    order = np.argsort(-np.abs(sigma.imag))[:EXPONENTS_TRIED]
     for start in sigma[order].tolist():
         found = enclosed_exponent(problem, start)
         if found is not None and abs(found[0].imag) > found[1]:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.fft import dct
 
 from casadi_skin.certify import balls
-from casadi_skin.certify.balls import ROUNDING, above, ball, exact, rounded_up, size
+from casadi_skin.certify.balls import SUM_ROUNDING_FACTOR, above, ball, exact, rounded_up, size
 from casadi_skin.certify.bounds import (
     LARGEST_RADIUS,
     FiniteInverse,
@@ -27,7 +27,7 @@ from casadi_skin.certify.bounds import (
 )
 from casadi_skin.certify.certificate import Constants, ProvedStretch
 from casadi_skin.certify.certify import (
-    WEIGHT,
+    HARMONIC_WEIGHT,
     attempt_near,
     best_attempt,
     cosine_coefficients,
@@ -132,7 +132,7 @@ class Curve:
         H, harmonic = series.harmonics, series.system.harmonic
         weights = np.array([1.0] + [above(nu ** harmonic(i)) for i in range(H)] * series.system.positions)
         moduli = self._moduli
-        return rounded_up((self.degree + 6) * ROUNDING * (weights @ moduli), len(moduli))
+        return rounded_up((self.degree + 6) * SUM_ROUNDING_FACTOR * (weights @ moduli), len(moduli))
 
     @cached_property
     def _moduli(self) -> Array:
@@ -248,7 +248,7 @@ class _Uniform:
 
     def rows(self, values: Sequence[Array], degree: int) -> Array:
         """The same for each entry of an array."""
-        largest: Array = np.max(values, axis=0) * above(self.between(degree)) * (1.0 + ROUNDING)
+        largest: Array = np.max(values, axis=0) * above(self.between(degree)) * (1.0 + SUM_ROUNDING_FACTOR)
         return largest
 
     def constants(self, derivative: int, equations: int) -> Constants:
@@ -283,16 +283,18 @@ class _Uniform:
         return Constants(Y, Z, operator.lipschitz(system, nu, curvature(strongest, sizes, reach)), reach)
 
 
-DEGREE = 10  # of the polynomials of a piece
-WIDER, SHORTER = 1.6, 0.6  # widths of pieces after one that is proved, and after one that is not
-SHORTEST = 1e-4  # of the end: pieces below are given up
-MOST = 2000  # unknowns: the matrices at all nodes take 350 megabytes
-FEWEST = 3  # harmonics
-GROWTH = 1.25
-WIDENING = 2.0**-50  # relative, of a stretch: it holds its ends' decimals, their doubles and the rounded square roots
+PIECE_DEGREE = 10  # of the polynomials of a piece
+WIDTH_GROWTH, WIDTH_DECREASE = 1.6, 0.6  # widths of pieces after one that is proved, and after one that is not
+SHORTEST_PIECE = 1e-4  # of the end: pieces below are given up
+MOST_UNKNOWNS = 2000  # unknowns: the matrices at all nodes take 350 megabytes
+FEWEST_HARMONICS = 3  # harmonics
+HARMONICS_GROWTH = 1.25
+END_WIDENING = (
+    2.0**-50
+)  # relative, of a stretch: it holds its ends' decimals, their doubles and the rounded square roots
 ENOUGH_Z, ENOUGH_Y = 0.15, 0.02  # Z and Y W at the far end of a piece, by which harmonics are chosen
-SLACK = 1e-9  # of the computed frequency of the linear mode
-ACCEPTED = "a family that is followed in S and passes each S once"
+MODE_FREQUENCY_SLACK = 1e-9  # of the computed frequency of the linear mode
+ACCEPTED_FAMILIES = "a family that is followed in S and passes each S once"
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,16 +337,16 @@ class _Stretch:
     def harmonics(self, parameter: float, fewest: int) -> int | None:
         """How many harmonics a piece needs that ends at a parameter; None where there are not enough."""
         H = fewest
-        while 1 + self.system.positions * H <= MOST:
+        while 1 + self.system.positions * H <= MOST_UNKNOWNS:
             c = attempt_near(self.orbit_near(parameter, H), self.nu).constants
             if c.Z < ENOUGH_Z and c.Y * c.W < ENOUGH_Y:
                 return H
-            H = int(np.ceil(GROWTH * H))
+            H = int(np.ceil(HARMONICS_GROWTH * H))
         return None
 
     def curve(self, start: float, end: float, harmonics: int) -> Curve:
         """Polynomials through orbits and inverses at Chebyshev nodes of an interval."""
-        m = DEGREE + 1
+        m = PIECE_DEGREE + 1
         nodes = np.cos(np.pi * (np.arange(m) + 0.5) / m)
         found = [self._at_node(0.5 * (start + end) + 0.5 * (end - start) * x, harmonics) for x in nodes.tolist()]
         values, inverses = np.array([v for v, _ in found]), np.array([A for _, A in found])
@@ -387,41 +389,41 @@ def certify_branch(branch: Branch, start: float, end: float) -> ProvedStretch:
     """
     flint = balls.flint()
     if not isinstance(branch.space, Family):
-        raise ValueError(f"certify: given a branch of {branch.parameter}; accepted: {ACCEPTED}")
+        raise ValueError(f"certify: given a branch of {branch.parameter}; accepted: {ACCEPTED_FAMILIES}")
     if not 0.0 <= number("start", start) < number("end", end) <= branch.S[-1]:
         accepted = f"0 <= start < end <= {float(branch.S[-1])!r}, where the branch ends"
         raise ValueError(f"start, end: given {start!r}, {end!r}; accepted: {accepted}")
     if np.any(np.diff(branch.S) * np.diff(branch.S)[:1] <= 0.0):
-        raise ValueError(f"certify: given a branch that turns back in S; accepted: {ACCEPTED}")
+        raise ValueError(f"certify: given a branch that turns back in S; accepted: {ACCEPTED_FAMILIES}")
     family = provable(branch.space)
     if isinstance(family.coordinates, CoreWithTail):
         raise ValueError("certify: given a chain with a tail that is no unknown; accepted: up to 500 sites")
-    with flint.ctx.workprec(balls.PRECISION), one_thread():
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS), one_thread():
         system = system_of(family.coordinates, 1.0, step_of(family), family.request.decimals)
         if any(() in terms for terms in system.forces):
             raise ValueError(f"certify: given {family.coordinates.model.name}; accepted: forces that vanish at rest")
         low, high = (float(x) if system.step == 2 else float(np.sqrt(x)) for x in (start, end))
-        low, high = low * (1.0 - WIDENING), high * (1.0 + WIDENING)
-        return _proved(_Stretch(branch, family, system, flint.arb(WEIGHT), high), start, end, low)
+        low, high = low * (1.0 - END_WIDENING), high * (1.0 + END_WIDENING)
+        return _proved(_Stretch(branch, family, system, flint.arb(HARMONIC_WEIGHT), high), start, end, low)
 
 
 def _proved(stretch: _Stretch, start: float, end: float, low: float) -> ProvedStretch:
     """Pieces one after the other until the end, or until none can be joined to the last."""
     pieces = list[_Piece]()
-    reached, width, harmonics, reason = low, stretch.end - low, FEWEST, ""
+    reached, width, harmonics, reason = low, stretch.end - low, FEWEST_HARMONICS, ""
     while reached < stretch.end and not reason:
         far = min(reached + width, stretch.end)
-        needed = stretch.harmonics(far, harmonics if far > reached + 0.5 * width else FEWEST)
+        needed = stretch.harmonics(far, harmonics if far > reached + 0.5 * width else FEWEST_HARMONICS)
         piece = None if needed is None else _piece(stretch, reached, far, needed)
         if piece is not None and (_joined(pieces[-1], piece) if pieces else not _fault(stretch, piece, start)):
             pieces.append(piece)
-            reached, width = far, WIDER * width
+            reached, width = far, WIDTH_GROWTH * width
         else:
-            width *= SHORTER
-            if width < SHORTEST * stretch.end:
+            width *= WIDTH_DECREASE
+            if width < SHORTEST_PIECE * stretch.end:
                 reason = f"no piece beyond S = {_S(stretch, reached):.9g} is proved and joined to the last"
                 if needed is None:
-                    reason += f": more than {MOST} unknowns would be needed"
+                    reason += f": more than {MOST_UNKNOWNS} unknowns would be needed"
                 elif not pieces:
                     reason = _fault(stretch, piece, start) or reason
     if not reason:
@@ -470,7 +472,7 @@ def _fault(stretch: _Stretch, piece: _Piece | None, S: float) -> str:
     if S == 0.0:
         first = centre.system.harmonic(0)
         moves = any(bool(abs(a) > piece.radius) for row in centre.coefficients for a in row[1 - first : 2 - first])
-        square = (centre.square + arb(0, piece.radius)) * arb(1, SLACK)
+        square = (centre.square + arb(0, piece.radius)) * arb(1, MODE_FREQUENCY_SLACK)
         near = square.overlaps(arb(stretch.family.coordinates.frequency) ** 2)
         return "" if moves and near else "the curve is not proved to start at the linear mode"
     orbit = stretch.branch.at(S=S)

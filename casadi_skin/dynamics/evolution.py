@@ -20,14 +20,27 @@ from casadi_skin.zero.problem import Array
 
 # The cycle that an evolution settles on: where it returns to itself, followed on where its outputs do not show it -----
 
-FEWEST = 40  # output times that a cycle is looked for in
-AT_REST, NOISE = 1e-6, 100.0  # motion relative to that of the whole time, and to the tolerance, that is none
-CLOSED = 0.02  # distance of two states a cycle apart, relative to the cycle's size
-TOLERANCE, SMALL = 1e-11, 1e-6  # of the motion that is followed on; of the largest component, a size at least
-PLACE, PLACES, MOST_STRETCHES = 0.02, 2000, 200  # of a size, from place to place; places a stretch; stretches
+FEWEST_CYCLE_TIMES = 40  # output times that a cycle is looked for in
+AT_REST, NOISE_PER_TOLERANCE = (
+    1e-6,
+    100.0,
+)  # motion relative to that of the whole time, and to the tolerance, that is none
+CLOSED_CYCLE_DISTANCE = 0.02  # distance of two states a cycle apart, relative to the cycle's size
+FOLLOWED_MOTION_TOLERANCE, LEAST_COMPONENT_SIZE = (
+    1e-11,
+    1e-6,
+)  # of the motion that is followed on; of the largest component, a size at least
+PLACE_DISTANCE, PLACES_PER_STRETCH, MOST_STRETCHES = (
+    0.02,
+    2000,
+    200,
+)  # of a size, from place to place; places a stretch; stretches
 TIME_SHARE = 40.0  # sizes that the whole time counts as
-CUBIC, ROUNDS = 1e-6, 20  # what cubics between the samples of a cycle may be off, of the value; halvings at most
-LEAST = 1e-6  # of a size: smaller values are measured by it
+CUBIC_ERROR, MOST_CUBIC_HALVINGS = (
+    1e-6,
+    20,
+)  # what cubics between the samples of a cycle may be off, of the value; halvings at most
+LEAST_MEASURE = 1e-6  # of a size: smaller values are measured by it
 
 
 def last_cycle(evolution: Evolution) -> tuple[Evolution, float, float]:
@@ -49,11 +62,13 @@ def last_cycle(evolution: Evolution) -> tuple[Evolution, float, float]:
 def _cycle(evolution: Evolution) -> tuple[float, float] | None:
     """Start and period of the last cycle that output times show; None where they show none."""
     t, states = evolution.t, evolution.states
-    if t.size < FEWEST:
-        raise ValueError(f"last_cycle: given {t.size} output times; accepted: {FEWEST} or more, 20 a cycle")
+    if t.size < FEWEST_CYCLE_TIMES:
+        raise ValueError(f"last_cycle: given {t.size} output times; accepted: {FEWEST_CYCLE_TIMES} or more, 20 a cycle")
     half = states[t.size // 2 :]
     spread = np.ptp(half, axis=0)
-    still = np.maximum(AT_REST * np.ptp(states, axis=0), NOISE * evolution.tolerance * np.max(np.abs(states)))
+    still = np.maximum(
+        AT_REST * np.ptp(states, axis=0), NOISE_PER_TOLERANCE * evolution.tolerance * np.max(np.abs(states))
+    )
     if np.all(spread <= still):
         raise ValueError(f"last_cycle: from t = {t[t.size // 2]:g} on the state rests: this is an equilibrium")
     component = int(np.argmax(np.std(half, axis=0)))
@@ -63,7 +78,7 @@ def _cycle(evolution: Evolution) -> tuple[float, float] | None:
     for earlier in up[-2::-1]:
         start, end = (_crossing(evolution, i, component, level) for i in (earlier, up[-1]))
         gap = np.abs(evolution.evaluate(start) - evolution.evaluate(end))
-        if np.all(gap <= CLOSED * np.maximum(spread, 1e-9 * spread.max())):
+        if np.all(gap <= CLOSED_CYCLE_DISTANCE * np.maximum(spread, 1e-9 * spread.max())):
             return start, end - start
     return None
 
@@ -84,14 +99,14 @@ def _along_its_path(evolution: Evolution) -> Evolution:
     found: the output times may have missed all jumps.
     """
     equations, t, states = evolution.equations, evolution.t, evolution.states
-    begin, span, places = float(t[-1]), float(t[-1] - t[0]), PLACE * np.arange(1.0, PLACES + 1)
+    begin, span, places = float(t[-1]), float(t[-1] - t[0]), PLACE_DISTANCE * np.arange(1.0, PLACES_PER_STRETCH + 1)
     path, sizes = np.append(states[-1], 0.0)[None], np.max(np.abs(states), axis=0)
     for _ in range(MOST_STRETCHES):
         sizes = np.maximum(sizes, np.max(np.abs(path[:, :-1]), axis=0))
         scale = np.append(_least(sizes), 1.0)
         model = _by_length(equations.physical, scale[:-1], begin, span)
         try:
-            found = stiff_cvodes(model, equations.values, path[-1] / scale, places, TOLERANCE).states
+            found = stiff_cvodes(model, equations.values, path[-1] / scale, places, FOLLOWED_MOTION_TOLERANCE).states
         except IntegrationError:
             return evolution
         path = np.vstack([path, scale * found[: np.searchsorted(found[:, -1], 1.0) + 1]])
@@ -103,7 +118,7 @@ def _along_its_path(evolution: Evolution) -> Evolution:
 
 
 def _least(sizes: Array) -> Array:
-    return np.maximum(sizes, SMALL * np.max(sizes))
+    return np.maximum(sizes, LEAST_COMPONENT_SIZE * np.max(sizes))
 
 
 def _by_length(model: OdeModel, scale: Array, start: float, span: float) -> OdeModel:
@@ -126,22 +141,24 @@ def _resolved(evolution: Evolution, start: float, period: float) -> tuple[Evolut
     found = replace(evolution, t=evolution.t[first:last], states=evolution.states[first:last])
     sizes = _least(np.max(np.abs(found.states), axis=0))
     open_ends = np.ones(found.t.size - 1, dtype=bool)  # stretches that may have to be halved
-    for _ in range(ROUNDS):
+    for _ in range(MOST_CUBIC_HALVINGS):
         middles = 0.5 * (found.t[:-1] + found.t[1:])[open_ends]
         if not middles.size:
             break
         guessed, t = found.curve(middles), np.union1d(found.t, middles)
         states = np.vstack([found.states[:1], _followed(found, t[1:])])
-        off = np.max(np.abs(states[np.searchsorted(t, middles)] - guessed) / (np.abs(guessed) + LEAST * sizes), axis=1)
+        off = np.max(
+            np.abs(states[np.searchsorted(t, middles)] - guessed) / (np.abs(guessed) + LEAST_MEASURE * sizes), axis=1
+        )
         found = replace(found, t=t, states=states)
-        open_ends = np.isin(t, middles[off > CUBIC])[1:] | np.isin(t, middles[off > CUBIC])[:-1]
+        open_ends = np.isin(t, middles[off > CUBIC_ERROR])[1:] | np.isin(t, middles[off > CUBIC_ERROR])[:-1]
     return found, start, period
 
 
 def _followed(evolution: Evolution, t: Array) -> Array:
     equations = evolution.equations
     start, origin = evolution.states[0], float(evolution.t[0])
-    return stiff_cvodes(equations.physical, equations.values, start, t, TOLERANCE, origin).states
+    return stiff_cvodes(equations.physical, equations.values, start, t, FOLLOWED_MOTION_TOLERANCE, origin).states
 
 
 @dataclass(frozen=True, eq=False)

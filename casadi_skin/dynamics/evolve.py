@@ -272,8 +272,8 @@ def simulate_orbit(
 
 # Distance of a time evolution from an orbit: to its nearest point, so that a shift of phase alone has none ------------
 
-PHASES = 2048  # of an orbit with any wave form
-SMALLEST = 1e-6  # of the largest component of an orbit: the least scale of a component
+ORBIT_PHASES = 2048  # of an orbit with any wave form
+LEAST_COMPONENT_SCALE = 1e-6  # of the largest component of an orbit: the least scale of a component
 
 
 def _state_curve(orbit: Orbit) -> tuple[Curve, Array]:
@@ -281,11 +281,11 @@ def _state_curve(orbit: Orbit) -> tuple[Curve, Array]:
 
     The unit is the root of the mean square distance of the orbit from its mean.
     """
-    equations, count = orbit_equations(orbit), PHASES
+    equations, count = orbit_equations(orbit), ORBIT_PHASES
     field = equations.physical.vector_field
     x = orbit.evaluate(orbit.period * np.arange(count) / count)
     half = 0.5 * np.ptp(x, axis=0)
-    sizes = np.maximum(half, SMALLEST * np.max(half))
+    sizes = np.maximum(half, LEAST_COMPONENT_SCALE * np.max(half))
 
     def points(theta: Array) -> tuple[Array, Array]:
         t = np.mod(theta / orbit.Omega, orbit.period)

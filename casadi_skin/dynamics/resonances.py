@@ -33,9 +33,9 @@ from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.request import family_request
 from casadi_skin.zero.settings import Point
 
-SAMPLES = 512  # a period
-HARMONICS = 48  # of a guess
-WITHIN = 1e-10  # relative accuracy of S at a crossing
+SAMPLES_PER_PERIOD = 512  # a period
+GUESS_HARMONICS = 48  # of a guess
+CROSSING_S_RTOL = 1e-10  # relative accuracy of S at a crossing
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Resonance:
     @cached_property
     def _series(self) -> ComplexArray:
         """Fourier coefficients of the positions, shape (harmonics, sites)."""
-        return np.asarray(_series(self.orbit)[:HARMONICS])
+        return np.asarray(_series(self.orbit)[:GUESS_HARMONICS])
 
     def response(self, **options: Any) -> Orbit:
         """The response of the damped and driven lattice near the conservative orbit; options as for `find_orbit`."""
@@ -106,7 +106,7 @@ def energy_balance(lattice: Lattice, orbit: Orbit) -> EnergyBalance:
     Raises:
         ValueError: the model of the orbit has other components.
     """
-    times = orbit.period * np.arange(SAMPLES) / SAMPLES
+    times = orbit.period * np.arange(SAMPLES_PER_PERIOD) / SAMPLES_PER_PERIOD
     y, v = _motion(orbit, times, lattice.declaration.size)
     drive, damping = _forces(lattice)
     values = np.array([{**_values(lattice), **orbit.parameters}[name] for name in lattice.declaration.scalars])
@@ -149,7 +149,7 @@ def resonances(
 
             from scipy.optimize import brentq
 
-            S = float(brentq(excess, low, high, rtol=WITHIN)) if low != high else float(low)
+            S = float(brentq(excess, low, high, rtol=CROSSING_S_RTOL)) if low != high else float(low)
             orbit = branch.at(S=S)
             parameters = {**_values(lattice), frequency: orbit.Omega}
             delay = _excess(lattice, frequency, orbit)[1]
@@ -181,7 +181,10 @@ def _motion(orbit: Orbit, times: Array, sites: int) -> tuple[Array, Array]:
 
 def _series(orbit: Orbit) -> ComplexArray:
     """Coefficients of e^(i k Omega t), k >= 0, of which the real part is the positions, shape (harmonics, sites)."""
-    series = np.fft.rfft(orbit.evaluate(orbit.period * np.arange(SAMPLES) / SAMPLES), axis=0) / SAMPLES
+    series = (
+        np.fft.rfft(orbit.evaluate(orbit.period * np.arange(SAMPLES_PER_PERIOD) / SAMPLES_PER_PERIOD), axis=0)
+        / SAMPLES_PER_PERIOD
+    )
     return np.asarray(np.where(np.arange(len(series))[:, None] == 0, 1.0, 2.0) * series)
 
 
@@ -203,25 +206,25 @@ def _forces(lattice: Lattice) -> tuple[Callable[..., Array], Callable[..., Array
 
 def _excess(lattice: Lattice, frequency: str, orbit: Orbit) -> tuple[float, float]:
     """The most that the drives can give in a period minus the loss, over the loss; and the delay of the orbit there."""
-    times = orbit.period * np.arange(SAMPLES) / SAMPLES
+    times = orbit.period * np.arange(SAMPLES_PER_PERIOD) / SAMPLES_PER_PERIOD
     y, v = _motion(orbit, times, lattice.declaration.size)
     values = np.array(list({**_values(lattice), frequency: orbit.Omega}.values()))
     drive, damping = _forces(lattice)
     weights = _weights(lattice)
     loss = float(np.mean((weights * damping(y, v, values) * v).sum(axis=1)))
     spectra = np.fft.fft(drive(times, values), axis=0), np.fft.fft(v, axis=0)
-    work = np.fft.ifft((weights * spectra[0] * spectra[1].conj()).sum(axis=1)).real / SAMPLES  # by delay
+    work = np.fft.ifft((weights * spectra[0] * spectra[1].conj()).sum(axis=1)).real / SAMPLES_PER_PERIOD  # by delay
     best = int(np.argmax(work))
-    before, here, after = work[best - 1], work[best], work[(best + 1) % SAMPLES]
+    before, here, after = work[best - 1], work[best], work[(best + 1) % SAMPLES_PER_PERIOD]
     bend = before - 2.0 * here + after
     shift = 0.5 * (before - after) / bend if bend else 0.0
     most = here - 0.25 * (before - after) * shift
-    return (most - loss) / abs(loss), (best + shift) * orbit.period / SAMPLES
+    return (most - loss) / abs(loss), (best + shift) * orbit.period / SAMPLES_PER_PERIOD
 
 
 # The threshold of the end breather of a long chain: the amplitude at which its frequency leaves the band --------------
 
-TOLERANCE = 1e-12
+BALANCE_TOLERANCE = 1e-12
 LARGEST_S = 1e4  # up to which a threshold is looked for
 
 
@@ -244,7 +247,7 @@ def _threshold_to(chain: Chain, amplitude_max: float) -> float | None:
     """S_c, or None where it is not below `amplitude_max`."""
     infinite = replace(chain, sites=math.inf)  # type: ignore[arg-type]
     mode = infinite.mode_number(LAST if chain.g > 0 else FIRST)
-    family = Family(family_request(infinite, mode, amplitude_max, tolerance=TOLERANCE, corrector="newton"))
+    family = Family(family_request(infinite, mode, amplitude_max, tolerance=BALANCE_TOLERANCE, corrector="newton"))
     coordinates, last = family.coordinates, family.start
     assert isinstance(coordinates, CoreWithTail)
     born = coordinates.parameter(2).at(EDGE_ANGLE)

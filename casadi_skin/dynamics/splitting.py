@@ -15,10 +15,10 @@ from casadi_skin.model.integrators import (
     size_of,
 )
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.stability.splitting import ORDER, KicksAndDrifts, srkn_step
+from casadi_skin.stability.splitting import SPLITTING_ORDER, KicksAndDrifts, srkn_step
 
 LONGEST_FOLD = 4096  # steps in one call, so that an interruption is noticed
-RETRIES = 6
+MOST_RETRIES = 6
 
 
 def symplectic(
@@ -37,7 +37,7 @@ def symplectic(
     first = min(1.0 / fastest_frequency(model, parameters, start, t[-1]), float(t[-1]))
     step = splitting.fitting_step(start, first, 0.3 * tolerance)
     everywhere = np.union1d(t, np.linspace(0.0, t[-1], 101)[1:])
-    for _ in range(RETRIES):
+    for _ in range(MOST_RETRIES):
         result = splitting.run(start, everywhere, step)
         errors = splitting.step_errors(np.vstack([start, result.states]), step, scale)
         count = max(0, int(np.argmax(np.append(errors, np.inf) > tolerance)) - 1)  # without the start
@@ -116,11 +116,11 @@ class _Splitting:
     @staticmethod
     def shrink(tolerance: float, error: float) -> float:
         """Factor of the step that brings its error below the tolerance."""
-        return float(max(0.1, 0.95 * (tolerance / error) ** (1.0 / (ORDER + 1))))
+        return float(max(0.1, 0.95 * (tolerance / error) ** (1.0 / (SPLITTING_ORDER + 1))))
 
     def fitting_step(self, start: Array, step: float, tolerance: float) -> float:
         """A step that meets the tolerance over the first 50 steps from the start."""
-        for _ in range(RETRIES):
+        for _ in range(MOST_RETRIES):
             column, states = self._columns(start[None], np.array([step])), [start]
             for _ in range(50):
                 column, _ = self._advance(column, 1)

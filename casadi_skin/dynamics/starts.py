@@ -22,7 +22,7 @@ from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.result import Result
 from casadi_skin.zero.statement import named_values
 
-KINDS = ("mode", "site", "vector", "seed")
+START_KINDS = ("mode", "site", "vector", "seed")
 
 
 def initial_state(
@@ -61,11 +61,11 @@ def initial_state(
     equations = equations_of_motion(model, parameters)
     first_order = not equations.positions
     n = model.declaration.size if isinstance(model, Lattice) else equations.positions or equations.size
-    chosen = dict(zip(KINDS, (mode, site, vector, seed), strict=True))
+    chosen = dict(zip(START_KINDS, (mode, site, vector, seed), strict=True))
     given = [name for name, value in chosen.items() if value is not None]
     if len(given) != 1:
         words = " and ".join(given) or "none"
-        raise ValueError(f"start: given {words}; accepted: one of {', '.join(KINDS)}")
+        raise ValueError(f"start: given {words}; accepted: one of {', '.join(START_KINDS)}")
     for name, value in (("mode", mode), ("site", site)):
         if value is not None and not (isinstance(value, int | np.integer) and 1 <= value <= n):
             raise ValueError(f"{name}: given {short_repr(value)}; accepted: 1..{n}")

@@ -20,7 +20,7 @@ from casadi_skin.export.equations import (
     rhs_part,
     variational_part,
 )
-from casadi_skin.export.exported_model import PARTS, ExportedModel, Source, chosen_parts, exported_model
+from casadi_skin.export.exported_model import EXPORTED_PARTS, ExportedModel, Source, chosen_parts, exported_model
 from casadi_skin.export.orbit_equations import (
     IPOPT_HEADER,
     floquet_of,
@@ -34,7 +34,7 @@ from casadi_skin.model.interrupts import interrupts_deferred
 
 # The example program of an export: results of its parts, printed with all digits --------------------------------------
 
-STEPS = 96  # of the splitting in a quarter of the period: 1e-13 or better on the orbits tried
+SPLITTING_STEPS = 96  # of the splitting in a quarter of the period: 1e-13 or better on the orbits tried
 STEPS_A_HARMONIC = 8  # of the extrapolation in the period of a model's orbit
 CHAIN_S = 0.2  # amplitude of the orbit that the program of a chain alone computes
 
@@ -46,26 +46,27 @@ def main_text(exported: ExportedModel, parts: Collection[str]) -> str:
         blocks = [MODEL_ORBIT] if "orbit" in parts else []
         if "flow" in parts:
             velocities = "start + @P_ORBIT_STATES" if exported.model.order == 2 else "0"
-            blocks.append(RETURN.replace("@velocities", velocities) if "orbit" in parts else FLOW)
+            blocks.append(MAIN_RETURN_TEXT.replace("@velocities", velocities) if "orbit" in parts else MAIN_FLOW_TEXT)
     else:
-        blocks = [ORBIT] if "orbit" in parts else []
+        blocks = [MAIN_ORBIT_TEXT] if "orbit" in parts else []
         if "newton" in parts:
             mode = int(exported.chain.sites) if exported.chain.g > 0 else 1  # the one that turns into an end breather
             from_mode = FROM_LINEAR_MODE.replace("@mode", str(mode)).replace("@S", f"{CHAIN_S:g}")
             blocks.append(FROM_ORBIT if "orbit" in parts else from_mode)
             statics.append(NEWTON_STATICS)
         if blocks and "flow" in parts:  # there is an orbit to follow the flow along
-            blocks.append(MULTIPLIERS.replace("@start", FROM_NEWTON if "newton" in parts else FROM_DATA))
+            blocks.append(MAIN_MULTIPLIERS_TEXT.replace("@start", FROM_NEWTON if "newton" in parts else FROM_DATA))
             statics.append(FLOW_STATICS)
-    blocks = blocks or ([RHS] if "rhs" in parts else ['    printf("states %d\\n", @P_STATES);\n'])
-    body = "\n".join(blocks).replace("@nominal", NOMINAL if exported.parameters else "")
-    for name, number in (("@steps", STEPS), ("@harmonic_steps", STEPS_A_HARMONIC)):
+    blocks = blocks or ([MAIN_RHS_TEXT] if "rhs" in parts else ['    printf("states %d\\n", @P_STATES);\n'])
+    body = "\n".join(blocks).replace("@nominal", NOMINAL_VALUES_TEXT if exported.parameters else "")
+    for name, number in (("@steps", SPLITTING_STEPS), ("@harmonic_steps", STEPS_A_HARMONIC)):
         body = body.replace(name, str(number))
-    return f"{HEAD}{''.join(statics)}{BLANK if statics else ''}int main(void)\n{{\n{body}    return 0;\n}}\n"
+    blank = BLANK_LINE if statics else ""
+    return f"{MAIN_HEAD_TEXT}{''.join(statics)}{blank}int main(void)\n{{\n{body}    return 0;\n}}\n"
 
 
-BLANK = "\n"
-HEAD = """/* What this export computes, with all digits; see README.md for the numbers to expect. */
+BLANK_LINE = "\n"
+MAIN_HEAD_TEXT = """/* What this export computes, with all digits; see README.md for the numbers to expect. */
 
 #include <math.h>
 #include <stdio.h>
@@ -77,7 +78,7 @@ NEWTON_STATICS = "static double z[@P_UNKNOWNS], newton_work[@P_NEWTON_WORK];\n"
 FLOW_STATICS = """static double x[@P_FLOW_STATES], Phi[@P_FLOW_STATES * @P_FLOW_STATES], flow_work[@P_FLOW_WORK];
 static double mu_real[@P_SITES], mu_imaginary[@P_SITES], multipliers_work[@P_MULTIPLIERS_WORK];
 """
-ORBIT = """    {
+MAIN_ORBIT_TEXT = """    {
         static double y[@P_SITES], velocity[@P_SITES];
         double S = 0.0;
         int n;
@@ -121,7 +122,7 @@ FROM_DATA = """        int n;
         for (n = 0; n < @P_SITES; n++) x[n] /= sqrt(@p_orbit_S) * @p_rho[n];
         quarter = 0.25 * @p_orbit_period;
         kappa = @p_orbit_kappa;"""
-MULTIPLIERS = """    {
+MAIN_MULTIPLIERS_TEXT = """    {
         double largest, trivial, quarter, kappa;
 @start
         @p_flow(0.0, quarter, @steps, x, Phi, &kappa, flow_work);
@@ -134,7 +135,7 @@ MULTIPLIERS = """    {
 """
 MODEL_ORBIT = """    printf("orbit_period %.17g\\n", @p_orbit_period);
 """
-RETURN = """    {
+MAIN_RETURN_TEXT = """    {
         static double x[@P_STATES], start[@P_STATES], Phi[@P_STATES * @P_STATES], work[@P_FLOW_WORK];
         double p[@P_PARAMETERS + 1] = {0.0}, trace = 0.0, off = 0.0;
         int i;
@@ -149,7 +150,7 @@ RETURN = """    {
         printf("return_error %.3g\\ntrace %.17g\\n", off, trace);
     }
 """
-FLOW = """    {
+MAIN_FLOW_TEXT = """    {
         static double x[@P_FLOW_STATES], Phi[@P_FLOW_STATES * @P_FLOW_STATES], work[@P_FLOW_WORK];
         double p[@P_FLOW_PARAMETERS + 1] = {0.0}, trace = 0.0;
         int i;
@@ -163,7 +164,7 @@ FLOW = """    {
         printf("trace %.17g\\n", trace);
     }
 """
-RHS = """    {
+MAIN_RHS_TEXT = """    {
         static double x[@P_STATES], dxdt[@P_STATES], work[@P_RHS_WORK];
         double p[@P_PARAMETERS + 1] = {0.0};
         int i;
@@ -173,12 +174,12 @@ RHS = """    {
         for (i = 0; i < @P_STATES; i++) printf("%s %.17g\\n", @p_state_names[i], dxdt[i]);
     }
 """
-NOMINAL = "        for (i = 0; i < @P_PARAMETERS; i++) p[i] = @p_nominal[i];\n"
+NOMINAL_VALUES_TEXT = "        for (i = 0; i < @P_PARAMETERS; i++) p[i] = @p_nominal[i];\n"
 
 
 # README.md and CMakeLists.txt of an export ----------------------------------------------------------------------------
 
-FLAGS = "-std=c99 -O2"
+COMPILER_FLAGS = "-std=c99 -O2"
 
 
 def cmake_text(name: str, sources: Collection[str]) -> str:
@@ -219,7 +220,7 @@ def readme_text(exported: ExportedModel, parts: Mapping[str, Part], sources: Col
     """Contents of the directory, how to build it, and the expected numbers."""
     name = exported.name
     plain_sources = " ".join(file for file in sources if "_ipopt" not in file)
-    rows = "\n".join(f"| `{what}` | {PARTS[what]} |" for what in parts if what in PARTS)
+    rows = "\n".join(f"| `{what}` | {EXPORTED_PARTS[what]} |" for what in parts if what in EXPORTED_PARTS)
     text = f"""# {plain(exported.model.name)} in C
 
 Written by casadi_skin {__version__} (license.txt). It is C99 and
@@ -233,7 +234,7 @@ The model is dimensionless. `{name}.h` declares every function and gives sizes a
 ## Build
 
 ```sh
-cc {FLAGS} {plain_sources} -lm -o {name}_main
+cc {COMPILER_FLAGS} {plain_sources} -lm -o {name}_main
 ./{name}_main
 ```
 
@@ -247,7 +248,7 @@ Without warnings by gcc 12 and clang 14 with `-Wall -Wextra -Wpedantic -Wconvers
 Ipopt's part needs Ipopt's headers (`coin-or/IpStdCInterface.h`) and library:
 
 ```sh
-cc {FLAGS} YOUR_PROGRAM.c {needed} -lipopt -lm
+cc {COMPILER_FLAGS} YOUR_PROGRAM.c {needed} -lipopt -lm
 ```
 """
     return text + _expected(exported, parts)
@@ -272,7 +273,7 @@ def _expected(exported: ExportedModel, parts: Mapping[str, Part]) -> str:
     return f"\n## Numbers to expect\n\nComputed in Python when this was written:\n\n```\n{table}\n```\n"
 
 
-MAKERS: Mapping[str, Callable[[ExportedModel], Part]] = MappingProxyType({
+PART_MAKERS: Mapping[str, Callable[[ExportedModel], Part]] = MappingProxyType({
     "rhs": rhs_part,
     "jacobian": jacobian_part,
     "variational": variational_part,
@@ -283,7 +284,7 @@ MAKERS: Mapping[str, Callable[[ExportedModel], Part]] = MappingProxyType({
     "orbit": orbit_part,
     "ipopt": ipopt_part,
 })  # fmt: skip
-HARMONICS = 12
+START_HARMONICS = 12
 
 
 def export_c(
@@ -292,7 +293,7 @@ def export_c(
     what: Collection[str] | None = None,
     *,
     name: str | None = None,
-    harmonics: int = HARMONICS,
+    harmonics: int = START_HARMONICS,
 ) -> Path:
     """Write a chain, a model, or an orbit of either as C99; all is dimensionless.
 
@@ -323,7 +324,7 @@ def export_c(
 
 def export_texts(exported: ExportedModel, chosen: Collection[str]) -> dict[str, str]:
     """The files of an export by their names."""
-    parts = {"model": model_part(exported), **{what: MAKERS[what](exported) for what in chosen}}
+    parts = {"model": model_part(exported), **{what: PART_MAKERS[what](exported) for what in chosen}}
     name, every = exported.name, list(parts.values())
     plainly = [part for what, part in parts.items() if what != "ipopt"]
     generated = c_source(f"{name}_generated", [f for part in plainly for f in part.functions])

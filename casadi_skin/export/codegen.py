@@ -20,16 +20,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 LIBM_HEADERS = frozenset({"math.h", "string.h", "stdio.h"})
-EXTERNAL = "External"  # CasADi's class name of a function in a library that is loaded when it is called
+EXTERNAL_CLASS_NAME = "External"  # CasADi's class name of a function in a library that is loaded when it is called
 LONGEST_BLOCK = 300  # statements: shorter parts compile no faster
-ARGUMENTS = "(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem)"
-KEYWORDS = frozenset(
+C_FUNCTION_ARGUMENTS = "(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem)"
+C_KEYWORDS = frozenset(
     ("auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern",
      "float", "for", "goto", "if", "inline", "int", "long", "main", "register", "restrict", "return", "short",
      "signed", "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile",
      "while", "null", "jac", "hess")
 )  # fmt: skip
-HEADERS = frozenset(  # of the system: a NAME.h beside the sources would take their place
+SYSTEM_HEADERS = frozenset(  # of the system: a NAME.h beside the sources would take their place
     ("assert", "complex", "ctype", "errno", "features", "fenv", "float", "inttypes", "iso646", "limits", "locale",
      "math", "setjmp", "signal", "stdarg", "stdbool", "stddef", "stdint", "stdio", "stdlib", "string", "tgmath",
      "time", "wchar", "wctype")
@@ -82,7 +82,7 @@ def c_name(words: str) -> str:
     """
     plain = "".join(c if c.isascii() or not c.isalnum() else f"_u{ord(c):x}_" for c in words.lower())
     stem = re.sub(r"[^a-z0-9]+", "_", plain).strip("_") or "model"
-    return stem if stem[0].isalpha() and stem not in KEYWORDS | HEADERS else f"m_{stem}"
+    return stem if stem[0].isalpha() and stem not in C_KEYWORDS | SYSTEM_HEADERS else f"m_{stem}"
 
 
 def c_source(name: str, functions: Sequence[ca.Function], headers: Collection[str] = LIBM_HEADERS) -> CSource:
@@ -121,7 +121,7 @@ def check_parts(function: ca.Function) -> None:
     """Raises CodegenError for a part that is no C: generated on its own, so that it can be named."""
     for part in (function, *function.find_functions()):
         kind = part.class_name()
-        if kind == EXTERNAL:
+        if kind == EXTERNAL_CLASS_NAME:
             raise CodegenError(f"{function.name()}: calls {part.name()} of an external library, which has no C source")
         if kind in ("SXFunction", "MXFunction"):  # described by their own parts and operations
             continue
@@ -140,7 +140,7 @@ def _in_short_blocks(text: str) -> str:
     """The source with every long function of assignments alone cut into parts of LONGEST_BLOCK statements."""
     lines, result = iter(text.split("\n")), []
     for line in lines:
-        opening = re.match(rf"static int (\w+){re.escape(ARGUMENTS)} {{$", line)
+        opening = re.match(rf"static int (\w+){re.escape(C_FUNCTION_ARGUMENTS)} {{$", line)
         if opening is None:
             result.append(line)
             continue
@@ -173,14 +173,14 @@ def _parts(name: str, body: list[str]) -> list[str]:
     parts = [bare[i : i + LONGEST_BLOCK] for i in range(0, len(bare), LONGEST_BLOCK)]
     result = []
     for i, part in enumerate(parts):
-        result += [f"static void {name}_part{i}{ARGUMENTS} {{", *part, "}", ""]
+        result += [f"static void {name}_part{i}{C_FUNCTION_ARGUMENTS} {{", *part, "}", ""]
     n_arg, largest_arg = _used("arg", bare)
     n_res, largest_res = _used("res", bare)
     table = ", ".join(f"{name}_part{i}" for i in range(len(parts)))
     return [
         *result,
-        f"static int {name}{ARGUMENTS} {{",
-        f"  static void (*const volatile parts[]){ARGUMENTS} = {{{table}}};",
+        f"static int {name}{C_FUNCTION_ARGUMENTS} {{",
+        f"  static void (*const volatile parts[]){C_FUNCTION_ARGUMENTS} = {{{table}}};",
         f"  static const casadi_real zeros[{largest_arg}] = {{0}};",
         f"  casadi_real unused[{largest_res}];",
         f"  const casadi_real* given[{n_arg}];",
@@ -207,7 +207,7 @@ def _used(array: str, lines: list[str]) -> tuple[int, int]:
 
 # Pieces of C text: arrays, strings, comments, plain functions around generated ones, and the parts of an export -------
 
-WIDTH = 120
+C_LINE_WIDTH = 120
 MOST_ENTRIES = 2**31 - 1  # sizes and indices are ints of C
 BY_COLUMNS, BY_ROWS = ("colptr", "row"), ("rowptr", "column")
 
@@ -229,13 +229,13 @@ def string(words: str) -> str:
 
 def comment(words: str) -> str:
     """A block comment, wrapped; `words` are our own but for what went through `plain`."""
-    lines = wrap(words, WIDTH - 6)
+    lines = wrap(words, C_LINE_WIDTH - 6)
     return "/* " + "\n * ".join(lines) + " */"
 
 
 def filled(values: Iterable[str]) -> str:
     """Words in lines, with commas between."""
-    return "\n".join(wrap(", ".join(values), WIDTH, initial_indent="    ", subsequent_indent="    ",
+    return "\n".join(wrap(", ".join(values), C_LINE_WIDTH, initial_indent="    ", subsequent_indent="    ",
                           break_long_words=False, break_on_hyphens=False))  # fmt: skip
 
 
@@ -259,7 +259,7 @@ def strings(name: str, values: Sequence[str]) -> str:
     entries = [string(value) for value in values] or ['""']
     lines, line = list[str](), "   "
     for entry in entries:  # strings are not cut
-        if len(line) + len(entry) + 2 > WIDTH and line.strip():
+        if len(line) + len(entry) + 2 > C_LINE_WIDTH and line.strip():
             lines, line = [*lines, line], "   "
         line += f" {entry},"
     body = "\n".join([*lines, line])

@@ -25,8 +25,8 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.stability.splitting import srkn_coefficients
 
-CONSTANTS = ("alpha", "gamma", "g")
-GIVEN = "double t, const double *x, const double *p"
+CHAIN_CONSTANTS = ("alpha", "gamma", "g")
+GIVEN_C_ARGUMENTS = "double t, const double *x, const double *p"
 
 
 def model_part(exported: ExportedModel) -> Part:
@@ -52,9 +52,9 @@ def _with_chain(part: Part, chain: Chain) -> Part:
         "The chain, and the factors rho of its gauge y_n = sqrt(S) rho_n q_n, S the sum of y_n^2 at t = 0 of an orbit: "
         "there the flow is symplectic, and its only parameter is kappa = g S."
     )
-    constants = ", ".join(f"@p_{name}" for name in CONSTANTS)
+    constants = ", ".join(f"@p_{name}" for name in CHAIN_CONSTANTS)
     declaration = f"{comment(words)}\nextern const double {constants};\nextern const double @p_rho[{chain.sites}];"
-    numbers = "\n".join(f"const double @p_{name} = {getattr(chain, name):.17g};" for name in CONSTANTS)
+    numbers = "\n".join(f"const double @p_{name} = {getattr(chain, name):.17g};" for name in CHAIN_CONSTANTS)
     size = Size("SITES", int(chain.sites), "sites of the chain")
     return part.plus(f"{numbers}\n\n{doubles('@p_rho', np.asarray(chain.rho))}", declaration, sizes=(size,))
 
@@ -67,7 +67,7 @@ def _listed(names: tuple[str, ...]) -> str:
 def rhs_part(exported: ExportedModel) -> Part:
     """The right-hand side."""
     function = exported.model.function(f"{exported.name}_generated_rhs", ca.densify(exported.model.full_rhs))
-    prototype = f"int @p_rhs({GIVEN}, double *dxdt, double *work)"
+    prototype = f"int @p_rhs({GIVEN_C_ARGUMENTS}, double *dxdt, double *work)"
     call = Call(prototype, function, ("&t", "x", "p"), ("dxdt",))
     return called("Right-hand side", call, "RHS_WORK", "dx/dt at time t (STATES entries). Returns 0.")
 
@@ -78,7 +78,7 @@ def jacobian_part(exported: ExportedModel) -> Part:
     dfdx = ca.jacobian(model.full_rhs, model.full_state)
     results = (ca.densify(model.full_rhs), dfdx, ca.densify(ca.jacobian(model.full_rhs, model.parameters)))
     function = model.function(f"{exported.name}_generated_jacobian", *results)
-    prototype = f"int @p_jacobian({GIVEN}, double *dxdt, double *dfdx, double *dfdp, double *work)"
+    prototype = f"int @p_jacobian({GIVEN_C_ARGUMENTS}, double *dxdt, double *dfdx, double *dfdp, double *work)"
     call = Call(prototype, function, ("&t", "x", "p"), ("dxdt", "dfdx", "dfdp"))
     sparsity = function.sparsity_out(1)
     words = (
@@ -94,7 +94,7 @@ def variational_part(exported: ExportedModel) -> Part:
     """The variational equations, through the Jacobian."""
     work = sum(size.value for size in jacobian_part(exported).sizes)
     prototype = (
-        f"int @p_variational({GIVEN}, int columns, const double *V,\n"
+        f"int @p_variational({GIVEN_C_ARGUMENTS}, int columns, const double *V,\n"
         "                   double *dxdt, double *dVdt, double *work)"
     )
     words = (
@@ -110,7 +110,7 @@ def outputs_part(exported: ExportedModel) -> Part:
     outputs = exported.model.outputs
     results = ca.densify(ca.vertcat(*outputs.values()))
     function = exported.model.function(f"{exported.name}_generated_outputs", results)
-    call = Call(f"int @p_outputs({GIVEN}, double *y, double *work)", function, ("&t", "x", "p"), ("y",))
+    call = Call(f"int @p_outputs({GIVEN_C_ARGUMENTS}, double *y, double *work)", function, ("&t", "x", "p"), ("y",))
     size = Size("OUTPUTS", len(outputs), "y: " + _listed(tuple(outputs)))
     part = called("Outputs", call, "OUTPUTS_WORK", "The outputs (OUTPUTS entries). Returns 0.", size)
     names = f"extern const char *const @p_output_names[{len(outputs)}];"

@@ -18,7 +18,7 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 Source: TypeAlias = Chain | OdeModel | Orbit
-PARTS: Mapping[str, str] = MappingProxyType({
+EXPORTED_PARTS: Mapping[str, str] = MappingProxyType({
     "rhs": "the right-hand side of the first-order system",
     "jacobian": "the right-hand side with its sparse derivatives",
     "variational": "the right-hand side with the variational equations of any number of columns",
@@ -30,9 +30,9 @@ PARTS: Mapping[str, str] = MappingProxyType({
     "ipopt": "the orbit equations as a problem for Ipopt (needs libipopt)",
 })  # fmt: skip
 LONGEST_NAME = 60  # characters: names of files are made of it
-NEEDS: Mapping[str, tuple[str, ...]] = MappingProxyType({"variational": ("jacobian",), "newton": ("residual",)})
+NEEDED_PARTS: Mapping[str, tuple[str, ...]] = MappingProxyType({"variational": ("jacobian",), "newton": ("residual",)})
 EQUATIONS_OF_ORBITS = ("residual", "newton", "ipopt")
-OPTIONAL = ("ipopt",)  # exported only on request: it needs more than libm
+OPTIONAL_PARTS = ("ipopt",)  # exported only on request: it needs more than libm
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,19 +138,19 @@ def chosen_parts(exported: ExportedModel, what: Collection[str] | None) -> list[
         ValueError: A name is unknown, or its part cannot be exported.
     """
     if what is None:
-        return [name for name in PARTS if name not in OPTIONAL and exported.refusal(name) is None]
+        return [name for name in EXPORTED_PARTS if name not in OPTIONAL_PARTS and exported.refusal(name) is None]
     if not isinstance(what, list | tuple | set | frozenset):
-        raise TypeError(f"what: given {short_repr(what)}; accepted: a list of {', '.join(PARTS)}")
+        raise TypeError(f"what: given {short_repr(what)}; accepted: a list of {', '.join(EXPORTED_PARTS)}")
     if not what:
-        raise ValueError(f"what: given an empty list; accepted: some of {', '.join(PARTS)}")
+        raise ValueError(f"what: given an empty list; accepted: some of {', '.join(EXPORTED_PARTS)}")
     chosen: set[str] = set()
     for name in what:
-        check_name("what", name, PARTS)
+        check_name("what", name, EXPORTED_PARTS)
         reason = exported.refusal(name)
         if reason is not None:
-            can = ", ".join(other for other in PARTS if exported.refusal(other) is None)
+            can = ", ".join(other for other in EXPORTED_PARTS if exported.refusal(other) is None)
             raise ValueError(f"what: given {name!r}, which cannot be exported: {reason}; accepted: {can}")
-        chosen |= {name, *NEEDS.get(name, ())}
+        chosen |= {name, *NEEDED_PARTS.get(name, ())}
     if "flow" in chosen and exported.flow_model.order == 1:
         chosen |= {"jacobian", "variational"}
-    return [name for name in PARTS if name in chosen]
+    return [name for name in EXPORTED_PARTS if name in chosen]

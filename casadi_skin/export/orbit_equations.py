@@ -27,14 +27,14 @@ from casadi_skin.zero.problem import Array
 
 IPOPT_HEADER = "coin-or/IpStdCInterface.h"
 MOST_SAMPLES = 8192  # of an orbit of a model, over its period
-REPORT = """typedef struct {
+REPORT_TYPE_TEXT = """typedef struct {
     int status;      /* one of the constants below */
     int iterations;  /* linear systems solved */
     double step;     /* length of the last step, relative to the orbit */
     double residual; /* largest |R| before that step */
 } @p_newton_report;
 enum { @P_CONVERGED, @P_TOO_MANY_ITERATIONS, @P_SINGULAR, @P_DIVERGED, @P_BAD_INPUT };"""
-POSITIONS = """void @p_positions(const double *z, double *q)
+POSITIONS_FUNCTION_TEXT = """void @p_positions(const double *z, double *q)
 {
     int n, i;
 
@@ -78,7 +78,7 @@ def residual_part(exported: ExportedModel) -> Part:
     )
     at_zero = (2.0 / problem.resolution) * cosine_matrix(problem.resolution).sum(axis=0)
     part = part.plus(*pattern("@p_residual", sparsity), files=("linear_mode",)).plus(declaration=mode)
-    return part.plus(f"static {doubles('at_zero', at_zero)}\n\n{POSITIONS}", positions)
+    return part.plus(f"static {doubles('at_zero', at_zero)}\n\n{POSITIONS_FUNCTION_TEXT}", positions)
 
 
 def newton_part(exported: ExportedModel) -> Part:
@@ -103,7 +103,7 @@ def newton_part(exported: ExportedModel) -> Part:
         "Used by Newton's method.",
     )
     words = declared("const char *@p_newton_words(int status)", "A status in words.")
-    declarations = (REPORT, newton, words, solver)
+    declarations = (REPORT_TYPE_TEXT, newton, words, solver)
     return Part("Periodic orbits: Newton's method", sizes, declarations, files=("newton", "solve_band"))
 
 

@@ -35,9 +35,9 @@ C_BINARY = {
     getattr(ca, f"OP_{name.upper()}"): f"{name}({{0}}, {{1}})"
     for name in ("pow", "fmod", "copysign", "fmin", "fmax", "atan2", "hypot", "remainder")
 }  # fmt: skip
-Leaf = tuple[int, float]  # number of the argument and index in it; or CONSTANT and the value
+Leaf = tuple[int, float]  # number of the argument and index in it; or CONSTANT_PLACE and the value
 Step = tuple[int, tuple[int, ...]]  # an operation on earlier results, which are numbered after the leaves
-CONSTANT = -1
+CONSTANT_PLACE = -1
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def with_loops(call: Call) -> str | None:
         if written > MOST_STATEMENTS:
             return None
         lines += body if len(call.results) == 1 else [f"    if ({name}) {{", *(f"    {line}" for line in body), "    }"]
-    used = {index for rows in results for row in rows for index, _ in row.leaves if index != CONSTANT}
+    used = {index for rows in results for row in rows for index, _ in row.leaves if index != CONSTANT_PLACE}
     idle = sorted(set(range(len(call.arguments))) - used)
     unused = [f"    (void){call.arguments[i].lstrip('&')};" for i in idle if call.arguments[i] != "0"]
     return "\n".join([*tables, *lines[:1], *unused, "    (void)work;", *lines[1:], "    return 0;\n}"])
@@ -109,7 +109,7 @@ def _results(function: ca.Function) -> list[list[Row]] | None:
         if operation == ca.OP_INPUT:
             work[to[0]] = node(("leaf", given[0], given[1]))
         elif operation == ca.OP_CONST:
-            work[to[0]] = node(("leaf", CONSTANT, function.instruction_constant(k)))
+            work[to[0]] = node(("leaf", CONSTANT_PLACE, function.instruction_constant(k)))
         elif operation == ca.OP_OUTPUT:
             places[to[0]][to[1]] = work[given[0]]
         elif operation in C_UNARY:
@@ -124,7 +124,7 @@ def _results(function: ca.Function) -> list[list[Row]] | None:
 def _row(nodes: Sequence[tuple[object, ...]], root: int) -> Row:
     """Operations and leaves of one result, in the order of a walk from its root."""
     if root < 0:
-        return Row(((CONSTANT, 0.0),), ())
+        return Row(((CONSTANT_PLACE, 0.0),), ())
     order: list[int] = []
     seen, stack = set[int](), [(root, False)]
     while stack:
@@ -193,7 +193,7 @@ class Segment:
         self, argument: int, values: tuple[float, ...], arguments: Sequence[str], prefix: str, tables: list[str]
     ) -> tuple[str, bool]:
         """A number in C, and whether it is the same each time."""
-        if argument == CONSTANT:
+        if argument == CONSTANT_PLACE:
             if all(value == values[0] for value in values):
                 return _number(values[0]), True
             name = f"{prefix}_c{len(tables)}"
@@ -250,7 +250,7 @@ def _goes_on(rows: list[Row]) -> bool:
         return True
     second, before = rows[1], rows[-2]
     return all(
-        a[0] == CONSTANT or d[1] - c[1] == b[1] - a[1]
+        a[0] == CONSTANT_PLACE or d[1] - c[1] == b[1] - a[1]
         for a, b, c, d in zip(first.leaves, second.leaves, before.leaves, last.leaves, strict=True)
     )
 

@@ -14,7 +14,14 @@ from numpy.typing import ArrayLike
 
 from casadi_skin.export.compiler import build_library
 from casadi_skin.export.exported_model import Source
-from casadi_skin.fmu.description import SOURCES, Description, build_description, icon, page, terminals_and_icons
+from casadi_skin.fmu.description import (
+    INTERFACE_SOURCES,
+    Description,
+    build_description,
+    icon,
+    page,
+    terminals_and_icons,
+)
 from casadi_skin.fmu.fmu_archive import library_ending, platform_folder
 from casadi_skin.fmu.initial_value_problem import (
     Equations,
@@ -28,8 +35,8 @@ from casadi_skin.model.arguments import check_name, file_path, truth
 from casadi_skin.model.files import replacing
 
 Fmi = Literal["3.0", "2.0"]
-HEADERS = ("instance.h", "dop853.h")
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # of all files inside: the same model gives the same archive
+HEADER_FILES = ("instance.h", "dop853.h")
+_FILE_DATE = (1980, 1, 1, 0, 0, 0)  # of all files inside: the same model gives the same archive
 
 
 def export_fmu(
@@ -74,7 +81,7 @@ def export_fmu(
             has the headers of the standard, or a C compiler is missing.
     """
     target = file_path("path", path)
-    check_name("fmi", fmi, SOURCES)
+    check_name("fmi", fmi, INTERFACE_SOURCES)
     truth("binary", binary)
     if target.suffix != ".fmu":
         raise ValueError(f"path: given {str(target)!r}; accepted: a file name that ends in .fmu")
@@ -87,7 +94,7 @@ def export_fmu(
         files |= _compiled(problem, fmi, files)
     with replacing(target) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in sorted(files, key=lambda name: (name != "modelDescription.xml", name)):
-            entry = zipfile.ZipInfo(name, _EPOCH)
+            entry = zipfile.ZipInfo(name, _FILE_DATE)
             entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
             archive.writestr(entry, files[name])
     return target
@@ -107,7 +114,7 @@ def contents(problem: InitialValueProblem, fmi: Fmi) -> dict[str, bytes]:
         "sources/config.h": config_header(problem, equations, token).encode(),
         f"sources/{problem.identifier}_equations.c": source.encode(),
     }
-    files |= {f"sources/{name}": _packaged(name) for name in (*SOURCES[fmi], *HEADERS)}
+    files |= {f"sources/{name}": _packaged(name) for name in (*INTERFACE_SOURCES[fmi], *HEADER_FILES)}
     if fmi == "3.0":
         files["sources/buildDescription.xml"] = build_description(problem.identifier, description.source_files(fmi))
         files["terminalsAndIcons/terminalsAndIcons.xml"] = terminals_and_icons()
@@ -124,7 +131,7 @@ def _packaged(name: str) -> bytes:
 def _compiled(problem: InitialValueProblem, fmi: Fmi, files: dict[str, bytes]) -> dict[str, bytes]:
     """The shared library for this platform, by its name in the archive."""
     name = f"binaries/{platform_folder(fmi)}/{problem.identifier}.{library_ending()}"
-    sources = (*SOURCES[fmi], f"{problem.identifier}_equations.c")
+    sources = (*INTERFACE_SOURCES[fmi], f"{problem.identifier}_equations.c")
     with TemporaryDirectory(prefix="casadi_skin_fmu_") as folder:
         for file, text in files.items():
             if file.startswith("sources/"):

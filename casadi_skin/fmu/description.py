@@ -20,12 +20,15 @@ import numpy as np
 from casadi_skin._version import __version__
 from casadi_skin.fmu.initial_value_problem import Equations, InitialValueProblem
 
-SOURCES = {"2.0": ("fmi2.c",), "3.0": ("fmi3.c",)}  # of the interface; that of the equations is named after the model
-CATEGORIES = {"logStatusDiscard": "Values that cannot be computed", "logStatusError": "Errors"}
-STRUCTURED = re.compile(r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?", re.ASCII)
-UNIT = "1"
+INTERFACE_SOURCES = {
+    "2.0": ("fmi2.c",),
+    "3.0": ("fmi3.c",),
+}  # of the interface; that of the equations is named after the model
+LOG_CATEGORIES = {"logStatusDiscard": "Values that cannot be computed", "logStatusError": "Errors"}
+STRUCTURED_NAME = re.compile(r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?", re.ASCII)
+UNIT_NAME = "1"
 MOST_REFERENCES = (1 << 31) - 1  # value references have 32 bits, and are numbers of an enum of C
-STEPS = 500  # of communication, in the default experiment
+COMMUNICATION_STEPS = 500  # of communication, in the default experiment
 
 
 @dataclass(frozen=True)
@@ -80,7 +83,7 @@ class Description:
     def naming(self) -> str:
         """ "structured" where all names are legal there, else "flat"."""
         names = (v.name for v in self.variables if v.derivative is None)
-        return "structured" if all(STRUCTURED.fullmatch(name) for name in names) else "flat"
+        return "structured" if all(STRUCTURED_NAME.fullmatch(name) for name in names) else "flat"
 
     def dependencies(self, variable: Variable, *, initially: bool, fmi: str) -> list[int]:
         """Value references of the knowns that a variable depends on, ascending; an output that is a state is its own.
@@ -97,7 +100,7 @@ class Description:
 
     def source_files(self, fmi: str) -> tuple[str, ...]:
         """Names of the C files that are compiled."""
-        return (*SOURCES[fmi], f"{self.problem.identifier}_equations.c")
+        return (*INTERFACE_SOURCES[fmi], f"{self.problem.identifier}_equations.c")
 
     def xml(self, fmi: str) -> bytes:
         """modelDescription.xml of a version of the standard."""
@@ -107,14 +110,14 @@ class Description:
         given |= {"instantiationToken": self.token} if three else {"guid": self.token, "numberOfEventIndicators": "0"}
         root = ET.Element("fmiModelDescription", given)
         self._interfaces(root, fmi)
-        unit = ET.SubElement(ET.SubElement(root, "UnitDefinitions"), "Unit", {"name": UNIT})
+        unit = ET.SubElement(ET.SubElement(root, "UnitDefinitions"), "Unit", {"name": UNIT_NAME})
         ET.SubElement(unit, "BaseUnit")  # all exponents are 0: dimensionless
         categories = ET.SubElement(root, "LogCategories")
-        for name, meaning in CATEGORIES.items():
+        for name, meaning in LOG_CATEGORIES.items():
             ET.SubElement(categories, "Category", {"name": name, "description": meaning})
         stop = float(problem.stop_time)
         times = {"startTime": "0.0", "stopTime": repr(stop), "tolerance": repr(float(problem.tolerance))}
-        ET.SubElement(root, "DefaultExperiment", times | {"stepSize": repr(stop / STEPS)})
+        ET.SubElement(root, "DefaultExperiment", times | {"stepSize": repr(stop / COMMUNICATION_STEPS)})
         variables = ET.SubElement(root, "ModelVariables")
         for v in self.variables:
             names, numbers = {"name": v.name, "valueReference": str(v.reference)} | _common(v), _numbers(v)
@@ -170,7 +173,7 @@ def _common(variable: Variable) -> dict[str, str]:
 
 
 def _numbers(variable: Variable) -> dict[str, str]:
-    found = {"unit": UNIT}
+    found = {"unit": UNIT_NAME}
     if variable.bounds is not None:
         found |= {"min": repr(variable.bounds[0]), "max": repr(variable.bounds[1])}
     for name, value in (("nominal", variable.nominal), ("start", variable.start)):
@@ -212,9 +215,9 @@ def terminals_and_icons() -> bytes:
 
 # The documentation page and the icon inside an FMU --------------------------------------------------------------------
 
-_STYLE = "body{font-family:sans-serif;max-width:50em;margin:2em auto}td,th{text-align:left;padding:0 1em 0 0}"
+_PAGE_STYLE = "body{font-family:sans-serif;max-width:50em;margin:2em auto}td,th{text-align:left;padding:0 1em 0 0}"
 
-_ENERGY = """<p>The output <code>energy</code> is the Hamiltonian in the gauge y<sub>n</sub> = rho<sub>n</sub>
+_ENERGY_TEXT = """<p>The output <code>energy</code> is the Hamiltonian in the gauge y<sub>n</sub> = rho<sub>n</sub>
 eta<sub>n</sub> with rho = 1 at the edge that the modes lean to (the last site for gamma &ge; 0, the first one below).
 The equations keep it; a solver in y does so up to its errors at the far end, which enter weighted by
 1/rho<sub>n</sub><sup>2</sup>. It is infinite at |gamma| = 1.</p>
@@ -227,7 +230,7 @@ def page(description: Description, fmi: str) -> str:
     name = escape(problem.model.name)
     return f"""<!DOCTYPE html>
 <html lang="en">
-<head><meta charset="utf-8"><title>{name}</title><style>{_STYLE}</style></head>
+<head><meta charset="utf-8"><title>{name}</title><style>{_PAGE_STYLE}</style></head>
 <body>
 <h1>{name}</h1>
 <p>{escape(problem.description)}. All quantities are dimensionless. Written by casadi_skin {__version__}.</p>
@@ -264,7 +267,7 @@ of mathematical functions. For example, with those headers in <code>fmi</code>:<
 def _chain_words(description: Description) -> str:
     if "energy" not in description.problem.meanings:
         return ""
-    energy = _ENERGY if "energy" in description.problem.model.outputs else ""
+    energy = _ENERGY_TEXT if "energy" in description.problem.model.outputs else ""
     return f"""<p>y<sub>n</sub>'' = (1 + gamma) y<sub>n-1</sub> - 2 y<sub>n</sub> + (1 - gamma) y<sub>n+1</sub>
 - alpha y<sub>n</sub> - g y<sub>n</sub><sup>3</sup>, n = 1..N, with y<sub>0</sub> = y<sub>N+1</sub> = 0
 (B. Many Manda, arXiv:2512.17483, Eq. 1).</p>

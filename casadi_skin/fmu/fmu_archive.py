@@ -16,22 +16,22 @@ from casadi_skin.fmu.unzip import Archive
 from casadi_skin.model.files import TemporaryFolder
 
 FMPY_MISSING = "fmpy is not installed; accepted: pip install 'casadi-skin[fmu]'"
-DESCRIPTION = "modelDescription.xml"
+DESCRIPTION_FILE = "modelDescription.xml"
 LARGEST_DESCRIPTION = 1 << 26  # bytes
 MOST_ELEMENTS = 1_000_000  # of XML in a description
 MOST_VARIABLES = 100_000
 MOST_STATES = 2_000
 LARGEST_REFERENCE = (1 << 32) - 1  # of FMI's functions
-DEEPEST = 100  # elements of XML within each other
-CHUNK = 1 << 16  # bytes
-_ENDINGS = {"linux": "so", "darwin": "dylib"}
+DEEPEST_XML = 100  # elements of XML within each other
+CHUNK_BYTES = 1 << 16  # bytes
+_LIBRARY_ENDINGS = {"linux": "so", "darwin": "dylib"}
 
 
 def system_name() -> str:
     """ "linux" or "darwin"; raises ValueError elsewhere, where no FMU is compiled or run by casadi_skin."""
     system = "linux" if sys.platform.startswith("linux") else sys.platform
-    if system not in _ENDINGS:
-        raise ValueError(f"platform: {sys.platform}; accepted: {', '.join(_ENDINGS)}")
+    if system not in _LIBRARY_ENDINGS:
+        raise ValueError(f"platform: {sys.platform}; accepted: {', '.join(_LIBRARY_ENDINGS)}")
     return system
 
 
@@ -46,7 +46,7 @@ def platform_folder(fmi: str) -> str:
 
 def library_ending() -> str:
     """Ending of shared libraries on this platform, without a dot; raises ValueError as `system_name`."""
-    return _ENDINGS[system_name()]
+    return _LIBRARY_ENDINGS[system_name()]
 
 
 class FmuWarning(UserWarning):
@@ -79,11 +79,11 @@ def unpack(path: str | Path) -> Unpacked:
     try:
         with path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-        if DESCRIPTION not in archive.names:
-            raise ValueError(f"{path}: no {DESCRIPTION} inside; accepted: an FMU")
+        if DESCRIPTION_FILE not in archive.names:
+            raise ValueError(f"{path}: no {DESCRIPTION_FILE} inside; accepted: an FMU")
         temporary = TemporaryFolder("casadi_skin_fmu_")
         try:
-            archive.write(temporary.path, lambda name: name == DESCRIPTION)
+            archive.write(temporary.path, lambda name: name == DESCRIPTION_FILE)
             description = read_description(path, temporary.path)
             wanted = (f"binaries/{platform_folder(description.fmiVersion)}/", "resources/")
             library = _library(path, description, archive.names, temporary.path)
@@ -106,11 +106,11 @@ def read_description(path: Path, folder: Path) -> Any:
     except ImportError as error:
         raise ValueError(FMPY_MISSING) from error
     try:
-        _check_xml((folder / DESCRIPTION).read_bytes())
+        _check_xml((folder / DESCRIPTION_FILE).read_bytes())
         description = read_model_description(folder, validate=False)
     except Exception as error:  # fmpy raises whatever its parser meets
         reason = " ".join(str(error).split())[:200]
-        raise ValueError(f"{path}: {DESCRIPTION} cannot be read: {reason or type(error).__name__}") from error
+        raise ValueError(f"{path}: {DESCRIPTION_FILE} cannot be read: {reason or type(error).__name__}") from error
     if not str(description.fmiVersion).startswith(("2.", "3.")):
         raise ValueError(f"{path}: FMI {description.fmiVersion}; accepted: 2.0, 3.0")
     if description.modelExchange is None:
@@ -143,7 +143,7 @@ class _Counter:
             (self.elements, MOST_ELEMENTS, "elements"),
             (self.variables, MOST_VARIABLES, "variables"),
             (self.states, MOST_STATES, "states"),
-            (len(self.open), DEEPEST, "elements within each other"),
+            (len(self.open), DEEPEST_XML, "elements within each other"),
         ):
             if count > most:
                 raise ValueError(f"refused, more than {most} {what}")
@@ -160,8 +160,8 @@ def _check_xml(text: bytes) -> None:
     parser.StartDoctypeDeclHandler = counter.doctype
     parser.StartElementHandler = counter.start
     parser.EndElementHandler = counter.end
-    for start in range(0, len(text), CHUNK):
-        parser.Parse(text[start : start + CHUNK])
+    for start in range(0, len(text), CHUNK_BYTES):
+        parser.Parse(text[start : start + CHUNK_BYTES])
 
 
 def _library(path: Path, description: Any, names: tuple[str, ...], folder: Path) -> Path:

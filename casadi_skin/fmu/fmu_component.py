@@ -21,8 +21,8 @@ from casadi_skin.fmu.fmu_variables import Array, Element, Group
 
 MOST_EVENT_ITERATIONS = 100
 MOST_COMPLAINTS = 20
-_WARNING = 1  # the last status of values that are there, in FMI 2.0 and 3.0
-DISCARD = 2  # the status of values that cannot be computed
+_WARNING_STATUS = 1  # the last status of values that are there, in FMI 2.0 and 3.0
+DISCARD_STATUS = 2  # the status of values that cannot be computed
 
 
 class CallError(Exception):
@@ -31,7 +31,7 @@ class CallError(Exception):
     def __init__(self, function: str, status: int) -> None:
         words = {2: "discard", 3: "error", 4: "fatal"}.get(status, "unknown")
         super().__init__(f"{function} failed with status {status} ({words}).")
-        self.discarded = status == DISCARD
+        self.discarded = status == DISCARD_STATUS
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,16 +175,16 @@ class Component:
     def place(self, t: float, x: int, inputs: Array | None) -> None:
         """Go to a time, a state and inputs."""
         instance = self._fmu.component
-        if (status := self._set_time(instance, t)) > _WARNING:
+        if (status := self._set_time(instance, t)) > _WARNING_STATUS:
             raise CallError("SetTime", status)
-        if (status := self._set_states(instance, x, self._n)) > _WARNING:
+        if (status := self._set_states(instance, x, self._n)) > _WARNING_STATUS:
             raise CallError("SetContinuousStates", status)
         if inputs is not None:
             self._give(self._moved, inputs)
 
     def rates(self, result: int) -> None:
         """The derivatives of the states."""
-        if (status := self._get_rates(self._fmu.component, result, self._n)) > _WARNING:
+        if (status := self._get_rates(self._fmu.component, result, self._n)) > _WARNING_STATUS:
             raise CallError("GetDerivatives", status)
 
     def states(self) -> Array:
@@ -260,7 +260,7 @@ def _function(dll: Any, name: str, *types: Any) -> Any:
 
 
 def _check(function: str, status: int) -> None:
-    if status > _WARNING:
+    if status > _WARNING_STATUS:
         raise CallError(function, status)
 
 

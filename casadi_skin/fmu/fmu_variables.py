@@ -21,7 +21,7 @@ from casadi_skin.model.arguments import nearest, short_repr
 
 Array = NDArray[np.float64]
 Pattern = NDArray[np.bool_]
-_REAL = ("Real", "Float64")
+_REAL_TYPES = ("Real", "Float64")
 
 
 @dataclass(frozen=True)
@@ -121,13 +121,13 @@ class Variables:
     def outputs(self) -> tuple[Element, ...]:
         """Real outputs that are neither states nor given."""
         taken = {element.name for element in (*self.states, *self.given)}
-        variables = [u.variable for u in self.description.outputs if u.variable.type in _REAL]
+        variables = [u.variable for u in self.description.outputs if u.variable.type in _REAL_TYPES]
         return tuple(e for variable in variables for e in _elements(variable) if e.name not in taken)
 
     @cached_property
     def given(self) -> tuple[Element, ...]:
         """Variables that get values: parameters of the model, then inputs that have a value or a signal."""
-        variables = [v for v in self.description.modelVariables if v.type in _REAL]
+        variables = [v for v in self.description.modelVariables if v.type in _REAL_TYPES]
         found: list[Element] = []
         for label, names, kinds in (
             ("parameters", self.choices.parameters, ("parameter", "input")),
@@ -203,7 +203,7 @@ def _check_description(path: Path, description: Any) -> None:
         raise ValueError(f"{path}: no continuous states; accepted: a model with some")
     for variable in description.modelVariables:
         _check_numbers(path, variable)
-    entries = sum(math.prod(v.shape or ()) for v in description.modelVariables if v.type in _REAL)
+    entries = sum(math.prod(v.shape or ()) for v in description.modelVariables if v.type in _REAL_TYPES)
     if entries > MOST_VARIABLES:
         raise ValueError(f"{path}: {entries} real numbers; accepted: up to {MOST_VARIABLES}")
     states = sum(math.prod(entry.variable.derivative.shape or ()) for entry in description.derivatives)
@@ -219,7 +219,7 @@ def _check_description(path: Path, description: Any) -> None:
 
 def _check_numbers(path: Path, variable: Any) -> None:
     """Raises ValueError where the start or the nominal value of a real variable is no number, or it has too many."""
-    if variable.type not in _REAL:
+    if variable.type not in _REAL_TYPES:
         return
     count = math.prod(variable.shape or ())
     if not 0 <= count <= MOST_VARIABLES:

@@ -23,15 +23,17 @@ Indices = NDArray[np.int64]
 Point = tuple[float, Array, Array]
 
 # With steps h, 2h, 4h extrapolated: the error h^4 that the estimate sees and round-off eps/h are in balance there.
-STEP = float(np.finfo(float).eps ** 0.2)
-FACTORS = np.array([1.0, -1.0, 2.0, -2.0, 4.0, -4.0])  # of the step, where the function is evaluated
+DIFFERENCE_STEP = float(np.finfo(float).eps ** 0.2)
+STEP_FACTORS = np.array([1.0, -1.0, 2.0, -2.0, 4.0, -4.0])  # of the step, where the function is evaluated
 # The derivative times h to order h^6; and the difference of two of order h^4, a fifteenth of which is the error where
 # truncation is all, not with round-off.
-EXTRAPOLATED = np.repeat([[256.0 / 360.0, -40.0 / 360.0, 1.0 / 360.0], [16.0 / 24.0, -10.0 / 24.0, 1.0 / 24.0]], 2, 1)
-EXTRAPOLATED *= np.sign(FACTORS)
-AGREEMENT = 1e-5  # of the largest entry, between differences and the FMU's own derivatives
-DIRECTIONS = 2
-TRIAL = 0.1  # of a state's nominal value, where that is compared
+EXTRAPOLATION_WEIGHTS = np.repeat(
+    [[256.0 / 360.0, -40.0 / 360.0, 1.0 / 360.0], [16.0 / 24.0, -10.0 / 24.0, 1.0 / 24.0]], 2, 1
+)
+EXTRAPOLATION_WEIGHTS *= np.sign(STEP_FACTORS)
+DERIVATIVE_AGREEMENT = 1e-5  # of the largest entry, between differences and the FMU's own derivatives
+TRIED_DIRECTIONS = 2
+TRIAL_DISTANCE = 0.1  # of a state's nominal value, where that is compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,13 +88,13 @@ class Differences:
     def moved(self, at: Array, scale: Array, columns: Columns) -> tuple[Array, Array]:
         """Where a function is evaluated, one row a point; and the step of each component, which changes by `scale`."""
         # Steps are powers of 2 times the same number for all of a group, so that quotients are exact.
-        steps = np.exp2(np.round(np.log2(STEP * np.maximum(np.abs(at), scale))))
+        steps = np.exp2(np.round(np.log2(DIFFERENCE_STEP * np.maximum(np.abs(at), scale))))
         along = columns.seeds * steps
-        return (at + FACTORS[:, None] * along[:, None, :]).reshape(-1, at.size), steps
+        return (at + STEP_FACTORS[:, None] * along[:, None, :]).reshape(-1, at.size), steps
 
     def quotients(self, values: Array, steps: Array, columns: Columns) -> Array:
         """Non-zeros by columns from the values there."""
-        sums = EXTRAPOLATED @ values.reshape(len(columns.seeds), FACTORS.size, -1)
+        sums = EXTRAPOLATION_WEIGHTS @ values.reshape(len(columns.seeds), STEP_FACTORS.size, -1)
         both = sums[columns.owners, :, columns.rows] / steps[columns.columns, None]
         largest, error = np.abs(both).max(axis=0, initial=0.0).tolist()
         if 0.0 < largest < np.inf:
@@ -181,13 +183,13 @@ class Derivatives:
         """Points where the FMU's derivatives are compared: beside its start, where it can be evaluated."""
         generator, start = np.random.default_rng(0), self.instance.start
         p = self.instance.start_given
-        for size in (TRIAL, TRIAL, 0.0):
+        for size in (TRIAL_DISTANCE, TRIAL_DISTANCE, 0.0):
             x = start + size * self.scale * generator.uniform(0.5, 1.0, start.size)
             if np.all(np.isfinite(self.value(0.0, x, p))):
                 yield 0.0, x, p
 
     def _chosen(self) -> tuple[Columns, str]:
-        directions = np.random.default_rng(1).uniform(0.5, 1.0, (DIRECTIONS, self.scale.size)) * self.scale
+        directions = np.random.default_rng(1).uniform(0.5, 1.0, (TRIED_DIRECTIONS, self.scale.size)) * self.scale
         trials = [(at, self._along(at, directions)) for at in self._trials()]
         for how in ("directional", "differences") if self.offered else ("differences",):
             for pattern in (self._declared, np.ones_like(self._declared)):
@@ -232,7 +234,7 @@ def _rows(values: Array, count: int) -> Array:
 
 
 def _agree(given: Array, known: Array) -> bool:
-    return bool(np.all(np.abs(given - known) <= AGREEMENT * np.abs(known).max(initial=0.0)))
+    return bool(np.all(np.abs(given - known) <= DERIVATIVE_AGREEMENT * np.abs(known).max(initial=0.0)))
 
 
 # An FMU's right-hand side or outputs as a function of CasADi with its Jacobian ----------------------------------------

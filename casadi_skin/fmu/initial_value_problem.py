@@ -17,13 +17,13 @@ from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.model.arguments import number, numbers, short_repr
-from casadi_skin.model.jumps import INPUT, NAMES, STATE, TIME, Switch, switches
+from casadi_skin.model.jumps import INPUT, OPERATION_NAMES, STATE, TIME, Switch, switches
 from casadi_skin.model.ode import OdeModel
 
 LONGEST_NAME = 60  # characters of an identifier: names of files are made of it
-PERIODS = 10  # of the linear mode, the orbit or the forcing, in the default experiment
-SAMPLES = 256  # of an orbit, for the sizes along it
-SMALLEST = 1e-250  # size of a state that is distinguished from zero
+DEFAULT_PERIODS = 10  # of the linear mode, the orbit or the forcing, in the default experiment
+ORBIT_SAMPLES = 256  # of an orbit, for the sizes along it
+SMALLEST_STATE_SIZE = 1e-250  # size of a state that is distinguished from zero
 DEFAULT_S = 0.01  # amplitude of a start from a linear mode: small, so that the mode is nearly an orbit
 
 Bounds = tuple[float, float]
@@ -80,7 +80,7 @@ def initial_value_problem(
     if isinstance(what, OdeModel):
         return _of_model(what, start, what.nominal, stop_time, tolerance)
     if isinstance(what, Orbit):
-        start, stop = what.profile if start is None else start, stop_time or PERIODS * what.period
+        start, stop = what.profile if start is None else start, stop_time or DEFAULT_PERIODS * what.period
         sizes = sizes_along(what)
         if isinstance(what.model, Chain):
             return _of_chain(what.model, start, sizes, stop, tolerance)
@@ -92,7 +92,7 @@ def initial_value_problem(
     mode, S = 1 if mode is None else mode, DEFAULT_S if S is None else S
     frequency = what.linear_frequency(mode)
     start = _linear_mode(what, mode, S) if start is None else start
-    stop = PERIODS * 2.0 * np.pi / frequency if stop_time is None else stop_time
+    stop = DEFAULT_PERIODS * 2.0 * np.pi / frequency if stop_time is None else stop_time
     return _of_chain(what, start, _sizes_in_gauge(what, start, frequency), stop, tolerance)
 
 
@@ -101,7 +101,7 @@ def initial_value_problem(
 
 def sizes_along(orbit: Orbit) -> Array:
     """The largest value of every component of the first-order state along an orbit."""
-    t = orbit.period * np.arange(SAMPLES) / SAMPLES
+    t = orbit.period * np.arange(ORBIT_SAMPLES) / ORBIT_SAMPLES
     if isinstance(orbit.model, Chain):
         sizes = np.abs(np.asarray(orbit.profile))  # at rest all displacements are largest
         return np.concatenate([sizes, orbit.Omega * sizes])
@@ -124,8 +124,8 @@ def _sizes_in_gauge(chain: Chain, start: ArrayLike, frequency: float) -> Array:
 def _nominals(sizes: ArrayLike) -> tuple[float, ...]:
     """Usual sizes, none of them zero: those that vanish are as the smallest other one."""
     found = np.asarray(sizes, dtype=float)
-    some = found[np.isfinite(found) & (found >= SMALLEST)]
-    return tuple(np.where(found >= SMALLEST, found, some.min() if some.size else 1.0).tolist())
+    some = found[np.isfinite(found) & (found >= SMALLEST_STATE_SIZE)]
+    return tuple(np.where(found >= SMALLEST_STATE_SIZE, found, some.min() if some.size else 1.0).tolist())
 
 
 # Chains -------------------------------------------------------------------------------------------------------------
@@ -251,7 +251,7 @@ def _of_model(
 
 
 def _default_stop(model: OdeModel, parameters: Iterable[float]) -> float:
-    return PERIODS * abs(model.forcing_period_at(list(parameters))) if model.forced else float(PERIODS)
+    return DEFAULT_PERIODS * abs(model.forcing_period_at(list(parameters))) if model.forced else float(DEFAULT_PERIODS)
 
 
 def _start(given: ArrayLike, *counts: int) -> tuple[float, ...]:
@@ -264,7 +264,7 @@ def _start(given: ArrayLike, *counts: int) -> tuple[float, ...]:
 # The C of an FMU that depends on its model: equations with their derivatives, and the header config.h -----------------
 
 Pattern = NDArray[np.bool_]
-ROLES = ("derivatives", "outputs", "forward", "adjoint")  # of the generated functions
+FUNCTION_ROLES = ("derivatives", "outputs", "forward", "adjoint")  # of the generated functions
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,7 +355,7 @@ def check_smooth(problem: InitialValueProblem) -> None:
 def _jumps(found: Sequence[Switch]) -> list[str]:
     """Names of operations that jump, if_else before the comparison in it."""
     return sorted(
-        {switch.name for switch in found if switch.name in NAMES.values()}, key=lambda name: name != "if_else"
+        {switch.name for switch in found if switch.name in OPERATION_NAMES.values()}, key=lambda name: name != "if_else"
     )
 
 
@@ -387,7 +387,7 @@ def config_header(problem: InitialValueProblem, equations: Equations, token: str
         f"enum {{ {', '.join(f'{name.upper()} = {value}' for name, value in sizes.items())} }};\n",
         "typedef long long int casadi_int;",
         *(f"int {f.name()}{arguments};" for f in functions),
-        *(f"#define MODEL_{role.upper()} {f.name()}" for role, f in zip(ROLES, functions, strict=True)),
+        *(f"#define MODEL_{role.upper()} {f.name()}" for role, f in zip(FUNCTION_ROLES, functions, strict=True)),
         "",
         *(_array(name, values) for name, values in arrays.items()),
         "\n#endif\n",

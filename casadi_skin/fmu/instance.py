@@ -22,7 +22,7 @@ from casadi_skin.model.arguments import nearest, short_repr
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
 
-SHIFTED = 6  # sets of values that differences with three steps take for each parameter
+SHIFTED_SETS = 6  # sets of values that differences with three steps take for each parameter
 MOST_COMPONENTS = 64
 
 
@@ -44,7 +44,7 @@ class FmuInstance:
         self._moved = np.array([k for k, e in enumerate(self.given) if e.is_input], dtype=int)
         self._held = np.array([k for k, e in enumerate(self.given) if not e.is_input], dtype=int)
         once = unpacked.description.modelExchange.canBeInstantiatedOnlyOncePerProcess
-        self._most = 1 if once else min(MOST_COMPONENTS, SHIFTED * self._held.size + 2)
+        self._most = 1 if once else min(MOST_COMPONENTS, SHIFTED_SETS * self._held.size + 2)
         self._components: dict[bytes, Component] = {}  # by their parameters
         self._finalizer = weakref.finalize(self, _close, self._components, self._loaded, unpacked.remove)
         self._requests: dict[Group, Values] = {}

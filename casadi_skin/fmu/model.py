@@ -17,17 +17,17 @@ from xml.etree import ElementTree as ET
 import casadi as ca
 import numpy as np
 
-from casadi_skin.fmu.fmu_archive import DESCRIPTION, Unpacked, read_description, unpack
+from casadi_skin.fmu.fmu_archive import DESCRIPTION_FILE, Unpacked, read_description, unpack
 from casadi_skin.fmu.fmu_variables import FmuChoices, Variables
-from casadi_skin.fmu.function import STEP, Derivatives, FmuFunction
+from casadi_skin.fmu.function import DIFFERENCE_STEP, Derivatives, FmuFunction
 from casadi_skin.fmu.instance import FmuInstance
 from casadi_skin.model.arguments import by_name, file_path, number, short_repr
 from casadi_skin.model.expressions import expression_of
 from casadi_skin.model.ode import OdeModel
 
 Signal: TypeAlias = float | Callable[[Any], Any]
-_TIMES = (0.0, 0.37, 1.9)  # where the equations must be the same unless the model is forced
-PERIODIC = 1e-9  # of a signal's size, between times that are a period apart
+_COMPARED_TIMES = (0.0, 0.37, 1.9)  # where the equations must be the same unless the model is forced
+PERIODIC_RTOL = 1e-9  # of a signal's size, between times that are a period apart
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -62,7 +62,7 @@ class FmuModel(OdeModel):
     @property
     def rounding(self) -> float:
         """Relative error of values, which gives differences with their step the error `noise`."""
-        return max(super().rounding, STEP * self.noise)
+        return max(super().rounding, DIFFERENCE_STEP * self.noise)
 
     @property
     def complaints(self) -> tuple[str, ...]:
@@ -135,15 +135,17 @@ def signal_at(name: str, signal: Signal, t: ca.MX, period: float | None) -> ca.M
         return expression
     if period is None:
         raise ValueError(f"inputs, {name}: given a function of time; accepted: with forcing_period=")
-    now, later = (np.array([float(ca.Function("u", [t], [expression])(s + at)) for at in _TIMES]) for s in (0, period))
-    if not np.allclose(now, later, rtol=PERIODIC, atol=PERIODIC * max(1.0, float(np.abs(now).max()))):
+    now, later = (
+        np.array([float(ca.Function("u", [t], [expression])(s + at)) for at in _COMPARED_TIMES]) for s in (0, period)
+    )
+    if not np.allclose(now, later, rtol=PERIODIC_RTOL, atol=PERIODIC_RTOL * max(1.0, float(np.abs(now).max()))):
         raise ValueError(f"inputs, {name}: given a signal that has not the period {period:g}; accepted: one that has")
     return expression
 
 
 def _offers_derivatives(instance: FmuInstance) -> bool:
     """Whether the FMU says so; fmpy does not keep that flag of FMI 3.0."""
-    exchange = ET.parse(instance.folder / DESCRIPTION).getroot().find("ModelExchange")
+    exchange = ET.parse(instance.folder / DESCRIPTION_FILE).getroot().find("ModelExchange")
     flags = ("providesDirectionalDerivatives", "providesDirectionalDerivative")
     return exchange is not None and any(exchange.get(flag) in ("true", "1") for flag in flags)
 
@@ -151,16 +153,16 @@ def _offers_derivatives(instance: FmuInstance) -> bool:
 def _check_autonomous(instance: FmuInstance, inputs: list[float]) -> None:
     """Raises ValueError where the derivatives at the start change with time alone."""
     given = np.concatenate([instance.start_given[: instance.start_given.size - len(inputs)], inputs])
-    rows = np.ones((len(_TIMES), 1))
-    values = instance.at(None, _TIMES, rows * instance.start, rows * given)
+    rows = np.ones((len(_COMPARED_TIMES), 1))
+    values = instance.at(None, _COMPARED_TIMES, rows * instance.start, rows * given)
     if not np.array_equal(values, rows * values[0], equal_nan=True):
         raise ValueError(f"{instance.path}: the equations depend on time; accepted: with forcing_period=")
 
 
 # An FMU's binary in a process of its own first: where it ends that process, or never answers, it is refused -----------
 
-ANSWERED = 86  # the exit status of a process in which the binary came back, with values or an error
-_PROGRAM = "from casadi_skin.fmu.model import main; main()"
+ANSWERED_EXIT_STATUS = 86  # the exit status of a process in which the binary came back, with values or an error
+_TRIAL_PROGRAM = "from casadi_skin.fmu.model import main; main()"
 _answered: set[tuple[str, str]] = set()  # archives and arguments that were tried in this process
 
 
@@ -174,7 +176,7 @@ def check_answer(unpacked: Unpacked, choices: FmuChoices, inputs: Mapping[str, f
     words = json.dumps({**places, **wanted, "time_limit": time_limit})
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(p or str(Path.cwd()) for p in sys.path)}
     with subprocess.Popen(
-        [sys.executable, "-P", "-c", _PROGRAM, words], env=environment, stdin=subprocess.PIPE,
+        [sys.executable, "-P", "-c", _TRIAL_PROGRAM, words], env=environment, stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     ) as process:  # fmt: skip
         try:
@@ -187,7 +189,7 @@ def check_answer(unpacked: Unpacked, choices: FmuChoices, inputs: Mapping[str, f
         finally:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
-    if status != ANSWERED:
+    if status != ANSWERED_EXIT_STATUS:
         how = signal.Signals(-status).name if status < 0 else f"exit status {status}"
         accepted = "accepted: one that comes back"
         raise ValueError(f"{unpacked.path}: its binary ends the process that calls it ({how}); {accepted}")
@@ -209,7 +211,7 @@ def main() -> None:
         model.function("once", model.rhs, *model.outputs.values())(0.0, model.start_state, model.nominal or ())
     except Exception:  # the same is raised, and reported, where the FMU is read
         pass
-    os._exit(ANSWERED)
+    os._exit(ANSWERED_EXIT_STATUS)
 
 
 def _end_with_parent() -> None:
@@ -219,7 +221,7 @@ def _end_with_parent() -> None:
 
 # Models of FMUs in files of results: the identity of the FMU and the choices of its import; never its binary ----------
 
-SAMPLES = 8  # times in a period at which signals are compared
+SAMPLES_PER_PERIOD = 8  # times in a period at which signals are compared
 
 
 class OtherModelError(ValueError):
@@ -231,7 +233,7 @@ def identity(model: FmuModel) -> dict[str, Any]:
     variables = model.instance.variables
     choices, description = variables.choices, variables.description
     token = description.guid if str(description.fmiVersion).startswith("2") else description.instantiationToken
-    times = [k / SAMPLES * (choices.forcing_period or 0.0) for k in range(SAMPLES)]
+    times = [k / SAMPLES_PER_PERIOD * (choices.forcing_period or 0.0) for k in range(SAMPLES_PER_PERIOD)]
     signals = np.array([np.array(model.signals(t)).ravel() for t in times])
     return {
         "name": model.name,

@@ -14,13 +14,21 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 
-LARGEST = 1 << 30  # bytes of all files together, unpacked
-SMALL = 1 << 26  # bytes that any archive may unpack to
-RATIO = 50  # of all files unpacked to the archive, beyond that
+MOST_UNPACKED_BYTES = 1 << 30  # bytes of all files together, unpacked
+ALWAYS_ALLOWED_BYTES = 1 << 26  # bytes that any archive may unpack to
+MOST_COMPRESSION_RATIO = 50  # of all files unpacked to the archive, beyond that
 MOST_FILES = 20_000
 LONGEST_DIRECTORY = 1 << 22  # bytes of the list of files
-METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # those of the FMI standard
-DAMAGED = (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError, ValueError)
+COMPRESSION_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # those of the FMI standard
+DAMAGED_ARCHIVE_ERRORS = (
+    zipfile.BadZipFile,
+    zlib.error,
+    OSError,
+    EOFError,
+    NotImplementedError,
+    RuntimeError,
+    ValueError,
+)
 
 
 class Archive:
@@ -36,7 +44,7 @@ class Archive:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of strange names, which are checked here
                 self._zip = zipfile.ZipFile(path)
-        except DAMAGED as error:
+        except DAMAGED_ARCHIVE_ERRORS as error:
             raise ValueError(f"{path}: cannot be read as {kind}: {error}") from error
         try:
             self._members, self.repeated = _checked(path, self._zip)
@@ -61,7 +69,7 @@ class Archive:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 with self._zip.open(member) as source, target.open("xb") as copy:
                     shutil.copyfileobj(source, copy)  # zipfile reads no more than the size that was checked
-            except DAMAGED as error:
+            except DAMAGED_ARCHIVE_ERRORS as error:
                 raise ValueError(f"{self.path}: damaged: {name!r}: {error}") from error
 
     def close(self) -> None:
@@ -88,7 +96,7 @@ def _checked(path: Path, archive: zipfile.ZipFile) -> tuple[dict[str, zipfile.Zi
     if len(members) > MOST_FILES:
         raise ValueError(f"{path}: {len(members)} files inside; accepted: up to {MOST_FILES}")
     size = sum(member.file_size for member in members)
-    most = min(LARGEST, max(SMALL, RATIO * path.stat().st_size))
+    most = min(MOST_UNPACKED_BYTES, max(ALWAYS_ALLOWED_BYTES, MOST_COMPRESSION_RATIO * path.stat().st_size))
     if size > most:
         raise ValueError(f"{path}: {size} bytes when unpacked; accepted: up to {most}")
     found: dict[str, zipfile.ZipInfo] = {}
@@ -102,7 +110,7 @@ def _checked(path: Path, archive: zipfile.ZipFile) -> tuple[dict[str, zipfile.Zi
             raise ValueError(f"{path}: refused: {name!r} is a link")
         if member.flag_bits & 1:
             raise ValueError(f"{path}: refused: {name!r} is encrypted")
-        if member.compress_type not in METHODS:
+        if member.compress_type not in COMPRESSION_METHODS:
             raise ValueError(f"{path}: refused: {name!r} is compressed by method {member.compress_type}, not deflate")
         if name in found:
             repeated.add(name)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.follow.corners import Corner, Side, point_before, shifts, side_of, turned
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.polynomials import HISTORY, predicting, predictor
+from casadi_skin.follow.polynomials import PREDICTING_POINTS, predicting, predictor
 from casadi_skin.solve.newton import Correction
 from casadi_skin.zero.problem import Array, Problem, Scalar, SingularError
 from casadi_skin.zero.settings import End, Point, Target, known_end
@@ -47,7 +47,7 @@ class ArclengthContinuation:
 
     def __init__(self, point_solver: PointSolver, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> None:
         self.point_solver, self.settings = point_solver, point_solver.settings
-        self.history, self._reported = history[-HISTORY:], reported
+        self.history, self._reported = history[-PREDICTING_POINTS:], reported
         self.end: End | None = None
         self.detail = ""
         self.rejected = 0
@@ -69,7 +69,7 @@ class ArclengthContinuation:
             yield from self._requested(current, following)
             if self.end is End.REACHED:
                 return
-            self.history = (*self.history, following)[-HISTORY:]
+            self.history = (*self.history, following)[-PREDICTING_POINTS:]
             yield following.snapped(self.settings.at)
             if sign * following.parameter <= self.settings.lowest * abs(self.settings.parameter_max):
                 self.end = End.RETURNED if self.settings.parameter_min == 0.0 else End.AWAY
@@ -202,9 +202,9 @@ class ArclengthContinuation:
 
 # Neighbouring points of a branch that are too far apart to predict the stretch between them: smaller steps there ------
 
-FIRST = 1 / 16  # of the way from one point to the next: the first step
-AIM = 3.0  # degrees that the branch turns by in a step
-MOST = 3000  # points of a walk
+FIRST_STEP_FRACTION = 1 / 16  # of the way from one point to the next: the first step
+AIMED_TURN_DEGREES = 3.0  # degrees that the branch turns by in a step
+MOST_WALKED_POINTS = 3000  # points of a walk
 
 
 def with_what_lies_between(point_solver: PointSolver, points: Sequence[Point], lost: NDArray[np.bool_]) -> list[Point]:
@@ -230,11 +230,11 @@ def with_what_lies_between(point_solver: PointSolver, points: Sequence[Point], l
 
 def _walked(point_solver: PointSolver, before: Point, after: Point) -> tuple[list[Point], bool]:
     """The points of a walk from one point to another, and whether it came to the branch's end instead; else none."""
-    step = FIRST * float(np.linalg.norm(_way(point_solver, before, after)))
-    settings = replace(point_solver.settings, at=(), first_step=step, aim_angle=AIM, tiny_first=False)
+    step = FIRST_STEP_FRACTION * float(np.linalg.norm(_way(point_solver, before, after)))
+    settings = replace(point_solver.settings, at=(), first_step=step, aim_angle=AIMED_TURN_DEGREES, tiny_first=False)
     walk = ArclengthContinuation(PointSolver(point_solver.levels, settings), (replace(before, step=step),))
     found = [before]
-    for point in islice(walk, MOST):
+    for point in islice(walk, MOST_WALKED_POINTS):
         if _passes(point_solver, found[-1], point, after):
             return found[1:], False
         found.append(point)
@@ -252,4 +252,4 @@ def _passes(point_solver: PointSolver, start: Point, end: Point, point: Point) -
     """Whether a step goes by a point."""
     step = float(np.linalg.norm(_way(point_solver, start, end)))
     before, beyond = (float(np.linalg.norm(_way(point_solver, p, point))) for p in (start, end))
-    return bool(before + beyond <= step / np.cos(np.radians(AIM)))
+    return bool(before + beyond <= step / np.cos(np.radians(AIMED_TURN_DEGREES)))

@@ -33,16 +33,16 @@ from casadi_skin.zero import mesh
 from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.closure import Closure, closure_of
 from casadi_skin.zero.family import TWO_PI, Method, numbered
-from casadi_skin.zero.orbit import FIRST, Periodic, Sizes
+from casadi_skin.zero.orbit import FIRST_INTERVALS, Periodic, Sizes
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
 from casadi_skin.zero.settings import ContinuationSettings, Point, Refinement, Target
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.zero.statement import Statement
 
-INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
+MESH_INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
 OFF_EDGE = 1e-10  # of the interval: distance of a jump in time from an edge of the mesh that counts
 PER_STAGE = 2  # places a stage at which a solution is looked at for jumps
-ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
+MOST_IPOPT_ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
 
 
 class ParentBranch(Protocol):
@@ -108,7 +108,7 @@ class BoundarySolutions(SolutionSpace):
         name = self.method.corrector
         more: dict[str, Any] = {"always": self.statement.always_confirmed} if name == "ipopt" else {}
         make: Any = ArbitratedCorrector if name == "ipopt" else CORRECTORS[name]
-        return RoundedCorrector(make(problem, tolerance, ITERATIONS, **more))
+        return RoundedCorrector(make(problem, tolerance, MOST_IPOPT_ITERATIONS, **more))
 
     @cached_property
     def levels(self) -> Levels:
@@ -123,7 +123,9 @@ class BoundarySolutions(SolutionSpace):
                 self.statement, formulation, intervals, table, sizes.states, sizes.scalars, walking, self.to
             )
 
-        return Levels(build, self._corrector, tuple(sorted({*INTERVALS, int(self.method.intervals or FIRST)})))
+        return Levels(
+            build, self._corrector, tuple(sorted({*MESH_INTERVALS, int(self.method.intervals or FIRST_INTERVALS)}))
+        )
 
     @cached_property
     def point_solver(self) -> PointSolver:

@@ -18,7 +18,7 @@ from casadi_skin.follow.location import Located, locate_rest, special_orbit
 from casadi_skin.follow.period_limit import joined_words, unbounded
 from casadi_skin.follow.refined import BoundaryError, refined
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.special_points import FINE, NotLocatedError, fold_between, turning
+from casadi_skin.follow.special_points import TEST_ZERO_XTOL, NotLocatedError, fold_between, turning
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.kinds import BOUND, BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF
@@ -37,10 +37,12 @@ if TYPE_CHECKING:
 
 # Bounds on states and free parameters along a branch: where the first of them is met, and which -----------------------
 
-WITHIN = 8  # places between two columns of a mesh at which a state is looked at
-ZOOMS = 4  # into the neighbours of the largest value: places then differ by 1e-5 of theirs, values by the square
-PLACES = np.linspace(0.0, 1.0, 17)[1:]  # of a stretch, at which it is predicted whether a bound is met
-TINY = 1e-12  # of the size of a quantity: a bound that is as near is met
+PLACES_WITHIN_COLUMN = 8  # places between two columns of a mesh at which a state is looked at
+EXTREMUM_ZOOMS = (
+    4  # into the neighbours of the largest value: places then differ by 1e-5 of theirs, values by the square
+)
+BOUND_PREDICTION_PLACES = np.linspace(0.0, 1.0, 17)[1:]  # of a stretch, at which it is predicted whether a bound is met
+BOUND_MET_RTOL = 1e-12  # of the size of a quantity: a bound that is as near is met
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ def margins(space: BoundarySolutions, point: Point) -> list[Margin]:
                 size = float(np.max(np.abs(states[:, component])))
                 turn, value = _largest(space, point, turns, sign * states[:, component], component, sign)
                 time = start + turn * (end - start)
-            size = max(abs(bound), size, TINY)
+            size = max(abs(bound), size, BOUND_MET_RTOL)
             found.append(Margin((sign * bound - value) / size, name, f"{words} bound {bound:.10g}", time))
     return found
 
@@ -92,7 +94,7 @@ def _turns(space: BoundarySolutions, problem: BoundaryProblem) -> Array:
     if space.periodic is not None:
         part = space.periodic.symmetry.value
         edges = np.unique(np.concatenate([edges * part, 1.0 - edges * part, np.linspace(0.0, 1.0, edges.size)]))
-    inner = np.linspace(0.0, 1.0, WITHIN, endpoint=False)
+    inner = np.linspace(0.0, 1.0, PLACES_WITHIN_COLUMN, endpoint=False)
     return np.append((edges[:-1, None] + np.diff(edges)[:, None] * inner).ravel(), 1.0)
 
 
@@ -106,11 +108,11 @@ def _largest(
     space: BoundarySolutions, point: Point, turns: Array, values: Array, component: int, sign: float
 ) -> tuple[float, float]:
     """Where a state times a sign is largest, and its value there, between the places that it is known at too."""
-    for _ in range(ZOOMS):
+    for _ in range(EXTREMUM_ZOOMS):
         at = int(np.argmax(values))
         if at in (0, turns.size - 1):
             break
-        turns = np.linspace(turns[at - 1], turns[at + 1], 4 * WITHIN + 1)
+        turns = np.linspace(turns[at - 1], turns[at + 1], 4 * PLACES_WITHIN_COLUMN + 1)
         values = sign * _states(space, point, turns)[:, component]
     at = int(np.argmax(values))
     return float(turns[at]), float(values[at])
@@ -142,13 +144,13 @@ def met_between(space: BoundarySolutions, before: Point, after: Point) -> Point 
     slack = np.zeros(len(margins(space, before)))
     slack = np.where(values(0.0) > space.tolerance, 0.0, space.tolerance)
     curve, length = solver.curve(before, after)
-    for place in PLACES:
+    for place in BOUND_PREDICTION_PLACES:
         predicted = after if place == 1.0 else replace(after, z=curve.at(place * length))
         passed = slack + [one.value for one in margins(space, predicted)] < 0.0
         passed &= values(place) < 0.0 if np.any(passed) else passed
         if np.any(passed):
             numbers = np.flatnonzero(passed).tolist()
-            roots = [brentq(partial(value, number), 0.0, place, xtol=FINE) for number in numbers]
+            roots = [brentq(partial(value, number), 0.0, place, xtol=TEST_ZERO_XTOL) for number in numbers]
             first = float(min(roots))
             values(first)
             return replace(known[first], special=BOUND, walked=False, requested=False)
@@ -157,7 +159,7 @@ def met_between(space: BoundarySolutions, before: Point, after: Point) -> Point 
 
 # The Hopf point at which a branch of orbits ends, as they shrink to an equilibrium ------------------------------------
 
-REACH = 0.5  # of the variation of an orbit: largest distance of the equilibrium that it shrinks to
+SHRUNK_ORBIT_REACH = 0.5  # of the variation of an orbit: largest distance of the equilibrium that it shrinks to
 
 
 def at_rest(problem: BoundaryProblem, x: Array, period: float, u: float) -> Array:
@@ -196,8 +198,10 @@ def _hopf_near(space: BoundarySolutions, orbit: Point) -> tuple[EquilibriumEquat
     if found is None:
         return None
     reach = np.ptp(states, axis=0) / equilibria.sizes
-    near = np.max(np.abs(found.y - y)) <= REACH * np.max(reach) and abs(found.s - u) <= max(0.1, REACH * np.max(reach))
-    same_period = abs(2.0 * np.pi / found.frequency - values[PERIOD]) <= REACH * values[PERIOD]
+    near = np.max(np.abs(found.y - y)) <= SHRUNK_ORBIT_REACH * np.max(reach) and abs(found.s - u) <= max(
+        0.1, SHRUNK_ORBIT_REACH * np.max(reach)
+    )
+    same_period = abs(2.0 * np.pi / found.frequency - values[PERIOD]) <= SHRUNK_ORBIT_REACH * values[PERIOD]
     return (equilibria, found) if near and same_period else None
 
 
@@ -212,7 +216,7 @@ def _as_orbit(space: BoundarySolutions, orbit: Point, equilibria: EquilibriumEqu
     return replace(orbit, z=z, error=error, requested=False, walked=False, better=None, special=HOPF)
 
 
-BESIDE = 1e-3  # of the way from a branch point: where the search for other special points starts
+OFFSET_FROM_BRANCH_POINT = 1e-3  # of the way from a branch point: where the search for other special points starts
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,11 +261,11 @@ class BoundarySpace(BoundarySolutions):
             crossed = [point if several else self._solved(point, before) for point, several in found]
         first: Point | None = before
         for point in crossed:
-            left = None if first is None else self.point_solver.along(first, point, 1.0 - BESIDE)
+            left = None if first is None else self.point_solver.along(first, point, 1.0 - OFFSET_FROM_BRANCH_POINT)
             if first is not None and left is not None:
                 yield from self._turns_between(first, left)
             yield point
-            first = self.point_solver.along(point, after, BESIDE)
+            first = self.point_solver.along(point, after, OFFSET_FROM_BRANCH_POINT)
         if first is not None:
             yield from self._turns_between(first, after)
         if met is not None:

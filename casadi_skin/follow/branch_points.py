@@ -31,16 +31,16 @@ from casadi_skin.zero.settings import Point
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
 
-HALVINGS = 36
-NOISE = 1e-9  # of a step: nearer to a branch point the corrector's own error hides its side
-FINER = 6  # levels that are tried
-TWICE = 1e-2  # of a step: one eigenvalue that passes zero twice within it is not seen
-PLACES = 80  # on a stretch: more are needed only where rounding hides the branch, as on its way to infinity
-PARTED = 0.4823  # of a stretch: where it is parted, seldom at a branch point
-BEYOND = 1e-6  # of a step: where a branch point itself is looked at
-UPRIGHT = 1e-4  # of the rate of the parameter along a branch: that of one that crosses upright, by differences
-ROUNDED = 1e-8  # a rate that is rounding, where neither branch changes the parameter
-DIFFERENCE = 1e-4  # of a step: that of derivatives along it
+MOST_HALVINGS = 36
+SIDE_NOISE = 1e-9  # of a step: nearer to a branch point the corrector's own error hides its side
+FINER_LEVELS_TRIED = 6  # levels that are tried
+DOUBLE_PASSAGE_WIDTH = 1e-2  # of a step: one eigenvalue that passes zero twice within it is not seen
+MOST_PLACES = 80  # on a stretch: more are needed only where rounding hides the branch, as on its way to infinity
+PARTING_FRACTION = 0.4823  # of a stretch: where it is parted, seldom at a branch point
+OFFSET_AT_BRANCH_POINT = 1e-6  # of a step: where a branch point itself is looked at
+UPRIGHT_RATE = 1e-4  # of the rate of the parameter along a branch: that of one that crosses upright, by differences
+ROUNDED_RATE = 1e-8  # a rate that is rounding, where neither branch changes the parameter
+DIFFERENCE_STEP = 1e-4  # of a step: that of derivatives along it
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class _Stretch:
             try:
                 self.known[fraction] = self._bordered(fraction)
             except SingularError:  # at a branch point itself
-                self.known[fraction] = self._bordered(fraction + BEYOND)
+                self.known[fraction] = self._bordered(fraction + OFFSET_AT_BRANCH_POINT)
         return self.known[fraction]
 
     def _bordered(self, fraction: float) -> Bordered:
@@ -97,8 +97,8 @@ class _Stretch:
     def rates(self, fraction: float) -> Array:
         """Rates along the way of the eigenvalues that are 1 at a fraction of it; raises SingularError."""
         if fraction not in self.known_rates:
-            change = (self._predicted(fraction + DIFFERENCE) - self._predicted(fraction - DIFFERENCE)) / (
-                2.0 * DIFFERENCE
+            change = (self._predicted(fraction + DIFFERENCE_STEP) - self._predicted(fraction - DIFFERENCE_STEP)) / (
+                2.0 * DIFFERENCE_STEP
             )
             self.known_rates[fraction] = outer_eigenvalues(self.bordered(fraction), change)
         return self.known_rates[fraction]
@@ -116,20 +116,20 @@ class _Stretch:
             before = (found[0][0] - low) / way if found else None
             after = (high - found[0][0]) / way if found else None
             if (
-                way < TWICE
-                or len(self.known) > PLACES
+                way < DOUBLE_PASSAGE_WIDTH
+                or len(self.known) > MOST_PLACES
                 or (quiet(self.rates(low), way, before) and quiet(-self.rates(high), way, after))
             ):
                 return found
-        middle = low + PARTED * way
+        middle = low + PARTING_FRACTION * way
         return [*self.roots(low, middle), *self.roots(middle, high)]
 
     def _place(self, low: float, high: float, count: int) -> float:
         """Places where branches cross within a part of the way, one or an even number of them in one place."""
         first = self.side(low)
-        for _ in range(HALVINGS):
+        for _ in range(MOST_HALVINGS):
             middle = 0.5 * (low + high)
-            if high - low < NOISE:
+            if high - low < SIDE_NOISE:
                 break
             if count % 2:
                 here = self.side(middle)
@@ -153,7 +153,7 @@ def branch_points_between(point_solver: PointSolver, before: Point, after: Point
     """
     problem: Problem | None = after.problem
     found: list[tuple[Point, bool]] = []
-    for _ in range(FINER):
+    for _ in range(FINER_LEVELS_TRIED):
         assert problem is not None
         stretch = _Stretch.of(point_solver, before, after, problem)
         try:
@@ -184,7 +184,7 @@ def _points(
         return []
     z, slope = stretch.curve.at(root * stretch.length), stretch.length * stretch.curve.slope(root * stretch.length)
     z = np.where(np.arange(z.size) == stretch.problem.parameter_index, z, state[0])
-    return [(_as_point(stretch, after, z, slope, NOISE, coarser), False)]
+    return [(_as_point(stretch, after, z, slope, SIDE_NOISE, coarser), False)]
 
 
 def _as_point(stretch: _Stretch, after: Point, z: Array, slope: Array, own: float, coarser: Sequence[Point]) -> Point:
@@ -209,7 +209,7 @@ def leaving_tangent(point_solver: PointSolver, point: Point, side: int) -> Array
     place, states = problem.parameter_index, tangent[: problem.states]
     along = point.tangent / np.sqrt(np.sum(point_solver.metric(problem, point.z) * point.tangent**2))
     tangent = tangent / np.sqrt(np.sum(point_solver.metric(problem, point.z) * tangent**2))
-    upright = abs(tangent[place]) <= max(UPRIGHT * abs(along[place]), ROUNDED)
+    upright = abs(tangent[place]) <= max(UPRIGHT_RATE * abs(along[place]), ROUNDED_RATE)
     tangent[place] = 0.0 if upright else tangent[place]
     sign = np.sign(states[np.argmax(np.abs(states))]) if upright else np.sign(tangent[place])
     return np.asarray(side * sign * tangent)

@@ -24,17 +24,22 @@ from casadi_skin.zero.problem import Array, Problem
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.unresolved import Unresolved
 
-STEEPEST = 0.6  # cosine of the angle between the branch and the direction of its section, at least
-NEARBY = 0.3  # of the distance of neighbouring points: how far an orbit may be from where they predict it
-ENDING, NEAR_END = 2, 0.01  # steps to the end of the branch, and how far it may be, of the distance of the last points
-NEIGHBOURS = 4  # points that an orbit is predicted from
-NEARER = 0.25  # of the way from a point to an orbit that is not found: where one is sought next
-NEAREST = 1e-4  # of that way, at least
-ADDED = 24  # orbits that are added for one that is not found, at most
-UNEVEN = 2.0  # responses to rounding within a piece, one over another, beyond which the larger is looked at as well
+LEAST_SECTION_COSINE = 0.6  # cosine of the angle between the branch and the direction of its section, at least
+NEARBY_DISTANCE = 0.3  # of the distance of neighbouring points: how far an orbit may be from where they predict it
+END_STEPS, NEAR_END = (
+    2,
+    0.01,
+)  # steps to the end of the branch, and how far it may be, of the distance of the last points
+PREDICTING_POINTS = 4  # points that an orbit is predicted from
+NEARER_FRACTION = 0.25  # of the way from a point to an orbit that is not found: where one is sought next
+NEAREST_FRACTION = 1e-4  # of that way, at least
+MOST_ADDED_ORBITS = 24  # orbits that are added for one that is not found, at most
+UNEVEN_RESPONSES = (
+    2.0  # responses to rounding within a piece, one over another, beyond which the larger is looked at as well
+)
 ORBIT_SAFETY = 2.0
-GAIN = 0.5  # of an error on one level of resolution: the remaining part on the next, unless it is rounding
-ROUGH = 1e-8  # error that is more than rounding, however slowly it falls from level to level
+LEVEL_GAIN = 0.5  # of an error on one level of resolution: the remaining part on the next, unless it is rounding
+ROUGH_ERROR = 1e-8  # error that is more than rounding, however slowly it falls from level to level
 
 
 @dataclass(frozen=True)
@@ -63,10 +68,10 @@ class _Section:
     def predicted(self, places: Array) -> tuple[Array, Array]:
         """Orbits by Hermite interpolation through the nearest points, and the distances of the two next to each."""
         right = np.clip(np.searchsorted(self.places, places), 1, self.places.size - 1)
-        firsts = np.clip(right - NEIGHBOURS // 2, 0, max(self.places.size - NEIGHBOURS, 0))
+        firsts = np.clip(right - PREDICTING_POINTS // 2, 0, max(self.places.size - PREDICTING_POINTS, 0))
         found = np.empty((places.size, self.z.shape[1]))
         for first in np.unique(firsts).tolist():
-            chosen, here = slice(first, first + NEIGHBOURS), firsts == first
+            chosen, here = slice(first, first + PREDICTING_POINTS), firsts == first
             curve = interpolant(self.places[chosen], self.z[chosen], self.slopes[chosen])
             found[here] = curve(places[here, None])
         found += np.multiply.outer((places - found @ self.row) / (self.row @ self.row), self.row)
@@ -186,7 +191,7 @@ class OrbitSampler:
         weights = self.point_solver.metric(problem, z[len(z) // 2])
         chords, whole = np.diff(z, axis=0), z[-1] - z[0]
         along = chords @ (weights * whole) / np.sqrt(np.sum(weights * whole**2) * np.sum(weights * chords**2, axis=1))
-        return bool(np.min(along) >= STEEPEST)
+        return bool(np.min(along) >= LEAST_SECTION_COSINE)
 
     def _section(self, points: Sequence[Point], offset: float) -> _Section:
         """Points of a section as solutions of one problem that is fine enough for all of them."""
@@ -205,7 +210,7 @@ class OrbitSampler:
         """The last section, which ends where the parameter has the value of the last point, not where its row has."""
         problem, z, k = section.problem, section.z[-1], section.problem.parameter_index
         try:
-            for _ in range(ENDING):
+            for _ in range(END_STEPS):
                 found = SectionOrbit.of(problem, *find_one(self.point_solver, problem, z, section.row))
                 off = (parameter - found.z[k]) / (found.along[k] or np.inf)
                 if not abs(off) <= NEAR_END * (section.places[-1] - section.places[-2]):
@@ -222,7 +227,9 @@ class OrbitSampler:
         """A point in the unknowns of a problem, and its derivative by row . z."""
         z, tangent = point.problem.prolong(point.z, problem), point.problem.prolong(point.tangent, problem)
         along = float(row @ tangent)
-        if self._converged and along >= STEEPEST * np.sqrt(np.sum(self.point_solver.metric(problem, z) * tangent**2)):
+        if self._converged and along >= LEAST_SECTION_COSINE * np.sqrt(
+            np.sum(self.point_solver.metric(problem, z) * tangent**2)
+        ):
             return z, tangent / along
         found = SectionOrbit.of(problem, *find_one(self.point_solver, problem, z, row))
         return found.z, found.along
@@ -240,7 +247,7 @@ class OrbitSampler:
             finer = self.levels.finer(problem)
             if error <= max(self._tolerance, estimate.round_off) or finer is None or self.levels.finer(finer) is None:
                 return problem
-            if GAIN * before < error <= ROUGH:
+            if LEVEL_GAIN * before < error <= ROUGH_ERROR:
                 return coarser
             problem, coarser, before = finer, problem, error
 
@@ -262,7 +269,7 @@ class OrbitSampler:
         section = self._sections[number]
         problem = section.problem
         guesses, distances = section.predicted(section.at(coordinates))
-        together = find_all(self.point_solver, problem, guesses, section.row, NEARBY * distances)
+        together = find_all(self.point_solver, problem, guesses, section.row, NEARBY_DISTANCE * distances)
         found = [
             orbit or self._by_itself(number, coordinate)
             for orbit, coordinate in zip(together, coordinates.tolist(), strict=True)
@@ -270,7 +277,7 @@ class OrbitSampler:
         states = [OrbitState(problem, orbit.z) for orbit in found]
         responses = np.array([self._length(problem, orbit.z, orbit.response) for orbit in found])
         k, worst = len(states) // 2, int(np.argmax(responses))
-        if responses[worst] <= UNEVEN * responses[k]:
+        if responses[worst] <= UNEVEN_RESPONSES * responses[k]:
             worst = k
         for i in {k, worst}:
             states[i] = self._with_better(problem, found[i])
@@ -293,8 +300,8 @@ class OrbitSampler:
             try:
                 return self._predicted_orbit(self._sections[number], place)
             except OrbitNotFoundError:
-                share *= NEARER
-                if share < NEAREST or added >= ADDED:
+                share *= NEARER_FRACTION
+                if share < NEAREST_FRACTION or added >= MOST_ADDED_ORBITS:
                     self._lost.append(coordinate)
                     raise
             before, after = self._sections[number].neighbours(place)
@@ -309,7 +316,7 @@ class OrbitSampler:
     def _predicted_orbit(self, section: _Section, place: float) -> SectionOrbit:
         """The orbit at a place of a section near where its points predict it."""
         (guess,), (distance,) = section.predicted(np.array([place]))
-        solved = find_one(self.point_solver, section.problem, guess, section.row, NEARBY * float(distance))
+        solved = find_one(self.point_solver, section.problem, guess, section.row, NEARBY_DISTANCE * float(distance))
         return SectionOrbit.of(section.problem, *solved)
 
     def _length(self, problem: Problem, z: Array, change: Array) -> float:

@@ -25,8 +25,8 @@ from casadi_skin.follow.normal_forms import (
     terms_of,
 )
 from casadi_skin.follow.search import (
-    STEP,
-    TURN,
+    FULL_TURN,
+    TANGENT_DIFFERENCE_STEP,
     Exponents,
     StretchSearch,
     beside_on_tangent,
@@ -52,21 +52,26 @@ from casadi_skin.zero.settings import End, Point
 from casadi_skin.zero.stated_problem import PERIOD
 from casadi_skin.zero.unresolved import Unresolved
 
-DEGENERATE = {FOLD: "cusp of cycles", DOUBLING: "generalized period doubling", TORUS: "chenciner"}
-RESONANCES = {1.0: "1:1 resonance", -1.0: "1:2 resonance", -0.5: "1:3 resonance", 0.0: "1:4 resonance"}  # by cosine
-ANOTHER = {  # by the kind of the curve: another multiplier is 1, is -1; another pair is on the circle
+DEGENERATE_KINDS = {FOLD: "cusp of cycles", DOUBLING: "generalized period doubling", TORUS: "chenciner"}
+RESONANCE_KINDS = {
+    1.0: "1:1 resonance",
+    -1.0: "1:2 resonance",
+    -0.5: "1:3 resonance",
+    0.0: "1:4 resonance",
+}  # by cosine
+ANOTHER_MULTIPLIER_KINDS = {  # by the kind of the curve: another multiplier is 1, is -1; another pair is on the circle
     FOLD: ("1:1 resonance", "fold-flip", "fold-torus"),
     DOUBLING: ("fold-flip", "1:2 resonance", "flip-torus"),
     TORUS: ("fold-torus", "flip-torus", "torus-torus"),
     BRANCH_POINT: ("1:1 resonance", "fold-flip", "fold-torus"),
 }
-VANISHES = 1e-2  # of its values at both ends: a test where it has a root
-INTERPOLATED = 1e-3  # of a step: an error of interpolation with which a point is named
-SMALL = 0.5  # of the amplitude at the other end of a step: an orbit that is shrinking
-NOISE = 100.0  # times what a finer level changes: a test above it has its sign
+VANISHING_TEST_RATIO = 1e-2  # of its values at both ends: a test where it has a root
+INTERPOLATION_ERROR = 1e-3  # of a step: an error of interpolation with which a point is named
+SHRINKING_AMPLITUDE_RATIO = 0.5  # of the amplitude at the other end of a step: an orbit that is shrinking
+NOISE_FACTOR = 100.0  # times what a finer level changes: a test above it has its sign
 NEAR_END = 4  # divisions of a step after which a point at which a curve ends is on it
-POLE = 0.95  # of a coefficient between -1 and 1: nearly twice what it is at both ends of a step together
-MEETING = 0.1  # between the logarithms of two multipliers that are about to meet
+POLE_COEFFICIENT = 0.95  # of a coefficient between -1 and 1: nearly twice what it is at both ends of a step together
+MEETING_DISTANCE = 0.1  # between the logarithms of two multipliers that are about to meet
 Test = Callable[[Point], float]
 
 
@@ -107,9 +112,9 @@ class _Search(StretchSearch[Point | Unresolved]):
 
     def _sampled(self, point: Point) -> Sample:
         own = self.own(point)
-        ahead = beside_on_tangent(own, STEP)
+        ahead = beside_on_tangent(own, TANGENT_DIFFERENCE_STEP)
         values = [(test(own), test(ahead)) for test in self.tests.values()]
-        leading = tuple((here, (there - here) / STEP) for here, there in values)
+        leading = tuple((here, (there - here) / TANGENT_DIFFERENCE_STEP) for here, there in values)
         row = self.metric(point) * point.tangent
         still = np.zeros_like(point.z)
         if not self.closes:
@@ -118,13 +123,13 @@ class _Search(StretchSearch[Point | Unresolved]):
         here, there = self.sampler.exponents(own)
         (first, noise), (last, _) = (_others(self.space, end, e) for end, e in ((own, here), (ahead, there)))
         order = nearest_order(first, last)
-        rates = turned(last[order] - first) / STEP
-        return Sample(point, row, first, rates, noise, still, 1.0, leading, TURN)
+        rates = turned(last[order] - first) / TANGENT_DIFFERENCE_STEP
+        return Sample(point, row, first, rates, noise, still, 1.0, leading, FULL_TURN)
 
     def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point | Unresolved] | None:
         settled, changed = stretch.settled.copy(), stretch.changed[: stretch.leading]
         settled[: stretch.leading] |= self._poles(stretch)
-        ends = np.array([(self.space.kind, kind) in ENDS for kind in self.tests], dtype=bool)
+        ends = np.array([(self.space.kind, kind) in ENDS_BY_KIND for kind in self.tests], dtype=bool)
         if self._is_beyond(stretch, ends):
             return ()
         if depth >= NEAR_END and np.any(changed & settled[: stretch.leading] & ends):
@@ -148,7 +153,7 @@ class _Search(StretchSearch[Point | Unresolved]):
     def _poles(self, stretch: Stretch) -> NDArray[np.bool_]:
         """Which of the leading quantities change their sign through infinity: they are larger there than beside it."""
         ends = np.abs(stretch.quantities[0][[0, -1], : stretch.leading])
-        return np.asarray(stretch.changed[: stretch.leading] & (np.min(ends, axis=0) > POLE))
+        return np.asarray(stretch.changed[: stretch.leading] & (np.min(ends, axis=0) > POLE_COEFFICIENT))
 
     def _passed(self, stretch: Stretch) -> Iterator[tuple[str, Test]]:
         """Kinds of the points that are passed, each with a function that changes its sign there."""
@@ -163,7 +168,7 @@ class _Search(StretchSearch[Point | Unresolved]):
 
     def _crossings(self, stretch: Stretch) -> Iterator[tuple[str, float]]:
         """Kinds of the points at which another multiplier is on the circle, with its angle."""
-        plus, minus, pair = ANOTHER[self.space.kind]
+        plus, minus, pair = ANOTHER_MULTIPLIER_KINDS[self.space.kind]
         for k in np.flatnonzero(stretch.changed[stretch.leading :]):
             first, last = stretch.first.values[k], stretch.last.values[stretch.order[k]]
             if is_real(first) and is_real(last):
@@ -198,9 +203,9 @@ def _is_rounding(space: Followed, before: Point, after: Point, test: Test) -> bo
     if PERIOD not in space.statement.free:
         return False
     smaller, larger = sorted((before, after), key=space.amplitude)
-    if space.amplitude(smaller) > SMALL * space.amplitude(larger) or smaller.better is None:
+    if space.amplitude(smaller) > SHRINKING_AMPLITUDE_RATIO * space.amplitude(larger) or smaller.better is None:
         return False
-    return abs(test(smaller)) <= NOISE * abs(test(_finer(smaller)) - test(smaller))
+    return abs(test(smaller)) <= NOISE_FACTOR * abs(test(_finer(smaller)) - test(smaller))
 
 
 def _branching(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, Test]]:
@@ -219,15 +224,15 @@ def _branching(space: Followed, before: Point, after: Point) -> Iterator[tuple[s
 def _resonances(space: Followed) -> list[tuple[str, Test]]:
     if space.kind != TORUS:
         return []
-    return [(name, lambda p, at=cosine: space.kappa(p) - at) for cosine, name in RESONANCES.items()]  # type: ignore[misc]
+    return [(name, lambda p, at=cosine: space.kappa(p) - at) for cosine, name in RESONANCE_KINDS.items()]  # type: ignore[misc]
 
 
 def _of_normal_form(space: Followed, before: Point) -> list[tuple[str, Test]]:
     """The kind of points at which the coefficient of the normal form vanishes, where there is one."""
     if space.kind == FOLD and space.periodic is None:
         return [(CUSP, quadratic_term(space, before))]
-    known = space.kind in DEGENERATE and (space.periodic is not None or space.repeats)
-    return [(DEGENERATE[space.kind], _coefficient(space))] if known else []
+    known = space.kind in DEGENERATE_KINDS and (space.periodic is not None or space.repeats)
+    return [(DEGENERATE_KINDS[space.kind], _coefficient(space))] if known else []
 
 
 def _others(space: Followed, point: Point, exponents: Exponents) -> tuple[ComplexArray, Array]:
@@ -247,7 +252,7 @@ def _others(space: Followed, point: Point, exponents: Exponents) -> tuple[Comple
         if space.kind != TORUS and values.size:
             nearest = int(np.argmin(np.abs(turned(values - place))))
             joined = turned(values[nearest] + off - place)
-            if abs(joined) <= MEETING and abs(joined.imag) <= EPSILON:
+            if abs(joined) <= MEETING_DISTANCE and abs(joined.imag) <= EPSILON:
                 values[nearest] = place + joined.real
     return values, noise
 
@@ -286,7 +291,7 @@ def _root(space: Followed, before: Point, after: Point, kind: str, test: Test) -
 
     Raises NotLocatedError.
     """
-    if space.kind == BRANCH_POINT and kind == ANOTHER[BRANCH_POINT][0]:
+    if space.kind == BRANCH_POINT and kind == ANOTHER_MULTIPLIER_KINDS[BRANCH_POINT][0]:
         second = partial(second_singular, space)
         double = double_between(space.point_solver, before, after, test, second)
         if double is not None:
@@ -295,10 +300,10 @@ def _root(space: Followed, before: Point, after: Point, kind: str, test: Test) -
         zero, beside, size = zero_between(space.point_solver, before, after, test, kind)
     except NotLocatedError:  # another null vector makes the equations singular there
         found = interpolated(space.point_solver, before, after, test)
-        if found is None or found[1].error.parameter > INTERPOLATED * abs(after.parameter - before.parameter):
+        if found is None or found[1].error.parameter > INTERPOLATION_ERROR * abs(after.parameter - before.parameter):
             raise
         return found[0], replace(found[1], special=kind)
-    if abs(zero.value) > VANISHES * size:
+    if abs(zero.value) > VANISHING_TEST_RATIO * size:
         return None
     point: Point | None = zero.point
     if zero.point.better is None:  # an end of the stretch, which is no point of the curve
@@ -329,7 +334,7 @@ def _finer(point: Point) -> Point:
     return replace(point, problem=better.problem, z=better.z, better=None)
 
 
-ENDS = {
+ENDS_BY_KIND = {
     (TORUS, "1:1 resonance"): End.RESONANCE_ONE,
     (TORUS, "1:2 resonance"): End.RESONANCE_TWO,
     (FOLD, "generalized hopf"): End.BAUTIN,

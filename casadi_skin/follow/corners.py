@@ -25,17 +25,17 @@ from casadi_skin.zero.problem import EPSILON, Array, Indices, Problem, SingularE
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.trigonometric import TrigonometricProblem
 
-SHARP = 15.0  # degrees between both sides and their chord at a corner
+SHARP_TURN_DEGREES = 15.0  # degrees between both sides and their chord at a corner
 IN_LINE = 3.0  # degrees between them where branches cross
-FRACTIONS = (0.5, 0.3, 0.7)  # of the way between two places: where the branch is sought
-ALONG = 0.8  # cosine of the turn from a place to one within a step from it, at least
-SHORT = 0.25  # of a step: a chord that turns so much is a corner, not the course of the branch
-SMALLEST = 1e-7  # a corner of this size is that of branches that cross
-ROUNDED = 1000.0  # times what rounding moves a place by: at 30 times chords turn by 30 degrees for nothing
-CLOSE = 0.25  # of the distance to the other side of a corner: the step from which it is walked round
-SHIFT = 0.1  # of a step: what another level of resolution may move its start by
-ALIKE = 3.0  # ratio of the lengths of a corner on two levels, which halvings determine, at most
-POLISHED = 2  # steps of Newton's method on a point before a corner
+SOUGHT_FRACTIONS = (0.5, 0.3, 0.7)  # of the way between two places: where the branch is sought
+LEAST_TURN_COSINE = 0.8  # cosine of the turn from a place to one within a step from it, at least
+SHORT_CHORD_RATIO = 0.25  # of a step: a chord that turns so much is a corner, not the course of the branch
+SMALLEST_CORNER = 1e-7  # a corner of this size is that of branches that cross
+ROUNDING_FACTOR = 1000.0  # times what rounding moves a place by: at 30 times chords turn by 30 degrees for nothing
+CORNER_STEP_FRACTION = 0.25  # of the distance to the other side of a corner: the step from which it is walked round
+LEVEL_SHIFT_RATIO = 0.1  # of a step: what another level of resolution may move its start by
+ALIKE_LENGTH_RATIO = 3.0  # ratio of the lengths of a corner on two levels, which halvings determine, at most
+POLISHING_STEPS = 2  # steps of Newton's method on a point before a corner
 LOOKED_AT = 6  # levels of resolution, at most, on which a corner is sought until two agree
 
 
@@ -82,7 +82,7 @@ def shifts(point_solver: PointSolver, place: Point | Side, other: Point | Side |
     if other is None:
         return True
     there = place.problem.prolong(place.z, other.problem)
-    return point_solver.distance(other.problem, there, other.z) > SHIFT * step
+    return point_solver.distance(other.problem, there, other.z) > LEVEL_SHIFT_RATIO * step
 
 
 def turned(point_solver: PointSolver, before: Side, after: Side) -> Corner | None:
@@ -111,7 +111,7 @@ def _agree(one: Corner | None, other: Corner | None) -> bool:
     """Whether two levels of resolution have the same corner, or both none: that of a coarse grid shrinks."""
     if one is None or other is None:
         return one is other
-    return bool(1.0 / ALIKE <= one.length / other.length <= ALIKE)
+    return bool(1.0 / ALIKE_LENGTH_RATIO <= one.length / other.length <= ALIKE_LENGTH_RATIO)
 
 
 def _on(point_solver: PointSolver, problem: Problem, before: Side, after: Side) -> tuple[Side, Side] | None:
@@ -129,14 +129,14 @@ def corner(point_solver: PointSolver, before: Side, after: Side) -> Corner | Non
     wide, while those of a branch point go over into one another.
     """
     whole = length = point_solver.distance(before.problem, before.z, after.z)
-    while length > max(SMALLEST, ROUNDED * before.noise, ROUNDED * after.noise):
+    while length > max(SMALLEST_CORNER, ROUNDING_FACTOR * before.noise, ROUNDING_FACTOR * after.noise):
         turn = _turn(point_solver, before, after)
-        if length <= SHORT * whole and turn > SHARP:
+        if length <= SHORT_CHORD_RATIO * whole and turn > SHARP_TURN_DEGREES:
             return Corner(before, length)
-        tried = (_between(point_solver, before, after, fraction, length) for fraction in FRACTIONS)
+        tried = (_between(point_solver, before, after, fraction, length) for fraction in SOUGHT_FRACTIONS)
         middle = next((one for one in tried if one is not None), None)
         if middle is None:  # where branches cross, no place is found next to the crossing, but both sides are in line
-            return Corner(before, min(length, SHORT * whole)) if turn > IN_LINE else None
+            return Corner(before, min(length, SHORT_CHORD_RATIO * whole)) if turn > IN_LINE else None
         if middle.orientation == before.orientation:
             before = middle
         else:
@@ -175,7 +175,7 @@ def _between(point_solver: PointSolver, before: Side, after: Side, fraction: flo
     except SingularError:
         return None
     weights = point_solver.metric(problem, z)
-    if float((weights * before.tangent) @ tangent) < ALONG:
+    if float((weights * before.tangent) @ tangent) < LEAST_TURN_COSINE:
         return None
     return Side(problem, z, tangent, solve.orientation, float(np.sqrt(np.sum(weights * response**2))))
 
@@ -188,22 +188,24 @@ def point_before(point_solver: PointSolver, found: Corner) -> Point | None:
     if point is None:
         return None
     z, tangent = point.z, point.tangent
-    for _ in range(POLISHED):  # what a finer level leaves over may be more than a step round the corner
+    for _ in range(POLISHING_STEPS):  # what a finer level leaves over may be more than a step round the corner
         row = point_solver.metric(point.problem, z) * tangent
         solve = point_solver.factor(point.problem, z, row)
         z = z - solve(np.append(point.problem.evaluate(z)[0], 0.0))
         tangent = point_solver.tangent(point.problem, z, solve)
-    point = replace(point, z=z, tangent=tangent, step=CLOSE * found.length)
+    point = replace(point, z=z, tangent=tangent, step=CORNER_STEP_FRACTION * found.length)
     return None if shifts(point_solver, found.before, point, found.length) else point
 
 
 # Internal resonances that a family was led past: neighbouring orbits between which an eigenvalue has changed sign -----
 
-SYMMETRIC = 1e-9  # of the largest entry: difference of a symmetric Jacobian from its transpose
-NEAR = 3  # stretches between a turn of the frequency and the change of the number that belongs to it, at most
-HALVINGS = 6  # of a stretch that a resonance may lie on
-SHORTEST = 1e-7  # of its length in the metric: corners of this size are those of branches that cross
-BEYOND = 1.1  # times the highest frequency: harmonics above it have no resonance
+SYMMETRY_RTOL = 1e-9  # of the largest entry: difference of a symmetric Jacobian from its transpose
+TURN_TO_CHANGE_STRETCHES = (
+    3  # stretches between a turn of the frequency and the change of the number that belongs to it, at most
+)
+RESONANCE_HALVINGS = 6  # of a stretch that a resonance may lie on
+SHORTEST_STRETCH = 1e-7  # of its length in the metric: corners of this size are those of branches that cross
+HIGHEST_FREQUENCY_FACTOR = 1.1  # times the highest frequency: harmonics above it have no resonance
 
 
 @dataclass(frozen=True)
@@ -249,7 +251,7 @@ def passed_resonances(
     points, known = list(points), _counted(point_solver.levels, points)
     if known is None:
         return None
-    for _ in range(HALVINGS):
+    for _ in range(RESONANCE_HALVINGS):
         for place in reversed(_unexplained(known)):
             middle = _orbit_between(point_solver, points[place], points[place + 1])
             counted = None if middle is None else _counted(point_solver.levels, [middle])
@@ -275,7 +277,7 @@ def _cross(point_solver: PointSolver, points: Sequence[Point], known: Sequence[_
 def _orbit_between(point_solver: PointSolver, before: Point, after: Point) -> Point | None:
     """An orbit between two, on their line to third order; None where none is found there."""
     curve, length = point_solver.curve(before, after)
-    if not length > SHORTEST or not curve.slope(length) @ curve.t0 > 0.0:
+    if not length > SHORTEST_STRETCH or not curve.slope(length) @ curve.t0 > 0.0:
         return None
     return point_solver.along(before, after, 0.5)
 
@@ -303,7 +305,7 @@ def _unexplained(known: Sequence[_Counted]) -> list[int]:
     open_turns = {place for place, turn in enumerate(turns) if turn > changes[place]}
     found = []
     for place, count in enumerate(changes):
-        near = next((turn for turn in sorted(open_turns) if abs(turn - place) <= NEAR), None)
+        near = next((turn for turn in sorted(open_turns) if abs(turn - place) <= TURN_TO_CHANGE_STRETCHES), None)
         if count == 1 and not turns[place] and near is not None:
             open_turns.remove(near)
         elif count > turns[place]:
@@ -350,7 +352,7 @@ def _on_enough(levels: Levels, point: Point) -> tuple[TrigonometricProblem, Arra
     if not isinstance(problem, TrigonometricProblem):
         return None
     core, own = problem.by_itself(z)
-    highest = BEYOND * float(np.sqrt(np.max(np.sum(np.abs(_forces(core, own)), axis=1))))
+    highest = HIGHEST_FREQUENCY_FACTOR * float(np.sqrt(np.max(np.sum(np.abs(_forces(core, own)), axis=1))))
     enough = [r for r in levels.resolutions if r >= problem.resolution and 2 * r - 1 > highest]
     if not enough:
         return None
@@ -371,7 +373,7 @@ def _positive(problem: TrigonometricProblem, states: Array) -> Indices | None:
     order, reverse = np.argsort(keys), np.argsort(turned)
     if not np.array_equal(keys[order], turned[reverse]):
         return None
-    if np.max(np.abs(values[:, order] - values[:, reverse])) > SYMMETRIC * np.max(np.abs(values)):
+    if np.max(np.abs(values[:, order] - values[:, reverse])) > SYMMETRY_RTOL * np.max(np.abs(values)):
         return None
     blocks = _Blocks.of(rows, columns, values, core.states, core.half_bandwidth or core.states)
     beyond = np.zeros(len(states), dtype=np.int64)

@@ -32,11 +32,11 @@ from casadi_skin.zero.settings import Point
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
 
-STEPS = 14  # of Arnoldi's method, after which eigenvalues far from the others are known
-QUIET = 0.7  # of 1: an eigenvalue that falls by less on the way, at its rate at an end, reaches no zero
-SUSPECT = 0.5  # largest real part of eigenvalues that are looked at closely
-DENSE = 500  # unknowns up to which all eigenvalues are computed
-MOST = 20  # eigenvalues that are computed of larger systems
+ARNOLDI_STEPS = 14  # of Arnoldi's method, after which eigenvalues far from the others are known
+QUIET_FALL = 0.7  # of 1: an eigenvalue that falls by less on the way, at its rate at an end, reaches no zero
+SUSPECT_REAL_PART = 0.5  # largest real part of eigenvalues that are looked at closely
+DENSE_UNKNOWNS = 500  # unknowns up to which all eigenvalues are computed
+MOST_EIGENVALUES = 20  # eigenvalues that are computed of larger systems
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ def closed(problem: Problem, nonzeros: Array, row: Array) -> csc_matrix:
 
 def crossings(before: Bordered, after: Bordered) -> int:
     """The number of branches that cross between two places: negative eigenvalues of one matrix relative to another."""
-    if np.min(outer_eigenvalues(before, after.matrix).real, initial=1.0) > SUSPECT:
+    if np.min(outer_eigenvalues(before, after.matrix).real, initial=1.0) > SUSPECT_REAL_PART:
         return 0
     values = _eigenvalues(before, after)
     real = np.abs(values.imag) <= 1e-6 * np.abs(values)
@@ -74,13 +74,13 @@ def quiet(rates: Array, way: float, crossed: float | None) -> bool:
     falls = np.sort((rates * way).real)
     if crossed is not None and falls.size:
         falls[0] += 1.0 / max(crossed, np.finfo(float).tiny)
-    return bool(np.all(falls > -QUIET))
+    return bool(np.all(falls > -QUIET_FALL))
 
 
 def outer_eigenvalues(before: Bordered, matrix: csc_matrix) -> Array:
     """Those of the solver times a matrix that lie far from the others, by a few steps of Arnoldi's method."""
     size = before.matrix.shape[0]
-    steps = min(STEPS, size)
+    steps = min(ARNOLDI_STEPS, size)
     basis, hessenberg = np.zeros((steps + 1, size)), np.zeros((steps + 1, steps))
     start = np.random.default_rng(0).normal(size=size)
     basis[0] = start / np.linalg.norm(start)
@@ -103,12 +103,12 @@ def _eigenvalues(before: Bordered, after: Bordered) -> Array:
     from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
 
     size = before.matrix.shape[0]
-    if size <= DENSE:
+    if size <= DENSE_UNKNOWNS:
         return np.asarray(np.linalg.eigvals(before.solve(after.matrix.toarray())))
     operator = LinearOperator((size, size), matvec=lambda v: before.solve(after.matrix @ np.asarray(v).ravel()))
     start = np.random.default_rng(1).normal(size=size)
     try:
-        return np.asarray(eigs(operator, MOST, which="SR", v0=start, tol=1e-4, return_eigenvectors=False))
+        return np.asarray(eigs(operator, MOST_EIGENVALUES, which="SR", v0=start, tol=1e-4, return_eigenvectors=False))
     except ArpackNoConvergence as error:
         return np.asarray(error.eigenvalues)
 
@@ -116,12 +116,12 @@ def _eigenvalues(before: Bordered, after: Bordered) -> Array:
 # The place where k branches cross at once: the Jacobian bordered by the tangent has a kernel of dimension k there -----
 
 ONE_PLACE = 1e-3  # of a step: several branches that cross within it do so in one place
-WINDOWS = (0.1, 0.02, 0.004)  # of a step, to both sides; the widest in which interpolation is accurate is taken
-COUNT = 12  # places in it; an even number has none in its middle
-LEAST = 8  # places without which nothing is interpolated
-ROUNDS = 4  # of inverse iteration, and of Newton's method
-BESIDE = 1e-2  # of the window: nearer to the place points are not corrected
-SHIFT = 1e-11  # of the largest entry of a matrix that is nearly singular
+WINDOW_WIDTHS = (0.1, 0.02, 0.004)  # of a step, to both sides; the widest in which interpolation is accurate is taken
+WINDOW_PLACES = 12  # places in it; an even number has none in its middle
+LEAST_PLACES = 8  # places without which nothing is interpolated
+ITERATION_ROUNDS = 4  # of inverse iteration, and of Newton's method
+OFFSET_FROM_PLACE = 1e-2  # of the window: nearer to the place points are not corrected
+INVERSE_ITERATION_SHIFT = 1e-11  # of the largest entry of a matrix that is nearly singular
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,11 +147,11 @@ def crossing_places(
     `at` gives the corrected unknowns at a fraction and the row that closes their equations. Empty where points beside
     the place are missing, and where no such place is so near.
     """
-    for window in WINDOWS:
+    for window in WINDOW_WIDTHS:
         found = _within(window, problem, at, near, count, apart)
         if found and all(one.error <= apart for one in found):
             return found
-    return _within(WINDOWS[-1], problem, at, near, count, float("inf"))
+    return _within(WINDOW_WIDTHS[-1], problem, at, near, count, float("inf"))
 
 
 def _within(
@@ -165,10 +165,12 @@ def _within(
     """As `crossing_places`, from points in a window."""
     from scipy.interpolate import KroghInterpolator
 
-    nodes = np.clip(near, window, 1.0 - window) - window * np.cos(np.pi * (np.arange(COUNT) + 0.5) / COUNT)
-    nodes = nodes[np.abs(nodes - near) > BESIDE * window]
+    nodes = np.clip(near, window, 1.0 - window) - window * np.cos(
+        np.pi * (np.arange(WINDOW_PLACES) + 0.5) / WINDOW_PLACES
+    )
+    nodes = nodes[np.abs(nodes - near) > OFFSET_FROM_PLACE * window]
     known = [(float(f), *there) for f in nodes if (there := at(float(f))) is not None]
-    if len(known) < LEAST:
+    if len(known) < LEAST_PLACES:
         return []
     try:
         polished = [(f, _polished(problem, z, row), row) for f, z, row in known]
@@ -204,10 +206,10 @@ def _kernels(matrix: Any, count: int) -> tuple[Array, Array]:
     from scipy.sparse import eye
     from scipy.sparse.linalg import splu
 
-    shift = SHIFT * float(np.max(np.abs(matrix.data)))
+    shift = INVERSE_ITERATION_SHIFT * float(np.max(np.abs(matrix.data)))
     factors: Any = splu((matrix + shift * eye(matrix.shape[0], format="csc")).tocsc())
     right: Array = np.random.default_rng(0).normal(size=(matrix.shape[0], count))
-    for _ in range(ROUNDS):
+    for _ in range(ITERATION_ROUNDS):
         left = np.linalg.qr(factors.solve(right, trans="T"))[0]
         right = np.linalg.qr(factors.solve(left))[0]
     return right, left
@@ -245,7 +247,7 @@ def _zeros(places: Array, corners: Array, near: float, apart: float) -> list[_Ze
         return np.asarray(-np.linalg.eigvals(np.linalg.solve(polynomial.derivative(place), polynomial(place))))
 
     try:
-        for _ in range(ROUNDS):
+        for _ in range(ITERATION_ROUNDS):
             near += float(np.mean(moves(near).real))
             if not places[0] < near < places[-1]:
                 return []
@@ -254,7 +256,7 @@ def _zeros(places: Array, corners: Array, near: float, apart: float) -> list[_Ze
         if np.any(found.imag) or np.any(np.diff(np.sort(found.real)) <= apart):
             return [_Zero(near, float(np.max(np.abs(found))), steepness)]
         zeros = near + np.sort(found.real)
-        for _ in range(ROUNDS):
+        for _ in range(ITERATION_ROUNDS):
             zeros = np.array([zero + min(moves(zero), key=abs).real for zero in zeros])
     except np.linalg.LinAlgError:
         return []
@@ -263,8 +265,8 @@ def _zeros(places: Array, corners: Array, near: float, apart: float) -> list[_Ze
 
 # Points of codimension two at which extended equations are singular, as where two null vectors meet: interpolated -----
 
-NODES = 0.5 - 0.5 * np.cos(np.pi * (np.arange(12) + 0.5) / 12)  # of a step
-SECOND = 1e-3  # of its usual size: a second singular value that is zero
+INTERPOLATION_NODES = 0.5 - 0.5 * np.cos(np.pi * (np.arange(12) + 0.5) / 12)  # of a step
+SECOND_SINGULAR_RATIO = 1e-3  # of its usual size: a second singular value that is zero
 
 
 def double_between(
@@ -275,7 +277,7 @@ def double_between(
     `test` changes its sign there; `second` is the second smallest singular value of the Jacobian.
     """
     found = interpolated(solver, before, after, test)
-    if found is None or second(found[1]) > SECOND * max(second(before), second(after)):
+    if found is None or second(found[1]) > SECOND_SINGULAR_RATIO * max(second(before), second(after)):
         return None
     return found[0], replace(found[1], special=DOUBLE)
 
@@ -290,7 +292,7 @@ def interpolated(
     from scipy.interpolate import KroghInterpolator
     from scipy.optimize import brentq
 
-    tried = [(float(f), solver.along(before, after, float(f))) for f in NODES]
+    tried = [(float(f), solver.along(before, after, float(f))) for f in INTERPOLATION_NODES]
     around = [(f, point) for f, point in tried if point is not None]
     places, values = np.array([f for f, _ in around]), np.array([test(point) for _, point in around])
     roots = list[float]()

@@ -17,10 +17,12 @@ from casadi_skin.zero.model_coordinates import nearest_resonance
 from casadi_skin.zero.settings import End
 
 NEAR_LIMIT = 1e-6  # relative
-CLOSE = 1e-5  # relative difference of linear frequencies below which steps of the continuation may miss it
-UNBOUNDED = "grows without bound"
-SLOW = 3.0  # times the period of the linear mode
-STILL = 1e-2  # a relative change of S, per that of Omega, below which S has come to a limit
+CLOSE_FREQUENCIES_RTOL = (
+    1e-5  # relative difference of linear frequencies below which steps of the continuation may miss it
+)
+UNBOUNDED_WORDS = "grows without bound"
+SLOW_PERIOD_FACTOR = 3.0  # times the period of the linear mode
+STILL_S_RATE = 1e-2  # a relative change of S, per that of Omega, below which S has come to a limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,13 +54,13 @@ class Ending:
             return str(self.end.value)
         if self.space.connects != FAMILY:
             return f"{self._end_words()}: {self.detail}".rstrip(". :")
-        near = near_resonance(self.space, CLOSE)
+        near = near_resonance(self.space, CLOSE_FREQUENCIES_RTOL)
         if not self.solutions:
             return f"{self._end_words()}: {self.detail}".rstrip(". :") + near
         last = self.orbits[-1]
         where = f"(S = {last.S:.10g}, Omega = {last.Omega:.6g})"
         softened = self._softened(self.space, self.space.to)
-        if self.end is End.FLOW and UNBOUNDED in softened:
+        if self.end is End.FLOW and UNBOUNDED_WORDS in softened:
             return f"{softened.removeprefix('; ')} {where}; {self._end_words()}: {self.detail}"
         words = f"{self._end_words()} {where}"
         if self.end is End.POINTS:
@@ -76,14 +78,14 @@ class Ending:
         """The slow last orbit in words: its period, and whether S has come to a limit short of the requested S."""
         last = self.orbits[-1]
         slower = family.coordinates.frequency / last.point.Omega
-        if slower < SLOW:
+        if slower < SLOW_PERIOD_FACTOR:
             return ""
         words = f"; the period is {slower:.3g} times the linear one"
-        if last.point.parameter_rate > STILL:
+        if last.point.parameter_rate > STILL_S_RATE:
             return words
         if abs(S - last.S) <= NEAR_LIMIT * last.S:
-            return f"{words} and {UNBOUNDED}: S = {S:.15g} is too near its limit for orbits to differ in doubles"
-        return f"{words} and {UNBOUNDED}: a softening orbit of this family does not exist at S = {S:.15g}"
+            return f"{words} and {UNBOUNDED_WORDS}: S = {S:.15g} is too near its limit for orbits to differ in doubles"
+        return f"{words} and {UNBOUNDED_WORDS}: a softening orbit of this family does not exist at S = {S:.15g}"
 
     def _missing(self) -> Iterator[str]:
         """The requested values without a solution, in words."""

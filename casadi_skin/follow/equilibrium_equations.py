@@ -19,7 +19,7 @@ from casadi_skin.zero.augmented import ExtendedSystem
 from casadi_skin.zero.problem import EPSILON, Array, Problem
 from casadi_skin.zero.rest_problem import AlgebraicProblem, Course
 from casadi_skin.zero.settings import ContinuationSettings, Point
-from casadi_skin.zero.statics import ROUNDING, BalancedMatrix, Statics
+from casadi_skin.zero.statics import DERIVATIVE_ROUNDING, BalancedMatrix, Statics
 
 # Samples of a branch of equilibria: eigenvalues and their rates, and the curvature of the branch ----------------------
 
@@ -45,7 +45,7 @@ def sample_of(point: Point, weights: Array) -> Sample:
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         bend = lu_solve((factors, pivots), bent / scale, check_finite=False)
         terms = np.abs(full) @ np.abs(t) + np.append(np.abs(change) @ problem.units_of_all(z), 0.0)
-        shaken = ROUNDING * rounding * terms / scale * np.append(problem.probe, 1.0)
+        shaken = DERIVATIVE_ROUNDING * rounding * terms / scale * np.append(problem.probe, 1.0)
         unsure = abs(float(lu_solve((factors, pivots), shaken, check_finite=False)[-1]))
     return Sample(
         point, row, linear.eigensystem[0], linear.rates(change[:n, :n]), linear.errors(),
@@ -53,15 +53,17 @@ def sample_of(point: Point, weights: Array) -> Sample:
     )  # fmt: skip
 
 
-ITERATIONS = 60
-LONGEST = 1.0 / 30.0  # of the range of the parameter: longest step, so that eigenvalues do not come and go within it
-KEPT = 8  # samples that are kept
+MOST_ITERATIONS = 60
+LONGEST_STEP = (
+    1.0 / 30.0
+)  # of the range of the parameter: longest step, so that eigenvalues do not come and go within it
+KEPT_SAMPLES = 8  # samples that are kept
 
 
 def corrector_of(name: str, tolerance: float, problem: Problem) -> Corrector:
     """A corrector by name, for a hundredth of the tolerance where rounding allows it."""
     fine = float(np.clip(1e-2 * tolerance, 1e-13, 1e-6))
-    return RoundedCorrector(CORRECTORS[name](problem, fine, ITERATIONS))
+    return RoundedCorrector(CORRECTORS[name](problem, fine, MOST_ITERATIONS))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +111,7 @@ class EquilibriumEquations:
     def point_solver(self) -> PointSolver:
         """The solver of points at the tolerance."""
         settings = self.settings or ContinuationSettings(1.0, self.tolerance)
-        return PointSolver(self.levels, replace(settings, max_parameter_step=LONGEST))
+        return PointSolver(self.levels, replace(settings, max_parameter_step=LONGEST_STEP))
 
     @cached_property
     def systems(self) -> dict[str, ExtendedSystem | None]:
@@ -122,7 +124,7 @@ class EquilibriumEquations:
             if known.point is point:
                 return known
         found = sample_of(point, self.point_solver.metric(point.problem, point.z))
-        self._samples[:] = [*self._samples[-(KEPT - 1) :], found]
+        self._samples[:] = [*self._samples[-(KEPT_SAMPLES - 1) :], found]
         return found
 
     @cached_property

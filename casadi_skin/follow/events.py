@@ -44,10 +44,10 @@ if TYPE_CHECKING:
 ROOT_XTOL = 1e-10  # of a stretch, of roots of quantities where no extended equations are solved
 OUTSIDE_STRETCH = 1e-3  # of a stretch: a special orbit farther out is another one
 SAME_EVENT = 1e-8  # of a stretch: events of one kind that near are one, of multipliers that a symmetry keeps together
-ASIDE = (0.0, 0.03, 0.2)  # of a stretch, from a root: at a branch point itself no orbit is found
-CRITICAL = 1e-4  # log |multiplier| of one that is on the unit circle at a requested value
+ASIDE_FRACTIONS = (0.0, 0.03, 0.2)  # of a stretch, from a root: at a branch point itself no orbit is found
+CRITICAL_LOG_MODULUS = 1e-4  # log |multiplier| of one that is on the unit circle at a requested value
 SAME_MEETING = 1e-3  # of a stretch between two orbits: meetings of two pairs that near are looked at once
-MEETINGS = 3  # places near a meeting at which it is looked whether the pairs have left the circle
+PLACES_NEAR_MEETING = 3  # places near a meeting at which it is looked whether the pairs have left the circle
 KREIN_DEPTH = 3  # divisions before a collision is located by its discriminant
 
 
@@ -77,7 +77,7 @@ def at_requested_value(solution: Solution) -> Solution:
         return solution
     others = solution.floquet().others
     nearest = complex(others[np.argmin(np.abs(Exponents.from_floquet(solution.floquet()).values.real))])
-    if abs(np.log(abs(nearest))) > CRITICAL:
+    if abs(np.log(abs(nearest))) > CRITICAL_LOG_MODULUS:
         return solution
     kind = TORUS if nearest.imag else DOUBLING if nearest.real < 0.0 else BRANCH_POINT
     found = special_orbit(cast(BoundarySpace, space), kind, point, abs(float(np.angle(nearest))))
@@ -178,7 +178,7 @@ class _OrbitSearch(StretchSearch[Event | Unresolved]):
         """The orbit at a crossing."""
         if self.space.periodic is None or self.space.symmetry.value == 1.0:
             root = stretch.root(stretch.leading + crossing.quantity) / stretch.length
-            for aside in ASIDE:
+            for aside in ASIDE_FRACTIONS:
                 fraction = root + (aside if root < 0.5 else -aside)
                 near = self.solver.along(stretch.first.point, stretch.last.point, fraction)
                 if near is None:  # beside a branch point rounding decides; the extended equations are regular there
@@ -328,7 +328,7 @@ class _Paired(_OrbitSearch):
             return None
         self._tried.append(sigma)
         centre, expected = None, max(self.outside(end.point)[0] for end in (stretch.first, stretch.last))
-        for _ in range(MEETINGS):
+        for _ in range(PLACES_NEAR_MEETING):
             point = self.along(stretch.first.point, stretch.last.point, root)
             if point is None:
                 return None

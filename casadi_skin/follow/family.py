@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.point import PointSolver, with_small_components
-from casadi_skin.follow.series import TOGETHER, SeriesContinuation
+from casadi_skin.follow.series import CONFIRMED_TOGETHER, SeriesContinuation
 from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.follow.special_points import folds_between
 from casadi_skin.model import methods
@@ -38,21 +38,48 @@ if TYPE_CHECKING:
     from casadi_skin.zero.recursion import PolynomialForm, Recursion
 
 CONTINUATIONS = {"arclength": ArclengthContinuation, "series": SeriesContinuation}
-HARMONICS = (methods.FEWEST_COSINES, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 96, 128, 160, 192, 256)
+HARMONICS_OFFERED = (
+    methods.FEWEST_COSINES,
+    6,
+    8,
+    10,
+    12,
+    14,
+    16,
+    20,
+    24,
+    28,
+    32,
+    40,
+    48,
+    64,
+    80,
+    96,
+    128,
+    160,
+    192,
+    256,
+)
 MANY_HARMONICS = (320, 384, 512)  # where few sites make them cheap
-INTERVALS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
-DIGITS = (8, 10, 12, 14, 15)  # of CVODES' local tolerance: fewer cost as much, and their noise refuses more steps
+INTERVALS_OFFERED = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
+CVODES_DIGITS = (
+    8,
+    10,
+    12,
+    14,
+    15,
+)  # of CVODES' local tolerance: fewer cost as much, and their noise refuses more steps
 SHOOTING_SHARE = 0.03  # of the tolerance, local: an orbit's error is 10 to 1000 local tolerances
 SHOOTING_NOISE = 10.0  # local tolerances, which a corrector of shooting may leave
 ROUND_OFF = 2e-15  # of a residual relative to the state, per square of the resolution
-LARGEST = 10_000_000  # positions times harmonics squared: about a gigabyte
-SMALL = 1000  # unknowns up to which the cost of a call of Ipopt does not depend on their number
-CHEAP = 1_000_000  # the same for systems solved in a fraction of a second
+LARGEST_FAMILY_SIZE = 10_000_000  # positions times harmonics squared: about a gigabyte
+SMALL_UNKNOWNS = 1000  # unknowns up to which the cost of a call of Ipopt does not depend on their number
+CHEAP_SYSTEM_SIZE = 1_000_000  # the same for systems solved in a fraction of a second
 SERIES_PRECISION = 1e-6  # of a residual before Newton's step
 SERIES_ORDERS = 24  # cost of a step over its length is flat between 20 and 35
-PHASES = np.linspace(0.0, TWO_PI, 401)  # at which an orbit is looked at for jumps
-SLOW = 3.0  # times the period of the linear mode
-UNCHANGED = 1e-13  # a relative change of S, per that of Omega, that no longer shows
+JUMP_PHASES = np.linspace(0.0, TWO_PI, 401)  # at which an orbit is looked at for jumps
+SLOW_PERIOD_FACTOR = 3.0  # times the period of the linear mode
+UNCHANGED_S_RATE = 1e-13  # a relative change of S, per that of Omega, that no longer shows
 
 
 class Family(FamilyStability, SolutionSpace):
@@ -82,14 +109,14 @@ class Family(FamilyStability, SolutionSpace):
         """Discretisations from coarse to fine with their correctors."""
         transcription = self.request.method.transcription
         if transcription == methods.SHOOTING:
-            useful = [d for d in DIGITS[:-2] if 10.0**-d <= SHOOTING_SHARE * self.tolerance]
-            return Levels(self._problem, self._corrector, (*useful, *DIGITS[-2:]))
+            useful = [d for d in CVODES_DIGITS[:-2] if 10.0**-d <= SHOOTING_SHARE * self.tolerance]
+            return Levels(self._problem, self._corrector, (*useful, *CVODES_DIGITS[-2:]))
         if transcription in TABLES:
-            return Levels(self._problem, self._corrector, INTERVALS)
+            return Levels(self._problem, self._corrector, INTERVALS_OFFERED)
         positions = self.coordinates.mode.size
-        fits = [H for H in HARMONICS if positions * H**2 <= LARGEST]
-        fits += [H for H in MANY_HARMONICS if positions * H**2 <= CHEAP]
-        return Levels(self._problem, self._corrector, tuple(fits or HARMONICS[:2]))
+        fits = [H for H in HARMONICS_OFFERED if positions * H**2 <= LARGEST_FAMILY_SIZE]
+        fits += [H for H in MANY_HARMONICS if positions * H**2 <= CHEAP_SYSTEM_SIZE]
+        return Levels(self._problem, self._corrector, tuple(fits or HARMONICS_OFFERED[:2]))
 
     def _problem(self, resolution: int) -> Problem:
         own = self.coordinates.transcription(resolution)
@@ -116,7 +143,9 @@ class Family(FamilyStability, SolutionSpace):
             tolerance = max(tolerance, ROUND_OFF * problem.resolution**2)
         if name == "ipopt" and not isinstance(problem, ShootingProblem):
             series = self.request.method.walker == "series"
-            return ConfirmedCorrector(problem, tolerance, TOGETHER if series and problem.size <= SMALL else 1)
+            return ConfirmedCorrector(
+                problem, tolerance, CONFIRMED_TOGETHER if series and problem.size <= SMALL_UNKNOWNS else 1
+            )
         return CORRECTORS[name](problem, tolerance)
 
     # The branch -----------------------------------------------------------------------------------------------------
@@ -202,14 +231,14 @@ class Family(FamilyStability, SolutionSpace):
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         """LIMIT where the only requests left are values of S that the family does not reach; JUMP where forces do."""
-        jumps = self.coordinates.jump(lambda: math.sqrt(self.value("S", point)) * self.positions(point, PHASES))
+        jumps = self.coordinates.jump(lambda: math.sqrt(self.value("S", point)) * self.positions(point, JUMP_PHASES))
         if jumps:
             return End.JUMP, jumps
         targets = self.request.targets
-        if SLOW * point.Omega > self.start.Omega or targets.period_max is not None:
+        if SLOW_PERIOD_FACTOR * point.Omega > self.start.Omega or targets.period_max is not None:
             return None, ""
         slowest = min((*targets.at_Omega, *(TWO_PI / period for period in targets.at_period)), default=np.inf)
-        at_limit = point.Omega < slowest and point.parameter_rate <= UNCHANGED
+        at_limit = point.Omega < slowest and point.parameter_rate <= UNCHANGED_S_RATE
         return (End.LIMIT if at_limit else None), ""
 
     # Values ---------------------------------------------------------------------------------------------------------

@@ -21,8 +21,8 @@ from casadi_skin.zero.settings import Point
 
 ORBIT_TOLERANCE = 1e-12  # of the orbits along the family, whatever the tolerance of its points
 AT_REST = 1e-12  # of the largest omega^2: rounding in that of a mode without restoring force
-ACCURATE = 1e-7  # tolerance of points that orbits between them are predicted from as they are
-ROUNDS = 3  # of looking, each with orbits added where some were not found
+ACCURATE_POINT_TOLERANCE = 1e-7  # tolerance of points that orbits between them are predicted from as they are
+LOOKING_ROUNDS = 3  # of looking, each with orbits added where some were not found
 FLOW_TOLERANCE = 1e-9  # of the norm of transition matrices; errors of multipliers are 10 to 1000 times smaller
 
 
@@ -53,8 +53,8 @@ def family_tongues(
     known = {id(point): each for point, each in zip(points, stability, strict=False)}
     oscillate = bool(squares[0] >= -AT_REST * squares[-1])
     with one_thread():
-        for _ in range(ROUNDS):
-            sampler = _sampler(family, points, flow_tolerance, family.request.tolerance <= ACCURATE)
+        for _ in range(LOOKING_ROUNDS):
+            sampler = _sampler(family, points, flow_tolerance, family.request.tolerance <= ACCURATE_POINT_TOLERANCE)
             entries = [
                 Entry(float(coordinate), found.mu, found.mu_error)
                 for coordinate, point in zip(sampler.coordinates, points, strict=False)

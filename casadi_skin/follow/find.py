@@ -28,7 +28,7 @@ from casadi_skin.solve.newton import Correction
 from casadi_skin.solve.rank_deficiency import equilibrium_words
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.guesses import Guess, over_its_own_period, sampled
-from casadi_skin.zero.orbit import SAMPLES, TWO_PI, UNFOLDING, OrbitRequest, Periodic, statement_of
+from casadi_skin.zero.orbit import GUESS_SAMPLES, TWO_PI, UNFOLDING, OrbitRequest, Periodic, statement_of
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import sizes_at, sizes_of
 from casadi_skin.zero.stated_problem import PERIOD
@@ -422,7 +422,7 @@ def scalar_of(label: str, given: Any, model: OdeModel) -> Any:
 def _check_moves(name: str, solution: Solution, guess: Guess, length: float) -> None:
     """Raises BoundaryError for an orbit at rest: an equilibrium solves the equations for any period."""
     statement, states = solution.statement, solution.states
-    wanted = np.ptp(sampled(statement, guess, np.linspace(0.0, length, SAMPLES)), axis=0)
+    wanted = np.ptp(sampled(statement, guess, np.linspace(0.0, length, GUESS_SAMPLES)), axis=0)
     moved, size = np.ptp(states, axis=0), np.max(np.abs(states), axis=0)
     if np.any(moved > np.maximum(SHRUNK_MOTION * wanted, STILL_MOTION * size)):
         return

@@ -15,7 +15,7 @@ from casadi_skin.follow.orbit import Orbit
 from casadi_skin.model.arguments import short_repr
 from casadi_skin.zero.problem import Array
 
-NEAREST = 1e-10  # of the way from one orbit to the next, at which a takeover is looked for
+NEAREST_TAKEOVER = 1e-10  # of the way from one orbit to the next, at which a takeover is looked for
 
 
 def harmonic_shares(orbit: Orbit, coordinates: str = "gauge") -> Array:
@@ -64,5 +64,5 @@ def third_harmonic_leads(branch: Branch, coordinates: str = "gauge") -> Orbit | 
         return lead(nearest[-1])
 
     with suppress(ArithmeticError):
-        brentq(gap, 0.0, 1.0, xtol=NEAREST)
+        brentq(gap, 0.0, 1.0, xtol=NEAREST_TAKEOVER)
     return min(nearest, key=lambda orbit: abs(lead(orbit)))

@@ -35,8 +35,8 @@ from casadi_skin.zero.statics import balanced
 
 # A special point located to rounding, by Newton's method on the extended system of which it is a regular solution -----
 
-SYSTEMS: dict[str, type[ExtendedSystem]] = {FOLD: FoldSystem, BRANCH_POINT: BranchSystem, HOPF: HopfSystem}
-IMPERFECT = 1e-7  # of the norm of the balanced Jacobian: an imperfection by which no two branches meet
+EXTENDED_SYSTEMS: dict[str, type[ExtendedSystem]] = {FOLD: FoldSystem, BRANCH_POINT: BranchSystem, HOPF: HopfSystem}
+IMPERFECTION_RTOL = 1e-7  # of the norm of the balanced Jacobian: an imperfection by which no two branches meet
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ def system_of(equations: EquilibriumEquations, kind: str, rate: float) -> Extend
     known = equations.systems
     if kind not in known:
         assert equations.course is not None
-        system = SYSTEMS[kind](equations.statics, equations.sizes, (equations.course,), rate=rate)
+        system = EXTENDED_SYSTEMS[kind](equations.statics, equations.sizes, (equations.course,), rate=rate)
         try:
             _ = system.function
         except (RuntimeError, NotImplementedError):  # the model is a black box with first derivatives alone
@@ -109,7 +109,7 @@ def measured(problem: AlgebraicProblem, z: Array, kind: str) -> Located | None:
     noise = solve(problem.rounding(z) * np.append(problem.probe, 0.0))
     place, n = problem.states, problem.statics.size
     scale = float(np.linalg.norm(balanced(jacobian_of(problem, z))[0]))  # a rate, as the imperfection is
-    if kind == BRANCH_POINT and abs(z[place + len(problem.free)]) > IMPERFECT * scale:
+    if kind == BRANCH_POINT and abs(z[place + len(problem.free)]) > IMPERFECTION_RTOL * scale:
         return None
     if isinstance(problem, HopfSystem) and not problem.kappa(z) > 0.0:
         return None  # a neutral saddle
@@ -126,8 +126,8 @@ def jacobian_of(problem: AlgebraicProblem, z: Array) -> Array:
     return np.asarray(matrix * problem.scale / problem.scale[:, None])
 
 
-NEAR = 0.5  # of the longest step: how far from its approximate place a special orbit may be
-PUSHED = 1e-7  # of the null vector: a push of the field that is none
+NEAR_STEP_FRACTION = 0.5  # of the longest step: how far from its approximate place a special orbit may be
+PUSH_RTOL = 1e-7  # of the null vector: a push of the field that is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +214,7 @@ def solved(
     found = extended.point_solver.refined(finer, correction, row, Scalar.PARAMETER)
     if found is None:
         return None
-    if critical.kind == BRANCH_POINT and abs(float(found.z[-2])) > PUSHED:
+    if critical.kind == BRANCH_POINT and abs(float(found.z[-2])) > PUSH_RTOL:
         return None
     index = found.problem.states + len(space.statement.free)
     return LocatedOrbit(critical, found, float(found.z[index]), _error(extended, found, index))
@@ -258,4 +258,4 @@ def special_orbit(space: BoundarySolutions, kind: str, near: Point, angle: float
     found = point_of(located, space, near, kind)
     there = near.problem.prolong(near.z, found.problem)
     apart = float(np.sqrt(np.sum(space.point_solver.metric(found.problem, there) * (found.z - there) ** 2)))
-    return found if apart <= NEAR * space.point_solver.settings.max_step else None
+    return found if apart <= NEAR_STEP_FRACTION * space.point_solver.settings.max_step else None

@@ -18,7 +18,7 @@ import numpy as np
 
 from casadi_skin.follow.followed import Followed
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.rest_normal_forms import DECIDED, Critical
+from casadi_skin.follow.rest_normal_forms import DECIDED_SIGN_RATIO, Critical
 from casadi_skin.follow.rest_normal_forms import critical as at_equilibrium
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.special_points import SpecialPoint
@@ -29,7 +29,7 @@ from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import BoundaryProblem
 
-UNKNOWN = "unknown: the model has no higher derivatives"
+UNKNOWN_DERIVATIVES_WORDS = "unknown: the model has no higher derivatives"
 
 
 def critical(point: SpecialPoint) -> Critical:
@@ -54,10 +54,10 @@ def critical(point: SpecialPoint) -> Critical:
     try:
         terms = terms_of(point.kind, linear, angle, v, adjoint, turn) / length
     except (RuntimeError, NotImplementedError):
-        return Critical(vector, other, angle / length, float("nan"), UNKNOWN)
+        return Critical(vector, other, angle / length, float("nan"), UNKNOWN_DERIVATIVES_WORDS)
     value = float(np.sum(terms))
     words = "quadratic" if point.kind == FOLD else "supercritical" if value < 0.0 else "subcritical"
-    if abs(value) <= DECIDED * float(np.sum(np.abs(terms))):
+    if abs(value) <= DECIDED_SIGN_RATIO * float(np.sum(np.abs(terms))):
         words = "degenerate"
     return Critical(vector, other, angle / length, value, words)
 
@@ -152,7 +152,7 @@ def _normal(space: Followed, point: Point) -> tuple[Array, Array]:
 
 # The branching equation at branch points that are followed in two parameters: where it degenerates --------------------
 
-SYMMETRIC = 1e-6  # of all terms: a quadratic coefficient that a symmetry makes zero
+SYMMETRIC_TERM_RATIO = 1e-6  # of all terms: a quadratic coefficient that a symmetry makes zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +170,7 @@ class BranchingEquation:
         """Whether a is zero but for errors of the solution."""
         quadratic, _ = self.coefficients
         scale = sum(float(np.sum(np.abs(terms))) for terms in self._terms)
-        return abs(quadratic) <= max(SYMMETRIC, 100.0 * error) * scale
+        return abs(quadratic) <= max(SYMMETRIC_TERM_RATIO, 100.0 * error) * scale
 
     @cached_property
     def _terms(self) -> tuple[Array, Array]:

@@ -28,7 +28,7 @@ from casadi_skin.zero.trigonometric import TrigonometricProblem
 MOST_QUARTERS = 10_000  # periods are followed as products of matrices
 MOST_HARMONICS = 4096  # of coefficients
 WITH_PHASES = (FirstOrderProblem, TrigonometricProblem)  # problems of families
-TIE = 1e-10  # relative difference of displacements that count as equal
+TIE_RTOL = 1e-10  # relative difference of displacements that count as equal
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +151,7 @@ class Orbit(Solution):
         start = coordinates.scale * self.point.problem.sample(self.point.z, np.zeros(1))[0]
         if coordinates.scaled.half_period is None:
             return float(np.sqrt(self.S) / coordinates.amplitude(start))
-        tied = np.flatnonzero(np.abs(start) >= (1.0 - TIE) * np.max(np.abs(start)))
+        tied = np.flatnonzero(np.abs(start) >= (1.0 - TIE_RTOL) * np.max(np.abs(start)))
         return float(np.sign(start[tied[-1]]) * np.sqrt(self.S) / coordinates.amplitude(start))
 
     @cached_property
@@ -306,10 +306,10 @@ class Orbit(Solution):
 
 # An orbit as a closed curve in the space of states, and the distance of a state from it -------------------------------
 
-PHASES = 128  # of an orbit of a family, among which the nearest is sought first
-STEPS = 6  # of Gauss and Newton's refinement
-HARMONICS = (64, 128, 256, 512, 1024)  # of an orbit without the half-period symmetry
-NEGLIGIBLE = 1e-2  # of the tolerance: coefficients that a sum of cosines can do without
+SOUGHT_PHASES = 128  # of an orbit of a family, among which the nearest is sought first
+GAUSS_NEWTON_STEPS = 6  # of Gauss and Newton's refinement
+HARMONICS_TRIED = (64, 128, 256, 512, 1024)  # of an orbit without the half-period symmetry
+NEGLIGIBLE_COEFFICIENT = 1e-2  # of the tolerance: coefficients that a sum of cosines can do without
 
 
 class CosineSeries(Protocol):
@@ -347,7 +347,7 @@ class Curve:
         coarse, _ = self.points(phases)
         theta = phases[np.argmax(states @ coarse.T - 0.5 * np.sum(coarse**2, axis=1), axis=1)]
         nearest = np.full(len(states), np.inf)
-        for _ in range(STEPS):
+        for _ in range(GAUSS_NEWTON_STEPS):
             point, tangent = self.points(theta)
             nearest = np.minimum(nearest, np.linalg.norm(states - point, axis=1))
             move = np.sum((states - point) * tangent, axis=1) / np.sum(tangent**2, axis=1)
@@ -369,17 +369,17 @@ def cosine_curve(orbit: CosineSeries) -> Curve:
         y, dy, ddy = cosine @ c, -(sine * order) @ c, -(cosine * order**2) @ c
         return np.hstack([y, dy]), np.hstack([dy, ddy])
 
-    return Curve(points, PHASES, float(np.sqrt(orbit.S)))
+    return Curve(points, SOUGHT_PHASES, float(np.sqrt(orbit.S)))
 
 
 def _cosines(orbit: Orbit) -> Array:
     """Coefficients of cos(k Omega t), k from 0, of an orbit of a family with both even and odd harmonics."""
     from scipy.fft import dct
 
-    for harmonics in HARMONICS:
+    for harmonics in HARMONICS_TRIED:
         middles = (np.arange(harmonics) + 0.5) / (2 * harmonics)
         c = dct(orbit.evaluate(orbit.period * middles), axis=0) / harmonics
         c[0] *= 0.5
-        if np.max(np.abs(c[-harmonics // 4 :])) <= NEGLIGIBLE * orbit.space.tolerance * np.max(np.abs(c)):
+        if np.max(np.abs(c[-harmonics // 4 :])) <= NEGLIGIBLE_COEFFICIENT * orbit.space.tolerance * np.max(np.abs(c)):
             break
     return np.asarray(c)

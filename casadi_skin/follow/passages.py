@@ -23,10 +23,10 @@ from casadi_skin.zero.settings import Point
 
 PLACE_TOLERANCE = 1e-13  # of the way between two solutions, in the place of a passage
 EXTREMUM_TOLERANCE = 1e-5  # the same in that of an extremum, which is flat: its value is right to the square of it
-SMOOTH = 1e-6  # of the difference of two neighbours: a value that is missed by more was jumped over
-SAMPLES = 33  # places of a stretch at which the cubic through the solutions around it is looked at
+SMOOTH_VALUE_RTOL = 1e-6  # of the difference of two neighbours: a value that is missed by more was jumped over
+STRETCH_SAMPLES = 33  # places of a stretch at which the cubic through the solutions around it is looked at
 BESIDE_LIMIT = 1e-6  # of the way from a limit to the first solution: a quantity may be 0/0 at the limit itself
-LENIENCE = 2.0  # times what the cubic goes beyond its ends: the extremum there may be, to be looked for
+EXTREMUM_LENIENCE = 2.0  # times what the cubic goes beyond its ends: the extremum there may be, to be looked for
 
 
 class _NotFoundError(ArithmeticError):
@@ -65,7 +65,7 @@ class _Stretch:
         elif before * after > 0.0:
             sign = np.sign(before)
             beyond = max(0.0, min(abs(before), abs(after)) - float(np.min(sign * np.array(self.reach))))
-            if LENIENCE * beyond >= min(abs(before), abs(after)):
+            if EXTREMUM_LENIENCE * beyond >= min(abs(before), abs(after)):
                 turn = self._turn(float(sign))
                 if turn is not None:
                     yield from self._root(0.0, turn)
@@ -92,7 +92,7 @@ class _Stretch:
         ends = self.at(low), self.at(high)
         place = float(brentq(self.at, low, high, xtol=PLACE_TOLERANCE))
         noise = self.space.tolerance * max(map(abs, ends))
-        if abs(self.at(place)) <= max(SMOOTH * abs(ends[1] - ends[0]), noise):
+        if abs(self.at(place)) <= max(SMOOTH_VALUE_RTOL * abs(ends[1] - ends[0]), noise):
             yield place
 
 
@@ -152,7 +152,9 @@ def _reach(places: Array, values: Array, k: int) -> tuple[float, float]:
 
     around = np.arange(max(0, k - 2), min(values.size, k + 2))
     around = around[np.isfinite(values[around])]
-    sampled = BarycentricInterpolator(places[around], values[around])(np.linspace(places[k - 1], places[k], SAMPLES))
+    sampled = BarycentricInterpolator(places[around], values[around])(
+        np.linspace(places[k - 1], places[k], STRETCH_SAMPLES)
+    )
     return float(np.min(sampled)), float(np.max(sampled))
 
 

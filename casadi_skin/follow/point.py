@@ -19,13 +19,19 @@ from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
 from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 ROUND_OFF = 1e-7  # an estimate below this that a finer level does not halve
-COARSEN = 0.25  # of the tolerance: the error expected of a coarser level; less than 1, or it is left again at once
+COARSENING_ERROR_RATIO = (
+    0.25  # of the tolerance: the error expected of a coarser level; less than 1, or it is left again at once
+)
 START_ERROR = 1e-4  # of the linear mode where a walk starts
-PATIENCE = 4  # resolutions that may fail to halve, all together, an estimate that is small enough to mean something
-MEANINGFUL = 1e-3
-ASYMPTOTIC = 1e-2  # relative error below which the gain of finer levels is foreseen
-TURNED = 1e-2  # that a tangent may differ from the one computed again: a Newton step and a finer level lie between
-BESIDE = 1e-3  # reach of a correction to a target that the point meets but for round-off
+MOST_FAILED_HALVINGS = (
+    4  # resolutions that may fail to halve, all together, an estimate that is small enough to mean something
+)
+MEANINGFUL_ERROR = 1e-3
+ASYMPTOTIC_ERROR = 1e-2  # relative error below which the gain of finer levels is foreseen
+TURNED_TANGENT = (
+    1e-2  # that a tangent may differ from the one computed again: a Newton step and a finer level lie between
+)
+BESIDE_TARGET_REACH = 1e-3  # reach of a correction to a target that the point meets but for round-off
 
 
 class PointSolver:
@@ -100,7 +106,7 @@ class PointSolver:
         if not moved <= 2.0 * max(self.settings.tolerance, error.relative(problem.frequency(z))):
             return f"a point that does not solve the equations (a Newton step moves it by {moved:.1e})"
         turned = float(np.sqrt(np.sum(self.metric(problem, z) * (tangent - point.tangent) ** 2)))
-        return "" if turned <= TURNED else f"a tangent that is none (off by {turned:.1e})"
+        return "" if turned <= TURNED_TANGENT else f"a tangent that is none (off by {turned:.1e})"
 
     # Correcting -----------------------------------------------------------------------------------------------------
 
@@ -216,7 +222,7 @@ class PointSolver:
             else:
                 climbed.append((problem.resolution, relative))
                 _check_gain(climbed, point)
-                excess = relative / self.settings.tolerance if relative < ASYMPTOTIC else 1.0
+                excess = relative / self.settings.tolerance if relative < ASYMPTOTIC_ERROR else 1.0
                 finer = self.levels.finer(problem, z, excess)
                 if finer is None or self.levels.finer(finer) is None:
                     return None
@@ -282,7 +288,7 @@ class PointSolver:
 
     def lighter(self, point: Point) -> Problem:
         """The problem of the next step from a point: on a coarser level where that is expected to suffice."""
-        allowed = COARSEN * self.settings.tolerance
+        allowed = COARSENING_ERROR_RATIO * self.settings.tolerance
         return self.levels.lighter(point.problem, point.z, point.error.relative(point.Omega), allowed)
 
     # At a value of the parameter or of Omega, between two points -----------------------------------------------------
@@ -304,7 +310,7 @@ class PointSolver:
 
     def beside(self, point: Point, target: Target) -> Point | None:
         """The point at a target that `point` meets but for round-off; None where none is found."""
-        return self._exactly(point.problem, LocalCurve.line(point.z, point.tangent), 0.0, target, BESIDE)
+        return self._exactly(point.problem, LocalCurve.line(point.z, point.tangent), 0.0, target, BESIDE_TARGET_REACH)
 
     def curve(self, current: Point, following: Point) -> tuple[LocalCurve, float]:
         """The local cubic from one point to the next, in the unknowns of the second, and its length in sigma."""
@@ -382,10 +388,10 @@ class PointSolver:
 
 def _check_gain(climbed: list[tuple[int, float]], point: Point) -> None:
     """Raises SingularError where finer resolutions do not lessen the error: rounding is amplified there."""
-    if len(climbed) <= PATIENCE:
+    if len(climbed) <= MOST_FAILED_HALVINGS:
         return
-    (coarse, before), (fine, now) = climbed[-1 - PATIENCE], climbed[-1]
-    if 0.5 * before < now < MEANINGFUL:
+    (coarse, before), (fine, now) = climbed[-1 - MOST_FAILED_HALVINGS], climbed[-1]
+    if 0.5 * before < now < MEANINGFUL_ERROR:
         raise SingularError(
             f"resolutions {coarse} to {fine} leave an error of {now:.1e} at parameter {point.parameter:.6g}, Omega = "
             f"{point.Omega:.10g}: rounding is amplified there; try a tolerance above {now:.0e}"
@@ -394,8 +400,8 @@ def _check_gain(climbed: list[tuple[int, float]], point: Point) -> None:
 
 # Components of an orbit that are far smaller than the largest, recomputed to relative accuracy ------------------------
 
-SMALL = 1e-7  # of the largest state: below it the corrector leaves errors relative to the largest
-SMALLEST = 1e-250  # of the largest state: below it doubles run out
+SMALL_COMPONENT_RATIO = 1e-7  # of the largest state: below it the corrector leaves errors relative to the largest
+SMALLEST_COMPONENT_RATIO = 1e-250  # of the largest state: below it doubles run out
 
 
 def with_small_components(point_solver: PointSolver, point: Point) -> tuple[Array, float]:
@@ -405,11 +411,11 @@ def with_small_components(point_solver: PointSolver, point: Point) -> tuple[Arra
     """
     problem = point.problem
     if not isinstance(problem, TrigonometricProblem):
-        return point.z, SMALL
+        return point.z, SMALL_COMPONENT_RATIO
     states = np.abs(point.z[: problem.states])
-    small = np.flatnonzero(states < SMALL * np.max(states))
+    small = np.flatnonzero(states < SMALL_COMPONENT_RATIO * np.max(states))
     if small.size == 0:
-        return point.z, SMALLEST
+        return point.z, SMALLEST_COMPONENT_RATIO
     guess = point.z.copy()
     guess[small] = 0.0
     row = point_solver.metric(problem, point.z) * point.tangent
@@ -417,8 +423,8 @@ def with_small_components(point_solver: PointSolver, point: Point) -> tuple[Arra
     try:
         solve = point_solver.levels.solver(problem).factor(guess, nonzeros, row)
     except SingularError:
-        return point.z, SMALL
+        return point.z, SMALL_COMPONENT_RATIO
     step = solve(np.append(residual, row @ (guess - point.z)))
     z = point.z.copy()
     z[small] = -step[small]
-    return z, SMALLEST
+    return z, SMALLEST_COMPONENT_RATIO

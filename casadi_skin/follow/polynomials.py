@@ -11,9 +11,9 @@ from numpy.polynomial.polynomial import polyval
 
 from casadi_skin.zero.problem import Array
 
-HISTORY = 4  # points that a prediction is made from
+PREDICTING_POINTS = 4  # points that a prediction is made from
 HULL_MARGIN = 1e-9  # of the largest bound on values without a zero: rounding is far below
-ALIGNED = 0.7  # cosine of the turn since a point, at least: three steps turn by less, a corner by more
+ALIGNED_COSINE = 0.7  # cosine of the turn since a point, at least: three steps turn by less, a corner by more
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def predictor(z: Array, t: Array, before: Sequence[tuple[Array, Array]], row: Ar
     places, values, slopes, last = [0.0], [z], [t / float(row @ t)], 0.0
     for earlier, tangent in before:
         sigma, slope = float(row @ (earlier - z)), float(row @ tangent)
-        if not (sigma < last and slope > ALIGNED):
+        if not (sigma < last and slope > ALIGNED_COSINE):
             break
         places, values, slopes, last = [*places, sigma], [*values, earlier], [*slopes, tangent / slope], sigma
     return interpolant(np.array(places), np.array(values), np.array(slopes))
@@ -123,7 +123,7 @@ def interpolant(places: Array, values: Array, slopes: Array) -> Callable[[float 
 
 # A stretch of branch as a polynomial in a coordinate along it: dense output, and where values are passed --------------
 
-GRID = 33  # samples in which the crossings of a value, and the turns between them, are separated
+CROSSING_SAMPLES = 33  # samples in which the crossings of a value, and the turns between them, are separated
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class Stretch:
         """All (tau, value) with tau in (0, length] at which component `index` equals one of `values`, ascending."""
         course = self.coefficients[:, index]
         turn = np.arange(1, course.size) * course[1:]
-        grid, powers = np.linspace(0.0, self.length, GRID), _powers_of_unit(GRID, course.size)
+        grid, powers = np.linspace(0.0, self.length, CROSSING_SAMPLES), _powers_of_unit(CROSSING_SAMPLES, course.size)
         scaled = self.length ** np.arange(course.size)
         steepness, slopes = powers[:, :-1] @ (turn * scaled[:-1]), turn.tolist()
         turns = np.array([_zero(slopes, a, b) for a, b in _brackets(grid, steepness)])

@@ -23,7 +23,7 @@ from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.location import jacobian_of
 from casadi_skin.follow.rest_events import EquilibriumSearch
 from casadi_skin.follow.rest_normal_forms import critical_pair, lyapunov_terms
-from casadi_skin.follow.special_points import FINE, zero_between
+from casadi_skin.follow.special_points import TEST_ZERO_XTOL, zero_between
 from casadi_skin.follow.stretch import Sample, Stretch, crossings, height, less
 from casadi_skin.zero.augmented import ExtendedSystem, HopfSystem
 from casadi_skin.zero.kinds import (
@@ -43,9 +43,9 @@ from casadi_skin.zero.settings import Point
 from casadi_skin.zero.statics import ComplexArray, NullSpace, Statics
 from casadi_skin.zero.unresolved import Unresolved
 
-VANISHES = 1e-3  # of a test at the ends of a stretch: it is less at a root, and more at a pole
-SYMMETRIC = 1e-9  # of all terms: a quadratic coefficient that a symmetry makes zero
-CHANGE = 1e-6  # of the unknowns: a step along a curve, for rates
+VANISHING_TEST_RATIO = 1e-3  # of a test at the ends of a stretch: it is less at a root, and more at a pole
+SYMMETRIC_TERM_RATIO = 1e-9  # of all terms: a quadratic coefficient that a symmetry makes zero
+CURVE_DIFFERENCE_STEP = 1e-6  # of the unknowns: a step along a curve, for rates
 NEAR_END = 6  # divisions of a step after which a curve of Hopf points is taken to end in a Bogdanov-Takens point
 Test = Callable[[Point], float]
 
@@ -109,7 +109,7 @@ class _Search(EquilibriumSearch):
     def sample(self, point: Point) -> Sample:
         sample = super().sample(point)
         places = _critical(self.space, point, sample.values)
-        h = CHANGE / max(1e-300, float(np.max(np.abs(point.tangent))))
+        h = CURVE_DIFFERENCE_STEP / max(1e-300, float(np.max(np.abs(point.tangent))))
         ahead = replace(point, z=point.z + h * point.tangent)
         values = [(test(point), test(ahead)) for test in self.tests.values()]
         return replace(less(sample, places), leading=tuple((here, (there - here) / h) for here, there in values))
@@ -225,7 +225,7 @@ def _branching(space: Followed, reference: Point) -> tuple[str, Test]:
 
     quadratic, cubic = terms(reference)
     scale = float(np.sum(np.abs(quadratic)) + np.sum(np.abs(cubic)))
-    symmetric = bool(abs(np.sum(quadratic)) <= SYMMETRIC * scale)
+    symmetric = bool(abs(np.sum(quadratic)) <= SYMMETRIC_TERM_RATIO * scale)
     kind = DEGENERATE_PITCHFORK if symmetric else DEGENERATE_TRANSCRITICAL
     return kind, lambda point: float(np.sum(terms(point)[int(symmetric)]))
 
@@ -287,11 +287,11 @@ def _root(space: Followed, before: Point, after: Point, kind: str, test: Test) -
     """
     solver = space.equations.point_solver
     zero, beside, size = zero_between(solver, before, after, test, kind)
-    if abs(zero.value) > VANISHES * size:
+    if abs(zero.value) > VANISHING_TEST_RATIO * size:
         return None
     point, near = zero.point, abs(beside.fraction - zero.fraction) < 1e-6
-    width = abs(float(beside.point.z[-1] - point.z[-1])) if near else FINE
+    width = abs(float(beside.point.z[-1] - point.z[-1])) if near else TEST_ZERO_XTOL
     _, length = solver.curve(before, after)
-    moved = min(width, 10.0 * FINE * length) + point.error.relative(1.0)
+    moved = min(width, 10.0 * TEST_ZERO_XTOL * length) + point.error.relative(1.0)
     error = replace(point.error, parameter=float(moved))
     return zero.fraction, replace(point, error=error, requested=False, walked=False, special=kind)

@@ -11,7 +11,7 @@ import numpy as np
 
 from casadi_skin.follow.equilibrium_equations import corrector_of
 from casadi_skin.follow.follow import following_settings
-from casadi_skin.follow.location import SYSTEMS, jacobian_of
+from casadi_skin.follow.location import EXTENDED_SYSTEMS, jacobian_of
 from casadi_skin.follow.rest_codimension_two import Followed, special_on_curve
 from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium
@@ -24,7 +24,9 @@ from casadi_skin.zero.settings import End, Point
 from casadi_skin.zero.statics import Statics, balanced
 from casadi_skin.zero.unresolved import Unresolved
 
-UNFOLDS = 1e-7  # of the norm of the balanced Jacobian, in a step: an imperfection that grows along a curve
+UNFOLDING_IMPERFECTION = (
+    1e-7  # of the norm of the balanced Jacobian, in a step: an imperfection that grows along a curve
+)
 
 
 class UnfoldingError(EquilibriumError):
@@ -49,7 +51,7 @@ class CurveSpace(EquilibriumSpace):
     def problem(self) -> AlgebraicProblem:
         """The extended system, with u that follows the parameter."""
         assert self.second is not None
-        system = SYSTEMS[self.kind](self.statics, self.sizes, (self.second,), self.course, self.rate)
+        system = EXTENDED_SYSTEMS[self.kind](self.statics, self.sizes, (self.second,), self.course, self.rate)
         if self.first is not None:
             return system.with_constants(self.first.problem.constants)
         return system
@@ -89,7 +91,7 @@ def curve_space(
     started, or a branch point does not stay one.
     """
     solution = point.solution
-    if not isinstance(solution, Equilibrium) or point.kind not in SYSTEMS or solution.space.free:
+    if not isinstance(solution, Equilibrium) or point.kind not in EXTENDED_SYSTEMS or solution.space.free:
         raise ValueError(f"curve: given a {point.kind}; accepted: a fold, Hopf point or branch point of equilibria")
     check_second(point, parameter)
     settings = following_settings(
@@ -122,7 +124,9 @@ def _started(point: SpecialPoint, parameter: str, to: float, at: tuple[float, ..
     problem, z = _extended(space, matrix, x / sizes, near)
     space = replace(space, first=replace(solution.point, problem=problem, z=z, special="", walked=True))
     size = float(np.linalg.norm(balanced(matrix)[0]))
-    if point.kind == BRANCH_POINT and abs(space.start.tangent[problem.states + 1]) > UNFOLDS * size:  # of beta
+    if (
+        point.kind == BRANCH_POINT and abs(space.start.tangent[problem.states + 1]) > UNFOLDING_IMPERFECTION * size
+    ):  # of beta
         why = "no symmetry, and no state that stays zero, keeps both branches together"
         raise UnfoldingError(f"{old.model.name}: the branch point is none at other values of {parameter}: {why}")
     return space

@@ -37,17 +37,19 @@ from casadi_skin.zero.settings import ErrorEstimate, Point
 from casadi_skin.zero.statics import BalancedMatrix
 from casadi_skin.zero.unresolved import Unresolved
 
-PLACES = 1024  # over the range of the parameter
+LEDGER_PLACES = 1024  # over the range of the parameter
 OF_PROGRAMS = 128  # of a program, whose derivatives are differences and cost as much
-LENGTH = 6.0  # of a branch, in units of its states, that has as many places as the range of the parameter
-MOST = 8192  # places between two points
-NEWTON = 4  # steps
-SETTLED = 1e-7  # of a stretch: a step that is none
-SMALL = 16  # states: eigenvalues of more are computed only where derivatives are not what is between two points
-SURE = 10.0  # times the change of an eigenvalue, to first order, that leaves it on its side
-CHANGES = {FOLD: (1,), BRANCH_POINT: (0, 1), HOPF: (2,)}  # of the number of unstable eigenvalues
+LEDGER_LENGTH = 6.0  # of a branch, in units of its states, that has as many places as the range of the parameter
+MOST_PLACES_BETWEEN = 8192  # places between two points
+NEWTON_STEPS = 4  # steps
+SETTLED_STEP = 1e-7  # of a stretch: a step that is none
+SMALL_STATE_COUNT = (
+    16  # states: eigenvalues of more are computed only where derivatives are not what is between two points
+)
+SURE_CHANGE_FACTOR = 10.0  # times the change of an eigenvalue, to first order, that leaves it on its side
+COUNT_CHANGES = {FOLD: (1,), BRANCH_POINT: (0, 1), HOPF: (2,)}  # of the number of unstable eigenvalues
 Flags = NDArray[np.bool_]
-AT = 1e-9  # of a stretch: a place at an event itself
+AT_EVENT_DISTANCE = 1e-9  # of a stretch: a place at an event itself
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +98,7 @@ class Counts:
 
     def violation(self, events: Sequence[Point]) -> tuple[int, int] | None:
         """Neighbouring places between which events do not account for the numbers; None where they do throughout."""
-        placed = sorted((self.place(event), CHANGES.get(event.special, (0,))) for event in events)
+        placed = sorted((self.place(event), COUNT_CHANGES.get(event.special, (0,))) for event in events)
         possible = set(range(int(self.least[0]), int(self.most[0]) + 1))
         last, length = 0, float(self.sigma[-1])
         for k in range(1, self.sigma.size):
@@ -106,7 +108,7 @@ class Counts:
                 possible = {n + sign * change for n in possible for change in changes for sign in (-1, 1)}
             known = {n for n in possible if self.least[k] <= n <= self.most[k]}
             if not known:
-                beside = [abs(self.place(event) - self.sigma[k]) <= AT * length for event in events]
+                beside = [abs(self.place(event) - self.sigma[k]) <= AT_EVENT_DISTANCE * length for event in events]
                 if not any(beside):
                     return last, k
                 continue
@@ -122,12 +124,12 @@ def counted(equations: EquilibriumEquations, before: Point, after: Point) -> Cou
     curve = LocalCurve.through(before.z, before.tangent, after.z, after.tangent, row)
     length = float(row @ (after.z - before.z))
     weights = equations.point_solver.metric(problem, before.z)
-    over = PLACES if equations.statics.exact else OF_PROGRAMS
-    many = max(abs(after.parameter - before.parameter), length / LENGTH)
-    sigma = length * np.linspace(0.0, 1.0, int(np.clip(np.ceil(over * many), 3, MOST)) + 1)
+    over = LEDGER_PLACES if equations.statics.exact else OF_PROGRAMS
+    many = max(abs(after.parameter - before.parameter), length / LEDGER_LENGTH)
+    sigma = length * np.linspace(0.0, 1.0, int(np.clip(np.ceil(over * many), 3, MOST_PLACES_BETWEEN)) + 1)
     guesses = np.array([curve.at(float(place)) for place in sigma])
     guesses[[0, -1]] = before.z, after.z
-    unknowns, settled = _solved(problem, guesses, row, SETTLED * length, weights)
+    unknowns, settled = _solved(problem, guesses, row, SETTLED_STEP * length, weights)
     for k in np.flatnonzero(~settled):
         point = equations.point_solver.along(before, after, float(sigma[k] / length))
         if point is None:
@@ -135,7 +137,11 @@ def counted(equations: EquilibriumEquations, before: Point, after: Point) -> Cou
         unknowns[k] = point.z
     stack = problem.equations_at_all(unknowns)[1][:, :, : problem.statics.size]
     stretch = Stretch.of((first, equations.sample(after)), "real parts")
-    seen = np.ones(sigma.size, dtype=bool) if problem.statics.size <= SMALL else _unlike(stretch, stack, sigma / length)
+    seen = (
+        np.ones(sigma.size, dtype=bool)
+        if problem.statics.size <= SMALL_STATE_COUNT
+        else _unlike(stretch, stack, sigma / length)
+    )
     least, most = _numbers(problem.statics.model.rounding, stack, seen)
     return Counts(before, after, row, sigma[seen], least, most, unknowns[seen])
 
@@ -143,7 +149,7 @@ def counted(equations: EquilibriumEquations, before: Point, after: Point) -> Cou
 def _solved(problem: AlgebraicProblem, z: Array, row: Array, still: float, weights: Array) -> tuple[Array, Flags]:
     """Equilibria near states, each at its place along, by Newton's method; and whether the steps settled."""
     z, left, settled = z.copy(), np.arange(len(z)), np.zeros(len(z), dtype=bool)
-    for _ in range(NEWTON):
+    for _ in range(NEWTON_STEPS):
         residuals, matrices = problem.equations_at_all(z[left])
         closed = np.concatenate([matrices, np.tile(row, (left.size, 1, 1))], axis=1)
         regular = np.linalg.cond(closed) < 1.0 / EPSILON
@@ -173,7 +179,7 @@ def _unlike(stretch: Stretch, matrices: Array, fractions: Array) -> np.ndarray:
     g, slopes = stretch.quantities
     values, _ = _cubic(g, slopes * stretch.length, np.repeat(fractions[:, None], g.shape[1], axis=1))
     conditions = np.maximum(linear.conditions, BalancedMatrix(matrices[-1]).conditions[stretch.order])
-    near = np.any(SURE * size[:, None] * conditions >= np.abs(values[:, stretch.leading :]), axis=1)
+    near = np.any(SURE_CHANGE_FACTOR * size[:, None] * conditions >= np.abs(values[:, stretch.leading :]), axis=1)
     near[[0, -1]] = True
     return np.asarray(near)
 
@@ -214,12 +220,12 @@ class EquilibriumSearch(Search[Point]):
 
 # Special points on a stretch of a branch of equilibria: distinguished by their eigenvalues, then located one by one
 
-TOGETHER = 4  # divisions after which a fold and a branch point that cannot be separated are one
-BISECTIONS = 40
-SHARP = 0.5  # cosine of the turn between two points: a step turns by less
-RECOUNTS = 3  # divisions of a stretch where special points do not account for eigenvalues
-SAME = 1e-9  # of a step or of a frequency
-BESIDE = 0.7  # of a stretch: how far from where it is expected a special point may be found
+TOGETHER_DEPTH = 4  # divisions after which a fold and a branch point that cannot be separated are one
+MOST_BISECTIONS = 40
+SHARP_TURN_COSINE = 0.5  # cosine of the turn between two points: a step turns by less
+MOST_RECOUNTS = 3  # divisions of a stretch where special points do not account for eigenvalues
+SAME_POINT_RTOL = 1e-9  # of a step or of a frequency
+FARTHEST_FROM_EXPECTED = 0.7  # of a stretch: how far from where it is expected a special point may be found
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +252,7 @@ def special_between(equations: EquilibriumEquations, before: Point, after: Point
             yield _gap(equations, before.parameter, after.parameter, "the branch is not found between two points")
         return
     places = counts.cuts
-    for _ in range(RECOUNTS):
+    for _ in range(MOST_RECOUNTS):
         parts = pairwise((before, *counts.points(equations, places), after))
         found = [one for ends in parts for one in _between(equations, *ends)]
         events = [point for point in found if isinstance(point, Point)]
@@ -264,7 +270,7 @@ def special_between(equations: EquilibriumEquations, before: Point, after: Point
 
 def _between(equations: EquilibriumEquations, before: Point, after: Point) -> Iterator[Point | Unresolved]:
     """Special points of a part; it is named where the branch turns by so much that no curve through its ends is it."""
-    if float(equations.sample(before).row @ after.tangent) < SHARP:
+    if float(equations.sample(before).row @ after.tangent) < SHARP_TURN_COSINE:
         yield _gap(equations, before.parameter, after.parameter, "the branch turns sharply between two points")
         return
     yield from _Search(equations, before, after).between(before, after)
@@ -289,7 +295,7 @@ class _Search(EquilibriumSearch):
     def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point] | None:
         reals, pairs = crossings(stretch) if self.free else ([], [])
         expected = [FOLD] * stretch.turns + [BRANCH_POINT] * stretch.reorients
-        one = set(expected) == {FOLD, BRANCH_POINT} and not reals and (depth >= TOGETHER or last)
+        one = set(expected) == {FOLD, BRANCH_POINT} and not reals and (depth >= TOGETHER_DEPTH or last)
         if one:  # where a branch leaves another one to one side
             expected, reals = [BRANCH_POINT], [0]
         if not (one or last or np.all(stretch.settled)):
@@ -317,7 +323,8 @@ class _Search(EquilibriumSearch):
 def _differ(found: list[Found]) -> bool:
     """Whether special points differ in place or frequency, so that none is located twice."""
     return not any(
-        abs(one.along - other.along) <= SAME and abs(one.frequency - other.frequency) <= SAME * one.frequency
+        abs(one.along - other.along) <= SAME_POINT_RTOL
+        and abs(one.frequency - other.frequency) <= SAME_POINT_RTOL * one.frequency
         for i, one in enumerate(found)
         for other in found[:i]
     )
@@ -341,7 +348,7 @@ def _located(equations: EquilibriumEquations, stretch: Stretch, kind: str, place
     row = equations.point_solver.metric(equations.problem, start.z) * start.tangent
     along = float(row @ (z - start.z))
     inside = -1e-6 * stretch.length <= along <= (1.0 + 1e-6) * stretch.length
-    if apart > BESIDE * stretch.length or not inside:
+    if apart > FARTHEST_FROM_EXPECTED * stretch.length or not inside:
         return None
     return Found(along, found.frequency, _point(equations, stretch, kind, found, along))
 
@@ -372,7 +379,7 @@ def _by_bisection(equations: EquilibriumEquations, stretch: Stretch, kind: str) 
         threshold = 0.5 * sum(counts) - 0.5
     low, high, known = 0.0, 1.0, before
     start, last = side(before), after
-    for _ in range(BISECTIONS):
+    for _ in range(MOST_BISECTIONS):
         middle = equations.point_solver.along(before, after, 0.5 * (low + high))
         if middle is None:
             break

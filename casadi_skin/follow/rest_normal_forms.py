@@ -20,7 +20,7 @@ from casadi_skin.zero.kinds import FOLD, HOPF
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.statics import BalancedMatrix, ComplexArray, NullSpace, Statics, balanced, upper_pair
 
-DECIDED = 1e-8  # of the terms that a coefficient is the sum of: one that is smaller has no known sign
+DECIDED_SIGN_RATIO = 1e-8  # of the terms that a coefficient is the sum of: one that is smaller has no known sign
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ def hopf_form(statics: Statics, x: Array, p: Array) -> Critical:
     except np.linalg.LinAlgError:
         return Critical(q, adjoint, omega, float("nan"), "unknown: another eigenvalue vanishes there")
     l1 = float(np.sum(terms)) / (2.0 * omega)
-    sure = abs(np.sum(terms)) > DECIDED * np.sum(np.abs(terms))
+    sure = abs(np.sum(terms)) > DECIDED_SIGN_RATIO * np.sum(np.abs(terms))
     words = "degenerate" if not sure else "supercritical" if l1 < 0.0 else "subcritical"
     return Critical(q, adjoint, omega, l1, words)
 

@@ -25,7 +25,7 @@ from casadi_skin.zero.unresolved import Unresolved
 
 NO_ORBIT = "an equilibrium is no orbit: it has eigenvalues in place of multipliers, and no period"
 AT_JUMP = 1e-6  # of the sizes of states: distance of an equilibrium from a jump at which it counts as on it
-BESIDE = 0.01  # of a step from a special point: where the search for other ones starts
+OFFSET_FROM_SPECIAL_POINT = 0.01  # of a step from a special point: where the search for other ones starts
 
 
 class EquilibriumError(ArithmeticError):
@@ -95,7 +95,7 @@ class EquilibriumSpace(EquilibriumEquations, SolutionSpace):
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
         """Special points on the stretch between two points, in order, and parts of it that are not resolved."""
-        for place, point in ((BESIDE, before), (1.0 - BESIDE, after)):
+        for place, point in ((OFFSET_FROM_SPECIAL_POINT, before), (1.0 - OFFSET_FROM_SPECIAL_POINT, after)):
             if self.leaves and not np.any(point.z != self.start.z):  # a special point itself, which is known
                 beside = self.point_solver.along(before, after, place)
                 if beside is None:

@@ -29,17 +29,17 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.stretch import WITHIN, Sample, Signs, Stretch
+from casadi_skin.follow.stretch import SAMPLE_FRACTION, Sample, Signs, Stretch
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.problem import Array, Indices
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.unresolved import Unresolved
 
-DEEPEST = 20  # divisions of a stretch between two points of the continuation
-SHORTEST = 1e-11  # of a step: shorter parts are not divided
+DEEPEST_DIVISION = 20  # divisions of a stretch between two points of the continuation
+SHORTEST_PART = 1e-11  # of a step: shorter parts are not divided
 MOST = 400  # parts that it is divided into
-PLACES = (WITHIN, 0.3, 0.7)  # of a stretch, where one point after the other is tried
+TRIED_PLACES = (SAMPLE_FRACTION, 0.3, 0.7)  # of a stretch, where one point after the other is tried
 
 
 Event = TypeVar("Event")
@@ -51,7 +51,7 @@ class Search(ABC, Generic[Event]):
     `deepest` is how often a part may be divided, `most_parts` how many there may be.
     """
 
-    deepest, most_parts = DEEPEST, MOST
+    deepest, most_parts = DEEPEST_DIVISION, MOST
 
     def __init__(self, signs: Signs) -> None:
         self.signs, self.parts = signs, 0
@@ -89,11 +89,11 @@ class Search(ABC, Generic[Event]):
         self.parts += 1
         if self.passes(Stretch.of((self.sample(before), self.sample(after)), self.signs)):
             return
-        tried = (self.along(before, after, place) for place in PLACES)
+        tried = (self.along(before, after, place) for place in TRIED_PLACES)
         middle = next((point for point in tried if point is not None), None)
         points = (before, after) if middle is None else (before, middle, after)
         stretch = Stretch.of(tuple(self.sample(point) for point in points), self.signs)
-        last = depth >= self.deepest or self.parts > self.most_parts or stretch.length <= SHORTEST
+        last = depth >= self.deepest or self.parts > self.most_parts or stretch.length <= SHORTEST_PART
         found = self.found(stretch, depth, last or middle is None)
         if found is not None:
             yield from found
@@ -107,8 +107,8 @@ class Search(ABC, Generic[Event]):
 
     def _dividing(self, before: Point, middle: Point, after: Point, dip: float | None) -> Point:
         """The point at which a stretch is divided."""
-        for place in (dip, WITHIN, *PLACES[1:]):
-            point = None if place is None else middle if place == WITHIN else self.along(before, after, place)
+        for place in (dip, SAMPLE_FRACTION, *TRIED_PLACES[1:]):
+            point = None if place is None else middle if place == SAMPLE_FRACTION else self.along(before, after, place)
             if point is not None and _apart(before, point, after) and self.is_clear(point):
                 return point
         return middle
@@ -116,16 +116,18 @@ class Search(ABC, Generic[Event]):
 
 def _apart(*points: Point) -> bool:
     """Whether neighbouring points are not the same but for rounding."""
-    return all(float(np.max(np.abs(one.z - other.z))) > SHORTEST for one, other in pairwise(points))
+    return all(float(np.max(np.abs(one.z - other.z))) > SHORTEST_PART for one, other in pairwise(points))
 
 
 # Floquet exponents along a branch of orbits, as samples of the search for events (see `Search`) ----------
 
-STEP = 1e-5  # of the metric: of differences along the tangent; rates are wrong by some 1e-5, and by rounding / 1e-5
+TANGENT_DIFFERENCE_STEP = (
+    1e-5  # of the metric: of differences along the tangent; rates are wrong by some 1e-5, and by rounding / 1e-5
+)
 SMALLEST_LOGARITHM = float(np.log(np.finfo(float).tiny))  # of multipliers that are below the smallest double
 RECIPROCAL_RTOL = 1e-7  # of a product mu_k mu_l that is 1 by a symmetry; dissipation within a period is seldom less
 RECIPROCAL_NOISE = 1e-3  # largest error of a logarithm with which that product may be off
-TURN = 2.0 * np.pi
+FULL_TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +191,7 @@ class Exponents:
 
 def turned(logarithms: ComplexArray) -> ComplexArray:
     """Logarithms with imaginary parts in [-pi, pi]."""
-    return np.asarray(logarithms - 1j * TURN * np.round(logarithms.imag / TURN))
+    return np.asarray(logarithms - 1j * FULL_TURN * np.round(logarithms.imag / FULL_TURN))
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +215,7 @@ class ExponentSampler:
         place = id(point)
         if place not in self.known:
             here = next((exponents for end, exponents in self.ends if end is point), None) or self._alone(point)
-            ahead = Exponents.from_floquet(self.alone(beside_on_tangent(point, STEP))).values
+            ahead = Exponents.from_floquet(self.alone(beside_on_tangent(point, TANGENT_DIFFERENCE_STEP))).values
             ahead = ahead[nearest_order(here.values, ahead)]
             self.known[place] = point, here, Exponents(ahead, here.noise)
         return self.known[place][1:]
@@ -227,8 +229,8 @@ class ExponentSampler:
     def free(self, point: Point, own: Point) -> Sample:
         """The sample of multipliers that move freely, at a point that `own` has in the unknowns of the stretch."""
         here, ahead = self.exponents(point)
-        rates = turned(ahead.values - here.values) / STEP
-        return self._sample(own, here.values, rates, here.noise, TURN)
+        rates = turned(ahead.values - here.values) / TANGENT_DIFFERENCE_STEP
+        return self._sample(own, here.values, rates, here.noise, FULL_TURN)
 
     def paired(self, point: Point, own: Point, passed: float) -> Sample:
         """The sample of multipliers in pairs that may pass `passed`, 1 or -1."""
@@ -239,7 +241,7 @@ class ExponentSampler:
         away = tau - 2.0 * passed
         scale = np.sqrt(1.0 + away**2)
         values = np.asarray(np.arcsinh(away), dtype=complex)
-        return self._sample(own, values, (moved - tau) / STEP / scale, noise / np.abs(scale), np.inf)
+        return self._sample(own, values, (moved - tau) / TANGENT_DIFFERENCE_STEP / scale, noise / np.abs(scale), np.inf)
 
     def _sample(self, own: Point, values: ComplexArray, rates: ComplexArray, noise: Array, turn: float) -> Sample:
         row = self.metric(own) * own.tangent
@@ -267,7 +269,9 @@ def is_real(logarithm: complex) -> bool:
 
 DEEPEST_OF_ORBITS = 14  # divisions of a stretch between two orbits
 MOST_PARTS = 120  # that such a stretch is divided into
-CLEAR = 0.5  # of the changes of a quantity on a stretch: a distance from zero at both ends that needs no sample between
+CLEAR_DISTANCE = (
+    0.5  # of the changes of a quantity on a stretch: a distance from zero at both ends that needs no sample between
+)
 
 
 class StretchSearch(Search[Event]):
@@ -316,7 +320,7 @@ class StretchSearch(Search[Event]):
             return False
         g, d = ends.quantities
         moves = np.abs(g[-1] - g[0]) + ends.length * (np.abs(d[0]) + np.abs(d[-1]))
-        clear = (np.sign(g[0]) == np.sign(g[-1])) & (np.min(np.abs(g), axis=0) > CLEAR * moves)
+        clear = (np.sign(g[0]) == np.sign(g[-1])) & (np.min(np.abs(g), axis=0) > CLEAR_DISTANCE * moves)
         return bool(np.all(clear | np.all(g == 0.0, axis=0)))
 
     def sigma(self, point: Point) -> float:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.series import STACKED
+from casadi_skin.follow.series import STACKED_UNKNOWNS
 from casadi_skin.solve.bordered import StackedSolver
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
 from casadi_skin.zero.problem import Array, Problem, SingularError, Solve
 
-STEPS = 6  # of Newton's method
-SOLVED = 1e-8  # a step of Newton's method whose square is round-off
+NEWTON_STEPS = 6  # of Newton's method
+SOLVED_STEP = 1e-8  # a step of Newton's method whose square is round-off
 
 
 @dataclass(frozen=True)
@@ -42,20 +42,20 @@ def find_one(
     z, value = guess.copy(), float(row @ guess)
     weights = point_solver.metric(problem, guess)
     try:
-        for _ in range(STEPS):
+        for _ in range(NEWTON_STEPS):
             residual, nonzeros = problem.evaluate(z)
             solve = point_solver.levels.solver(problem).factor(z, nonzeros, row)
             step = solve(np.append(residual, row @ z - value))
             z = z - step
             size = float(np.sqrt(np.sum(weights * step**2)))
-            if size <= SOLVED:
+            if size <= SOLVED_STEP:
                 break
             if not size <= 1.0:
                 raise OrbitNotFoundError(f"no orbit is found near {problem.whereabouts(guess)}")
     except SingularError as error:
         raise OrbitNotFoundError(str(error)) from error
     moved = float(np.sqrt(np.sum(weights * (z - guess) ** 2)))
-    if size > SOLVED or moved > allowed:
+    if size > SOLVED_STEP or moved > allowed:
         raise OrbitNotFoundError(f"no orbit is found near {problem.whereabouts(guess)}")
     return z, solve
 
@@ -65,12 +65,12 @@ def find_all(
 ) -> list[SectionOrbit | None]:
     """As `find_one` from several guesses, (guesses, unknowns); None where one has to be sought by itself."""
     found: list[SectionOrbit | None] = [None] * len(guesses)
-    stack = StackedSolver.of(problem) if problem.size <= STACKED else None
+    stack = StackedSolver.of(problem) if problem.size <= STACKED_UNKNOWNS else None
     if stack is None:
         return found
     z, values, active = guesses.copy(), guesses @ row, np.arange(len(guesses))
     weights = point_solver.metrics(problem, guesses)
-    for _ in range(STEPS):
+    for _ in range(NEWTON_STEPS):
         here, rows = z[active], np.tile(row, (active.size, 1))
         try:
             residuals, nonzeros = problem.evaluate_all(here)
@@ -82,10 +82,10 @@ def find_all(
         z[active] = here - steps.newton
         sizes = np.sqrt(np.sum(weights[active] * steps.newton**2, axis=1))
         moved = np.sqrt(np.sum(weights[active] * (z[active] - guesses[active]) ** 2, axis=1))
-        for n in np.flatnonzero((sizes <= SOLVED) & (moved <= allowed[active])).tolist():
+        for n in np.flatnonzero((sizes <= SOLVED_STEP) & (moved <= allowed[active])).tolist():
             i = int(active[n])
             found[i] = SectionOrbit(z[i], steps.along[n], steps.response[n])
-        active = active[(sizes > SOLVED) & (sizes <= 1.0)]
+        active = active[(sizes > SOLVED_STEP) & (sizes <= 1.0)]
         if not active.size:
             break
     return found

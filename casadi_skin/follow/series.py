@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.follow.arclength import START_FRACTION
-from casadi_skin.follow.corners import CLOSE, Corner, Side, point_before, shifts, side_of, turned
+from casadi_skin.follow.corners import CORNER_STEP_FRACTION, Corner, Side, point_before, shifts, side_of, turned
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import Stretch
 from casadi_skin.solve.bordered import StackedSolver, Steps
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
 # Newton steps from places of a stretch of series: one by one, or all those of a stretch in arrays ---------------------
 
-FAINT = 1e-7  # of the largest state: its square is round-off
-STACKED = 1000  # unknowns up to which arrays over the places of a stretch stay in the cache of a core
+FAINT_STATE_RATIO = 1e-7  # of the largest state: its square is round-off
+STACKED_UNKNOWNS = 1000  # unknowns up to which arrays over the places of a stretch stay in the cache of a core
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Guesses:
 
 def _is_faint(states: Array) -> NDArray[np.bool_]:
     sizes = np.abs(states)
-    return np.asarray(sizes < FAINT * np.max(sizes, axis=1)[:, None])
+    return np.asarray(sizes < FAINT_STATE_RATIO * np.max(sizes, axis=1)[:, None])
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def polished(point_solver: PointSolver, problem: Problem, guesses: Guesses) -> P
 
 def all_polished(point_solver: PointSolver, problem: Problem, guesses: Guesses) -> list[Polished] | None:
     """All places after a Newton step, with their errors; None where they have to be polished one by one."""
-    stack = StackedSolver.of(problem) if problem.size <= STACKED else None
+    stack = StackedSolver.of(problem) if problem.size <= STACKED_UNKNOWNS else None
     if stack is None:
         return None
     try:
@@ -135,15 +135,22 @@ def _after(point_solver: PointSolver, problem: Problem, guesses: Guesses, steps:
     return [Polished(*place) for place in zip(*columns, strict=True)]
 
 
-SAMPLES = 9  # of a stretch, at which the turning of the tangent is measured
+TURNING_SAMPLES = 9  # of a stretch, at which the turning of the tangent is measured
 AT_BASE = 1e-6  # of the unit of the series: nearer to the base a crossing is the base itself
-SPARSE = 2.0  # times the turn that a walk aims for which predicts each point from the last
-TOGETHER = 16  # points, of one stretch or several, that the corrector confirms at a time
-SHORT = 3.0  # times the precision of the series: the square of such a step is below the residual of correctors
-NEARLY = 0.9  # of the way to a corner: a stretch to it, where the point before it is not found
-SHRINK = 0.8  # of a stretch whose end does not satisfy the equations
-BESIDE = (1.0, 0.9, 0.7, 0.5)  # of the way to a stop: where rounding is amplified in one place, it is less beside it
-BEYOND = 1.2  # of the way to the last stop, beyond which the series loses digits fast
+SPARSE_TURN_FACTOR = 2.0  # times the turn that a walk aims for which predicts each point from the last
+CONFIRMED_TOGETHER = 16  # points, of one stretch or several, that the corrector confirms at a time
+SHORT_STEP_FACTOR = (
+    3.0  # times the precision of the series: the square of such a step is below the residual of correctors
+)
+NEARLY_AT_CORNER = 0.9  # of the way to a corner: a stretch to it, where the point before it is not found
+STRETCH_SHRINKAGE = 0.8  # of a stretch whose end does not satisfy the equations
+FRACTIONS_BESIDE_STOP = (
+    1.0,
+    0.9,
+    0.7,
+    0.5,
+)  # of the way to a stop: where rounding is amplified in one place, it is less beside it
+FRACTION_BEYOND_STOP = 1.2  # of the way to the last stop, beyond which the series loses digits fast
 
 
 @dataclass(frozen=True)
@@ -346,7 +353,7 @@ class SeriesContinuation:
             if problem.frequency(end) > 0 and np.max(np.abs(problem.evaluate(end)[0])) <= allowed:
                 return stretch, Side(problem, z, slope / base.step, solve.orientation)
             self.rejected += 1
-            stretch = replace(stretch, length=SHRINK * stretch.length)
+            stretch = replace(stretch, length=STRETCH_SHRINKAGE * stretch.length)
         return None
 
     # The points -----------------------------------------------------------------------------------------------------
@@ -363,7 +370,7 @@ class SeriesContinuation:
         for stop in stops:
             reach = max(base.step * (stop.tau - last), self.settings.min_step)  # nearer than that is round-off
             is_last, end = stop is stops[-1], End.REACHED if stop.target in ends else None
-            fractions = (*BESIDE, BEYOND) if is_last else BESIDE
+            fractions = (*FRACTIONS_BESIDE_STOP, FRACTION_BEYOND_STOP) if is_last else FRACTIONS_BESIDE_STOP
             stop, point, there = self._found(problem, stretch, stop, last, reach, fractions)
             corner = None if there is None else self._corner(side, there, point, reach)
             if corner is not None:
@@ -400,7 +407,7 @@ class SeriesContinuation:
         except SingularError as error:
             self._trouble = str(error)
         if point is None or passed <= corner.length:
-            self._most = NEARLY * passed if passed > corner.length else CLOSE * corner.length
+            self._most = NEARLY_AT_CORNER * passed if passed > corner.length else CORNER_STEP_FRACTION * corner.length
         if point is not None:
             yield _Reached(_Stop(last, None), replace(point, walked=True, along=last), None, self._trouble)
 
@@ -430,14 +437,15 @@ class SeriesContinuation:
     def _pieces(self, base: Point, stretch: Stretch, final: float) -> int:
         """Number of equal parts in which no limit on a step is exceeded."""
         problem, settings = base.problem, self.settings
-        points, slopes = stretch.samples(final, SAMPLES)
+        points, slopes = stretch.samples(final, TURNING_SAMPLES)
         weights = self.point_solver.metric(problem, points[0])
         sizes = np.sqrt(np.einsum("ij,ij,j->i", slopes, slopes, weights))
         cosines = np.einsum("ij,ij,j->i", slopes[1:], slopes[:-1], weights) / (sizes[1:] * sizes[:-1])
         steps = points[1:] - points[:-1]
         most = [
-            float(np.sum(np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))))) / (SPARSE * settings.aim_angle),
-            (SAMPLES - 1)
+            float(np.sum(np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))))
+            / (SPARSE_TURN_FACTOR * settings.aim_angle),
+            (TURNING_SAMPLES - 1)
             * float(np.max(np.abs(steps[:, problem.parameter_index])))
             / (settings.max_parameter_step * abs(settings.parameter_max)),
             float(np.sum(np.sqrt(np.einsum("ij,ij,j->i", steps, steps, weights)))) / settings.max_step,
@@ -448,7 +456,7 @@ class SeriesContinuation:
         self, problem: Problem, stretch: Stretch, stop: _Stop, last: float, reach: float, fractions: Sequence[float]
     ) -> tuple[_Stop, Point | None, Side | None]:
         """A stop with its point and side, or the first beside it that has one, at fractions of the way from `last`."""
-        for fraction in fractions if stop.target is None else BESIDE[:1]:
+        for fraction in fractions if stop.target is None else FRACTIONS_BESIDE_STOP[:1]:
             here = stop if fraction == 1.0 else replace(stop, tau=last + fraction * (stop.tau - last))
             point, there = self._point(problem, stretch, here, reach)
             if point is not None:
@@ -465,7 +473,7 @@ class SeriesContinuation:
                 found = polished(self.point_solver, problem, self._guesses(problem, stretch, [stop]))
             correction: Correction | None = Correction(found.z, Status.CONVERGED, 0)
             measured = found.measured
-            if not found.step <= SHORT * self._precision(problem):
+            if not found.step <= SHORT_STEP_FACTOR * self._precision(problem):
                 correction, measured = self.point_solver.correct(problem, found.z, found.row, found.value, reach), None
             if correction is None:
                 self._trouble = f'{self.point_solver.failure}; try walker = "arclength"'

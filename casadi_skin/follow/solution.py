@@ -55,7 +55,7 @@ class Optimum:
     optimality: Optimality
 
 
-SHOWN = 6  # parameters in a line
+PARAMETERS_SHOWN = 6  # parameters in a line
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class Solution(Result):
     found_by: str = ""
 
     def __repr__(self) -> str:
-        values = "".join(f", {name} = {value:.6g}" for name, value in list(self.parameters.items())[:SHOWN])
+        values = "".join(f", {name} = {value:.6g}" for name, value in list(self.parameters.items())[:PARAMETERS_SHOWN])
         name = getattr(self.model, "name", None) or repr(self.model)
         return f"<{type(self).__name__} of {name}{values}; error {self.error:.1e}>"
 

@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 # Turns of the continuation parameter between two points of a branch, also two within one step -------------------------
 
 TURN_WITHIN = 0.47  # of a stretch: where it is looked at; not the middle, where symmetric functions agree by accident
-STEADY = 0.5  # of the largest rate on a stretch: the least one for which nothing turns back within it
+STEADY_RATE_RATIO = 0.5  # of the largest rate on a stretch: the least one for which nothing turns back within it
 TURN_DEEPEST = 14  # divisions of a stretch
 TURN_BOUND = 0.25  # of the largest difference of both curves: the error of the finer one
 TURN_MARGIN = 0.05  # of the change of the rate on a stretch: is added, for errors that both curves have in common
-STILL = 1e-9  # rate of a quantity that does not change
-_NEAR = 0.5 ** np.arange(7.0, 24.0, 2.0)
-PLACES = np.concatenate([[0.0], _NEAR[::-1], np.linspace(0.0, 1.0, 65)[1:-1], 1.0 - _NEAR, [1.0]])
+STILL_RATE = 1e-9  # rate of a quantity that does not change
+_NEAR_ENDS = 0.5 ** np.arange(7.0, 24.0, 2.0)
+RATE_PLACES = np.concatenate([[0.0], _NEAR_ENDS[::-1], np.linspace(0.0, 1.0, 65)[1:-1], 1.0 - _NEAR_ENDS, [1.0]])
 
 
 def turning(point_solver: PointSolver, before: Point, after: Point) -> list[tuple[Point, Point]]:
@@ -45,7 +45,7 @@ def turning(point_solver: PointSolver, before: Point, after: Point) -> list[tupl
 
 
 def _turning(point_solver: PointSolver, before: Point, after: Point, depth: int) -> Iterator[tuple[Point, Point]]:
-    turns = rate(before) * rate(after) < 0.0 and max(abs(rate(before)), abs(rate(after))) > STILL
+    turns = rate(before) * rate(after) < 0.0 and max(abs(rate(before)), abs(rate(after))) > STILL_RATE
     ends = _through(point_solver, [before, after])
     known = depth >= TURN_DEEPEST or (not turns and _steady(ends))
     middle = None if known else _between(point_solver, before, after, TURN_WITHIN)
@@ -90,28 +90,34 @@ def _through(point_solver: PointSolver, points: list[Point]) -> Polynomial:
 
 def _steady(found: Polynomial) -> bool:
     """Whether a rate is nowhere less than a share of its largest value, or vanishes throughout."""
-    g = found(PLACES)
+    g = found(RATE_PLACES)
     size = np.abs(g)
-    return bool(np.max(size) <= STILL or (np.all(g * g[0] > 0.0) and np.min(size) >= STEADY * np.max(size)))
+    return bool(
+        np.max(size) <= STILL_RATE or (np.all(g * g[0] > 0.0) and np.min(size) >= STEADY_RATE_RATIO * np.max(size))
+    )
 
 
 def _unsettled(coarse: Polynomial, fine: Polynomial) -> float | None:
     """The place to divide a stretch; None where the rate has no root, or a simple one, within the bounds."""
-    g, missed = fine(PLACES), float(np.max(np.abs(fine(PLACES) - coarse(PLACES))))
-    half = np.where(PLACES < TURN_WITHIN, PLACES / TURN_WITHIN, (PLACES - TURN_WITHIN) / (1.0 - TURN_WITHIN))
+    g, missed = fine(RATE_PLACES), float(np.max(np.abs(fine(RATE_PLACES) - coarse(RATE_PLACES))))
+    half = np.where(
+        RATE_PLACES < TURN_WITHIN, RATE_PLACES / TURN_WITHIN, (RATE_PLACES - TURN_WITHIN) / (1.0 - TURN_WITHIN)
+    )
     bound = TURN_BOUND * missed + TURN_MARGIN * float(np.ptp(g))
-    sign = np.sign(g[0] if abs(g[0]) > STILL * np.max(np.abs(g)) else g[-1])  # a special point may be its start
+    sign = np.sign(g[0] if abs(g[0]) > STILL_RATE * np.max(np.abs(g)) else g[-1])  # a special point may be its start
     if g[0] * g[-1] < 0.0:
-        shaky = bound * 4.0 * np.abs(1.0 - 2.0 * half) / np.where(PLACES < TURN_WITHIN, TURN_WITHIN, 1.0 - TURN_WITHIN)
-        return None if np.all(np.sign(g[-1]) * fine.deriv()(PLACES) >= shaky) else TURN_WITHIN
+        shaky = (
+            bound * 4.0 * np.abs(1.0 - 2.0 * half) / np.where(RATE_PLACES < TURN_WITHIN, TURN_WITHIN, 1.0 - TURN_WITHIN)
+        )
+        return None if np.all(np.sign(g[-1]) * fine.deriv()(RATE_PLACES) >= shaky) else TURN_WITHIN
     if np.all((sign * g > bound * 4.0 * half * (1.0 - half))[1:-1]):
         return None
     least = int(np.argmin(sign * g))
-    return float(PLACES[least]) if sign * g[least] <= 0.0 < sign * fine(TURN_WITHIN) else TURN_WITHIN
+    return float(RATE_PLACES[least]) if sign * g[least] <= 0.0 < sign * fine(TURN_WITHIN) else TURN_WITHIN
 
 
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
-FINE = 1e-11  # of a step, to which a zero of a test is found
+TEST_ZERO_XTOL = 1e-11  # of a step, to which a zero of a test is found
 
 
 class NotLocatedError(ArithmeticError):
@@ -287,7 +293,7 @@ def zero_between(
             known[fraction] = Place(fraction, point, test(point))
         return known[fraction].value
 
-    root = float(brentq(value, 0.0, 1.0, xtol=FINE))
+    root = float(brentq(value, 0.0, 1.0, xtol=TEST_ZERO_XTOL))
     value(root)
     zero, beside = sorted(known.values(), key=lambda place: abs(place.fraction - root))[:2]
     return zero, beside, size

@@ -24,7 +24,7 @@ from casadi_skin.zero.settings import Point
 # A point of a branch with the quantities whose zeros are events: eigenvalues, or logarithms of multipliers ------------
 
 ComplexArray = NDArray[np.complex128]
-APART = 1e6  # distance of values of different groups
+GROUP_DISTANCE = 1e6  # distance of values of different groups
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class Sample:
         if np.isfinite(self.turn):
             difference -= 1j * self.turn * np.round(difference.imag / self.turn)
         if self.groups is not None and difference.shape == (self.groups.size, self.groups.size):
-            difference = np.where(self.groups[:, None] == self.groups, difference, APART)
+            difference = np.where(self.groups[:, None] == self.groups, difference, GROUP_DISTANCE)
         return np.abs(difference)
 
     def along(self, row: Array) -> tuple[float, float, float]:
@@ -79,13 +79,19 @@ class Sample:
         return 1.0 / rate, float(t / rate), float((b * rate - t * bend) / rate**3)
 
 
-WITHIN = 0.47  # of a stretch: the place of its sample; not the middle, where symmetric functions agree by accident
-BOUND = 0.25  # of the error of a cubic between two ends: four times that of cubics of half the length
-MARGIN = 0.1  # of the change of a quantity between two samples: is added, for errors that two cubics have in common
-_NEAR = 0.5 ** np.arange(6.0, 24.0, 2.0)
-PLACES = np.concatenate([[0.0], _NEAR[::-1], np.linspace(0.0, 1.0, 17)[1:-1], 1.0 - _NEAR, [1.0]])  # of half a stretch
-STILL = 1e-12  # rate of a parameter that does not change
-REAL = 1e-6  # of an eigenvalue: an imaginary part that is none
+SAMPLE_FRACTION = (
+    0.47  # of a stretch: the place of its sample; not the middle, where symmetric functions agree by accident
+)
+CUBIC_ERROR_BOUND = 0.25  # of the error of a cubic between two ends: four times that of cubics of half the length
+COMMON_ERROR_MARGIN = (
+    0.1  # of the change of a quantity between two samples: is added, for errors that two cubics have in common
+)
+_NEAR_ENDS = 0.5 ** np.arange(6.0, 24.0, 2.0)
+HALF_STRETCH_PLACES = np.concatenate(
+    [[0.0], _NEAR_ENDS[::-1], np.linspace(0.0, 1.0, 17)[1:-1], 1.0 - _NEAR_ENDS, [1.0]]
+)  # of half a stretch
+STILL_RATE = 1e-12  # rate of a parameter that does not change
+REAL_EIGENVALUE_RTOL = 1e-6  # of an eigenvalue: an imaginary part that is none
 Signs = Literal["real parts", "squares", "real"]
 
 
@@ -142,7 +148,7 @@ class Stretch:
     def turns(self) -> bool:
         """Whether the parameter turns back an odd number of times."""
         rates = [float(end.point.tangent[-1]) for end in (self.first, self.last)]
-        return bool(_sign(rates[0]) != _sign(rates[1]) and max(np.abs(rates)) > STILL)
+        return bool(_sign(rates[0]) != _sign(rates[1]) and max(np.abs(rates)) > STILL_RATE)
 
     @property
     def reorients(self) -> bool:
@@ -177,7 +183,7 @@ class Stretch:
             leading = ((rate, curved),) if sample.leading is None else [(g, scale * d) for g, d in sample.leading]
             sums.append(np.concatenate([[g for g, _ in leading], values.real]))
             rates.append(np.concatenate([[d for _, d in leading], slopes.real]))
-            noisy.append(np.concatenate([[abs(g) <= STILL for g, _ in leading], no]))
+            noisy.append(np.concatenate([[abs(g) <= STILL_RATE for g, _ in leading], no]))
         counts = ~(np.all(noisy, axis=0) if self.signs == "real parts" else np.any(noisy, axis=0))
         counts[:many] = ~np.all(noisy, axis=0)[:many]
         return np.array(sums) * counts, np.array(rates) * counts
@@ -193,7 +199,7 @@ class Stretch:
             missed = np.abs(g[1] - value[0]) + np.abs(d[1] * self.length - slope[0]) / 7.0
         parts = [_looked_at(g[k : k + 2], d[k : k + 2] * length) for k, length in enumerate(np.diff(self.sigma))]
         cubics = _Cubics(*(np.array(part) for part in zip(*parts, strict=True)))
-        return cubics, BOUND * missed + MARGIN * np.ptp(cubics.values, axis=1, keepdims=True)
+        return cubics, CUBIC_ERROR_BOUND * missed + COMMON_ERROR_MARGIN * np.ptp(cubics.values, axis=1, keepdims=True)
 
     @cached_property
     def settled(self) -> NDArray[np.bool_]:
@@ -281,7 +287,7 @@ def _sign(values: Array | float) -> Array:
 
 
 def _unreal(values: ComplexArray) -> NDArray[np.bool_]:
-    return np.abs(values.imag) > REAL * np.abs(values)
+    return np.abs(values.imag) > REAL_EIGENVALUE_RTOL * np.abs(values)
 
 
 def less(sample: Sample, places: list[int]) -> Sample:
@@ -300,7 +306,7 @@ def _looked_at(g: Array, d: Array) -> tuple[Array, Array, Array]:
         root = -quadratic - np.copysign(np.sqrt(quadratic**2 - 3.0 * cubic * d[0]), quadratic)
         extrema = np.array([root / (3.0 * cubic), d[0] / root])
     extrema = np.where((extrema > 0.0) & (extrema < 1.0), extrema, 0.0)
-    places = np.concatenate([np.repeat(PLACES[:, None], g.shape[1], axis=1), extrema])
+    places = np.concatenate([np.repeat(HALF_STRETCH_PLACES[:, None], g.shape[1], axis=1), extrema])
     return places, *_cubic(g, d, places)
 
 

@@ -17,7 +17,7 @@ from casadi_skin.zero.unresolved import Unresolved
 # The points of one stretch of a branch in order: requested ones, and special ones, which may be the same --------------
 
 SAME_PLACE = 1e-2  # of a stretch: a requested point that near to a special one of the same value is that one
-DIGITS = 4.0 * EPSILON  # relative difference of a value that is the requested one
+REQUESTED_VALUE_RTOL = 4.0 * EPSILON  # relative difference of a value that is the requested one
 
 
 def target_of(space: SolutionSpace, special: Point) -> Target | None:
@@ -27,7 +27,7 @@ def target_of(space: SolutionSpace, special: Point) -> Target | None:
     for target in (*settings.at, *settings.ends):
         if target.held is Scalar.PARAMETER:
             wanted = space.value(name, snapped(special, target))
-            if abs(value - wanted) <= max(error, DIGITS * abs(wanted)):
+            if abs(value - wanted) <= max(error, REQUESTED_VALUE_RTOL * abs(wanted)):
                 return target
     return None
 
@@ -117,8 +117,8 @@ class StretchPoints:
         return same and abs(self.place(special) - self.place(point)) <= near
 
 
-ROUNDED = 100.0 * EPSILON  # change of the parameter, of the way to go, that is rounding
-CLOSED = 1e-3  # of a step: distance from the start of a branch that has come back to it
+ROUNDED_PARAMETER_CHANGE = 100.0 * EPSILON  # change of the parameter, of the way to go, that is rounding
+CLOSED_BRANCH_DISTANCE = 1e-3  # of a step: distance from the start of a branch that has come back to it
 
 
 class Walk:
@@ -308,13 +308,13 @@ class Walk:
         """Whether the longest step from a point changes the parameter by no more than rounding does."""
         settings, index = self.space.point_solver.settings, point.problem.parameter_index
         change = settings.max_step * abs(float(point.tangent[index]))
-        return change <= ROUNDED * max(1.0, abs(point.parameter))
+        return change <= ROUNDED_PARAMETER_CHANGE * max(1.0, abs(point.parameter))
 
     def _limit(self, point: Point) -> tuple[float, float]:
         """The value of the parameter at a point, and its rounding."""
         name = self.space.parameter
         value, start = (self.space.parameters(one)[name] for one in (point, self.space.start))
-        digits = ROUNDED * abs(self.space.to - start) * max(1.0, abs(point.parameter))
+        digits = ROUNDED_PARAMETER_CHANGE * abs(self.space.to - start) * max(1.0, abs(point.parameter))
         return (0.0 if abs(value) <= digits else value), digits
 
     def _closes(self, before: Point, after: Point) -> bool:
@@ -329,10 +329,13 @@ class Walk:
         curve, length = solver.curve(before, after)
         row = solver.metric(problem, curve.z0) * curve.t0
         sigma = float(row @ (z - curve.z0)) / float(row @ curve.t0)
-        if not CLOSED * length < sigma <= (1.0 + CLOSED) * length or float(row @ t) <= 0.0:
+        if (
+            not CLOSED_BRANCH_DISTANCE * length < sigma <= (1.0 + CLOSED_BRANCH_DISTANCE) * length
+            or float(row @ t) <= 0.0
+        ):
             return False
         found = solver.corrected_along(before, after, min(sigma / length, 1.0))[0]
-        return found is not None and solver.distance(problem, z, found.z) <= CLOSED * length
+        return found is not None and solver.distance(problem, z, found.z) <= CLOSED_BRANCH_DISTANCE * length
 
     def _has_amplitude(self, point: Point) -> bool:
         """Whether a point of a family is on the side of S = 0 that it is followed to."""

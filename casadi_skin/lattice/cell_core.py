@@ -19,15 +19,15 @@ from casadi_skin.model.methods import TRIGONOMETRIC
 from casadi_skin.zero.cosines import cosine_matrix
 from casadi_skin.zero.family import Localised, Method, normalised
 from casadi_skin.zero.linear_modes import linear_modes
-from casadi_skin.zero.model_coordinates import DEEPEST, ModelCoordinates, check_alone
+from casadi_skin.zero.model_coordinates import DEEPEST_LOG_SCALE, ModelCoordinates, check_alone
 from casadi_skin.zero.problem import Array, Indices, Problem
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.statement import named_values
 
 BESIDE_CORE = 100  # sites beside the core on which stability is computed at first
-DOUBLINGS = 2  # of the cells, where multipliers that decay into the tail are not decided
+CELL_DOUBLINGS = 2  # of the cells, where multipliers that decay into the tail are not decided
 WITHIN_SCALES = 0.95  # of the span of scales that positions may have
-CLOSE = 1e-4  # relative distance of two lambda below which their difference is a slope
+CLOSE_EIGENVALUES_RTOL = 1e-4  # relative distance of two lambda below which their difference is a slope
 
 
 class CellCoreWithTail(ModelCoordinates):
@@ -88,9 +88,9 @@ class CellCoreWithTail(ModelCoordinates):
             return None
         p, most = len(self.lattice.sites), self.lattice.cells - 1
         if self.lattice.lean != 0.0:  # scales of positions are doubles
-            most = min(most, WITHIN_SCALES * DEEPEST / -abs(self.lattice.lean))
+            most = min(most, WITHIN_SCALES * DEEPEST_LOG_SCALE / -abs(self.lattice.lean))
         first = self.core.cells + math.ceil(BESIDE_CORE / p)
-        tried = [first * 2**k for k in range(DOUBLINGS + 1)]
+        tried = [first * 2**k for k in range(CELL_DOUBLINGS + 1)]
         if self._stability_sites is not None:
             tried = [math.ceil(self._stability_sites / p)]
         sites = tuple(dict.fromkeys(p * int(min(cells, most)) for cells in tried))
@@ -246,7 +246,7 @@ class CellCoreWithTail(ModelCoordinates):
         """Sum of products of two waves' amplitudes over the tail, relative to that at the core's site."""
         tail, square = self.tail, self.edge_mode.square
         apart = Omega**2 - square
-        if abs(apart) > CLOSE * square:
+        if abs(apart) > CLOSE_EIGENVALUES_RTOL * square:
             return float(tail.coupling * (math.tan(tail.angle(place)) - math.tan(self._tail_angle)) / apart)
         middle = tail.place(square + 0.5 * apart)
         return float(tail.squares(middle) / math.cos(tail.angle(middle)) ** 2)

@@ -25,12 +25,12 @@ from casadi_skin.zero.problem import Array
 
 ComplexArray = NDArray[np.complex128]
 
-STEP = 1e-30  # imaginary: derivatives without subtraction
-FARTHEST = 1e6  # of the highest edge: frequencies beyond are none
-LONGEST = 40.0  # cells times decay: beyond it the far end of the tail is not felt
-UNSEEN = 7.0  # cells times decay beyond which that is true to 1e-6 of the decay: for predictions
+COMPLEX_STEP = 1e-30  # imaginary: derivatives without subtraction
+FARTHEST_FREQUENCY = 1e6  # of the highest edge: frequencies beyond are none
+FAR_END_DECAY = 40.0  # cells times decay: beyond it the far end of the tail is not felt
+UNSEEN_END_DECAY = 7.0  # cells times decay beyond which that is true to 1e-6 of the decay: for predictions
 ROUND_OFF = 1e-14
-WITHIN = 1e-12  # of the end of a lobe
+LOBE_END_RTOL = 1e-12  # of the end of a lobe
 AT_END = 1e-10  # angle that rounding leaves there
 
 
@@ -135,7 +135,9 @@ class CellTail:
             root = np.sqrt(square)
             large = middle + (root if np.real(middle) >= 0.0 else -root)
             kappa = np.arcsinh(root / (oi if np.real(oi) > 0.0 else -oi)) if oi != 0.0 else np.inf
-            if np.real(root) > 0.0 and not (np.isfinite(c) and c * np.real(kappa) < LONGEST):  # the far end is not felt
+            if np.real(root) > 0.0 and not (
+                np.isfinite(c) and c * np.real(kappa) < FAR_END_DECAY
+            ):  # the far end is not felt
                 one, other = (oo, large + C2), (large - D, -ii)
                 return max(one, other, key=lambda v: abs(v[0]) + abs(v[1]))
             small = oi * oi / large
@@ -157,7 +159,7 @@ class CellTail:
 
     def end_unseen(self, place: Place) -> bool:
         """Whether the far end of the tail is not felt in predictions."""
-        return not np.isfinite(self.cells) or self.cells * self.decay(place) > UNSEEN
+        return not np.isfinite(self.cells) or self.cells * self.decay(place) > UNSEEN_END_DECAY
 
     def lobe(self, edge: int) -> float:
         """The change of lambda at an edge of a finite tail's band by which (cells times decay)^2 changes by 1."""
@@ -223,7 +225,7 @@ class CellTail:
             if not np.isfinite(self.cells):
                 return float("inf")
             off = 1e-12 * abs(self.edges[place.edge].square) / self.cells**2
-        step = STEP * abs(off)
+        step = COMPLEX_STEP * abs(off)
         across, down = self._vector(place, off + 1j * step)
         turn = down.real * across.imag - across.real * down.imag
         return float(turn / step / (across.real**2 + down.real**2))
@@ -263,7 +265,7 @@ class CellTail:
         if above is not None:
             return self._solved(Place(gap, above, 0.0), -edges[above].square, phi)
         assert below is not None
-        return self._solved(Place(gap, below, 0.0), FARTHEST * edges[below].square, phi)
+        return self._solved(Place(gap, below, 0.0), FARTHEST_FREQUENCY * edges[below].square, phi)
 
     def _in_band(self, edge: Place, direction: float, phi: float) -> Place:
         """At the edge, or in the first lobe of a finite tail's waves."""
@@ -286,7 +288,7 @@ class CellTail:
             return 2.0 * float(np.arcsin(np.sqrt(np.clip(half_sine, 0.0, 1.0)))) - np.pi / self.cells
 
         end = float(brentq(lambda x: phase(direction * x), 0.0, width, xtol=1e-300, rtol=1e-15))
-        return Place(edge.gap, edge.edge, direction * end * (1.0 - WITHIN))
+        return Place(edge.gap, edge.edge, direction * end * (1.0 - LOBE_END_RTOL))
 
     def _solved(self, edge: Place, farthest: float, phi: float) -> Place:
         """The place with the angle phi between an edge and the farthest offset from it."""

@@ -9,7 +9,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from casadi_skin.lattice.cell_tail import CellTail, Place
-from casadi_skin.lattice.tail_parameter import KEPT, Regime, TailValues
+from casadi_skin.lattice.tail_parameter import KEPT_VALUES, Regime, TailValues
 from casadi_skin.lattice.tail_series import Harmonics, TailSeries
 
 
@@ -64,7 +64,7 @@ class CellTailParameter:
 
     @cached_property
     def _kept(self) -> Callable[[float], TailValues]:
-        return lru_cache(KEPT)(self._values)
+        return lru_cache(KEPT_VALUES)(self._values)
 
     def _values(self, u: float) -> TailValues:
         places = self.places(u)

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from casadi_skin.zero.family import Method
 
 NARROWEST_BAND = 1e-10  # of its squared frequency, in which doubles distinguish modes; measured
-NEGLIGIBLE = 1e-16  # of the cubic term: the part that the tail may leave out
-PAYS = 8  # times the core's sites from which on the elimination of the tail is cheaper
+NEGLIGIBLE_CUBIC_RATIO = 1e-16  # of the cubic term: the part that the tail may leave out
+TAIL_PAYS_FACTOR = 8  # times the core's sites from which on the elimination of the tail is cheaper
 LONGEST_CORE = 5000
 
 
@@ -47,7 +47,7 @@ def chain_coordinates(chain: Chain, mode: int | str, amplitude_max: float, metho
         raise ValueError(f"stability_sites: given {cut}; accepted: {accepted}")
     eliminated = method.tail == "eliminated" or chain.infinite or cut is not None
     if method.tail is None and not obstacle:
-        eliminated = eliminated or chain.sites >= max(PAYS_FROM, PAYS * sites)
+        eliminated = eliminated or chain.sites >= max(PAYS_FROM, TAIL_PAYS_FACTOR * sites)
     if not eliminated:
         check_harmonics(chain.linear_spectrum().squares, number, repr(chain), odd=True)
         return FullChain(chain, number)
@@ -60,7 +60,9 @@ def core_sites(chain: Chain, amplitude_max: float) -> int:
     """Number of sites at the edge outside of which the cubic term is below round-off, counted to LONGEST_CORE."""
     reach = max(1.0, abs(chain.g) * amplitude_max)
     decay, sites = 2.0 * math.atanh(min(abs(chain.gamma), 1.0 - 1e-16)), 2
-    while sites <= LONGEST_CORE and sites * decay < 2.0 * math.log(sites + 1) + math.log(reach / NEGLIGIBLE):
+    while sites <= LONGEST_CORE and sites * decay < 2.0 * math.log(sites + 1) + math.log(
+        reach / NEGLIGIBLE_CUBIC_RATIO
+    ):
         sites += max(1, sites // 64)
     return sites
 

@@ -18,10 +18,10 @@ from casadi_skin.zero.family import Localised, normalised
 from casadi_skin.zero.problem import Array, Indices, Problem
 from casadi_skin.zero.settings import Point
 
-FAR = 745.0  # of -log rho: beyond it displacements are below the smallest double
+FARTHEST_LOG_SCALE = 745.0  # of -log rho: beyond it displacements are below the smallest double
 LONGEST_WHOLE = 5000  # sites of a chain all of which are unknowns where they are asked for
 BESIDE_CORE = 100  # sites beside the core on which stability is computed at first
-DOUBLINGS = 2  # of the sites, where multipliers that decay into the tail are not decided
+SITE_DOUBLINGS = 2  # of the sites, where multipliers that decay into the tail are not decided
 
 
 class CoreWithTail(ChainCoordinates):
@@ -65,7 +65,7 @@ class CoreWithTail(ChainCoordinates):
     @property
     def _as_many_as_decide(self) -> tuple[int, ...]:
         first = self.core.sites + BESIDE_CORE
-        return tuple(int(min(first * 2**k, self.chain.sites)) for k in range(DOUBLINGS + 1))
+        return tuple(int(min(first * 2**k, self.chain.sites)) for k in range(SITE_DOUBLINGS + 1))
 
     def cut(self, sites: int) -> tuple[Chain, str]:
         return replace(self.chain, sites=sites), LAST if self.chain.g > 0 else FIRST
@@ -173,7 +173,7 @@ class CoreWithTail(ChainCoordinates):
     def displacements(self, problem: Problem, z: Array, theta: Array, sites: Indices | None) -> Array:
         m = self.distances(sites)
         decay = m * np.arctanh(abs(self.chain.gamma))
-        seen = decay < FAR
+        seen = decay < FARTHEST_LOG_SCALE
         y = np.zeros((theta.size, m.size))
         y[:, seen] = self._positions(problem, z, theta, m[seen]) * np.exp(-decay[seen])
         return y

@@ -28,8 +28,8 @@ from casadi_skin.model.formula import (
 Array = NDArray[np.float64]
 FIXED, FREE, PERIODIC = "fixed", "free", "periodic"
 BOUNDARIES = (FIXED, FREE, PERIODIC)
-INDICES = ("n", "m")  # the number of the cell along each direction, from 1
-RESERVED = ("y", "v", "d", "t", *INDICES, *CONSTANTS, *FUNCTIONS)
+CELL_INDICES = ("n", "m")  # the number of the cell along each direction, from 1
+RESERVED_NAMES = ("y", "v", "d", "t", *CELL_INDICES, *CONSTANTS, *FUNCTIONS)
 MOST_SITES = 100_000  # of a lattice
 
 
@@ -162,8 +162,8 @@ class Declaration:
             if not isinstance(name, str) or not name.isidentifier() or name in names[:i]:
                 raise ValueError(f"site {i + 1} name: given {short_repr(name)}; accepted: a name of its own")
         for name in self.parameters:
-            if not isinstance(name, str) or not name.isidentifier() or not name.isascii() or name in RESERVED:
-                accepted = f"names but for {', '.join(RESERVED[:6])}, pi and functions"
+            if not isinstance(name, str) or not name.isidentifier() or not name.isascii() or name in RESERVED_NAMES:
+                accepted = f"names but for {', '.join(RESERVED_NAMES[:6])}, pi and functions"
                 raise ValueError(f"parameters: given the name {short_repr(name)}; accepted: {accepted}")
 
     def _check_bond(self, place: str, bond: Bond) -> None:
@@ -188,7 +188,7 @@ class Declaration:
     @cached_property
     def formulas(self) -> dict[tuple[str, int, str], Formula]:
         """Formulas of sites and bonds by kind, number from 0 and field; the gains are "gain 1" and "gain 2"."""
-        found, known = {}, (*self.parameters, *INDICES[: len(self.cells)])
+        found, known = {}, (*self.parameters, *CELL_INDICES[: len(self.cells)])
         variables = {"onsite": ("y",), "mass": (), "damping": ("y", "v"), "drive": ("t",)}
         for i, site in enumerate(self.sites):
             for field, names in variables.items():
@@ -214,7 +214,7 @@ class Declaration:
                 found[name] = value.values(self.cells)
             elif name not in self.scalars and not isinstance(value, str):
                 found[name] = self._array(place, value)
-        known = (*self.parameters, *INDICES[: len(self.cells)])
+        known = (*self.parameters, *CELL_INDICES[: len(self.cells)])
         waiting = {
             k: read_formula(f"parameters {k}", v, known) for k, v in self.parameters.items() if isinstance(v, str)
         }
@@ -237,7 +237,7 @@ class Declaration:
     def differing(self) -> list[str]:
         """Names of indices and parameters in the formulas that have another value in another cell."""
         used = {name for formula in self.formulas.values() for name in formula.names}
-        return sorted({*INDICES, *self.by_cell} & used)
+        return sorted({*CELL_INDICES, *self.by_cell} & used)
 
     def _array(self, place: str, value: object) -> Array:
         try:
@@ -269,7 +269,10 @@ class Declaration:
             return Formula(formula.text, with_names_of_numbers(formula.tree))
 
         by_cell: dict[str, Any] = {}
-        for name, value in {**dict(zip(INDICES, np.indices(self.cells) + 1.0, strict=False)), **self.by_cell}.items():
+        for name, value in {
+            **dict(zip(CELL_INDICES, np.indices(self.cells) + 1.0, strict=False)),
+            **self.by_cell,
+        }.items():
             if isinstance(value, Formula):
                 by_cell[name] = apart(value)
             elif name in names:

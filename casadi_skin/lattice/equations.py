@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.lattice.declaration import INDICES, Declaration, Link, read_formula
+from casadi_skin.lattice.declaration import CELL_INDICES, Declaration, Link, read_formula
 from casadi_skin.model.expressions import expression
 from casadi_skin.model.formula import Name, Operation, Tree
 
@@ -39,7 +39,9 @@ class Equations:
     def values(self, cells: Sequence[tuple[int, ...]]) -> dict[str, ca.SX]:
         """Values of parameters and indices in some cells: a column, or one value where it is the same in all."""
         along = np.array(cells, dtype=float).reshape(len(cells), -1).T
-        values = dict(self.symbols) | {name: ca.SX(ca.DM(k + 1.0)) for name, k in zip(INDICES, along, strict=False)}
+        values = dict(self.symbols) | {
+            name: ca.SX(ca.DM(k + 1.0)) for name, k in zip(CELL_INDICES, along, strict=False)
+        }
         for name, value in self.declaration.by_cell.items():
             if isinstance(value, np.ndarray):  # of numbers, or of names of parameters
                 entries = [value[cell] for cell in cells]
@@ -161,8 +163,8 @@ class Equations:
 
 # The period of the drives of a lattice --------------------------------------------------------------------------------
 
-SAME = 1e-12  # relative difference of frequencies that are the same but for rounding
-ACCEPTED = "accepted: sines and cosines of t of one frequency, or with forcing_period"
+SAME_FREQUENCY_RTOL = 1e-12  # relative difference of frequencies that are the same but for rounding
+ACCEPTED_DRIVES = "accepted: sines and cosines of t of one frequency, or with forcing_period"
 
 
 def forcing_period_of(equations: Equations, given: str | None) -> ca.SX | None:
@@ -189,9 +191,13 @@ def forcing_period_of(equations: Equations, given: str | None) -> ca.SX | None:
     rates = list(_rates(equations))
     (values,) = equations.at_nominal(ca.vertcat(*rates))
     values = np.abs(values)
-    if np.ptp(values) > SAME * np.max(values) or not np.all(np.isfinite(values)) or not np.max(values) > 0:
+    if (
+        np.ptp(values) > SAME_FREQUENCY_RTOL * np.max(values)
+        or not np.all(np.isfinite(values))
+        or not np.max(values) > 0
+    ):
         words = " and ".join(f"{value:g}" for value in np.unique(values)[:3])
-        raise ValueError(f"drive: given drives of frequencies {words}; {ACCEPTED}")
+        raise ValueError(f"drive: given drives of frequencies {words}; {ACCEPTED_DRIVES}")
     return 2.0 * np.pi / ca.fabs(rates[0])
 
 
@@ -203,14 +209,14 @@ def _rates(equations: Equations) -> Iterator[ca.SX]:
         for argument in _arguments(formula.tree, f'site {s + 1} drive: given "{formula.text}"'):
             rates = ca.jacobian(expression(argument, equations.values(equations.cells) | {"t": t}), t)
             if ca.depends_on(rates, t):
-                raise ValueError(f'site {s + 1} drive: given "{formula.text}"; {ACCEPTED}')
+                raise ValueError(f'site {s + 1} drive: given "{formula.text}"; {ACCEPTED_DRIVES}')
             yield from (rate for rate in ca.vertsplit(ca.densify(rates)) if not rate.is_zero())
 
 
 def _arguments(tree: Tree, given: str) -> Iterator[Tree]:
     """Arguments of the sines and cosines; raises ValueError for t outside of them."""
     if isinstance(tree, Name) and tree.name == "t":
-        raise ValueError(f"{given}; {ACCEPTED}")
+        raise ValueError(f"{given}; {ACCEPTED_DRIVES}")
     if not isinstance(tree, Operation):
         return
     if tree.kind in ("sin", "cos"):

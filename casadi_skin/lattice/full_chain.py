@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 # Displacements far below the smallest double, as logarithms -----------------------------------------------------------
 
-SMALLEST = 1e-250  # of the largest state: below it doubles run out
-LINEAR = 1e-16  # of the coupling: a stiffness of the cubic term that is round-off
-KEPT = 1e-9  # of the largest harmonic at a site: below it a harmonic is what the others leave of it
+SMALLEST_STATE_RATIO = 1e-250  # of the largest state: below it doubles run out
+LINEAR_STIFFNESS_RATIO = 1e-16  # of the coupling: a stiffness of the cubic term that is round-off
+KEPT_HARMONIC_RATIO = 1e-9  # of the largest harmonic at a site: below it a harmonic is what the others leave of it
 GAUSS_HARMONICS = 32
 
 
@@ -49,8 +49,8 @@ def continued_logarithms(core: Chain, point: Point, z: Array, smallest: float) -
     order = slice(None) if core.gamma >= 0 else slice(None, None, -1)
     sizes = np.max(np.abs(values), axis=0)[order]
     stiffness = abs(point.parameter) * np.max(sizes) ** 2
-    if smallest > SMALLEST and stiffness > 0.0:
-        smallest = min(smallest, np.sqrt(LINEAR * core.coupling / stiffness))
+    if smallest > SMALLEST_STATE_RATIO and stiffness > 0.0:
+        smallest = min(smallest, np.sqrt(LINEAR_STIFFNESS_RATIO * core.coupling / stiffness))
     tail = int(np.searchsorted(np.maximum.accumulate(sizes), smallest * np.max(sizes)))
     if tail == 0:
         return logs, signs
@@ -62,7 +62,7 @@ def continued_logarithms(core: Chain, point: Point, z: Array, smallest: float) -
 
 def _continued(coefficients: Array, Omega: float, alpha: float, coupling: float, tail: int) -> tuple[Array, Array]:
     """Logarithms and signs of the sum of harmonics at sites 1..tail, from their coefficients at site tail + 1."""
-    harmonics = np.flatnonzero(np.abs(coefficients) > KEPT * np.max(np.abs(coefficients)))
+    harmonics = np.flatnonzero(np.abs(coefficients) > KEPT_HARMONIC_RATIO * np.max(np.abs(coefficients)))
     parts = [
         _log_wave(np.arange(1, tail + 2, dtype=np.int64), 2 * k + 1, Omega, alpha, coupling) for k in harmonics.tolist()
     ]

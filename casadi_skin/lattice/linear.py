@@ -19,8 +19,10 @@ from casadi_skin.zero.linear_modes import symmetrising_scale
 from casadi_skin.zero.statement import named_values
 
 ComplexArray = NDArray[np.complex128]
-ZONE = 41  # wave numbers along each direction of half a zone, its corners among them
-REAL = 1e-6  # of the largest |omega^2|, below which an imaginary part may be rounding: eigenvalues split by its root
+HALF_ZONE_WAVE_NUMBERS = 41  # wave numbers along each direction of half a zone, its corners among them
+REAL_SQUARE_RTOL = (
+    1e-6  # of the largest |omega^2|, below which an imaginary part may be rounding: eigenvalues split by its root
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,7 @@ class LatticeModes(Result):
     @property
     def real(self) -> bool:
         """Whether every omega^2 is real, to rounding."""
-        return bool(np.max(np.abs(self.squares.imag)) <= REAL * np.max(np.abs(self.squares)))
+        return bool(np.max(np.abs(self.squares.imag)) <= REAL_SQUARE_RTOL * np.max(np.abs(self.squares)))
 
 
 def lattice_modes(lattice: Lattice, parameters: Mapping[str, float] | None = None) -> LatticeModes:
@@ -197,8 +199,10 @@ def band_edges(lattice: Lattice, parameters: Mapping[str, float] | None = None) 
     if directions == 1:
         squares = bands(lattice, parameters).squares.real
     else:
-        along = np.linspace(0.0, np.pi, ZONE)
-        waves = np.stack(np.meshgrid(along, np.linspace(-np.pi, np.pi, 2 * ZONE - 1), indexing="ij"), axis=-1)
+        along = np.linspace(0.0, np.pi, HALF_ZONE_WAVE_NUMBERS)
+        waves = np.stack(
+            np.meshgrid(along, np.linspace(-np.pi, np.pi, 2 * HALF_ZONE_WAVE_NUMBERS - 1), indexing="ij"), axis=-1
+        )
         squares = _squares(lattice, parameters, True, waves.reshape(-1, 2))[0].real
     found = list[tuple[float, float]]()
     for low, high in sorted(zip(squares.min(axis=0).tolist(), squares.max(axis=0).tolist(), strict=True)):
@@ -286,8 +290,8 @@ def _wave_numbers(directions: int, points: int) -> Array:
 
 # The skin effect of a one-dimensional lattice: winding numbers of its ring's spectrum, generalised Brillouin zone -----
 
-FEWEST, MOST = 512, 32768  # wave numbers
-RESOLVED = 0.25 * np.pi  # change of a phase from one wave number to the next
+FEWEST_WAVE_NUMBERS, MOST_WAVE_NUMBERS = 512, 32768  # wave numbers
+RESOLVED_PHASE_CHANGE = 0.25 * np.pi  # change of a phase from one wave number to the next
 ON_CURVE = 1e-7  # of |omega^2|: nearer to the spectrum of the ring no winding number is computed
 
 
@@ -306,9 +310,9 @@ def winding_numbers(lattice: Lattice, squares: ArrayLike, parameters: Mapping[st
         ValueError: the lattice has two dimensions, or cells that differ.
     """
     _check(lattice)
-    values, points = np.atleast_1d(np.asarray(squares, dtype=complex)), FEWEST
+    values, points = np.atleast_1d(np.asarray(squares, dtype=complex)), FEWEST_WAVE_NUMBERS
     found, undecided = np.full(values.size, np.nan), np.arange(values.size)
-    while undecided.size and points <= MOST:
+    while undecided.size and points <= MOST_WAVE_NUMBERS:
         k = 2.0 * np.pi * np.arange(points + 1) / points
         ring = np.linalg.eigvals(cell_matrices(lattice, np.exp(1j * k)[:, None], parameters))
         for n in undecided:
@@ -316,7 +320,7 @@ def winding_numbers(lattice: Lattice, squares: ArrayLike, parameters: Mapping[st
             if np.min(np.abs(apart)) <= ON_CURVE * np.max(np.abs(ring)):
                 continue
             turns = np.angle(np.prod(apart[1:], axis=1) / np.prod(apart[:-1], axis=1))
-            if np.max(np.abs(turns)) < RESOLVED:
+            if np.max(np.abs(turns)) < RESOLVED_PHASE_CHANGE:
                 found[n] = -np.round(turns.sum() / (2.0 * np.pi))
         undecided, points = np.flatnonzero(np.isnan(found)), 4 * points
     return found + 0.0  # no -0

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from casadi_skin.zero.family import Coordinates
 
 FIRST, LAST = "first", "last"
-SAMPLE = 6  # cells of a lattice from which the properties of one cell are read
-FEWEST = 20  # cells of a lattice that is long
+SAMPLE_CELLS = 6  # cells of a lattice from which the properties of one cell are read
+FEWEST_LONG_CELLS = 20  # cells of a lattice that is long
 ROUND_OFF = 1e-12
 
 
@@ -71,8 +71,8 @@ class LongLattice(WithVerbs):
     def __post_init__(self) -> None:
         whole = isinstance(self.cells, int) and not isinstance(self.cells, bool)
         endless = isinstance(self.cells, float) and self.cells == math.inf
-        if not (endless or (whole and self.cells >= FEWEST)):
-            accepted = f"a whole number >= {FEWEST}, or inf (with fewer a Lattice)"
+        if not (endless or (whole and self.cells >= FEWEST_LONG_CELLS)):
+            accepted = f"a whole number >= {FEWEST_LONG_CELLS}, or inf (with fewer a Lattice)"
             raise ValueError(f"cells: given {short_repr(self.cells)}; accepted: {accepted}")
         lattice = self.sample
         if self.boundary == PERIODIC:
@@ -99,7 +99,7 @@ class LongLattice(WithVerbs):
     @cached_property
     def sample(self) -> Lattice:
         """The same lattice with a few cells."""
-        return self.of_cells(SAMPLE)
+        return self.of_cells(SAMPLE_CELLS)
 
     # Cells in the gauge -----------------------------------------------------------------------------------------------
 
@@ -139,7 +139,7 @@ class LongLattice(WithVerbs):
     @cached_property
     def lean_to_last(self) -> float:
         """Logarithm by which displacements of waves grow from a cell to the next."""
-        logs = self._symmetric[1].reshape(SAMPLE, -1)
+        logs = self._symmetric[1].reshape(SAMPLE_CELLS, -1)
         lean = float(np.mean(logs[3] - logs[2]))
         return lean if abs(lean) > ROUND_OFF else 0.0
 
@@ -166,7 +166,7 @@ class LongLattice(WithVerbs):
     @cached_property
     def edge_cell(self) -> Array:
         """Stiffness of the cell at the edge in the gauge."""
-        last = SAMPLE - 1 if self.at_last else 0
+        last = SAMPLE_CELLS - 1 if self.at_last else 0
         return 0.5 * (self._block(last, last) + self._block(last, last).T)
 
     @property
@@ -181,7 +181,7 @@ class LongLattice(WithVerbs):
 
     def tail(self, core: int) -> CellTail:
         """The tail of all cells but `core` of them at the edge."""
-        strength, far = self.coupling, 0 if self.at_last else SAMPLE - 1
+        strength, far = self.coupling, 0 if self.at_last else SAMPLE_CELLS - 1
         wall = float(self.cell[self.inlet, self.inlet] - self._block(far, far)[self.inlet, self.inlet]) / strength
         return CellTail(self.cells - core, self.cell, strength, self.inlet, self.outlet, wall)
 
@@ -280,10 +280,10 @@ class LongLattice(WithVerbs):
 
 # The number of cells at an edge of a long lattice that are nonlinear, and these by themselves as a model --------------
 
-NEGLIGIBLE = 1e-16  # of the nonlinear forces: the part that the tail may leave out
+NEGLIGIBLE_FORCE_RATIO = 1e-16  # of the nonlinear forces: the part that the tail may leave out
 LONGEST_CORE = 2000  # sites
-KEPT = 0.5  # of the decay of a bound mode's displacements: down to it the core holds all that is nonlinear
-HARMONICS = 4  # that are looked at before anything is solved
+KEPT_DECAY_RATIO = 0.5  # of the decay of a bound mode's displacements: down to it the core holds all that is nonlinear
+LOOKED_AT_HARMONICS = 4  # that are looked at before anything is solved
 
 
 @dataclass(frozen=True)
@@ -298,7 +298,7 @@ def core_of(lattice: LongLattice, mode: EdgeMode, amplitude_max: float) -> Core:
     """The cells outside of which nonlinear forces are below round-off; raises ValueError where there are none."""
     tail = lattice.tail(1)
     decay = tail.decay(mode.place) if not mode.pinned else 0.0
-    for k in range(3, 2 * HARMONICS, 2):
+    for k in range(3, 2 * LOOKED_AT_HARMONICS, 2):
         try:
             falls = tail.decay(tail.place(k**2 * mode.square)) + lattice.lean
         except ArithmeticError:
@@ -307,10 +307,10 @@ def core_of(lattice: LongLattice, mode: EdgeMode, amplitude_max: float) -> Core:
             words = f"{k} times the frequency of the mode, which the tail carries away"
             raise ValueError(f"mode: given one with {words}; accepted: harmonics that decay, or a Lattice of all sites")
     reach = max(1.0, amplitude_max * _nonlinearity(lattice, amplitude_max))
-    for slowest in (0.0, KEPT * (decay + lattice.lean) - lattice.lean) if decay > 0.0 else (0.0,):
+    for slowest in (0.0, KEPT_DECAY_RATIO * (decay + lattice.lean) - lattice.lean) if decay > 0.0 else (0.0,):
         rate, cells = 2.0 * (slowest + lattice.lean), 2
         while cells * len(lattice.sites) <= LONGEST_CORE and rate > 0.0:
-            if cells * rate >= 2.0 * math.log(cells + 1) + math.log(reach / NEGLIGIBLE):
+            if cells * rate >= 2.0 * math.log(cells + 1) + math.log(reach / NEGLIGIBLE_FORCE_RATIO):
                 if cells + 2 > lattice.cells:
                     accepted = f"more than {cells + 2} cells, of which so many are nonlinear, or a Lattice"
                     raise ValueError(f"cells: given {lattice.cells}; accepted: {accepted}")

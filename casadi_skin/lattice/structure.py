@@ -10,17 +10,19 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from casadi_skin.lattice.declaration import INDICES, Array, Link
+from casadi_skin.lattice.declaration import CELL_INDICES, Array, Link
 from casadi_skin.lattice.equations import Equations
 from casadi_skin.model.expressions import antiderivative
 from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
 
 # Random points at which the properties of a lattice are checked -------------------------------------------------------
 
-SAME = 1e-12  # relative difference of values that are the same but for rounding, per site
-TRIALS = 3  # random points
-AMPLITUDES = (1.0, 0.1, 0.01)  # of random positions: the first at which all forces are finite
-SPREAD = 0.1  # relative change of parameters at random points: a property of the declared values alone is not declared
+SAME_VALUE_RTOL = 1e-12  # relative difference of values that are the same but for rounding, per site
+RANDOM_POINTS = 3  # random points
+RANDOM_AMPLITUDES = (1.0, 0.1, 0.01)  # of random positions: the first at which all forces are finite
+PARAMETER_SPREAD = (
+    0.1  # relative change of parameters at random points: a property of the declared values alone is not declared
+)
 
 
 @dataclass(frozen=True)
@@ -38,11 +40,11 @@ class Trial:
 def trials_of(equations: Equations) -> Iterator[Trial]:
     """The declared parameters, then others near them."""
     generator, nominal = np.random.default_rng(0), np.array(equations.nominal)
-    spread = np.array([SPREAD if name.isidentifier() else 0.0 for name in equations.symbols])  # numbers stay
+    spread = np.array([PARAMETER_SPREAD if name.isidentifier() else 0.0 for name in equations.symbols])  # numbers stay
     gains = [gain for pair in equations.gains for gain in pair]
     evaluate = ca.Function("f", [equations.parameters], [ca.vertcat(ca.SX(0, 1), *gains), equations.masses])
     accelerations = field_of(equations)
-    for k in range(TRIALS):
+    for k in range(RANDOM_POINTS):
         parameters = nominal * (1.0 + (spread * generator.uniform(-1, 1, nominal.size) if k else 0.0))
         found = [np.array(value).ravel() for value in evaluate(parameters)]
         y, v, t = (
@@ -50,7 +52,7 @@ def trials_of(equations: Equations) -> Iterator[Trial]:
             generator.normal(size=equations.y.numel()),
             generator.normal(),
         )
-        for amplitude in AMPLITUDES:
+        for amplitude in RANDOM_AMPLITUDES:
             if np.all(np.isfinite(np.array(accelerations(amplitude * y, v, t, parameters)))):
                 break
         yield Trial(parameters, found[0].reshape(-1, 2), found[1], amplitude * y, v, t)
@@ -63,8 +65,10 @@ def field_of(equations: Equations) -> ca.Function:
 
 # The gauge of a lattice: weights with which the forces are a gradient, and the energy that these give -----------------
 
-DEEPEST = 50  # operations on operations in gains that are compared
-LARGEST = 600.0  # logarithm of a weight of the energy that is still a double when squared displacements multiply it
+DEEPEST_GAIN = 50  # operations on operations in gains that are compared
+LARGEST_LOG_WEIGHT = (
+    600.0  # logarithm of a weight of the energy that is still a double when squared displacements multiply it
+)
 
 
 def log_weights_of(equations: Equations, trials: list[Trial]) -> tuple[Array | None, list[ca.SX]]:
@@ -77,11 +81,11 @@ def log_weights_of(equations: Equations, trials: list[Trial]) -> tuple[Array | N
         if np.any(ratios <= 0) or not np.all(np.isfinite(ratios)):
             return None, []
         found = logs_of(equations, trial.gains)
-        if np.any(np.abs(found[end] - found[start] - np.log(ratios)) > SAME * size):
+        if np.any(np.abs(found[end] - found[start] - np.log(ratios)) > SAME_VALUE_RTOL * size):
             return None, []
         logs.append(found)
     firsts, expressions = np.argsort(logs[0], kind="stable"), [ca.SX(1)] * size  # of each part the first has the least
-    alike = [ca.is_equal(*pair, DEEPEST) for pair in equations.gains]
+    alike = [ca.is_equal(*pair, DEEPEST_GAIN) for pair in equations.gains]
     for k, forwards in _walk(equations, firsts.tolist()):
         i, j = _ends(equations.links[k])
         first, second = equations.gains[k]
@@ -150,7 +154,7 @@ def is_gradient(equations: Equations, trials: list[Trial]) -> bool:
         i, j = J.nonzero()
         entries = np.asarray(J[i, j]).ravel() * np.exp(half[i] - half[j])
         opposite = np.asarray(J[j, i]).ravel() * np.exp(half[j] - half[i])
-        if not np.all(np.abs(entries - opposite) <= SAME * half.size * np.max(np.abs(entries), initial=0.0)):
+        if not np.all(np.abs(entries - opposite) <= SAME_VALUE_RTOL * half.size * np.max(np.abs(entries), initial=0.0)):
             return False
     return True
 
@@ -161,7 +165,7 @@ def site_energies(equations: Equations, log_weights: Array | None, weights: list
     A bond to a wall belongs to its one site. Weights are those of the gauge; without one, or where doubles do not hold
     them, they are 1, and a bond has the mean of its gains.
     """
-    in_gauge = log_weights is not None and np.max(log_weights, initial=0.0) <= LARGEST
+    in_gauge = log_weights is not None and np.max(log_weights, initial=0.0) <= LARGEST_LOG_WEIGHT
     declaration, kinds = equations.declaration, {"onsite": "y", "force": "d"}
     potentials: dict[tuple[str, int, str], ca.Function] = {}
     for key, formula in declaration.formulas.items():
@@ -206,7 +210,7 @@ def is_conserved(equations: Equations, energy: ca.SX, log_weights: Array, trials
     for trial in trials:
         scale = np.exp(-0.5 * log_weights)
         terms = np.array(rate(scale * trial.y, scale * trial.v, trial.parameters))
-        if not abs(terms.sum()) <= SAME * terms.size * np.sum(np.abs(terms)):
+        if not abs(terms.sum()) <= SAME_VALUE_RTOL * terms.size * np.sum(np.abs(terms)):
             return False
     return True
 
@@ -219,7 +223,7 @@ def is_odd(equations: Equations, trials: list[Trial]) -> bool:
         if equations.driven:  # the forces beside the drive
             rest = np.array(field(0 * trial.y, 0 * trial.v, trial.t, trial.parameters))
             there, back = there - rest, back - rest
-        if not np.max(np.abs(there + back)) <= SAME * np.max(np.abs(there)):
+        if not np.max(np.abs(there + back)) <= SAME_VALUE_RTOL * np.max(np.abs(there)):
             return False
     return True
 
@@ -231,7 +235,7 @@ def keeps_momentum(equations: Equations, trials: list[Trial]) -> bool:
         if np.any(trial.gains[:, 0] != trial.gains[:, 1]):
             return False
         forces = trial.masses * np.array(field(trial.y, trial.v, trial.t, trial.parameters)).ravel()
-        if not abs(forces.sum()) <= SAME * np.sum(np.abs(forces)):
+        if not abs(forces.sum()) <= SAME_VALUE_RTOL * np.sum(np.abs(forces)):
             return False
     return True
 
@@ -247,7 +251,7 @@ def mirrors_of(equations: Equations, trials: list[Trial]) -> tuple[int, ...]:
         for trial in trials:
             there = np.array(field(trial.y, trial.v, trial.t, trial.parameters)).ravel()
             image = np.array(field(trial.y[order], trial.v[order], trial.t, trial.parameters)).ravel()
-            holds = holds and bool(np.max(np.abs(image - there[order])) <= SAME * np.max(np.abs(there)))
+            holds = holds and bool(np.max(np.abs(image - there[order])) <= SAME_VALUE_RTOL * np.max(np.abs(there)))
         if holds:
             found.append(k + 1)
     return tuple(found)
@@ -257,7 +261,7 @@ def is_polynomial(equations: Equations) -> bool:
     """Whether all forces are polynomials of positions and velocities, formula by formula."""
     declaration = equations.declaration
     for (kind, number, field), formula in declaration.formulas.items():
-        varying = {*INDICES, *declaration.by_cell} & set(formula.names)
+        varying = {*CELL_INDICES, *declaration.by_cell} & set(formula.names)
         x = ca.SX.sym("x", 2 if field == "damping" else 1)
         variables = {"y": x[0], "d": x[0], "v": x[-1], "t": ca.SX(0)}
         found = equations.at(kind, number, field, equations.cells if varying else equations.cells[:1], **variables)
@@ -349,7 +353,9 @@ def structure_of(equations: Equations) -> Structure:
     if energies is not None and log_weights is not None and equations.autonomous:
         total = ca.sum1(energies)
         energy = (
-            total if np.max(log_weights) <= LARGEST and is_conserved(equations, total, log_weights, trials) else None
+            total
+            if np.max(log_weights) <= LARGEST_LOG_WEIGHT and is_conserved(equations, total, log_weights, trials)
+            else None
         )
     return Structure(
         log_weights, energy, energies, is_odd(equations, trials), is_polynomial(equations),

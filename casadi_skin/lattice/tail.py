@@ -16,7 +16,7 @@ import numpy as np
 from casadi_skin.zero.problem import Array
 
 EDGE_ANGLE = 0.25 * math.pi  # psi of the band edge, in the limit of a long tail
-LONGEST = 40.0  # of c kappa: beyond it the far end of the tail is not felt
+FAR_END_DECAY = 40.0  # of c kappa: beyond it the far end of the tail is not felt
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Tail:
 
         c, ratio = self.sites, math.tan(psi)
         kappa = -math.log(ratio)
-        if math.isfinite(c) and c * kappa < LONGEST:
+        if math.isfinite(c) and c * kappa < FAR_END_DECAY:
             upper = kappa * (1.0 + 1e-10)  # the root is below kappa, but perhaps by less than rounding
             kappa = float(brentq(lambda k: _ratio_beside(k, c) - ratio, 0.0, upper, xtol=1e-300, rtol=1e-15))
         return Wave(0.0, kappa, psi, _slope_beside(kappa, c))
@@ -133,7 +133,7 @@ class Tail:
         m = self.sites - 1.0
         if wave.kappa > 0.0:
             decay = math.exp(-2.0 * wave.kappa)
-            if m * wave.kappa > LONGEST:
+            if m * wave.kappa > FAR_END_DECAY:
                 return decay / (1.0 - decay)
             total = 0.5 * (math.sinh(m * wave.kappa) * math.cosh((m + 1.0) * wave.kappa) / math.sinh(wave.kappa) - m)
             return total / math.sinh((m + 1.0) * wave.kappa) ** 2
@@ -169,7 +169,7 @@ def _ratio_beside(kappa: float, c: float) -> float:
 def _slope_beside(kappa: float, c: float) -> float:
     """d psi / d kappa."""
     t = _ratio_beside(kappa, c)
-    if math.isfinite(c) and c * kappa < LONGEST:
+    if math.isfinite(c) and c * kappa < FAR_END_DECAY:
         # d/dkappa of sinh((c-1) kappa)/sinh(c kappa) = (c - 1) cosh((c-1) kappa)/sinh(c kappa) - c t coth(c kappa)
         both = math.sinh(c * kappa)
         slope = ((c - 1.0) * math.cosh((c - 1.0) * kappa) - c * t * math.cosh(c * kappa)) / both

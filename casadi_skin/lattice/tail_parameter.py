@@ -15,9 +15,9 @@ from casadi_skin.lattice.tail import Tail, Wave
 from casadi_skin.lattice.tail_series import Harmonics, TailSeries
 from casadi_skin.zero.problem import Array
 
-KEPT = 256  # values that are used again: those of all places of a series at several steps
+KEPT_VALUES = 256  # values that are used again: those of all places of a series at several steps
 NEWTON_STEPS = 10  # for an angle, before it is bracketed
-RESOLVED = 1e-11  # of an angle: a step that ends them
+RESOLVED_ANGLE_STEP = 1e-11  # of an angle: a step that ends them
 
 
 class Regime(Enum):
@@ -144,7 +144,7 @@ class TailParameter:
             value, slope = above(psi)
             step = value / slope
             psi = min(max(psi - step, low), high)
-            if abs(step) <= RESOLVED * psi:  # the next one is its square
+            if abs(step) <= RESOLVED_ANGLE_STEP * psi:  # the next one is its square
                 return self.tail.wave(psi)
         return self.tail.wave(float(brentq(lambda psi: above(psi)[0], low, high, xtol=1e-300, rtol=1e-15)))
 
@@ -181,7 +181,7 @@ class TailParameter:
 
     @cached_property
     def _kept(self) -> Callable[[float], TailValues]:
-        return lru_cache(KEPT)(self._values)
+        return lru_cache(KEPT_VALUES)(self._values)
 
     def _values(self, u: float) -> TailValues:
         k0, wave = _place(self.tail, self.edge, u)
@@ -222,7 +222,7 @@ def _two_harmonics(tail: Tail, edge: int) -> TailParameter:
     return TailParameter(tail, edge, 2)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=KEPT_VALUES)
 def _place(tail: Tail, edge: int, u: float) -> tuple[int, Wave]:
     """The harmonic that resolves Omega at u, and its wave, for any number of harmonics."""
     return _two_harmonics(tail, edge)._resolved(u)

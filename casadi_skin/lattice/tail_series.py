@@ -20,13 +20,13 @@ from casadi_skin.zero.cosines import cosine_matrix
 from casadi_skin.zero.problem import Array, Indices, SingularError, Solve
 from casadi_skin.zero.recursion import CosineUnknowns, PolynomialForm, TaylorRecursion
 
-NODES = 64  # of the circle
-WITHIN = 0.5  # of the distance to the next edge of a band that the circle may have
-LOBES = 2.0  # of (cells times decay)^2, which waves of the far end change by
-HALVINGS = 40  # of the circle, until no singularity lies within
-LEFT = 1e-7  # of the largest coefficient: those of negative powers, which a singularity within has
-ENDLESS = 8000.0  # cells from which on waves of the far end move Omega by less than the precision of a prediction
-ACROSS = 1e-8  # of a band's width: how far Omega may leave its edge before a prediction needs it
+CIRCLE_NODES = 64  # of the circle
+CIRCLE_RADIUS_RATIO = 0.5  # of the distance to the next edge of a band that the circle may have
+LOBE_CHANGE = 2.0  # of (cells times decay)^2, which waves of the far end change by
+CIRCLE_HALVINGS = 40  # of the circle, until no singularity lies within
+NEGATIVE_POWER_RATIO = 1e-7  # of the largest coefficient: those of negative powers, which a singularity within has
+ENDLESS_CELLS = 8000.0  # cells from which on waves of the far end move Omega by less than the precision of a prediction
+BAND_EDGE_RTOL = 1e-8  # of a band's width: how far Omega may leave its edge before a prediction needs it
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ class Harmonics:
             return self._pinned(place, squared, orders)
         by_root = tail.end_unseen(place)
         radius, root = self._widest(place, k2, by_root), float(np.sqrt(abs(place.off)))
-        for _ in range(HALVINGS):
-            zeta = radius * np.exp(2j * np.pi * np.arange(NODES // 2 + 1) / NODES)
+        for _ in range(CIRCLE_HALVINGS):
+            zeta = radius * np.exp(2j * np.pi * np.arange(CIRCLE_NODES // 2 + 1) / CIRCLE_NODES)
             change = (tail.side(place) * zeta * (2.0 * root + zeta) if by_root else zeta) / k2[self.resolved]
             turns = np.empty((zeta.size, self.phi.size), dtype=complex)
             for (edge, seen), these in self._alike.items():
@@ -92,7 +92,7 @@ class Harmonics:
 
     def _is_pinned(self, place: Place) -> bool:
         """Whether the frequency hardly changes with u, as on an edge of an endless tail's band."""
-        return self.tail.cells >= ENDLESS and self.tail.decay(place) == 0.0
+        return self.tail.cells >= ENDLESS_CELLS and self.tail.decay(place) == 0.0
 
     def _pinned(self, place: Place, squared: float, orders: int) -> TailSeries:
         """The angle of the harmonic that is pinned changes alone."""
@@ -103,7 +103,7 @@ class Harmonics:
         across[:, h], down[:, h] = (rates * np.sin(self.phi[h] + (k + turn) * 0.5 * np.pi) for turn in (0, 1))
         endless, outwards = replace(self.tail, cells=np.inf), 1.0 if place.edge % 2 else -1.0
         width = self.tail.edges[place.edge].square - self.tail.edges[place.edge - int(outwards)].square
-        turn = endless.angle(Place(place.gap, place.edge, outwards * ACROSS * abs(width))) - self.phi[h]
+        turn = endless.angle(Place(place.gap, place.edge, outwards * BAND_EDGE_RTOL * abs(width))) - self.phi[h]
         return TailSeries(Omega, across, down, self.in_u[h] * (turn - np.pi * np.round(turn / np.pi)))
 
     def _widest(self, place: Place, k2: Array, by_root: bool) -> float:
@@ -113,24 +113,24 @@ class Harmonics:
             edges = [abs(self.tail.square(at) - edge.square) for k, edge in enumerate(self.tail.edges) if k != at.edge]
             if h != self.resolved:
                 edges.append(abs(at.off))
-            reach = min(reach, WITHIN * min(edges) * k2[self.resolved] / k2[h])
+            reach = min(reach, CIRCLE_RADIUS_RATIO * min(edges) * k2[self.resolved] / k2[h])
         if by_root:
             return float(reach / (np.sqrt(abs(place.off)) + np.sqrt(abs(place.off) + reach)))
-        return float(min(reach, WITHIN * abs(place.off) + LOBES * self.tail.lobe(place.edge)))
+        return float(min(reach, CIRCLE_RADIUS_RATIO * abs(place.off) + LOBE_CHANGE * self.tail.lobe(place.edge)))
 
     def _integrals(self, turns: ComplexArray, change: ComplexArray, squared: float, orders: int) -> TailSeries | None:
         """Coefficients from values on half of the circle; None where that is too wide."""
         w = turns @ self.in_u
         whole = np.concatenate([w, np.conj(w[-2:0:-1])])
-        coefficients = np.fft.fft(whole).real / NODES
-        powers = np.fft.fftfreq(NODES, 1.0 / NODES)
-        if not np.max(np.abs(coefficients[NODES // 2 :])) <= LEFT * np.max(np.abs(coefficients)):
+        coefficients = np.fft.fft(whole).real / CIRCLE_NODES
+        powers = np.fft.fftfreq(CIRCLE_NODES, 1.0 / CIRCLE_NODES)
+        if not np.max(np.abs(coefficients[CIRCLE_NODES // 2 :])) <= NEGATIVE_POWER_RATIO * np.max(np.abs(coefficients)):
             return None
-        slope = (NODES * np.fft.ifft(powers * coefficients))[: w.size]
-        weights = np.full(w.size, 2.0 / NODES)
-        weights[[0, -1]] = 1.0 / NODES
+        slope = (CIRCLE_NODES * np.fft.ifft(powers * coefficients))[: w.size]
+        weights = np.full(w.size, 2.0 / CIRCLE_NODES)
+        weights[[0, -1]] = 1.0 / CIRCLE_NODES
         turning = weights * slope / w
-        if not abs(np.sum(turning).real - 1.0) <= LEFT:
+        if not abs(np.sum(turning).real - 1.0) <= NEGATIVE_POWER_RATIO:
             return None
         inverse = turning[:, None] * np.cumprod(np.column_stack([np.ones_like(w), *[1.0 / w] * orders]), axis=1)
         values = np.column_stack([np.sqrt(squared + change), np.sin(self.phi + turns), np.cos(self.phi + turns)])

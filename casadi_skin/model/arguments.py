@@ -10,11 +10,11 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, cast
 
-LONGEST = 60  # characters of a value or name in a message
+LONGEST_VALUE_TEXT = 60  # characters of a value or name in a message
 MANY_NODES = 1000  # of an expression that no message shows
 
 
-def cut(text: str, longest: int = LONGEST) -> str:
+def cut(text: str, longest: int = LONGEST_VALUE_TEXT) -> str:
     """The text, its end replaced by three dots where it is longer than that."""
     return text if len(text) <= longest else f"{text[: longest - 3]}..."
 
@@ -30,8 +30,8 @@ class _Short(reprlib.Repr):
     def __init__(self) -> None:
         super().__init__()
         for name in ("maxlist", "maxtuple", "maxdict", "maxset", "maxfrozenset", "maxdeque", "maxarray"):
-            setattr(self, name, LONGEST)
-        self.maxstring = self.maxother = 4 * LONGEST
+            setattr(self, name, LONGEST_VALUE_TEXT)
+        self.maxstring = self.maxother = 4 * LONGEST_VALUE_TEXT
 
     def repr_int(self, value: int, level: int) -> str:
         return hex(value) if value.bit_length() > 2000 else repr(value)  # Python may refuse to write its decimals
@@ -49,7 +49,9 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
     names = {other.lower(): other for other in reversed(list(known))}
     import difflib  # here: few commands fail
 
-    return next((names[near] for near in difflib.get_close_matches(name[:LONGEST].lower(), names, n=1)), None)
+    return next(
+        (names[near] for near in difflib.get_close_matches(name[:LONGEST_VALUE_TEXT].lower(), names, n=1)), None
+    )
 
 
 def accepted_names(name: object, known: Iterable[str]) -> str:

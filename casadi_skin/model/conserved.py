@@ -20,8 +20,8 @@ from casadi_skin.model.ode import OdeModel
 
 Array = NDArray[np.float64]
 HAMILTONIAN = "hamiltonian"
-TRIALS, SAME = 3, 1e-9  # random points at which two fields are compared, and their relative difference
-RANK = 1e-6  # smallest singular value of directions of norm 1 that are independent
+FIELD_TRIALS, SAME_FIELD_RTOL = 3, 1e-9  # random points at which two fields are compared, and their relative difference
+RANK_SINGULAR_VALUE = 1e-6  # smallest singular value of directions of norm 1 that are independent
 
 
 def quantities(model: OdeModel) -> dict[str, Expression]:
@@ -57,15 +57,15 @@ def is_odd(model: OdeModel, name: str) -> bool:
     assert model.reversal is not None
     value = model.function("I", ca.densify(quantities(model)[name]))
     signs, generator = np.array(model.reversal), np.random.default_rng(2)
-    for _ in range(TRIALS):
+    for _ in range(FIELD_TRIALS):
         x, p = np.abs(generator.normal(size=model.full_size)), np.abs(generator.normal(size=model.parameters.numel()))
         one, other = float(value(0.0, x, p)), float(value(0.0, signs * x, p))
-        if not abs(one + other) <= SAME * (abs(one) + abs(other)):
+        if not abs(one + other) <= SAME_FIELD_RTOL * (abs(one) + abs(other)):
             return False
     return True
 
 
-def independent(vectors: Array, least: float = RANK) -> list[int]:
+def independent(vectors: Array, least: float = RANK_SINGULAR_VALUE) -> list[int]:
     """Which of several vectors, rows, are independent of those before them."""
     kept: list[int] = []
     for i, vector in enumerate(vectors):
@@ -96,13 +96,13 @@ def _proportional(model: OdeModel, field: Expression, other: Expression) -> bool
     """Whether two fields differ by a constant factor, at random points."""
     both = model.function("both", ca.densify(field), ca.densify(other))
     generator, factor = np.random.default_rng(1), 0.0
-    for trial in range(TRIALS):
+    for trial in range(FIELD_TRIALS):
         x, p = np.abs(generator.normal(size=model.full_size)), np.abs(generator.normal(size=model.parameters.numel()))
         a, b = (np.array(v).ravel() for v in both(0.0, x, p))
         if not (np.all(np.isfinite(a)) and np.all(np.isfinite(b)) and b @ b > 0.0):
             return False
         factor = factor if trial else float(a @ b / (b @ b))
-        if not np.max(np.abs(a - factor * b)) <= SAME * np.max(np.abs(a)):
+        if not np.max(np.abs(a - factor * b)) <= SAME_FIELD_RTOL * np.max(np.abs(a)):
             return False
     return True
 

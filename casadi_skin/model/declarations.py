@@ -13,7 +13,7 @@ from casadi_skin.model.arguments import number, numbers, short_repr, truth
 from casadi_skin.model.equations import Equations
 from casadi_skin.model.expressions import Expression, expression_of, symbols_of
 
-NAMES = "names in one line"
+ACCEPTED_NAMES = "names in one line"
 
 
 def declarations(model: Equations) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def _expressions(model: Equations, found: Mapping[str, Expression]) -> dict[str,
         if (given := getattr(model, label)) is not None:
             made[label] = _scalar(label, expression_of(label, given, symbols))
     if not isinstance(model.outputs, Mapping) or not all(map(is_name, model.outputs)):
-        raise TypeError(f"outputs: given {short_repr(model.outputs)}; accepted: expressions by name, {NAMES}")
+        raise TypeError(f"outputs: given {short_repr(model.outputs)}; accepted: expressions by name, {ACCEPTED_NAMES}")
     made["outputs"] = {name: expression_of(f"output {name}", e, symbols) for name, e in model.outputs.items()}
     made["conserved"] = _named("conserved", model.conserved, symbols)
     made["symmetries"] = _named("symmetries", model.symmetries, symbols)
@@ -81,7 +81,7 @@ def _expressions(model: Equations, found: Mapping[str, Expression]) -> dict[str,
 
 def _named(label: str, given: Any, symbols: list[Expression]) -> dict[str, Expression]:
     if not isinstance(given, Mapping) or not all(map(is_name, given)):
-        raise TypeError(f"{label}: given {short_repr(given)}; accepted: expressions by name, {NAMES}")
+        raise TypeError(f"{label}: given {short_repr(given)}; accepted: expressions by name, {ACCEPTED_NAMES}")
     return {name: expression_of(f"{label} {name}", e, symbols) for name, e in given.items()}
 
 
@@ -102,7 +102,7 @@ def _lists(model: Equations, size: int) -> dict[str, Any]:
     for label in ("state_labels", "parameter_labels"):
         if (given := getattr(model, label)) is not None:
             if isinstance(given, str | bytes) or not np.iterable(given) or not all(map(is_name, given)):
-                raise TypeError(f"{label}: given {short_repr(given)}; accepted: a list of {NAMES}")
+                raise TypeError(f"{label}: given {short_repr(given)}; accepted: a list of {ACCEPTED_NAMES}")
             found[label] = tuple(given)
     return found
 
@@ -206,7 +206,7 @@ def _names(model: Equations) -> Iterator[str]:
     names = [*model.state_names, *model.parameter_names, *model.outputs]
     strange = [name for name in names if not is_name(name)]
     if strange:
-        yield f"{short_repr(strange[0])} as the name of a state or parameter; accepted: {NAMES}"
+        yield f"{short_repr(strange[0])} as the name of a state or parameter; accepted: {ACCEPTED_NAMES}"
     twice = sorted(name for name, count in Counter(names).items() if count > 1)
     if twice:
         yield f"{', '.join(twice)} named more than once among states, parameters and outputs; accepted: different names"

@@ -132,7 +132,7 @@ def _called(label: str, function: Callable[..., Any], symbols: Sequence[Expressi
 # Formulas as CasADi expressions: values, and antiderivatives where there is a rule for them ---------------------------
 
 HIGHEST_DEGREE = 20  # of polynomials that are integrated
-OPERATIONS: Mapping[str, Callable[..., Any]] = {
+FORMULA_OPERATIONS: Mapping[str, Callable[..., Any]] = {
     "number": ca.SX, "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "^": operator.pow,
     "neg": operator.neg, **{name: getattr(ca, "fabs" if name == "abs" else name) for name in FUNCTIONS},
 }  # fmt: skip
@@ -149,7 +149,7 @@ ANTIDERIVATIVES: Mapping[str, Callable[[ca.SX], ca.SX]] = {
 
 def expression(formula: Formula | Tree, values: Mapping[str, ca.SX]) -> ca.SX:
     """A formula, or a part of one, as a CasADi expression, where names stand for these expressions."""
-    found: ca.SX = evaluate(formula.tree if isinstance(formula, Formula) else formula, values, OPERATIONS)
+    found: ca.SX = evaluate(formula.tree if isinstance(formula, Formula) else formula, values, FORMULA_OPERATIONS)
     return found
 
 
@@ -181,7 +181,7 @@ def _integral(tree: Tree, x: ca.SX, values: Mapping[str, ca.SX]) -> ca.SX | None
     parts = [expression(part, values) for part in tree.parts]
     if tree.kind in ("+", "-", "neg"):
         integrals = [_integral(part, x, values) for part in tree.parts]
-        return None if None in integrals else OPERATIONS[tree.kind](*integrals)
+        return None if None in integrals else FORMULA_OPERATIONS[tree.kind](*integrals)
     if tree.kind in ("*", "/"):
         return _multiple(tree, parts, x, values)
     base = _integral_of_function(tree.kind, parts, x)
@@ -218,7 +218,7 @@ def _multiple(tree: Operation, parts: list[ca.SX], x: ca.SX, values: Mapping[str
     constant = [not ca.depends_on(part, x) for part in parts]
     if constant[1]:
         inner = _integral(tree.parts[0], x, values)
-        return None if inner is None else OPERATIONS[tree.kind](inner, parts[1])
+        return None if inner is None else FORMULA_OPERATIONS[tree.kind](inner, parts[1])
     if constant[0] and tree.kind == "*":
         inner = _integral(tree.parts[1], x, values)
         return None if inner is None else parts[0] * inner

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from fnmatch import fnmatch
 from pathlib import Path
 
-LEFTOVER = re.compile(r"\.(?P<name>.+(?P<suffix>\.\w+))\.[a-z0-9_]{8}(?P=suffix)")  # as `replacing` names them
+LEFTOVER_NAME = re.compile(r"\.(?P<name>.+(?P<suffix>\.\w+))\.[a-z0-9_]{8}(?P=suffix)")  # as `replacing` names them
 
 
 @contextmanager
@@ -45,7 +45,7 @@ def leftovers(directory: Path, names: Iterable[str]) -> list[Path]:
     """Temporary files that `replacing` left in a directory where it was killed, of files that match any of `names`."""
     found = []
     for path in directory.glob(".*"):
-        held = LEFTOVER.fullmatch(path.name)
+        held = LEFTOVER_NAME.fullmatch(path.name)
         if held and any(fnmatch(held["name"], name) for name in names) and path.is_file() and not path.is_symlink():
             found.append(path)
     return found

@@ -20,8 +20,10 @@ FUNCTIONS = (
     "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "log", "sqrt", "abs",
 )  # fmt: skip
 CONSTANTS = {"pi": math.pi}
-LONGEST, DEEPEST = 2000, 50  # characters, and brackets, signs and powers inside one another
-TOKEN = re.compile(r"\s*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|([A-Za-z_][A-Za-z_0-9]*)|(.))", re.DOTALL | re.ASCII)
+LONGEST_FORMULA, DEEPEST_FORMULA = 2000, 50  # characters, and brackets, signs and powers inside one another
+FORMULA_TOKEN = re.compile(
+    r"\s*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|([A-Za-z_][A-Za-z_0-9]*)|(.))", re.DOTALL | re.ASCII
+)
 
 
 class FormulaError(ValueError):
@@ -133,8 +135,8 @@ def parse_formula(text: str) -> Formula:
     Raises:
         FormulaError: the text is no formula; in one line with the column.
     """
-    if len(text) > LONGEST:
-        raise FormulaError(LONGEST + 1, f"a formula of {len(text)} characters", f"{LONGEST} characters")
+    if len(text) > LONGEST_FORMULA:
+        raise FormulaError(LONGEST_FORMULA + 1, f"a formula of {len(text)} characters", f"{LONGEST_FORMULA} characters")
     return Formula(text, _Parser(text).whole())
 
 
@@ -178,8 +180,8 @@ class _Parser:
 
     def _signed(self) -> Tree:
         self._depth += 1
-        if self._depth > DEEPEST:
-            raise self._error(f"at most {DEEPEST} brackets, signs and powers inside one another")
+        if self._depth > DEEPEST_FORMULA:
+            raise self._error(f"at most {DEEPEST_FORMULA} brackets, signs and powers inside one another")
         if sign := self._take("+", "-"):
             part = self._signed()
             tree = part if sign == "+" else Operation("neg", (part,))
@@ -222,6 +224,6 @@ class _Parser:
 
 def _tokens(text: str) -> Iterator[tuple[int, str, int]]:
     """Numbers (1), names (2) and other characters (3), with their columns."""
-    for match in TOKEN.finditer(text.rstrip()):
+    for match in FORMULA_TOKEN.finditer(text.rstrip()):
         kind = match.lastindex or 0
         yield kind, match[kind], match.start(kind) + 1

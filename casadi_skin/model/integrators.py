@@ -14,7 +14,7 @@ from casadi_skin.model.equations import Array
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.model.ode import OdeModel
 
-LONGEST = 1e8  # radians that may be followed: a thousand times 10^4 periods of a chain
+LONGEST_EVOLUTION = 1e8  # radians that may be followed: a thousand times 10^4 periods of a chain
 NOT_FINITE = "it is not finite then"
 ESCAPE_FACTOR = 1e6  # times the largest component, beyond which a state has escaped
 ESCAPE_STEPS = 20_000  # in which it escapes
@@ -65,9 +65,11 @@ def fastest_frequency(model: OdeModel, parameters: Array, start: Array, end: flo
         if x is start or np.all(np.isfinite(sums)):  # a model need not be defined at rest
             fastest = max(fastest, float(sums.max()))
     frequency = float(np.sqrt(fastest)) if model.order == 2 else fastest
-    if not frequency * end <= LONGEST:
+    if not frequency * end <= LONGEST_EVOLUTION:
         radians = f"{frequency * end:.2g} radians of the fastest vibration"
-        raise ValueError(f"t: given up to {end:.6g}, which is {radians} at the start; accepted: up to {LONGEST:g}")
+        raise ValueError(
+            f"t: given up to {end:.6g}, which is {radians} at the start; accepted: up to {LONGEST_EVOLUTION:g}"
+        )
     return frequency or 1.0
 
 
@@ -78,13 +80,16 @@ def size_of(start: Array) -> float:
 
 # SUNDIALS CVODES through CasADi (Hindmarsh et al. 2005): every use of it is set up, run and reported here -------------
 
-SHARE, TIGHTEST = 1e-3, 1e-15  # measured: results of CVODES are up to 1500 of its local tolerances off
+LOCAL_TOLERANCE_SHARE, TIGHTEST_LOCAL_TOLERANCE = (
+    1e-3,
+    1e-15,
+)  # measured: results of CVODES are up to 1500 of its local tolerances off
 TIGHT_ITERATION = 1e-3  # share of a step's error left to the iteration; at the default, 0.1, the order falls to 5
-STEPS = 200  # allowed per radian of the stiffest vibration: ten times the need of the tightest run
-GAP = 100.0  # radians from output to output
+STEPS_PER_RADIAN = 200  # allowed per radian of the stiffest vibration: ten times the need of the tightest run
+LARGEST_OUTPUT_GAP = 100.0  # radians from output to output
 STIFF_SHARE = 1e-2  # local tolerance of BDF per tolerance: errors of steps add up
 STIFF_STEPS = 100_000  # of BDF, from output to output
-STRETCHES = 1000  # of an evolution by BDF, with an output after each: its end may need more steps than one stretch
+BDF_STRETCHES = 1000  # of an evolution by BDF, with an output after each: its end may need more steps than one stretch
 
 
 class CvodesError(ArithmeticError):
@@ -182,10 +187,12 @@ def cvodes(model: OdeModel, parameters: Array, start: Array, t: Array, tolerance
     Raises IntegrationError where CVODES fails, with the last time it reached.
     """
     if model.order == 1:
-        return stiff_cvodes(model, parameters, start, t, tolerance, gap=float(t[-1]) / STRETCHES)
-    local = max(SHARE * tolerance, TIGHTEST)
-    options = CvodesOptions(local, local * size_of(start), int(STEPS * GAP), iteration=TIGHT_ITERATION)
-    gap = GAP / fastest_frequency(model, parameters, start, t[-1])
+        return stiff_cvodes(model, parameters, start, t, tolerance, gap=float(t[-1]) / BDF_STRETCHES)
+    local = max(LOCAL_TOLERANCE_SHARE * tolerance, TIGHTEST_LOCAL_TOLERANCE)
+    options = CvodesOptions(
+        local, local * size_of(start), int(STEPS_PER_RADIAN * LARGEST_OUTPUT_GAP), iteration=TIGHT_ITERATION
+    )
+    gap = LARGEST_OUTPUT_GAP / fastest_frequency(model, parameters, start, t[-1])
     first = model.first_order()
     dae = {"x": first.state, "p": first.parameters, "ode": first.rhs}
     if first.forced:
@@ -208,7 +215,7 @@ def stiff_cvodes(
     """
     kind = type(model.state)
     time, x, p = kind.sym("t"), kind.sym("x", model.full_size), kind.sym("p", parameters.size)
-    local = max(STIFF_SHARE * tolerance, TIGHTEST)
+    local = max(STIFF_SHARE * tolerance, TIGHTEST_LOCAL_TOLERANCE)
     options = CvodesOptions(local, local * size_of(start), STIFF_STEPS, stiff=True)
     dae = {"t": time, "x": x, "p": p, "ode": model.field_at(time, x, p)}
     return followed_by_cvodes(dae, parameters, start, t, options, origin, gap)

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
 
-AGAIN = 0.01  # seconds after which a block that goes on is ended again
+SECONDS_TO_AGAIN = 0.01  # seconds after which a block that goes on is ended again
 
 
 @dataclass
@@ -40,7 +40,7 @@ def time_limited(limit: TimeLimit) -> Iterator[None]:
     def on_alarm(number: int, frame: FrameType | None) -> None:
         limit.is_over = True
         if signal.getsignal(signal.SIGTERM) is direct:  # not held back: one that comes while arguments are
-            signal.setitimer(signal.ITIMER_REAL, AGAIN)  # converted may be lost
+            signal.setitimer(signal.ITIMER_REAL, SECONDS_TO_AGAIN)  # converted may be lost
         signal.raise_signal(signal.SIGTERM)
 
     before = signal.signal(signal.SIGALRM, on_alarm)

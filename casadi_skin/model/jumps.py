@@ -25,35 +25,40 @@ from casadi_skin.model.equations import Array, Equations
 
 Values: TypeAlias = Callable[[Array], Array]  # at places, one a row
 TIME, STATE, PARAMETER, INPUT = 1, 2, 4, 8  # by what an operation switches, as bits
-HALVINGS = 200  # of a stretch of a path until its ends are neighbouring doubles
-CROSSINGS = 64  # of one operation along a path that are tried
-TIMES = 4001  # places of an interval of time at which operations are looked at
-END = 1e-12  # of an interval of time: as near to its ends, or to another time, a switch is there
-APART = 1e-6  # of a stretch: where right-hand sides are compared with those at neighbouring doubles
-SIMILAR = (0.3, 3.0)  # ratio of the two differences across a jump; half is that of a value on it, as sign(0)
+PATH_HALVINGS = 200  # of a stretch of a path until its ends are neighbouring doubles
+TRIED_CROSSINGS = 64  # of one operation along a path that are tried
+TIME_PLACES = 4001  # places of an interval of time at which operations are looked at
+INTERVAL_END_RTOL = 1e-12  # of an interval of time: as near to its ends, or to another time, a switch is there
+APART_FRACTION = 1e-6  # of a stretch: where right-hand sides are compared with those at neighbouring doubles
+SIMILAR_JUMP_RATIOS = (
+    0.3,
+    3.0,
+)  # ratio of the two differences across a jump; half is that of a value on it, as sign(0)
 SMALLEST_JUMP = 1e-9  # of the largest rate of a state along the path; rounding of few operations is 1e-15
 LONGEST_TEXT = 60
-ACCEPTED = (
+ACCEPTED_EQUATIONS = (
     "continuous equations (with kinks, as of fabs, fmax, or if_else of branches that agree) and jumps at fixed times; "
     "simulate takes all"
 )
 
 COMPARISON = "a comparison"
 COMPARISONS = {"LT": "<", "LE": "<=", "EQ": "==", "NE": "!="}
-NAMES = {
+OPERATION_NAMES = {
     **dict.fromkeys((*COMPARISONS, "NOT", "AND", "OR"), COMPARISON),
     "IF_ELSE_ZERO": "if_else", "SIGN": "sign", "FLOOR": "floor", "CEIL": "ceil", "FMOD": "fmod",
     "REMAINDER": "remainder", "COPYSIGN": "copysign",
 }  # fmt: skip
-JUMPING = {int(getattr(ca, f"OP_{code}")): code for code in NAMES}
-SINGULAR = {int(getattr(ca, f"OP_{code}")): code for code in ("DIV", "INV", "FABS", "ATAN2", "TAN")}  # as in x/|x|
+JUMPING_CODES = {int(getattr(ca, f"OP_{code}")): code for code in OPERATION_NAMES}
+SINGULAR_CODES = {
+    int(getattr(ca, f"OP_{code}")): code for code in ("DIV", "INV", "FABS", "ATAN2", "TAN")
+}  # as in x/|x|
 
 
 class JumpError(ValueError):
     """The equations jump along a solution: one line with the equation, the operation and the accepted ones."""
 
     def __init__(self, name: str, words: str) -> None:
-        super().__init__(f"{name}: {words}; accepted: {ACCEPTED}")
+        super().__init__(f"{name}: {words}; accepted: {ACCEPTED_EQUATIONS}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +76,7 @@ class Switch:
     @property
     def name(self) -> str:
         """Its name for users."""
-        return NAMES.get(self.code, self.code.lower())
+        return OPERATION_NAMES.get(self.code, self.code.lower())
 
     @property
     def text(self) -> str:
@@ -96,7 +101,7 @@ def switches(
         names: of the entries of each argument.
         source: the bit of an entry of an argument, 0 for one that never changes.
     """
-    codes = JUMPING | SINGULAR
+    codes = JUMPING_CODES | SINGULAR_CODES
     if not any(_codes(part) & codes.keys() for part in (function, *function.find_functions())):
         return [], []
     try:
@@ -150,7 +155,7 @@ def _described(scalar: ca.Function, inputs: list[ca.SX], found: dict[int, int]) 
             a = [work[i] for i in given]
             result = ca.SX.unary(code, a[0]) if len(a) == 1 else ca.SX.binary(code, a[0], a[1])
             if k in found:
-                yield Switch((JUMPING | SINGULAR)[code], tuple(a), _value(code, a, result), found[k])
+                yield Switch((JUMPING_CODES | SINGULAR_CODES)[code], tuple(a), _value(code, a, result), found[k])
             work[to[0]] = result
 
 
@@ -192,7 +197,7 @@ class Jumps:
     @property
     def by_name(self) -> bool:
         """Whether one of them is no division, fabs, atan2 or tan, which jump in some formulas only."""
-        return any(switch.by & STATE and switch.name in NAMES.values() for switch in self.found)
+        return any(switch.by & STATE and switch.name in OPERATION_NAMES.values() for switch in self.found)
 
     def times(self, start: float, end: float, parameters: Array) -> Array:
         """Fractions of an interval of time at which operations switch that no state decides, in ascending order."""
@@ -200,17 +205,21 @@ class Jumps:
         if not tried:
             return np.empty(0)
         value = self._values(tried)
-        fractions = np.linspace(0.0, 1.0, TIMES)
-        places = np.column_stack([
-            start + fractions * (end - start), np.zeros((TIMES, self.model.full_size)), np.tile(parameters, (TIMES, 1)),
-        ])  # fmt: skip
+        fractions = np.linspace(0.0, 1.0, TIME_PLACES)
+        places = np.column_stack(
+            [
+                start + fractions * (end - start),
+                np.zeros((TIME_PLACES, self.model.full_size)),
+                np.tile(parameters, (TIME_PLACES, 1)),
+            ]
+        )
         classes, crossed = value(places), set[float]()
         for k in np.flatnonzero(np.any(np.diff(classes, axis=0) != 0.0, axis=1)):
             for j in np.flatnonzero(classes[k] != classes[k + 1]).tolist():
                 after = _neighbours(value, j, places[k], places[k + 1])[1]
                 crossed.add(float((after[0] - start) / (end - start)))
-        inside = sorted(fraction for fraction in crossed if END < fraction < 1.0 - END)
-        return np.array([f for f, last in zip(inside, [0.0, *inside], strict=False) if f - last > END])
+        inside = sorted(fraction for fraction in crossed if INTERVAL_END_RTOL < fraction < 1.0 - INTERVAL_END_RTOL)
+        return np.array([f for f, last in zip(inside, [0.0, *inside], strict=False) if f - last > INTERVAL_END_RTOL])
 
     def along(self, times: Array, states: Array, parameters: Array, by: int = STATE) -> str:
         """That the equations jump along a path, with the equation and the operation; empty where they do not.
@@ -234,7 +243,7 @@ class Jumps:
         scale = np.max(np.where(np.isfinite(rates), rates, 0.0), axis=0, initial=0.0)
         for j, switch in enumerate(tried):
             changes = np.flatnonzero(switched[:, j])
-            for k in changes[:: max(1, len(changes) // CROSSINGS)]:
+            for k in changes[:: max(1, len(changes) // TRIED_CROSSINGS)]:
                 ends = places[k], places[k + 1]
                 between = _neighbours(value, j, *ends)
                 row = _jumping_row(field, *ends, *between, scale)
@@ -266,7 +275,7 @@ class Jumps:
 def _neighbours(value: Values, entry: int, before: Array, after: Array) -> tuple[Array, Array]:
     """Neighbouring doubles between two places at which an entry of a value differs, at which it differs as well."""
     first = value(before[None])[0, entry]
-    for _ in range(HALVINGS):
+    for _ in range(PATH_HALVINGS):
         middle = 0.5 * (before + after)
         if np.all((middle == before) | (middle == after)):
             break
@@ -276,10 +285,10 @@ def _neighbours(value: Values, entry: int, before: Array, after: Array) -> tuple
 
 def _jumping_row(field: Values, start: Array, end: Array, before: Array, after: Array, scale: Array) -> int | None:
     """The row of the field that jumps between two neighbours on a stretch; None where none does."""
-    way = APART * (end - start)
+    way = APART_FRACTION * (end - start)
     near, apart = (np.abs(np.diff(field(np.array(pair)), axis=0)[0])
                    for pair in ((before, after), (before - way, after + way)))  # fmt: skip
-    low, high = SIMILAR
+    low, high = SIMILAR_JUMP_RATIOS
     with np.errstate(invalid="ignore"):
         jumps = (near > SMALLEST_JUMP * scale) & (near > low * apart) & (near < high * apart)
     return int(np.argmax(jumps)) if jumps.any() else None

@@ -14,9 +14,9 @@ from typing import Any
 
 from casadi_skin.model.arguments import accepted_names, cut
 
-LARGEST = 1 << 25  # bytes of a file
+LARGEST_FILE_BYTES = 1 << 25  # bytes of a file
 LONGEST_MESSAGE = 200  # characters of an exception that a message shows
-MODULE = "casadi_skin_user_model"
+USER_MODULE_NAME = "casadi_skin_user_model"
 
 
 class ModelFileError(ValueError):
@@ -29,9 +29,9 @@ def read_source(path: Path) -> str:
         if path.exists() and not path.is_file():  # a pipe or a device may never end
             raise ModelFileError(f"{path}: no file; accepted: a text file in UTF-8")
         with path.open("rb") as file:
-            data = file.read(LARGEST + 1)
-        if len(data) > LARGEST:
-            raise ModelFileError(f"{path}: longer than {LARGEST} bytes; accepted: a text file up to that")
+            data = file.read(LARGEST_FILE_BYTES + 1)
+        if len(data) > LARGEST_FILE_BYTES:
+            raise ModelFileError(f"{path}: longer than {LARGEST_FILE_BYTES} bytes; accepted: a text file up to that")
         return io.TextIOWrapper(io.BytesIO(data), encoding="utf-8").read()
     except ModelFileError:
         raise
@@ -48,9 +48,9 @@ def run_file(path: Path, source: str) -> dict[str, Any]:
     As with `python FILE`, modules beside the file can be imported. Raises ModelFileError with file, line and exception
     where the code fails.
     """
-    module = ModuleType(MODULE)
+    module = ModuleType(USER_MODULE_NAME)
     module.__file__ = str(path)
-    sys.modules[MODULE] = module  # dataclasses and pickles look their module up
+    sys.modules[USER_MODULE_NAME] = module  # dataclasses and pickles look their module up
     with _told_in_one_line(path), _importing_beside(path):
         exec(compile(source, str(path), "exec"), module.__dict__)
     return module.__dict__
@@ -87,7 +87,7 @@ def call(path: Path, name: str, function: Any, *arguments: Any) -> Any:
 
 
 def _may_give(value: Any, kinds: tuple[type, ...]) -> bool:
-    return isinstance(value, kinds) or (inspect.isfunction(value) and value.__module__ == MODULE)
+    return isinstance(value, kinds) or (inspect.isfunction(value) and value.__module__ == USER_MODULE_NAME)
 
 
 def _article(word: str) -> str:

@@ -150,9 +150,9 @@ class OdeModel(Equations):
 
 # A model of second order in displacements from a state at which it rests ----------------------------------------------
 
-NODES = 4  # of Gauss and Legendre's formula: right to rounding for displacements below SMALL
-SMALL = 0.05  # above it a difference of forces keeps its digits
-STEPS = 3  # of Newton's method from a state that is known well
+GAUSS_NODES = 4  # of Gauss and Legendre's formula: right to rounding for displacements below SMALL_DISPLACEMENT
+SMALL_DISPLACEMENT = 0.05  # above it a difference of forces keeps its digits
+NEWTON_STEPS = 3  # of Newton's method from a state that is known well
 
 
 def centred_model(model: OdeModel, rest: NDArray[np.float64], parameters: Mapping[str, float]) -> OdeModel:
@@ -176,7 +176,7 @@ def centred_model(model: OdeModel, rest: NDArray[np.float64], parameters: Mappin
     force = ca.Function("f", [model.state], [ca.substitute(model.rhs, model.parameters, values)])
     slope = force.jacobian()
     y = np.asarray(rest, dtype=float)
-    for _ in range(STEPS):
+    for _ in range(NEWTON_STEPS):
         y = y - np.linalg.lstsq(np.array(slope(y, 0)), np.array(force(y)).ravel(), rcond=1e-12)[0]
     moved = ca.DM(y) + model.state
     keeps = model.reversal == (1,) * model.size + (-1,) * model.size
@@ -197,9 +197,9 @@ def _displaced(force: ca.Function, rest: NDArray[np.float64], u: ca.SX) -> ca.SX
         return ca.SX(sum((part for degree, part in parts.items() if degree), ca.SX.zeros(u.numel())))
     except NotPolynomialError:
         pass
-    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    nodes, weights = np.polynomial.legendre.leggauss(GAUSS_NODES)
     y = ca.SX.sym("y", u.numel())
     along = ca.Function("along", [y, u], [ca.jtimes(force(y), y, u)])
     terms = (w / 2 * along(ca.DM(rest) + (s + 1) / 2 * u, u) for s, w in zip(nodes, weights, strict=True))
     mean = sum(terms, ca.SX.zeros(u.numel()))
-    return ca.SX(ca.if_else(ca.mmax(ca.fabs(u)) < SMALL, mean, there - force(ca.DM(rest))))
+    return ca.SX(ca.if_else(ca.mmax(ca.fabs(u)) < SMALL_DISPLACEMENT, mean, there - force(ca.DM(rest))))

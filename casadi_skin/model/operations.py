@@ -26,7 +26,7 @@ TWO_ARGUMENTS = (
 )  # fmt: skip
 CODES = {name: int(getattr(ca, f"OP_{name.upper()}")) for name in (*ONE_ARGUMENT, *TWO_ARGUMENTS)}
 NAMES = {code: name for name, code in CODES.items()}
-OTHERS = {int(getattr(ca, name)): name for name in dir(ca) if name.startswith("OP_")}
+ALL_OPERATION_NAMES = {int(getattr(ca, name)): name for name in dir(ca) if name.startswith("OP_")}
 
 Entries = list[int | None]  # of a column of expressions: the numbers that they have, None where it is empty
 
@@ -76,7 +76,7 @@ def _expanded(function: ca.Function) -> ca.Function:
 
 def _named(code: int, function: ca.Function) -> str:
     if code != ca.OP_CONST and code not in NAMES:
-        raise ValueError(_other(function, OTHERS[code]))
+        raise ValueError(_other(function, ALL_OPERATION_NAMES[code]))
     return CONSTANT if code == ca.OP_CONST else NAMES[code]
 
 

@@ -11,17 +11,25 @@ from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.equations import Equations
 from casadi_skin.model.expressions import Expression
 
-PROGRAMS = ("CallbackInternal", "GenericExternal", "External")  # CasADi's classes of functions that are not symbolic
-OPTIONAL = ("normalisation", "hamiltonian")
-GROUPS = {"outputs": "output ", "conserved": "conserved ", "symmetries": "symmetry "}  # before names among the results
-PLAIN = ("name", "order", "reversal", "half_period", "output_scale", "nominal")
+PROGRAM_CLASSES = (
+    "CallbackInternal",
+    "GenericExternal",
+    "External",
+)  # CasADi's classes of functions that are not symbolic
+OPTIONAL_RESULTS = ("normalisation", "hamiltonian")
+RESULT_GROUPS = {
+    "outputs": "output ",
+    "conserved": "conserved ",
+    "symmetries": "symmetry ",
+}  # before names among the results
+PLAIN_FIELDS = ("name", "order", "reversal", "half_period", "output_scale", "nominal")
 
 Model = TypeVar("Model", bound=Equations)
 
 
 def programs_in(function: ca.Function) -> list[str]:
     """Names of the functions inside that are programs, as those of an FMU, and no expressions."""
-    return [inner.name() for inner in function.find_functions() if inner.class_name() in PROGRAMS]
+    return [inner.name() for inner in function.find_functions() if inner.class_name() in PROGRAM_CLASSES]
 
 
 def column(symbols: Sequence[ca.SX]) -> ca.SX:
@@ -30,8 +38,8 @@ def column(symbols: Sequence[ca.SX]) -> ca.SX:
 
 def equations_of(model: Equations) -> tuple[list[str], ca.Function]:
     """A model's equations by name as one function (t, x, p); raises ValueError where they are those of a program."""
-    expressions = {"rhs": model.rhs} | {k: v for k in OPTIONAL if (v := getattr(model, k)) is not None}
-    for group, before in GROUPS.items():
+    expressions = {"rhs": model.rhs} | {k: v for k in OPTIONAL_RESULTS if (v := getattr(model, k)) is not None}
+    for group, before in RESULT_GROUPS.items():
         expressions |= {f"{before}{name}": expression for name, expression in getattr(model, group).items()}
     if model.forcing_period is not None:
         expressions["forcing_period"] = type(model.state)(model.forcing_period)
@@ -53,9 +61,9 @@ def made(
     time, full, parameters = symbols
     rest: dict[str, Any] = dict(results)
     groups: dict[str, Any] = {}
-    for group, before in GROUPS.items():
+    for group, before in RESULT_GROUPS.items():
         groups[group] = {k.removeprefix(before): rest.pop(k) for k in list(rest) if k.startswith(before)}
-    unknown = sorted(set(rest) - {"rhs", "forcing_period", *OPTIONAL})
+    unknown = sorted(set(rest) - {"rhs", "forcing_period", *OPTIONAL_RESULTS})
     if unknown or "rhs" not in rest:
         raise ValueError(f"results: given {short_repr(unknown)}" if unknown else "results: no right-hand side")
     state = full
@@ -69,7 +77,7 @@ def made(
 def reduced(model: Equations, kind: type[Equations]) -> tuple[Any, ...]:
     """Pickled form of a model: CasADi's own function, of any kind but programs."""
     labels, function = equations_of(model)
-    declared = {key: getattr(model, key) for key in (*PLAIN, "state_labels", "parameter_labels")}
+    declared = {key: getattr(model, key) for key in (*PLAIN_FIELDS, "state_labels", "parameter_labels")}
     names = model.state_names, model.parameter_names
     return _unpickled, (kind, declared, labels, function, isinstance(model.state, ca.MX), names, model.forced)
 

@@ -18,10 +18,10 @@ from casadi_skin.model.files import replacing
 from casadi_skin.model.loading import read_source
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.operations import from_operations, to_operations
-from casadi_skin.model.pickled import PLAIN, column, equations_of, made
+from casadi_skin.model.pickled import PLAIN_FIELDS, column, equations_of, made
 
-FORMAT = "casadi_skin model 2"
-ACCEPTED = f"accepted: a file of format {FORMAT!r}, as save_model writes it"
+MODEL_FORMAT = "casadi_skin model 2"
+ACCEPTED_MODEL_FILES = f"accepted: a file of format {MODEL_FORMAT!r}, as save_model writes it"
 MOST_RESULTS = 10_000  # CasADi warns of more
 
 Sign = Literal[1, -1]
@@ -91,11 +91,11 @@ def dumps(model: OdeModel) -> str:
         operations, entries = to_operations(function)
     except ValueError as error:
         raise ValueError(f"{model.name}: cannot be saved: its equations {error}") from error
-    declared = {key: getattr(model, key) for key in PLAIN}
+    declared = {key: getattr(model, key) for key in PLAIN_FIELDS}
     declared |= {"states": model.state_names, "parameters": model.parameter_names, "forced": model.forced}
     declared |= {"operations": operations, "results": dict(zip(labels, entries, strict=True))}
     plain = msgspec.to_builtins(msgspec.convert(declared, SavedModel))
-    return json.dumps({"format": FORMAT, "sha256": checksum(plain), "model": plain}, indent=0) + "\n"
+    return json.dumps({"format": MODEL_FORMAT, "sha256": checksum(plain), "model": plain}, indent=0) + "\n"
 
 
 def checksum(model: dict[str, Any]) -> str:
@@ -127,15 +127,15 @@ def loads(text: str, path: str = "text") -> OdeModel:
         return _model_of(_checked(text))
     except (ValueError, TypeError, RecursionError) as error:  # msgspec's and json's errors are ValueErrors
         reason = cut(" ".join(str(error).split()), 200)
-        reason = reason if "accepted: " in reason else f"{reason}; {ACCEPTED}"
+        reason = reason if "accepted: " in reason else f"{reason}; {ACCEPTED_MODEL_FILES}"
         raise ValueError(f"{path}: not a model saved by casadi_skin: {reason}") from error
 
 
 def _checked(text: str) -> SavedModel:
     """The contents of a file that is complete, has each entry once and has the checksum of its contents."""
     found = msgspec.json.decode(text, type=Header).format
-    if found != FORMAT:
-        raise ValueError(f"format {short_repr(found)}; {ACCEPTED}")
+    if found != MODEL_FORMAT:
+        raise ValueError(f"format {short_repr(found)}; {ACCEPTED_MODEL_FILES}")
     saved = msgspec.json.decode(text, type=SavedFile)
     known = checksum(json.loads(text, object_pairs_hook=_each_once)["model"])
     if known != saved.sha256:
@@ -153,6 +153,6 @@ def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _model_of(saved: SavedModel) -> OdeModel:
     time, states, parameters = ([ca.SX.sym(n) for n in names] for names in (("t",), saved.states, saved.parameters))
     expressions = from_operations([*time, *states, *parameters], saved.operations, list(saved.results.values()))
-    declared = {key: getattr(saved, key) for key in PLAIN}
+    declared = {key: getattr(saved, key) for key in PLAIN_FIELDS}
     results = dict(zip(saved.results, expressions, strict=True))
     return made(OdeModel, declared, results, (time[0], column(states), column(parameters)), saved.forced)

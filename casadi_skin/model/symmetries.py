@@ -64,9 +64,9 @@ def _finite_point(
 
 # Whether a right-hand side repeats itself after the declared period of the forcing ------------------------------------
 
-SAME = 1e-7  # of the largest rate
-COMPARED = 7  # places of a motion
-BESIDE = 0.382  # of the way between two places: forces like sign(sin t) jump at simple parts of the period
+SAME_RATE_RTOL = 1e-7  # of the largest rate
+COMPARED_PLACES = 7  # places of a motion
+PLACE_FRACTION = 0.382  # of the way between two places: forces like sign(sin t) jump at simple parts of the period
 
 
 class Motion(Protocol):
@@ -87,10 +87,10 @@ def check_forcing_period(model: Equations, motion: Motion, length: float, parame
     """
     p = [parameters[name] for name in model.parameter_names]
     period, field = model.forcing_period_at(p), model.function("field", model.full_rhs)
-    times = length * (np.arange(COMPARED) + BESIDE) / COMPARED
+    times = length * (np.arange(COMPARED_PLACES) + PLACE_FRACTION) / COMPARED_PLACES
     for t, x in zip(times, motion.evaluate(times), strict=True):
         now, later = (np.array(field(at, x, p)).ravel() for at in (t, t + period))
-        if np.max(np.abs(later - now)) > SAME * (1.0 + np.max(np.abs(now))):  # not so where one is no number
+        if np.max(np.abs(later - now)) > SAME_RATE_RTOL * (1.0 + np.max(np.abs(now))):  # not so where one is no number
             at = ", ".join(f"{name} = {parameters[name]:.6g}" for name in model.parameter_names)
             given = (
                 f"forcing_period: given {period:.6g}{f' at {at}' if at else ''}, after which equations do not repeat"

@@ -15,30 +15,30 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.follow import solution as solutions
-from casadi_skin.follow.boundary_solutions import ITERATIONS
+from casadi_skin.follow.boundary_solutions import MOST_IPOPT_ITERATIONS
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.first import limits_of, packed, space_of
 from casadi_skin.follow.first import solve as without_objective
 from casadi_skin.follow.refined import BoundaryError
 from casadi_skin.model.pickled import programs_in
-from casadi_skin.optimise.nlp import FLAT, Limits, Nlp, Optimality, Solution, optimality
+from casadi_skin.optimise.nlp import FLAT_CURVATURE, Limits, Nlp, Optimality, Solution, optimality
 from casadi_skin.optimise.search_arguments import Condition
-from casadi_skin.solve.ipopt import SOLVED, nlp_reason
-from casadi_skin.solve.levels import SAFETY
+from casadi_skin.solve.ipopt import SOLVED_STATUS, nlp_reason
+from casadi_skin.solve.levels import ERROR_SAFETY
 from casadi_skin.zero.guesses import Guess
 from casadi_skin.zero.problem import Array, Indices
 from casadi_skin.zero.settings import ErrorEstimate, Point
 from casadi_skin.zero.stated_problem import BoundaryProblem
 from casadi_skin.zero.statement import Statement
 
-ENOUGH = 200  # intervals where a bound holds a state, and errors fall with the distance of the points only
-OPTIONS: Mapping[str, Any] = {
-    "ipopt.max_iter": 3 * ITERATIONS,
+ENOUGH_INTERVALS = 200  # intervals where a bound holds a state, and errors fall with the distance of the points only
+IPOPT_OPTIONS: Mapping[str, Any] = {
+    "ipopt.max_iter": 3 * MOST_IPOPT_ITERATIONS,
     "ipopt.mu_init": 1e-3,  # from 0.1, Ipopt's own, most starts of a search leave the solution near their guess
     "ipopt.theta_max_fact": 1.0,  # no iterate violates more than the guess, or 1; Ipopt's own factor is 10^4
 }
-PATIENCE = 4  # meshes that may fail, all together, to halve the error
-MESHES = 2  # on which a first optimum is sought
+MOST_FAILED_HALVINGS = 4  # meshes that may fail, all together, to halve the error
+FIRST_MESHES = 2  # on which a first optimum is sought
 
 
 class BoundaryNlp(Nlp):
@@ -71,7 +71,7 @@ class BoundaryNlp(Nlp):
             jacobian=jacobian,
             maximise=maximise,
             exact=not programs_in(self.statement.model.vector_field),  # their second derivatives would be differences
-            options={**OPTIONS, "ipopt.tol": tolerance, "ipopt.constr_viol_tol": tolerance},
+            options={**IPOPT_OPTIONS, "ipopt.tol": tolerance, "ipopt.constr_viol_tol": tolerance},
         )
         self.scalars = {name: problem.states + k for k, name in enumerate(self.statement.free)}
         self._free = tuple(free or ())
@@ -114,7 +114,7 @@ class BoundaryNlp(Nlp):
     def solved(self, start: Array, warm: bool = False) -> Solution:
         """The local optimum near a start; raises BoundaryError with Ipopt's reason, condition and place."""
         name, solution = self.statement.model.name, self.solve(start, warm=warm)
-        if solution.words != SOLVED:
+        if solution.words != SOLVED_STATUS:
             raise BoundaryError(f"{name}: {nlp_reason(solution.words)}; {self._worst(solution.x)}")
         if self.fault(solution.x):
             raise BoundaryError(f"{name}: {self.fault(solution.x)}; bound it from below")
@@ -207,15 +207,15 @@ def refined(space: BoundarySpace, nlp: BoundaryNlp, solution: Solution, flat: bo
         better = finer.solved(start, warm=True)
         moved = better.x - start
         scalars, profile = above.frequency_step(better.x, moved), above.profile_change(better.x, moved)
-        error = ErrorEstimate(SAFETY * scalars, SAFETY * profile)
-        conditions, moved_by = optimality(finer, better), SAFETY * abs(better.objective - solution.objective)
+        error = ErrorEstimate(ERROR_SAFETY * scalars, ERROR_SAFETY * profile)
+        conditions, moved_by = optimality(finer, better), ERROR_SAFETY * abs(better.objective - solution.objective)
         found = Refined(finer, better, conditions, error, moved_by)
         holds = found.optimum.optimality.holds_states(nlp.statement.model.state_names)
-        enough = (holds and above.resolution >= ENOUGH) or (flat and conditions.curvature < FLAT)
+        enough = (holds and above.resolution >= ENOUGH_INTERVALS) or (flat and conditions.curvature < FLAT_CURVATURE)
         if enough or error.relative(1.0) <= space.tolerance:
             return found
         errors.append(error.relative(1.0))
-        if len(errors) > PATIENCE and errors[-1] > 0.5 * errors[-1 - PATIENCE]:
+        if len(errors) > MOST_FAILED_HALVINGS and errors[-1] > 0.5 * errors[-1 - MOST_FAILED_HALVINGS]:
             words = f"finer meshes, up to {above.resolution} intervals, leave a change of {errors[-1]:.1e}"
             raise BoundaryError(f"{name}: {words}; try another guess or a larger tolerance")
         nlp, solution = finer, better
@@ -225,7 +225,7 @@ def _first(space: BoundarySpace, guess: Guess) -> tuple[BoundaryNlp, Solution]:
     """The solution on the first mesh on which there is one."""
     failure: BoundaryError | None = None
     first = int(space.method.intervals or 1)
-    for resolution in [r for r in space.levels.resolutions if r >= first][:MESHES]:
+    for resolution in [r for r in space.levels.resolutions if r >= first][:FIRST_MESHES]:
         problem = space.levels.problem(resolution)
         assert isinstance(problem, BoundaryProblem)
         start, nlp = packed(problem, guess), BoundaryNlp(problem, space.tolerance)

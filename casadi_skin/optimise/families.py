@@ -28,7 +28,7 @@ from casadi_skin.zero.request import FamilyRequest
 from casadi_skin.zero.statement import named_values
 
 # Attributes of `Observables` that are no quantities.
-RESERVED = ("y0", "slope", "value", "names", "is_shared", "at_rest", "state", "nodes", "Omega_squared", "tangent",
+RESERVED_NAMES = ("y0", "slope", "value", "names", "is_shared", "at_rest", "state", "nodes", "Omega_squared", "tangent",
             "unknowns", "residual", "harmonics", "alpha_n")  # fmt: skip
 QUANTITIES: Mapping[str, Callable[[Observables], ca.SX]] = MappingProxyType(
     {
@@ -188,7 +188,7 @@ class Observables:
 
 # The family of one mode of a chain, in the gauge, with gamma, alpha, g or the stiffness of every site free ------------
 
-STEEPEST = 0.99  # |gamma| where no bound is given: beyond it the band is nearly a point
+STEEPEST_GAMMA = 0.99  # |gamma| where no bound is given: beyond it the band is nearly a point
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ class ChainFamily:
     def free(self) -> Mapping[str, FreeNumber]:
         """Parameters that may be free."""
         chain = self.model
-        gammas = (0.0, STEEPEST) if chain.gamma >= 0 else (-STEEPEST, 0.0)
+        gammas = (0.0, STEEPEST_GAMMA) if chain.gamma >= 0 else (-STEEPEST_GAMMA, 0.0)
         signs = (0.0, math.inf) if chain.g > 0 else (-math.inf, 0.0)
         each = tuple(f"alpha_{n}" for n in range(1, chain.sites + 1))
         return {
@@ -349,7 +349,7 @@ class ModelFamily:
             accepted = "a model without: S is the sum of squares"
             raise ValueError(f"normalisation: given with {model.name}; accepted in a search: {accepted}")
         energy = () if model.hamiltonian is None else ("energy", "energy_slope")
-        reserved = {*QUANTITIES, *RESERVED} - {"energy", "energy_slope"} | set(energy)
+        reserved = {*QUANTITIES, *RESERVED_NAMES} - {"energy", "energy_slope"} | set(energy)
         for name in (*model.parameter_names, *model.outputs):
             if name in reserved:
                 raise ValueError(f"{model.name}: given a parameter or output called {name}; accepted: other names")

@@ -15,7 +15,7 @@ from casadi_skin.follow.orbit import Orbit
 from casadi_skin.model.arguments import accepted_names, number, short_repr
 from casadi_skin.model.expressions import is_comparison, real_array
 from casadi_skin.optimise.families import ChainFamily, FreeNumber, ModelFamily, Observables
-from casadi_skin.optimise.nlp import FLAT, Limits, Nlp, Solution, optimality
+from casadi_skin.optimise.nlp import FLAT_CURVATURE, Limits, Nlp, Solution, optimality
 from casadi_skin.optimise.optimum import CosineOrbit, Optimum, PlainCheck
 from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
 from casadi_skin.optimise.search_problem import Ending, Outcome, Start, judged, sampled_starts
@@ -29,7 +29,7 @@ from casadi_skin.zero.trigonometric import TrigonometricProblem
 Family = ChainFamily | ModelFamily
 Quantity = str | Callable[..., Any]  # a name, or a function of Observables (of several orbits: a tuple of them)
 
-FAINTEST = 1e-6  # S where no lower bound is given
+FAINTEST_S = 1e-6  # S where no lower bound is given
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class FamilyStatement:
         amplitudes = tuple(real_array("S", S).ravel().tolist()) if several else (number("S", S, "a finite number > 0"),)
         if not amplitudes or min(amplitudes) <= 0:
             raise ValueError(f"S: given {short_repr(S)}; accepted: a finite number > 0, or a list of such numbers")
-        known = {"S": (FAINTEST, math.inf)} | {name: (f.lower, f.upper) for name, f in family.free.items()}
+        known = {"S": (FAINTEST_S, math.inf)} | {name: (f.lower, f.upper) for name, f in family.free.items()}
         names = free_names(free, known)
         if several and "S" in names:
             raise ValueError("free: given S with a list of S; accepted: S free with one number as its start")
@@ -77,7 +77,7 @@ class FamilyStatement:
             low, high = limits["S"]
             if low < 0 or high <= 0:
                 raise ValueError(f"bounds[S]: given {short_repr([low, high])}; accepted: bounds within 0 to inf")
-            limits["S"] = max(low, FAINTEST), high
+            limits["S"] = max(low, FAINTEST_S), high
         if not 1e-12 <= number("tolerance", tolerance) <= 1e-2:
             raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-12 to 1e-2")
         conditions = (*checked_conditions(constraints, (Callable,), "a function of the observables"), *more)
@@ -96,7 +96,7 @@ class FamilyStatement:
 
     @property
     def _numbers(self) -> dict[str, FreeNumber]:
-        known = {"S": FreeNumber(self.amplitudes[0], FAINTEST, math.inf, ("S",)), **self.family.free}
+        known = {"S": FreeNumber(self.amplitudes[0], FAINTEST_S, math.inf, ("S",)), **self.family.free}
         return {name: known[name] for name in self.free}
 
     @property
@@ -179,8 +179,8 @@ class FamilyStatement:
 
 # The orbits of a search in odd cosines as a nonlinear programme -------------------------------------------------------
 
-SLOWEST = 1e-6  # Omega^2 beside the largest stiffness: the square root is kept above it
-OPTIONS: Mapping[str, Any] = {
+SLOWEST_SQUARE = 1e-6  # Omega^2 beside the largest stiffness: the square root is kept above it
+IPOPT_OPTIONS: Mapping[str, Any] = {
     "ipopt.tol": 1e-10,
     "ipopt.constr_viol_tol": 1e-10,
     "ipopt.compl_inf_tol": 1e-9,
@@ -209,7 +209,7 @@ class FamilyNlp(Nlp):
             ca.vertcat(free, *(orbit.unknowns for orbit in orbits)), objective, ca.vertcat(*equations, *conditions),
             self._limits([c.numel() for c in conditions]), p=ca.vertcat(*held) if held else ca.SX(0, 1),
             values=search.amplitudes if held else (), jacobian=self._by_blocks(free, equations, conditions),
-            maximise=search.maximise, options=OPTIONS,
+            maximise=search.maximise, options=IPOPT_OPTIONS,
         )  # fmt: skip
         scales = [high - low if np.isfinite(high - low) else 1.0 for low, high in search.limits]
         squares = [orbit.Omega_squared for orbit in orbits]
@@ -220,7 +220,7 @@ class FamilyNlp(Nlp):
         search, size = self.search, int(np.prod(self._shape))
         lower, upper = np.full(self.free_count + size, -np.inf), np.full(self.free_count + size, np.inf)
         lower[: self.free_count], upper[: self.free_count] = np.array(search.limits).T
-        self._parts(lower)[:, 0, -1] = SLOWEST
+        self._parts(lower)[:, 0, -1] = SLOWEST_SQUARE
         held, first, conditions = search.conditions, size, dict[str, Indices]()
         for item, (condition, count) in enumerate(zip(held, rows, strict=True), start=1):
             name = condition.name if condition.name not in conditions else f"{condition.name} ({item})"
@@ -300,9 +300,9 @@ class FamilyNlp(Nlp):
         return found
 
 
-HARMONICS = (6, 8, 10, 12, 15, 18, 24, 32, 48, 64, 96)
+HARMONICS_OFFERED = (6, 8, 10, 12, 15, 18, 24, 32, 48, 64, 96)
 UNKNOWN_HARMONICS = 12  # where the first start has no orbit that shows how many it needs
-MOVED = 1e-2  # relative change of Omega by more harmonics of what is an optimum on the coarse grid alone
+MOVED_OMEGA_RTOL = 1e-2  # relative change of Omega by more harmonics of what is an optimum on the coarse grid alone
 
 
 @dataclass(frozen=True)
@@ -348,7 +348,7 @@ class FamilySearch(FamilyStatement):
             needed = max(member.harmonics for member in self.members(first.free) or ())
         except ArithmeticError:
             needed = UNKNOWN_HARMONICS
-        return replace(self, harmonics=next((h for h in HARMONICS[:-1] if h >= needed), HARMONICS[-2]))
+        return replace(self, harmonics=next((h for h in HARMONICS_OFFERED[:-1] if h >= needed), HARMONICS_OFFERED[-2]))
 
     def nlp_at(self, start: Start) -> tuple[FamilyNlp, Array]:
         nlp = family_nlp(self, self.harmonics)
@@ -363,7 +363,7 @@ class FamilySearch(FamilyStatement):
         """
         nlp, solution, best = family_nlp(self, self.harmonics), outcome.solution, None
         assert solution is not None
-        for harmonics in (h for h in HARMONICS if h > self.harmonics):
+        for harmonics in (h for h in HARMONICS_OFFERED if h > self.harmonics):
             finer = family_nlp(self, harmonics)
             better = finer.solve(nlp.prolonged(solution.x, finer), warm=True)
             if judged(finer, outcome.start, better).ending is not Ending.CONVERGED:
@@ -371,8 +371,8 @@ class FamilySearch(FamilyStatement):
             errors = self._differences(nlp, solution, finer, better)
             nlp, solution = finer, better
             best = self._optimum(nlp, solution, starts, errors)
-            flat = best.curvature < FLAT  # no resolution would make it converge
-            if errors["Omega"] > MOVED * best.Omega and not flat:
+            flat = best.curvature < FLAT_CURVATURE  # no resolution would make it converge
+            if errors["Omega"] > MOVED_OMEGA_RTOL * best.Omega and not flat:
                 return None
             converged = errors["objective"] <= self.tolerance * max(1.0, abs(best.objective))
             if flat or best.on_family is False or (converged and errors["Omega"] <= self.tolerance * best.Omega):
@@ -406,7 +406,7 @@ class FamilySearch(FamilyStatement):
         """One orbit solved again by Newton's method on more harmonics, and beside the family from S = 0."""
         values, S, Omega = self.values(x[: nlp.free_count]), nlp.amplitude(x, orbit), float(nlp.frequencies(x)[orbit])
         model, parameter = self.family.plain(values, S)
-        harmonics = next(h for h in HARMONICS if h > nlp.harmonics or h == HARMONICS[-1])
+        harmonics = next(h for h in HARMONICS_OFFERED if h > nlp.harmonics or h == HARMONICS_OFFERED[-1])
         problem = TrigonometricProblem(model, harmonics)
         state = (nlp.state_of(x, orbit) @ prolongation_matrix(nlp.harmonics, harmonics)).ravel()
         guess = np.concatenate([state, [Omega, parameter]])

@@ -16,15 +16,15 @@ from casadi_skin.model.arguments import check_name, number, short_repr, whole
 from casadi_skin.model.result import Result
 from casadi_skin.optimise.kick_nlp import KickedFlow, KickNlp, KickOptimum
 from casadi_skin.optimise.kick_verify import Escape, escape, sampled, size_to_escape
-from casadi_skin.optimise.nlp import STOPPED
+from casadi_skin.optimise.nlp import STOPPED_STATUS
 from casadi_skin.solve.ipopt import Monitor, nlp_reason
 from casadi_skin.solve.processes import Report, Runner
 from casadi_skin.zero.problem import Array, Indices
 
 FLOW_ERROR = 1e-6  # of the distance, against CVODES; the steps are halved until it is met
-REFINEMENTS = 4
-SAME = 1e-3  # relative difference of kicks that count as one optimum
-SHORTER = 0.98  # a kick that escapes at this part of its size is searched again from there
+MOST_REFINEMENTS = 4
+SAME_KICK_RTOL = 1e-3  # relative difference of kicks that count as one optimum
+SHORTER_KICK_FACTOR = 0.98  # a kick that escapes at this part of its size is searched again from there
 
 
 class KickError(ArithmeticError):
@@ -55,7 +55,7 @@ class KickOutcome:
     @property
     def interrupted(self) -> bool:
         """Whether an interruption ended it."""
-        return self.found is not None and self.found.words == STOPPED
+        return self.found is not None and self.found.words == STOPPED_STATUS
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class KickSearch:
         try:
             found = self._from(first, monitor)
         except KeyboardInterrupt:
-            found = replace(first, words=STOPPED)
+            found = replace(first, words=STOPPED_STATUS)
         last = (found.iterations, float(np.sqrt(self.flow.orbit.S)) * found.norm, found.violation)
         return KickOutcome(start, first, found, last)
 
@@ -108,7 +108,7 @@ class KickSearch:
         found = self.optimum(first, monitor)
         for _ in range(3):
             shorter = self._first(first.name, found.kick) if found.solved else None
-            if shorter is None or shorter.norm > SHORTER * found.norm:
+            if shorter is None or shorter.norm > SHORTER_KICK_FACTOR * found.norm:
                 break
             again = self.optimum(shorter, monitor)
             if not again.solved or again.norm > found.norm:
@@ -142,7 +142,10 @@ def distinct(outcomes: Sequence[KickOutcome]) -> list[KickOptimum]:
 
 
 def _same(a: KickOptimum, b: KickOptimum) -> bool:
-    return float(np.linalg.norm(a.kick - b.kick)) <= SAME * max(a.norm, b.norm) and abs(a.time / b.time - 1) <= SAME
+    return (
+        float(np.linalg.norm(a.kick - b.kick)) <= SAME_KICK_RTOL * max(a.norm, b.norm)
+        and abs(a.time / b.time - 1) <= SAME_KICK_RTOL
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,11 +165,11 @@ def verified(search: KickSearch, best: KickOptimum) -> Verified:
     """
     reached, distance = np.nan, search.distance
     try:
-        for refinement in range(REFINEMENTS + 1):
+        for refinement in range(MOST_REFINEMENTS + 1):
             reached = float(escape(search.flow.orbit, search.physical(best.kick), [best.time]).distance[-1])
             if abs(reached - distance) <= FLOW_ERROR * distance or not best.solved:
                 return Verified(best, reached, search)
-            if refinement < REFINEMENTS:
+            if refinement < MOST_REFINEMENTS:
                 search = replace(search, flow=replace(search.flow, steps=2 * search.flow.steps))
                 best, reached = search.optimum(best), np.nan
     except KeyboardInterrupt:
@@ -199,9 +202,9 @@ def directions(far: Array, gains: Array, vectors: Array, starts: int, seed: int)
 
 # Arguments of the search for the smallest kick, checked ---------------------------------------------------------------
 
-NORMS = ("physical", "energy")
+KICK_NORMS = ("physical", "energy")
 LEAST_DISTANCE = 1e-4
-LONGEST = 100.0  # periods
+LONGEST_PERIODS = 100.0  # periods
 
 
 def check(orbit: Orbit, time: float, distance: float, norm: str, starts: int, seed: int) -> None:
@@ -213,14 +216,15 @@ def check(orbit: Orbit, time: float, distance: float, norm: str, starts: int, se
         raise ValueError(f"orbit: given sites = {chain.sites}, gamma = {chain.gamma!r}; accepted: finite, |gamma| < 1")
     if orbit.S <= 0:
         raise ValueError("orbit: given S = 0; accepted: a breather of S > 0")
-    if not 0 < number("time", time, "a finite time > 0") <= LONGEST * orbit.period:
+    if not 0 < number("time", time, "a finite time > 0") <= LONGEST_PERIODS * orbit.period:
         raise ValueError(
-            f"time: given {time!r}; accepted: above 0, up to {LONGEST:g} periods = {LONGEST * orbit.period:.6g}"
+            f"time: given {time!r}; "
+            f"accepted: above 0, up to {LONGEST_PERIODS:g} periods = {LONGEST_PERIODS * orbit.period:.6g}"
         )
     least = max(LEAST_DISTANCE, 1e3 * orbit.profile_error)
     if number("distance", distance, "a finite fraction of the breather") < least:
         raise ValueError(f"distance: given {distance!r}; accepted: from {least:.1e} on, what the orbit's error allows")
-    check_name("norm", norm, NORMS)
+    check_name("norm", norm, KICK_NORMS)
     if norm == "energy" and not chain.alpha + 2.0 > 2.0 * chain.coupling * np.cos(np.pi / (chain.sites + 1)):
         raise ValueError("norm: given 'energy', which is not positive in this chain; accepted: physical")
     whole("starts", starts, 1)

@@ -24,14 +24,16 @@ import numpy as np
 from casadi_skin.follow.orbit import Orbit, cosine_curve
 from casadi_skin.optimise.nlp import Limits, Nlp, optimality
 from casadi_skin.optimise.optimum import CosineOrbit
-from casadi_skin.solve.ipopt import SOLVED, Monitor
+from casadi_skin.solve.ipopt import SOLVED_STATUS, Monitor
 from casadi_skin.stability.splitting import srkn_step
 from casadi_skin.zero.problem import Array
 
 # The flow from a kicked orbit over many steps with exact derivatives, and its distance from the orbit -----------------
 
-STEP = 0.75  # radians of the fastest linear vibration: against CVODES, 2e-8 of the state in 5 periods (measured)
-PHASES = 720  # of the orbit, between which its reach is sought
+STEP_RADIANS = (
+    0.75  # radians of the fastest linear vibration: against CVODES, 2e-8 of the state in 5 periods (measured)
+)
+REACH_PHASES = 720  # of the orbit, between which its reach is sought
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class Loop:
 
         The infimum over pairs p, q of |q - p|^2 / (2 |part of q - p that is normal to the curve at p|).
         """
-        point, tangent = self.points(2.0 * np.pi * np.arange(PHASES) / PHASES)
+        point, tangent = self.points(2.0 * np.pi * np.arange(REACH_PHASES) / REACH_PHASES)
         tangent /= np.linalg.norm(tangent, axis=1)[:, None]
         smallest = np.inf
         for p, t in zip(point, tangent, strict=True):
@@ -87,7 +89,7 @@ class KickedFlow:
     def up_to(cls, orbit: Orbit, time: float) -> KickedFlow:
         """With as many steps as the fastest linear vibration needs."""
         fastest = float(np.sqrt(orbit.model.alpha + 2.0 * (1.0 + orbit.model.coupling)))
-        return cls(CosineOrbit.of(orbit), time, max(4, int(np.ceil(time * max(fastest, orbit.Omega) / STEP))))
+        return cls(CosineOrbit.of(orbit), time, max(4, int(np.ceil(time * max(fastest, orbit.Omega) / STEP_RADIANS))))
 
     def __reduce__(self) -> tuple[type[KickedFlow], tuple[CosineOrbit, float, int]]:
         return KickedFlow, (self.orbit, self.time, self.steps)  # another process builds its own functions
@@ -143,7 +145,7 @@ class KickedFlow:
 
     def nearest_phase(self, state: Array) -> float:
         """Phase of the orbit nearest to a state (2N,), among PHASES."""
-        theta = 2.0 * np.pi * np.arange(PHASES) / PHASES
+        theta = 2.0 * np.pi * np.arange(REACH_PHASES) / REACH_PHASES
         points, _ = self.loop.points(theta)
         return float(theta[np.argmin(np.linalg.norm(points - self.output_scale * state, axis=1))])
 
@@ -186,9 +188,9 @@ class KickedFlow:
         return t, np.asarray(values[:, :2]), np.asarray(right[:, :2])
 
 
-SEGMENT = 8  # steps in a segment, about half a period of the slowest vibration
-ITERATIONS = 200
-OPTIONS: Mapping[str, Any] = {
+SEGMENT_STEPS = 8  # steps in a segment, about half a period of the slowest vibration
+MOST_ITERATIONS = 200
+IPOPT_OPTIONS: Mapping[str, Any] = {
     "ipopt.tol": 1e-9,
     "ipopt.constr_viol_tol": 1e-9,
     "ipopt.nlp_scaling_method": "none",  # unknowns and constraints are of order one
@@ -229,7 +231,7 @@ class KickOptimum:
     @property
     def solved(self) -> bool:
         """Whether Ipopt met its tolerance."""
-        return self.words == SOLVED
+        return self.words == SOLVED_STATUS
 
 
 class KickNlp(Nlp):
@@ -241,7 +243,7 @@ class KickNlp(Nlp):
 
     def __init__(self, flow: KickedFlow, distance: float, basis: Array, scale: float) -> None:
         self.flow, self.distance, self.scale = flow, distance, scale
-        self.steps = np.diff(np.append(np.arange(0, flow.steps, SEGMENT), flow.steps))
+        self.steps = np.diff(np.append(np.arange(0, flow.steps, SEGMENT_STEPS), flow.steps))
         spread = scale * np.linalg.norm(flow.linear_images(basis)[np.cumsum(self.steps)], axis=2)
         self._units = np.maximum(distance, spread).T
         size, many, self._kicks = flow.size, len(self.steps), basis.shape[1]
@@ -256,7 +258,7 @@ class KickNlp(Nlp):
         lower, upper, zero = np.full(z.numel(), -np.inf), np.full(z.numel(), np.inf), np.zeros(g.numel())
         lower[-2], upper[-2] = 0.0, 1.0
         limits = Limits(lower, upper, zero, zero, {"time": np.array([z.numel() - 2])})
-        super().__init__(z, ca.sumsqr(kick), g, limits, options={**OPTIONS, "ipopt.max_iter": ITERATIONS})
+        super().__init__(z, ca.sumsqr(kick), g, limits, options={**IPOPT_OPTIONS, "ipopt.max_iter": MOST_ITERATIONS})
 
     def _segments(self, before: ca.MX, h: ca.MX) -> ca.MX:
         """States after each segment, (2N, segments): equal ones in one map, the last by itself if it is shorter."""

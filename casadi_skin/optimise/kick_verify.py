@@ -14,9 +14,9 @@ from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.optimise.kick_nlp import KickedFlow
 from casadi_skin.optimise.optimum import CosineOrbit
 
-SAMPLES = 64  # a period; the largest distance is that of the parabola through the three largest
-FINER = 17  # samples around the largest
-NARROWEST = 1e-9  # of the bracket of a size, relative to it
+SAMPLES_PER_PERIOD = 64  # a period; the largest distance is that of the parabola through the three largest
+FINER_SAMPLES = 17  # samples around the largest
+NARROWEST_BRACKET = 1e-9  # of the bracket of a size, relative to it
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ def escape(orbit: Orbit | CosineOrbit, kick: ArrayLike, t: ArrayLike, tolerance:
 
 def sampled(orbit: Orbit, time: float) -> Array:
     """Times from 0 to `time`, SAMPLES or more a period."""
-    return np.linspace(0.0, time, 1 + max(8, int(np.ceil(SAMPLES * time / orbit.period))))
+    return np.linspace(0.0, time, 1 + max(8, int(np.ceil(SAMPLES_PER_PERIOD * time / orbit.period))))
 
 
 def farthest(orbit: Orbit, kick: Array, time: float) -> tuple[float, float]:
@@ -62,8 +62,10 @@ def farthest(orbit: Orbit, kick: Array, time: float) -> tuple[float, float]:
     coarse = escape(orbit, kick, sampled(orbit, time))
     k = int(np.argmax(coarse.distance))
     around = coarse.t[max(0, k - 1)], coarse.t[min(k + 1, len(coarse.t) - 1)]
-    fine = escape(orbit, kick, np.linspace(*around, FINER))
-    return max(coarse.farthest if len(fine.t) < FINER else fine.farthest, (float(coarse.distance[k]), coarse.t[k]))
+    fine = escape(orbit, kick, np.linspace(*around, FINER_SAMPLES))
+    return max(
+        coarse.farthest if len(fine.t) < FINER_SAMPLES else fine.farthest, (float(coarse.distance[k]), coarse.t[k])
+    )
 
 
 def size_to_escape(orbit: Orbit, direction: Array, time: float, distance: float) -> tuple[float, float]:
@@ -86,5 +88,5 @@ def size_to_escape(orbit: Orbit, direction: Array, time: float, distance: float)
         low, high = high, 1.02 * high
     while excess(low) >= 0:
         low, high = 0.9 * low, low
-    size = float(brentq(excess, low, high, xtol=NARROWEST * high, rtol=NARROWEST))
+    size = float(brentq(excess, low, high, xtol=NARROWEST_BRACKET * high, rtol=NARROWEST_BRACKET))
     return size, farthest(orbit, size * direction, time)[1]

@@ -16,12 +16,12 @@ import numpy as np
 
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.solve.ipopt import SOLVED, IterationCallback, Monitor, nlp_solver
+from casadi_skin.solve.ipopt import SOLVED_STATUS, IterationCallback, Monitor, nlp_solver
 from casadi_skin.zero.problem import Array, Indices
 
-BALLS = 8  # known optima that a solve keeps away from at a time
-RADIUS = 0.05  # of the balls round them, in the scaled place
-STOPPED = "User_Requested_Stop"
+MOST_BALLS = 8  # known optima that a solve keeps away from at a time
+BALL_RADIUS = 0.05  # of the balls round them, in the scaled place
+STOPPED_STATUS = "User_Requested_Stop"
 WARM_START: Mapping[str, Any] = {
     "ipopt.mu_init": 1e-9, "ipopt.bound_push": 1e-12, "ipopt.bound_frac": 1e-12, "ipopt.slack_bound_push": 1e-12,
     "ipopt.slack_bound_frac": 1e-12,
@@ -202,16 +202,16 @@ class Nlp:
     def away_from(self, known: Sequence[Array]) -> Nlp:
         """The same programme with constraints that keep out of balls round known places, the last few of them."""
         other, far = copy.copy(self._deflated), np.full(self.place.numel(), 1e3)  # type: ignore[union-attr]
-        other.p = np.concatenate([self.p, *known[-BALLS:], *[far] * (BALLS - len(known[-BALLS:]))])
+        other.p = np.concatenate([self.p, *known[-MOST_BALLS:], *[far] * (MOST_BALLS - len(known[-MOST_BALLS:]))])
         return other
 
     @cached_property
     def _deflated(self) -> Nlp:
         assert self.place is not None
-        centres = type(self._x).sym("centres", self.place.numel(), BALLS)
-        distances = ca.sum1((ca.repmat(self.place, 1, BALLS) - centres) ** 2).T
-        low = np.append(self.limits.low, np.full(BALLS, RADIUS**2))
-        high = np.append(self.limits.high, np.full(BALLS, np.inf))
+        centres = type(self._x).sym("centres", self.place.numel(), MOST_BALLS)
+        distances = ca.sum1((ca.repmat(self.place, 1, MOST_BALLS) - centres) ** 2).T
+        low = np.append(self.limits.low, np.full(MOST_BALLS, BALL_RADIUS**2))
+        high = np.append(self.limits.high, np.full(MOST_BALLS, np.inf))
         return Nlp(
             self._x, self.sign * self._f, ca.vertcat(self._g, distances), replace(self.limits, low=low, high=high),
             p=ca.vertcat(self._p, ca.vec(centres)), maximise=self.sign < 0, exact=self.exact, options=self.options,
@@ -225,7 +225,7 @@ class Nlp:
             return None
         met = np.clip(self.residual(x), self.limits.low, self.limits.high)[rows]
         elastic = self._elastic.solve(np.append(x, met))
-        if elastic.words != SOLVED:
+        if elastic.words != SOLVED_STATUS:
             return None
         value = self.sign * float(self._gradient(elastic.x[:n], self.p)[0])
         return Solution(
@@ -248,11 +248,11 @@ class Nlp:
 
 # Whether a point is a local optimum: conditions of first and second order, from multipliers and exact derivatives -----
 
-CURVED = 1e-6  # of the Hessian in the free directions: less is rounding
-NOISE = 1e-8  # curvature, relative to the gradient, that errors of multipliers make where there is none
-FLAT = 1e-9  # curvature of an objective that has the same value at neighbours
+CURVED_HESSIAN_RATIO = 1e-6  # of the Hessian in the free directions: less is rounding
+CURVATURE_NOISE = 1e-8  # curvature, relative to the gradient, that errors of multipliers make where there is none
+FLAT_CURVATURE = 1e-9  # curvature of an objective that has the same value at neighbours
 NEAR_BOUND = 1e-6  # distance to a bound, relative to the range or to 1, at which it is active
-HOLDS = 1e-5  # size of a multiplier, relative to the largest, at which its bound is active
+ACTIVE_MULTIPLIER_RATIO = 1e-5  # size of a multiplier, relative to the largest, at which its bound is active
 
 
 @dataclass(frozen=True)
@@ -323,7 +323,9 @@ def _complementarity(multipliers: Array, above: Array, below: Array) -> Array:
 def _active(nlp: Nlp, solution: Solution, g: Array) -> tuple[tuple[str, ...], Indices, Indices]:
     """Active bounds in words, the unknowns at them, and the rows of conditions at them, equalities included."""
     x, limits = solution.x, nlp.limits
-    held = HOLDS * max(1.0, *(float(np.max(np.abs(v), initial=0.0)) for v in (solution.lam_g, nlp.gradient(x))))
+    held = ACTIVE_MULTIPLIER_RATIO * max(
+        1.0, *(float(np.max(np.abs(v), initial=0.0)) for v in (solution.lam_g, nlp.gradient(x)))
+    )
     words, unknowns, rows = list[str](), list[int](), list[int]()
     for name, places in limits.unknowns.items():
         low, high = limits.lower[places], limits.upper[places]
@@ -371,7 +373,9 @@ def _curvature(nlp: Nlp, solution: Solution, J: Any, unknowns: Indices, rows: In
         least = float(eigh(reduced, free.T @ free, eigvals_only=True)[0])
     except np.linalg.LinAlgError:  # a direction that changes no free number
         least = np.nan
-    noise = max(CURVED * size, NOISE * float(np.max(np.abs(sizes.ravel() * nlp.gradient(solution.x)))))
+    noise = max(
+        CURVED_HESSIAN_RATIO * size, CURVATURE_NOISE * float(np.max(np.abs(sizes.ravel() * nlp.gradient(solution.x))))
+    )
     return least, negative / size if negative < -noise else 0.0
 
 

@@ -29,12 +29,12 @@ from casadi_skin.zero.problem import Array
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.zero.statement import Statement, check_expressions, named_values
 
-SAMPLES = 401  # of the guess over a period
-PHASES = 200  # at which an optimum is compared with its plain orbit
+GUESS_SAMPLES = 401  # of the guess over a period
+COMPARED_PHASES = 200  # at which an optimum is compared with its plain orbit
 CONSERVED = "hamiltonian"
-SPECIAL = (PERIOD, "Omega")
-UNITS, UNEVEN = 1e8, 1e4  # sizes of states that differ by more leave Ipopt no digits, or few
-OWN = "search "  # with which names of the caller's expressions begin
+SPECIAL_QUANTITIES = (PERIOD, "Omega")
+MOST_UNIT_RATIO, UNEVEN_UNIT_RATIO = 1e8, 1e4  # sizes of states that differ by more leave Ipopt no digits, or few
+OWN_NAME_PREFIX = "search "  # with which names of the caller's expressions begin
 
 Quantity = str | Expression
 
@@ -111,7 +111,7 @@ class OrbitSearch:
         else:
             length = guessed_period(guess, period)
         part = symmetry_class(first).value if symmetric else 1.0
-        t = np.linspace(0.0, part * length, SAMPLES)
+        t = np.linspace(0.0, part * length, GUESS_SAMPLES)
         closed = Statement(first, [first.end(first.state) - first.start(first.state)], parameters=values)
         states = sampled(closed, guess, t)
         _check_units(first.state_names, states)
@@ -143,7 +143,7 @@ class OrbitSearch:
     @property
     def hint(self) -> str:
         ratio, words = _units(self.model.state_names, self.states)
-        return f"units are uneven, {words}: try others" if ratio > UNEVEN else ""
+        return f"units are uneven, {words}: try others" if ratio > UNEVEN_UNIT_RATIO else ""
 
     def _expression(self, name: str) -> Expression:
         """A state, an output, a parameter or the hamiltonian in the model's symbols."""
@@ -216,7 +216,7 @@ class OrbitSearch:
     def _at_phase_zero(self, statement: Statement, plain: Orbit, name: str) -> Expression:
         """A quantity at phase zero, in the start's state and the parameters of the statement's model."""
         model = statement.model
-        if name in SPECIAL:
+        if name in SPECIAL_QUANTITIES:
             period = type(model.state)(statement.interval[1]) / plain.symmetry.value
             return period if name == PERIOD else 2.0 * math.pi / period
         count = int(self.model.parameters.numel())
@@ -253,10 +253,10 @@ class OrbitSearch:
         """Parameters, period and Omega; states, outputs and the hamiltonian at phase zero."""
         model, names = self.model, list(_quantities(self.model))
         parameters = {name: orbit.parameters[name] for name in model.parameter_names}
-        expressions = [self._expression(name) for name in names if name not in SPECIAL]
+        expressions = [self._expression(name) for name in names if name not in SPECIAL_QUANTITIES]
         values = model.function("values", *expressions).call([0.0, orbit.evaluate(0.0), list(parameters.values())])
-        at_zero = zip((name for name in names if name not in SPECIAL), map(float, values), strict=True)
-        own = {name: value for name, value in at_zero if not name.startswith(OWN)}
+        at_zero = zip((name for name in names if name not in SPECIAL_QUANTITIES), map(float, values), strict=True)
+        own = {name: value for name, value in at_zero if not name.startswith(OWN_NAME_PREFIX)}
         return {PERIOD: orbit.period, "Omega": 2.0 * math.pi / orbit.period} | own | parameters
 
 
@@ -273,7 +273,9 @@ class _Stated:
 def _quantities(model: OdeModel) -> tuple[str, ...]:
     """Names of the quantities that may be optimised or bounded."""
     conserved = () if model.hamiltonian is None else (CONSERVED,)
-    return tuple(dict.fromkeys((*SPECIAL, *model.state_names, *model.parameter_names, *model.outputs, *conserved)))
+    return tuple(
+        dict.fromkeys((*SPECIAL_QUANTITIES, *model.state_names, *model.parameter_names, *model.outputs, *conserved))
+    )
 
 
 def _output(
@@ -281,15 +283,15 @@ def _output(
 ) -> str:
     """The name of a quantity; an expression becomes an output. Raises ValueError and TypeError where it is neither."""
     if isinstance(given, str):
-        known = [name for name in quantities if label != "running" or name not in SPECIAL]
+        known = [name for name in quantities if label != "running" or name not in SPECIAL_QUANTITIES]
         if given not in known:
             raise ValueError(f"{label}: given {short_repr(given)}; {accepted_names(given, known)}, or an expression")
         return given
     symbols = [model.full_state, model.parameters]
     given = scalar_of(label, given, model)
     check_expressions([(label, given)], [*symbols, *([model.time] if model.forced and label == "running" else [])])
-    outputs[OWN + label] = given
-    return OWN + label
+    outputs[OWN_NAME_PREFIX + label] = given
+    return OWN_NAME_PREFIX + label
 
 
 def compared(orbit: Orbit, plain: Orbit) -> PlainCheck:
@@ -298,7 +300,7 @@ def compared(orbit: Orbit, plain: Orbit) -> PlainCheck:
     States are compared at the same phases, each component relative to its largest value and no less than a millionth of
     the largest of all.
     """
-    fractions = np.arange(PHASES) / PHASES
+    fractions = np.arange(COMPARED_PHASES) / COMPARED_PHASES
     one, other = (o.evaluate(fractions * o.period) for o in (orbit, plain))
     largest = np.max(np.abs(other), axis=0)
     apart = float(np.max(np.abs(one - other) / np.maximum(largest, 1e-6 * np.max(largest))))
@@ -310,8 +312,8 @@ def compared(orbit: Orbit, plain: Orbit) -> PlainCheck:
 def _check_units(names: Sequence[str], states: Array) -> None:
     """Raises ValueError where states that move have sizes that a nonlinear programme cannot hold together."""
     ratio, words = _units(names, states)
-    if ratio > UNITS:
-        raise ValueError(f"guess: given {words}; accepted: units in which states differ by at most {UNITS:g}")
+    if ratio > MOST_UNIT_RATIO:
+        raise ValueError(f"guess: given {words}; accepted: units in which states differ by at most {MOST_UNIT_RATIO:g}")
 
 
 def _units(names: Sequence[str], states: Array) -> tuple[float, str]:

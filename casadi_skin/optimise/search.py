@@ -14,9 +14,17 @@ from typing import Any
 import numpy as np
 
 from casadi_skin.model.result import Result
-from casadi_skin.optimise.nlp import FLAT
+from casadi_skin.optimise.nlp import FLAT_CURVATURE
 from casadi_skin.optimise.optimum import Optimum
-from casadi_skin.optimise.search_problem import FEASIBLE, Ending, Outcome, SearchProblem, Start, nearest, solve_start
+from casadi_skin.optimise.search_problem import (
+    FEASIBLE_VIOLATION,
+    Ending,
+    Outcome,
+    SearchProblem,
+    Start,
+    nearest,
+    solve_start,
+)
 from casadi_skin.solve.processes import Report, Runner
 
 # Result of a search: its distinct optima, best first, each with its checks, and the outcome of every start ------------
@@ -78,8 +86,8 @@ class SearchResult(Result):
         return f"<SearchResult: {len(self.optima)} optima; {self.reason}>"
 
 
-SAME = 1e-4  # distance of places, and relative difference of objectives, below which two optima are one
-NEAREST = 4  # starts of the search for the orbit nearest to the constraints
+SAME_OPTIMUM_RTOL = 1e-4  # distance of places, and relative difference of objectives, below which two optima are one
+NEAREST_STARTS = 4  # starts of the search for the orbit nearest to the constraints
 
 
 def search(
@@ -181,7 +189,7 @@ class _Search:
         """The optima made final, and the status of the search."""
         made, found = [self.problem.polish(outcome, numbers) for outcome, numbers in self._distinct()], list[Optimum]()
         for optimum in (optimum for optimum in made if optimum is not None):
-            same = next((k for k, other in enumerate(found) if other.is_near(optimum, SAME)), None)
+            same = next((k for k, other in enumerate(found) if other.is_near(optimum, SAME_OPTIMUM_RTOL)), None)
             if same is None:
                 found.append(optimum)
             else:  # optima that differed on coarse discretisations
@@ -199,9 +207,9 @@ class _Search:
         missed = [o for o in tried if o.ending in (Ending.INFEASIBLE, Ending.FAILED) and not o.feasible]
         found = list[Outcome | None]()
         if any(o.ending is Ending.INFEASIBLE for o in missed):
-            found = [nearest(self.problem, outcome.start) for outcome in missed[:NEAREST]]
+            found = [nearest(self.problem, outcome.start) for outcome in missed[:NEAREST_STARTS]]
         chosen = [outcome for outcome in found if outcome is not None] or tried
-        return min(chosen, key=lambda o: (max(o.gap, FEASIBLE), self._rank(o)), default=None)
+        return min(chosen, key=lambda o: (max(o.gap, FEASIBLE_VIOLATION), self._rank(o)), default=None)
 
     # How it ended ---------------------------------------------------------------------------------------------------
 
@@ -217,7 +225,7 @@ class _Search:
         if optima:
             words = f"{len(optima[0].starts)} of {count} starts led to it"
             words += f"; {away} ran off without bound, so it is a local one" if away else ""
-            if optima[0].curvature < FLAT:
+            if optima[0].curvature < FLAT_CURVATURE:
                 words += "; it is flat: neighbours along some direction of the free numbers do as well"
             if optima[0].active:
                 sits = f"the best optimum sits on a bound: {', '.join(optima[0].active)}"
@@ -247,5 +255,5 @@ class _Search:
 
 def same_optimum(one: Outcome, other: Outcome) -> bool:
     """Whether two outcomes are one optimum: the same place, and the same value of the objective."""
-    near = np.max(np.abs(one.place - other.place)) <= SAME
-    return bool(near and abs(one.objective - other.objective) <= SAME * max(1.0, abs(one.objective)))
+    near = np.max(np.abs(one.place - other.place)) <= SAME_OPTIMUM_RTOL
+    return bool(near and abs(one.objective - other.objective) <= SAME_OPTIMUM_RTOL * max(1.0, abs(one.objective)))

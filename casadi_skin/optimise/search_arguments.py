@@ -9,8 +9,8 @@ from typing import Any
 
 from casadi_skin.model.arguments import accepted_names, number, short_repr
 
-PAIR = "a pair (lower, upper) of numbers, None where there is no bound"
-CONDITION = "what is to vanish, or (quantity, lower, upper); a quantity is a name or {}"
+PAIR_WORDS = "a pair (lower, upper) of numbers, None where there is no bound"
+CONDITION_WORDS = "what is to vanish, or (quantity, lower, upper); a quantity is a name or {}"
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,9 @@ def pair(place: str, given: object) -> tuple[float, float]:
     """Two bounds; raises TypeError and ValueError unless they are a pair of ascending numbers."""
     ends = tuple(given) if isinstance(given, list | tuple) else ()
     if len(ends) != 2:
-        raise TypeError(f"{place}: given {short_repr(given)}; accepted: {PAIR}")
+        raise TypeError(f"{place}: given {short_repr(given)}; accepted: {PAIR_WORDS}")
     lower, upper = (
-        absent if value is None or (isinstance(value, float) and value == absent) else number(place, value, PAIR)
+        absent if value is None or (isinstance(value, float) and value == absent) else number(place, value, PAIR_WORDS)
         for value, absent in zip(ends, (-math.inf, math.inf), strict=True)
     )
     if lower > upper:
@@ -101,7 +101,7 @@ def checked_conditions(constraints: Sequence[object], kinds: tuple[Any, ...], wh
 
     A quantity is a name or of one of `kinds`, which error messages call `what`.
     """
-    accepted = CONDITION.format(what)
+    accepted = CONDITION_WORDS.format(what)
     if not isinstance(constraints, list | tuple):
         raise TypeError(f"constraints: given {short_repr(constraints)}; accepted: a list of items, each {accepted}")
     found = []

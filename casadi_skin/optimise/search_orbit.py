@@ -22,7 +22,7 @@ from casadi_skin.optimise.search_problem import SearchProblem
 from casadi_skin.solve.processes import Report
 from casadi_skin.zero.problem import Array
 
-STARTS = 8
+DEFAULT_STARTS = 8
 
 
 def search_orbit(
@@ -32,7 +32,7 @@ def search_orbit(
     bounds: Mapping[str, Any] | None = None,
     constraints: Sequence[Any] = (),
     maximise: bool = False,
-    starts: int = STARTS,
+    starts: int = DEFAULT_STARTS,
     seed: int = 0,
     deflate: bool = False,
     workers: int = 1,
@@ -109,7 +109,7 @@ def stated_search(chain_or_model: Chain | OdeModel, **stated: Any) -> SearchProb
 
 # The Pareto front of two quantities: points where neither improves unless the other worsens ---------------------------
 
-ROOM = 1e-6  # of the range of the second quantity, left to the first at the end of the front
+FRONT_END_ROOM = 1e-6  # of the range of the second quantity, left to the first at the end of the front
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +145,7 @@ def pareto_front(
     second: str,
     *,
     points: int = 10,
-    starts: int = STARTS,
+    starts: int = DEFAULT_STARTS,
     seed: int = 0,
     deflate: bool = False,
     workers: int = 1,
@@ -180,7 +180,7 @@ def pareto_front(
     ends = [least(second), least(first)]
     low, high = (getattr(end.best, second) for end in ends)
     # Of the points with the least `second` the front has that with the least `first`; Ipopt needs some room there.
-    limits = np.linspace(low + ROOM * (high - low), high, points)[:-1]
+    limits = np.linspace(low + FRONT_END_ROOM * (high - low), high, points)[:-1]
     searches, near = list[SearchResult](), ends[0].best
     for limit in limits:
         searches.append(least(first, (second, None, float(limit)), near=near))

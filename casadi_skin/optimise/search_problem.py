@@ -9,14 +9,14 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from casadi_skin.optimise.nlp import STOPPED, Nlp, Solution, optimality
+from casadi_skin.optimise.nlp import STOPPED_STATUS, Nlp, Solution, optimality
 from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.solve.ipopt import Monitor
 from casadi_skin.zero.problem import Array
 
 CONVERGED = 1e-7  # residual of an optimum, whatever Ipopt says of it
-FEASIBLE = 1e-9  # violation of a constraint, relative to its terms
-MARGIN = 0.02  # of a range, which starts keep from its ends
+FEASIBLE_VIOLATION = 1e-9  # violation of a constraint, relative to its terms
+START_RANGE_MARGIN = 0.02  # of a range, which starts keep from its ends
 
 
 class Ending(Enum):
@@ -31,8 +31,8 @@ class Ending(Enum):
     NO_OPTIMUM = "stationary, but no optimum"
 
 
-ENDINGS: Mapping[str, Ending] = {
-    STOPPED: Ending.INTERRUPTED,
+SEARCH_ENDINGS: Mapping[str, Ending] = {
+    STOPPED_STATUS: Ending.INTERRUPTED,
     "Diverging_Iterates": Ending.UNBOUNDED,
     "Infeasible_Problem_Detected": Ending.INFEASIBLE,
     "Restoration_Failed": Ending.INFEASIBLE,
@@ -94,7 +94,7 @@ class Outcome:
     @property
     def feasible(self) -> bool:
         """Whether every constraint is met."""
-        return self.violation <= FEASIBLE
+        return self.violation <= FEASIBLE_VIOLATION
 
 
 class SearchProblem(Protocol):
@@ -158,7 +158,7 @@ def solve_start(
     except ArithmeticError as error:
         return Outcome(start, Ending.NO_ORBIT, " ".join(str(error).split()))
     solution = (nlp.away_from(known) if known else nlp).solve(x, monitor)
-    if known and solution.words != STOPPED:
+    if known and solution.words != STOPPED_STATUS:
         solution = nlp.solve(solution.x, monitor)
     return replace(judged(nlp, start, solution), deflated=bool(known))
 
@@ -175,7 +175,7 @@ def nearest(problem: SearchProblem, start: Start) -> Outcome | None:
 
 def judged(nlp: Nlp, start: Start, solution: Solution) -> Outcome:
     """The outcome of a solution: an optimum where our own conditions of optimality say so."""
-    ending, x = ENDINGS.get(solution.words, Ending.FAILED), solution.x
+    ending, x = SEARCH_ENDINGS.get(solution.words, Ending.FAILED), solution.x
     if not np.all(np.isfinite(x)):
         return Outcome(start, ending, solution.words, solution)
     gaps, found = nlp.violations(x), optimality(nlp, solution)
@@ -213,7 +213,7 @@ def sampled_starts(
         width = span[1] - span[0]
         least = low if np.isfinite(low) and np.isfinite(high) else max(low, min(span[0], high - width))
         most = high if np.isfinite(high) else max(span[1], least + width)
-        inside = MARGIN * (most - least)
+        inside = START_RANGE_MARGIN * (most - least)
         ranges.append((least + inside, most - inside))
     lows, highs = np.array(ranges).T
     drawn = qmc.Halton(len(ranges), scramble=True, seed=np.random.default_rng(seed)).random(max(count - 1, 0))

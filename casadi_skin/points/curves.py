@@ -12,7 +12,7 @@ import numpy as np
 from casadi_skin.follow import rest_curve as of_equilibria
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.codimension_two import ENDS, special_on_curve
+from casadi_skin.follow.codimension_two import ENDS_BY_KIND, special_on_curve
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.follow import following_settings
 from casadi_skin.follow.following import Following, run_following
@@ -36,8 +36,8 @@ from casadi_skin.zero.settings import ContinuationSettings, End, Point
 from casadi_skin.zero.stated_problem import PERIOD
 from casadi_skin.zero.unresolved import Unresolved
 
-KINDS = (FOLD, DOUBLING, TORUS, BRANCH_POINT)
-UNFOLDS = 1e-7  # of a step: a push that grows along a curve of branch points
+CURVE_KINDS = (FOLD, DOUBLING, TORUS, BRANCH_POINT)
+UNFOLDING_PUSH = 1e-7  # of a step: a push that grows along a curve of branch points
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ class OrbitCurveSpace(BoundarySpace):
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         """Beyond the resonances 1:1 and 1:2 there are no tori, and beyond amplitude zero the curve comes back."""
-        end = ENDS.get((self.kind, point.special))
+        end = ENDS_BY_KIND.get((self.kind, point.special))
         return (end, "") if end is not None else super().stop(point)
 
     def following(
@@ -218,9 +218,9 @@ def curve_space(
     options: dict[str, Any] = {"at": at, "max_points": max_points, "max_step": max_step, "back_to": back_to}
     solution = point.solution
     stated = solution.space.has_ledger
-    if not (stated and point.kind in KINDS):
+    if not (stated and point.kind in CURVE_KINDS):
         if solution.space.connects in (FAMILY, ORBITS):
-            raise ValueError(f"curve: given a {point.kind} of orbits; accepted: {', '.join(KINDS)} of a branch")
+            raise ValueError(f"curve: given a {point.kind} of orbits; accepted: {', '.join(CURVE_KINDS)} of a branch")
         return of_equilibria.curve_space(point, parameter, to, **options)
     check_second(point, parameter)
     settings = following_settings(solution, parameter, to, **options)
@@ -245,7 +245,7 @@ def _check_kept(space: OrbitCurveSpace) -> None:
     """Raise UnfoldingError where branch points of orbits are none at other values of the second parameter."""
     start = space.start
     push = start.problem.states + list(space.statement.free).index(PUSH)
-    if abs(float(start.tangent[push])) > UNFOLDS:
+    if abs(float(start.tangent[push])) > UNFOLDING_PUSH:
         why = "no symmetry, and nothing else, keeps both branches together"
         raise of_equilibria.UnfoldingError(
             f"{space.model.name}: the branch point is none at other values of {space.parameter}: {why}"

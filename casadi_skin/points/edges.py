@@ -34,7 +34,7 @@ from casadi_skin.stability.multipliers import reduced_matrices
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.stepping import FlowError
 from casadi_skin.stability.tongues.diagram import LocalisedDiagram, Place, StabilityDiagram, StabilityEdge
-from casadi_skin.stability.tongues.find_changes import POWERS
+from casadi_skin.stability.tongues.find_changes import POWERS_BY_FRACTION
 from casadi_skin.zero.family import Targets
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE
 from casadi_skin.zero.orbit import FirstOrderProblem
@@ -871,7 +871,7 @@ class CrossingWalk(EdgeWalk):
         orbit = Orbit(fine, orbit_at(fine, found, near))
         error = abs(self._off(fine, orbit.point, moved=True) / slope) + SOLVED_S_RTOL * found
         place = Place(0.0, 0.0, found, float(error), orbit.Omega)
-        kind, power = f"1:{self._turns} resonance", POWERS[fine.symmetry.value]
+        kind, power = f"1:{self._turns} resonance", POWERS_BY_FRACTION[fine.symmetry.value]
         edge = StabilityEdge(place, kind, self._target, (), False, False, -1, 0.0, power)
         return EdgePoint(orbit, edge, {**fine.parameters(orbit.point), "S": found})
 

@@ -19,7 +19,7 @@ from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.points.ends import Left
 from casadi_skin.points.lost_symmetry import critical_vector, lost_operations
 from casadi_skin.zero import mesh
-from casadi_skin.zero.orbit import FIRST, Periodic, Sizes, boundary_method
+from casadi_skin.zero.orbit import FIRST_INTERVALS, Periodic, Sizes, boundary_method
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
@@ -179,7 +179,7 @@ def born_at(
     space = BoundarySpace(
         statement, tolerance, method, sizes, periodic, parameter, to, at, None, settings, leaves=True
     )  # fmt: skip
-    problem = space.levels.problem(FIRST)
+    problem = space.levels.problem(FIRST_INTERVALS)
     assert isinstance(problem, BoundaryProblem)
     z = at_rest(problem, x, period, 0.0)
     tangent = np.zeros(problem.size)

@@ -27,7 +27,7 @@ from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, HOPF
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import AlgebraicProblem, Course, power_of_two, sizes_at
 from casadi_skin.zero.settings import ContinuationSettings, Point
-from casadi_skin.zero.statics import ROUNDED, Statics
+from casadi_skin.zero.statics import ROUNDED_COMPONENT_RATIO, Statics
 
 PROBE_STEP = 1e-2  # of the unit of length: a step along the branch that leaves, for the direction of its parameter
 SHORT = 1e-4  # of the range of the parameter: a step along the branch that leaves, for its units
@@ -124,7 +124,7 @@ def leaving_space(
         space = cast(EquilibriumSpace, solution.space)
         statics = Statics(space.model, solution.parameters)
         x = solution.positions  # what rounding leaves of a component that is zero has no size
-        x = np.where(np.abs(x) > ROUNDED * space.sizes, x, 0.0)
+        x = np.where(np.abs(x) > ROUNDED_COMPONENT_RATIO * space.sizes, x, 0.0)
         return born_at(statics, x, parameter, float(to), values, both, tolerance)
     if not isinstance(solution, Equilibrium):
         leaving = doubled_solutions if point.kind == DOUBLING else other_solutions
@@ -165,7 +165,7 @@ def other_branch(
     leaving, z, tangent = _towards(space, solution, direction, sizes, to, settings, at)
     reach = _reach(leaving, z, tangent)
     if reach is not None:  # in units of the branch that leaves, where those of the point say nothing
-        grown, silent = np.abs(tangent[:n]), np.abs(x) <= ROUNDED * sizes
+        grown, silent = np.abs(tangent[:n]), np.abs(x) <= ROUNDED_COMPONENT_RATIO * sizes
         sizes = power_of_two(
             np.where(silent & (grown > ROUNDED_TANGENT_RATIO * np.max(grown)), reach * grown * sizes, sizes)
         )

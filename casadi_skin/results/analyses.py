@@ -17,7 +17,7 @@ from casadi_skin.optimise.search_orbit import ParetoFront
 from casadi_skin.results.figures.bands import draw_bands
 from casadi_skin.results.figures.multipliers import draw_moduli
 from casadi_skin.results.figures.search import draw_starts
-from casadi_skin.results.figures.style import AMPLITUDE, DASHES, number_sites, plain
+from casadi_skin.results.figures.style import AMPLITUDE_LABEL, LINE_DASHES, number_sites, plain
 from casadi_skin.results.tables import EVENT_COLUMNS, edge_rows
 from casadi_skin.results.words import (
     Columns,
@@ -56,7 +56,7 @@ def _(result: StabilityDiagram) -> Shown:
     def draw(axes: Axes) -> None:
         colour = axes._get_lines.get_next_color()  # type: ignore[attr-defined]
         draw_moduli(axes, result, colour, "family")
-        axes.set(xlabel=AMPLITUDE, ylabel=r"largest $|\lambda|$ over a period")
+        axes.set(xlabel=AMPLITUDE_LABEL, ylabel=r"largest $|\lambda|$ over a period")
 
     def columns() -> Columns:
         return _edges(result, result.changes, ("mode",))
@@ -73,7 +73,7 @@ def _(result: LocalisedDiagram) -> Shown:
         for kind in dict.fromkeys(change.kind for change in result.all):
             chosen = [change for change in result.all if change.kind == kind]
             axes.plot([c.S for c in chosen], [c.angle for c in chosen], "o", label=kind)
-        axes.set(xlabel=AMPLITUDE, ylabel=r"angle of $\lambda$ over half a period", ylim=(-0.1, np.pi + 0.1))
+        axes.set(xlabel=AMPLITUDE_LABEL, ylabel=r"angle of $\lambda$ over half a period", ylim=(-0.1, np.pi + 0.1))
 
     def columns() -> Columns:
         return _edges(result, result.all, ("mode", *(name for name in EVENT_COLUMNS if "tongue" in name)))
@@ -97,7 +97,7 @@ def _(result: TransientGrowth) -> Shown:
 
     def draw(axes: Axes) -> None:
         labels = ("all perturbations", "bounded ones", "trivial pair")
-        for dashes, label, values in zip(DASHES, labels, gains.values(), strict=False):
+        for dashes, label, values in zip(LINE_DASHES, labels, gains.values(), strict=False):
             axes.plot(t, values, ls=dashes, label=label)
         axes.set(xlabel="time $t$", ylabel=r"$\log_{10}$ of the largest gain", xlim=(t[0], t[-1]))
 
@@ -177,7 +177,7 @@ def _(result: ProvedStretch) -> Shown:
     def draw(axes: Axes) -> None:
         axes.stairs(np.diff(ends), ends, baseline=None, color="black", lw=1.2, label="length of the proved piece")
         axes.plot(ends[:-1], np.diff(ends), "o", ms=3, color="black")
-        axes.set(xlabel=AMPLITUDE, ylabel="length in $S$")
+        axes.set(xlabel=AMPLITUDE_LABEL, ylabel="length in $S$")
         axes.set_ylim(bottom=0.0)
 
     return Shown("Proof that a family is one curve", rows, draw, "proved pieces of a family", lambda: columns)
@@ -255,7 +255,7 @@ def _(result: Spreading) -> Shown:
 
     def draw(axes: Axes) -> None:
         axes.plot(t, result.participation, label="participation number (sites)")
-        axes.plot(t, result.second_moment, ls=DASHES[1], label="second moment (cells squared)")
+        axes.plot(t, result.second_moment, ls=LINE_DASHES[1], label="second moment (cells squared)")
         axes.set(xlabel="time $t$", xlim=(t[0], t[-1]))
         axes.set_ylim(bottom=0.0)
 

@@ -17,7 +17,7 @@ import numpy as np
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.walk import Walk
-from casadi_skin.results.store import DAMAGED, Reader, SavedResult, Writer
+from casadi_skin.results.store import DAMAGED_FILE_ERRORS, Reader, SavedResult, Writer
 from casadi_skin.zero.settings import End, Point, Target
 from casadi_skin.zero.unresolved import Unresolved
 
@@ -143,7 +143,7 @@ def known_of(records: Sequence[BranchRecord], branch: str, space: SolutionSpace,
     for record in _holding(records, branch):
         try:
             known.fault = _taken(record, known, space, stability)
-        except DAMAGED as error:
+        except DAMAGED_FILE_ERRORS as error:
             known.fault = " ".join(str(error).split()) or type(error).__name__
         if known.fault:
             break

@@ -18,7 +18,7 @@ from casadi_skin._version import __version__
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS, SOLUTIONS
 from casadi_skin.model.files import replacing
-from casadi_skin.results.quantities import BOTH, NETCDF, PHASES, Cell, Place, places_of, quantities_of
+from casadi_skin.results.quantities import BOTH, NETCDF, PROFILE_PHASES, Cell, Place, places_of, quantities_of
 
 if TYPE_CHECKING:
     import xarray
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 # netCDF 3 files by scipy: names and texts in UTF-8, numbers of attributes in double precision, CF-1.8 -----------------
 
-EMPTY = 9.969209968386869e36  # the fill value of netCDF for doubles
+NETCDF_FILL_VALUE = 9.969209968386869e36  # the fill value of netCDF for doubles
 OF_ALL = {"Conventions": "CF-1.8", "history": f"written by casadi_skin {__version__}"}
 
 
@@ -131,7 +131,7 @@ def _put(file: netcdf_file, variable: Variable) -> None:
     kind = "c" if data.dtype.kind == "S" else "i4" if data.dtype.kind in "bi" else "f8"
     stored = file.createVariable(stored_name(variable.name), kind, stored_names)
     stored[:] = data if kind == "c" else data.astype(kind)
-    fill = {"_FillValue": EMPTY} if variable.may_be_empty else {}
+    fill = {"_FillValue": NETCDF_FILL_VALUE} if variable.may_be_empty else {}
     put_attributes(stored, {"long_name": variable.meaning, **variable.attributes, **fill})
 
 
@@ -139,7 +139,7 @@ def _known(variable: Variable, dimensions: tuple[str, ...], data: NDArray[Any]) 
     """The values with netCDF's fill value where they may be empty; raises ArithmeticError for others that are."""
     finite = np.isfinite(data)
     if variable.may_be_empty:
-        return np.where(finite, data, EMPTY)
+        return np.where(finite, data, NETCDF_FILL_VALUE)
     faulty = np.argwhere(~finite)
     if faulty.size:
         place = ", ".join(f"{dimension} {i}" for dimension, i in zip(dimensions, faulty[0].tolist(), strict=True))
@@ -211,7 +211,7 @@ def _axes(branch: Branch) -> list[Variable]:
         axes.append(Variable("parameter_name", ("parameter",), names, "names along `parameter`"))
     if connects == EQUILIBRIA:
         return axes
-    return [*axes, Variable("phase", ("phase",), PHASES, "place in the interval or the period, from 0 to 1")]
+    return [*axes, Variable("phase", ("phase",), PROFILE_PHASES, "place in the interval or the period, from 0 to 1")]
 
 
 def _mesh(places: Sequence[Place]) -> Variable:
@@ -256,8 +256,8 @@ def _line(row: Mapping[str, Cell], columns: Sequence[str], place: int) -> list[s
 
 # Files that are not what a run wrote: cut off, changed, or made by somebody else --------------------------------------
 
-WRONG = (ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError, csv.Error)
-ACCEPTED = "accepted: a file as a run or a map writes it"
+WRONG_FILE_ERRORS = (ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError, csv.Error)
+ACCEPTED_FILES = "accepted: a file as a run or a map writes it"
 
 
 def check_whole(path: Path) -> None:
@@ -280,7 +280,7 @@ def readable(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:  # also of a place in the file that is none
-        raise ValueError(f"{path}: cannot be read: {error.strerror}; {ACCEPTED}") from error
-    except WRONG as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror}; {ACCEPTED_FILES}") from error
+    except WRONG_FILE_ERRORS as error:
         why = f"damaged: {type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")
-        raise ValueError(f"{path}: {why}; {ACCEPTED}") from error
+        raise ValueError(f"{path}: {why}; {ACCEPTED_FILES}") from error

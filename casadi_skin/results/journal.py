@@ -18,7 +18,7 @@ from typing import Generic, Self, TypeVar
 import msgspec
 
 MARK, FORMAT = b"cskj", 3
-HEADER = struct.Struct("<4sIII")  # mark, format, length of what follows, CRC-32 of these and of what follows
+RECORD_HEADER = struct.Struct("<4sIII")  # mark, format, length of what follows, CRC-32 of these and of what follows
 Record = TypeVar("Record")
 Data = bytes | mmap.mmap
 
@@ -75,7 +75,7 @@ def framed(payload: bytes) -> bytes:
 
 def _header(payload: bytes) -> bytes:
     fields = MARK, FORMAT, len(payload)
-    return HEADER.pack(*fields, zlib.crc32(payload, zlib.crc32(HEADER.pack(*fields, 0))))
+    return RECORD_HEADER.pack(*fields, zlib.crc32(payload, zlib.crc32(RECORD_HEADER.pack(*fields, 0))))
 
 
 @contextmanager
@@ -117,19 +117,19 @@ def scan(
 
 def record_at(data: Data, place: int, decoder: msgspec.msgpack.Decoder[Record]) -> tuple[Record, int]:
     """The record at a place and its length in bytes; raises ValueError, in words, where there is none."""
-    if len(data) - place < HEADER.size:
+    if len(data) - place < RECORD_HEADER.size:
         raise ValueError("a record that is cut off")
-    mark, version, length, _ = HEADER.unpack_from(data, place)
+    mark, version, length, _ = RECORD_HEADER.unpack_from(data, place)
     if mark != MARK:
         raise ValueError("no record of a journal")
     if version != FORMAT:
         raise ValueError(f"a record of format {version}, where {FORMAT} is read,")
-    payload = data[place + HEADER.size : place + HEADER.size + length]
+    payload = data[place + RECORD_HEADER.size : place + RECORD_HEADER.size + length]
     if len(payload) < length:
         raise ValueError("a record that is cut off")
-    if data[place : place + HEADER.size] != _header(payload):
+    if data[place : place + RECORD_HEADER.size] != _header(payload):
         raise ValueError("a damaged record")
     try:
-        return decoder.decode(payload), HEADER.size + length
+        return decoder.decode(payload), RECORD_HEADER.size + length
     except msgspec.DecodeError as error:
         raise ValueError("a record of another version") from error

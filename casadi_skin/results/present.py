@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.axes import Axes
 
-LONGEST = 100  # characters of a value
+LONGEST_VALUE = 100  # characters of a value
 
 
 def described(result: Any) -> tuple[str, Rows]:
     """Title of a result, and its rows, each value cut to a line; raises TypeError for other objects."""
     shown = show(result)
-    return shown.title, [(name, cut(value, LONGEST)) for name, value in shown.rows]
+    return shown.title, [(name, cut(value, LONGEST_VALUE)) for name, value in shown.rows]
 
 
 def lines(result: Any) -> str:

@@ -28,13 +28,13 @@ from casadi_skin.zero.problem import Array
 
 Cell = float | int | str
 CSV, NETCDF, BOTH, NEITHER = "csv", "netcdf", "both", "neither"  # files: those of NEITHER follow from others
-COUNTED = frozenset(  # marks, counts and words, which jump: no solution is sought by their value
+COUNTED_QUANTITIES = frozenset(  # marks, counts and words, which jump: no solution is sought by their value
     ("mode", "point", "index", "requested", "fold", "special", "stable", "unstable", "unstable_real",
      "unstable_complex", "at_round_off", "intervals", "resolution", "regime", "proved", "proved_stable", "localised",
      "undecided", "finite_size", "stability_sites", "overlaps")
 )  # fmt: skip
-PHASES = np.linspace(0.0, 1.0, 401)  # of the common grid of profiles of solutions
-FINE = 16  # places an interval in which extremes are looked for
+PROFILE_PHASES = np.linspace(0.0, 1.0, 401)  # of the common grid of profiles of solutions
+PLACES_PER_INTERVAL = 16  # places an interval in which extremes are looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class Place:
     def profile(self) -> Array:
         """States over the interval or the period, shape (phases, states)."""
         start, end = self.solution.interval
-        return np.asarray(self.solution.evaluate(start + PHASES * (end - start)))
+        return np.asarray(self.solution.evaluate(start + PROFILE_PHASES * (end - start)))
 
     def proved(self, value: Callable[[Certificate], float]) -> float:
         """A number of the proof of an orbit; NaN where none was requested."""
@@ -409,7 +409,7 @@ def sought(branch: Branch, name: str) -> Callable[[Solution], float]:
 def numbers_of(branch: Branch) -> dict[str, Quantity]:
     """Quantities of a branch that are real numbers and move along it, by name."""
     table = quantities_of(branch) if branch.solutions else []
-    return {q.name: q for q in table if not (q.dimensions or q.name in COUNTED)}
+    return {q.name: q for q in table if not (q.dimensions or q.name in COUNTED_QUANTITIES)}
 
 
 def unique_names(names: Iterable[str], taken: Iterable[str]) -> list[str]:
@@ -459,7 +459,7 @@ def extremes(solution: Solution) -> tuple[Array, Array]:
 
 def _fine_times(solution: Solution) -> Array:
     edges = solution.mesh
-    inner = edges[:-1, None] + np.diff(edges)[:, None] * np.arange(FINE) / FINE
+    inner = edges[:-1, None] + np.diff(edges)[:, None] * np.arange(PLACES_PER_INTERVAL) / PLACES_PER_INTERVAL
     t = np.append(inner.ravel(), edges[-1])
     if solution.space.connects not in (FAMILY, ORBITS):
         return t

@@ -27,12 +27,12 @@ from casadi_skin.model.operations import from_operations, to_operations
 from casadi_skin.model.pickled import programs_in
 from casadi_skin.model.saved import dumps, loads
 from casadi_skin.results.journal import framed, read_records
-from casadi_skin.results.store import DAMAGED, Reader, SavedResult, Writer, class_named, name_of
+from casadi_skin.results.store import DAMAGED_FILE_ERRORS, Reader, SavedResult, Writer, class_named, name_of
 from casadi_skin.zero.orbit import Extended, extended
 from casadi_skin.zero.statement import Statement
 
 FORMAT = "casadi_skin result 2"
-ACCEPTED = "accepted: a file that save_result wrote"
+ACCEPTED_RESULTS = "accepted: a file that save_result wrote"
 
 
 def save_result(result: Any, path: str | Path) -> Path:
@@ -82,7 +82,7 @@ def restored(data: SavedResult, model: Any = None) -> Any:
         raise ValueError(f"format {short_repr(data.format)}")
     if model is not None and not any(isinstance(held, list) and held[:1] == ["fmu"] for held in data.shared):
         raise OtherModelError(f"model: given {short_repr(model)}; accepted: none, the model is in the file")
-    return Reader(data.shared, model, MADE).value(data.result)
+    return Reader(data.shared, model, MADE_OF_WORDS).value(data.result)
 
 
 def read_result(path: str | Path, *, model: Any = None) -> Any:
@@ -112,10 +112,10 @@ def read_result(path: str | Path, *, model: Any = None) -> Any:
     except OtherModelError as error:
         raise ValueError(f"{source}: {error}") from None
     except OSError as error:
-        raise ValueError(f"{source}: cannot be read: {error.strerror}; {ACCEPTED}") from None
-    except DAMAGED as error:
+        raise ValueError(f"{source}: cannot be read: {error.strerror}; {ACCEPTED_RESULTS}") from None
+    except DAMAGED_FILE_ERRORS as error:
         reason = cut(" ".join(str(error).split()) or type(error).__name__, 200)
-        raise ValueError(f"{source}: not a result saved by casadi_skin: {reason}; {ACCEPTED}") from error
+        raise ValueError(f"{source}: not a result saved by casadi_skin: {reason}; {ACCEPTED_RESULTS}") from error
 
 
 # Models, spaces and statements, of which a file holds each once -------------------------------------------------------
@@ -231,7 +231,7 @@ def _lattice(reader: Reader, _: Any, name: str, declaration: Any) -> Lattice:
     return Lattice(d.cells, d.sites, d.bonds, d.boundary, d.parameters, name)
 
 
-MADE: Mapping[str, Callable[..., Any]] = {  # of the words that they begin with
+MADE_OF_WORDS: Mapping[str, Callable[..., Any]] = {  # of the words that they begin with
     "extended": lambda reader, _, inner, nominal: extended(reader.value(inner), nominal, {}),
     "family": lambda reader, _, request: Family(reader.value(request)),
     "fmu": lambda reader, _, token, noise: checked(token, noise, reader.model),

@@ -18,7 +18,7 @@ from casadi_skin.points.diagram import Diagram
 from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.results.figures.branches import courses, draw_marks, draw_pieces, smooth, stability_pieces
 from casadi_skin.results.figures.families import family_path, family_pieces
-from casadi_skin.results.figures.style import DASHES, amplitude_label, plain
+from casadi_skin.results.figures.style import LINE_DASHES, amplitude_label, plain
 from casadi_skin.results.quantities import numbers_of, unique_names
 from casadi_skin.results.tables import edge_columns
 from casadi_skin.results.words import (
@@ -116,7 +116,7 @@ def _draw_states(axes: Axes, t: Array, values: Array, names: Sequence[str], stat
     chosen = [known[i] for i in most] if states is None else list(states)
     for i, name in enumerate(chosen):
         check_name("states", name, known)
-        axes.plot(t, values[:, known.index(name)], ls=DASHES[i % len(DASHES)], label=plain(name))
+        axes.plot(t, values[:, known.index(name)], ls=LINE_DASHES[i % len(LINE_DASHES)], label=plain(name))
     axes.set(xlabel="time $t$", xlim=(t[0], t[-1]))
     return 1 if len(chosen) < MOST_IN_COLUMN else 2
 

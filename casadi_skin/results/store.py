@@ -22,10 +22,19 @@ import numpy as np
 from casadi_skin.model.arguments import short_repr
 from casadi_skin.zero.settings import Point, Refinement
 
-DAMAGED = (ValueError, TypeError, KeyError, IndexError, AttributeError, ArithmeticError, AssertionError, RuntimeError,
-           RecursionError)  # fmt: skip
-KINDS = {"<f8", "<c16", "<i8", "|b1"}  # of arrays
-CLASSES = {  # that a file may name, by module: "other=own" where the name in files is another one
+DAMAGED_FILE_ERRORS = (
+    ValueError,
+    TypeError,
+    KeyError,
+    IndexError,
+    AttributeError,
+    ArithmeticError,
+    AssertionError,
+    RuntimeError,
+    RecursionError,
+)
+ARRAY_KINDS = {"<f8", "<c16", "<i8", "|b1"}  # of arrays
+SAVED_CLASSES = {  # that a file may name, by module: "other=own" where the name in files is another one
     "certify.certificate": "Certificate Constants ProvedStability ProvedStretch",
     "dynamics.evolution": "Cycle Evolution",
     "dynamics.starts": "Spreading",
@@ -72,12 +81,12 @@ CLASSES = {  # that a file may name, by module: "other=own" where the name in fi
     "zero.statics": "Spectrum Statics",
     "zero.unresolved": "Unresolved",
 }
-NAMES = {  # in files, by module and own name
+NAMES_IN_FILES = {  # in files, by module and own name
     (f"casadi_skin.{module}", word.rpartition("=")[2]): word.partition("=")[0]
-    for module, words in CLASSES.items()
+    for module, words in SAVED_CLASSES.items()
     for word in words.split()
 }
-PLACES = {name: place for place, name in NAMES.items()}
+PLACES_OF_NAMES = {name: place for place, name in NAMES_IN_FILES.items()}
 
 
 class SavedResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -141,7 +150,7 @@ def _plain(value: Any, _: Writer) -> Any:
 @written.register
 def _(value: np.ndarray, _: Writer) -> Any:
     array = np.ascontiguousarray(value)
-    if array.dtype.str not in KINDS:
+    if array.dtype.str not in ARRAY_KINDS:
         raise _stranger(value)
     return ["array", array.dtype.str, list(value.shape), array.tobytes()]
 
@@ -167,9 +176,9 @@ written.register(Refinement, lambda value, writer: ["refinement", *_problem_of(v
 def name_of(value: object) -> str:
     """The name of its class in a file; raises ValueError for a class that may not stand there."""
     kind = type(value)
-    if (kind.__module__, kind.__name__) not in NAMES:
+    if (kind.__module__, kind.__name__) not in NAMES_IN_FILES:
         raise _stranger(value)
-    return NAMES[kind.__module__, kind.__name__]
+    return NAMES_IN_FILES[kind.__module__, kind.__name__]
 
 
 def _stranger(value: object) -> ValueError:
@@ -189,7 +198,7 @@ class Reader:
         model: Any = None,
         words: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
-        self.model, self.shared, self._words = model, list[Any](), {**READ, **words}
+        self.model, self.shared, self._words = model, list[Any](), {**READERS, **words}
         for data in shared:
             self.shared.append(self.value(data))
 
@@ -221,14 +230,14 @@ class Reader:
 
 def class_named(name: object) -> Any:
     """The class of a name in a file; raises ValueError for any other."""
-    if not isinstance(name, str) or name not in PLACES:
+    if not isinstance(name, str) or name not in PLACES_OF_NAMES:
         raise ValueError(f"a thing of kind {short_repr(name)}, which no result holds")
-    module, own = PLACES[name]
+    module, own = PLACES_OF_NAMES[name]
     return getattr(import_module(module), own)
 
 
 def _array(_: Reader, __: Any, kind: str, shape: Sequence[int], data: bytes) -> np.ndarray[Any, Any]:
-    if kind not in KINDS:
+    if kind not in ARRAY_KINDS:
         raise ValueError(f"an array of {short_repr(kind)}")
     return np.frombuffer(data, kind).reshape(shape).copy()
 
@@ -248,7 +257,7 @@ def _one_shared(reader: Reader, _: Any, place: int) -> Any:
     return reader.shared[place]
 
 
-READ: Mapping[str, Callable[..., Any]] = {  # what each word begins, from a reader, the space of points, and the rest
+READERS: Mapping[str, Callable[..., Any]] = {  # what each word begins, from a reader, the space of points, and the rest
     "array": _array,
     "complex": lambda _, __, real, imaginary: complex(real, imaginary),
     "enum": lambda _, __, name, member: class_named(name)[member],

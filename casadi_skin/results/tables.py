@@ -15,7 +15,7 @@ from casadi_skin.optimise.search import SearchResult
 from casadi_skin.optimise.search_problem import Outcome, SearchProblem
 from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.results.dataset import Dataset, Variable, versions, write_csv, write_netcdf
-from casadi_skin.results.quantities import PHASES, Cell, unique_names
+from casadi_skin.results.quantities import PROFILE_PHASES, Cell, unique_names
 from casadi_skin.stability.tongues.diagram import (
     LocalisedChange,
     LocalisedDiagram,
@@ -164,7 +164,7 @@ def edge_columns(curve: EdgeCurve) -> dict[str, Any]:
 
 # Files of a search: search.csv (optima), starts.csv (where each start led), search.nc, and the journal's records ------
 
-MEANINGS = {
+COLUMN_MEANINGS = {
     "S": "total amplitude: sum of y_n^2 at t = 0",
     "Omega": "frequency",
     "period": "period",
@@ -235,7 +235,7 @@ def _write_netcdf(path: Path, result: SearchResult, scene_text: str, title: str)
         Variable("kkt", ("optimum",), np.array([o.kkt.largest for o in found]),
                  "largest residual of the conditions of optimality"),
     ]  # fmt: skip
-    meanings = MEANINGS | (OF_CHAIN if isinstance(problem.model, Chain) else {})
+    meanings = COLUMN_MEANINGS | (OF_CHAIN if isinstance(problem.model, Chain) else {})
     for name in problem.columns:
         values = np.array([o.quantities[0][name] for o in found])
         stored = name if name in ("S", "Omega", "period") else f"optimum_{name}"
@@ -273,9 +273,9 @@ def _cosines(found: Sequence[Optimum]) -> list[Variable]:
 
 def _states(found: Sequence[Optimum], names: Sequence[str]) -> list[Variable]:
     """States at phases of the period, one variable a state."""
-    states = np.stack([o.orbit.evaluate(PHASES * o.orbit.period) for o in found])
+    states = np.stack([o.orbit.evaluate(PROFILE_PHASES * o.orbit.period) for o in found])
     return [
-        Variable("phase", ("phase",), PHASES, "place in the period, from 0 to 1"),
+        Variable("phase", ("phase",), PROFILE_PHASES, "place in the period, from 0 to 1"),
         *(Variable(f"state_{name}", ("optimum", "phase"), states[:, :, k], f"{name} along the orbit")
           for k, name in enumerate(names)),
     ]  # fmt: skip

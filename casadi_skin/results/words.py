@@ -14,7 +14,7 @@ import numpy as np
 
 from casadi_skin.zero.unresolved import count_in_words
 
-MOST = 6  # special points, parameters or states that are named
+MOST_NAMED = 6  # special points, parameters or states that are named
 Rows = list[tuple[str, str]]
 Columns = dict[str, Any]
 
@@ -56,8 +56,8 @@ def model_words(model: Any) -> str:
 def listed(items: Any) -> str:
     """Items, the first of many, and how many there are."""
     texts = [str(item) for item in items]
-    more = f", ... ({len(texts)} in all)" if len(texts) > MOST else ""
-    return (", ".join(texts[:MOST]) + more) or "none"
+    more = f", ... ({len(texts)} in all)" if len(texts) > MOST_NAMED else ""
+    return (", ".join(texts[:MOST_NAMED]) + more) or "none"
 
 
 def named(values: Mapping[str, float]) -> str:

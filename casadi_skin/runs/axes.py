@@ -13,10 +13,10 @@ from casadi_skin.model.arguments import cut, nearest
 from casadi_skin.runs.rules import SceneError, did_you_mean, refusal, toml_repr, with_kind
 from casadi_skin.runs.scene import OPTIONS, AxisTable, ChainTable, MapTable, RangeTable, Scene, accepted_by
 
-ACCEPTED = "a table { from, to, points }, or a list of values"
+ACCEPTED_AXES = "a table { from, to, points }, or a list of values"
 AMPLITUDE = ("family", "S")  # the orbit at an amplitude: cells that differ by it alone are orbits of one family
-MAPPED = ("family", "equilibrium", "orbit", "solution", "search")  # the tasks of cells
-TOGETHER = ","  # between the names of parameters that one axis moves
+MAPPED_TASKS = ("family", "equilibrium", "orbit", "solution", "search")  # the tasks of cells
+TOGETHER_SEPARATOR = ","  # between the names of parameters that one axis moves
 MOST_CELLS = 10_000_000  # of a map at its finest: an index of them is kept in memory
 Path = tuple[str, ...]
 
@@ -66,7 +66,7 @@ def _check_axis(name: str, value: object) -> None:
     if isinstance(value, list):
         raise refusal(place, toml_repr(value), "a list of one or more finite numbers or names")
     near = nearest(name, OPTIONS)
-    raise SceneError(f"{place}: given {with_kind(value)}{did_you_mean(near, ACCEPTED)}")
+    raise SceneError(f"{place}: given {with_kind(value)}{did_you_mean(near, ACCEPTED_AXES)}")
 
 
 def _leaves(value: object) -> Iterable[object]:
@@ -79,11 +79,11 @@ def check_map(scene: Scene) -> None:
     table = scene.map
     if table is None:
         return
-    if all(getattr(scene, name) is None for name in MAPPED):
+    if all(getattr(scene, name) is None for name in MAPPED_TASKS):
         accepted = "beside [family], [equilibrium], [orbit], [solution] or [search]"
         raise refusal("[map]", "with a scene that asks for no solution", accepted)
     if not table.axes:
-        raise SceneError(f"[map]: no axis; accepted: a parameter of the scene with {ACCEPTED}")
+        raise SceneError(f"[map]: no axis; accepted: a parameter of the scene with {ACCEPTED_AXES}")
     if sum(isinstance(axis, RangeTable) for axis in table.axes.values()) > 2:
         ranges = [name for name, axis in table.axes.items() if isinstance(axis, RangeTable)]
         raise refusal(f"[map] {ranges[2]}", "a third range", "one or two ranges, and lists beside them")
@@ -112,7 +112,7 @@ def check_map(scene: Scene) -> None:
 
 def _check_range(name: str, axis: RangeTable) -> None:
     place = f"[map] {cut(name)}"
-    if TOGETHER in name:
+    if TOGETHER_SEPARATOR in name:
         raise refusal(place, "a range for several parameters", "a list of lists")
     if axis.start == axis.to:
         raise refusal(f"{place}, to", f"{axis.to!r}, where it starts", "another number")
@@ -125,7 +125,7 @@ def _check_range(name: str, axis: RangeTable) -> None:
 
 
 def _check_list(name: str, axis: tuple[object, ...]) -> None:
-    count = len(name.split(TOGETHER))
+    count = len(name.split(TOGETHER_SEPARATOR))
     for i, value in enumerate(axis):
         if (len(value) if isinstance(value, tuple) else 1) != count:
             accepted = f"a list of {count} values in each" if count > 1 else "numbers or names"
@@ -140,7 +140,7 @@ def _plain(value: object) -> object:
 
 def paths_of(scene: Scene, name: str) -> tuple[Path, ...]:
     """Targets of the values of an axis: one place, or one for each of the parameters that a name holds."""
-    found = tuple(path_of(scene, part.strip()) for part in name.split(TOGETHER))
+    found = tuple(path_of(scene, part.strip()) for part in name.split(TOGETHER_SEPARATOR))
     if len(found) > 1 and AMPLITUDE in found:
         raise refusal(f"[map] {cut(name)}", "S among several", "S alone, or amplitude_max")
     return found

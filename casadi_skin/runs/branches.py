@@ -37,7 +37,7 @@ from casadi_skin.solve.watch import watched
 from casadi_skin.stability.stepping import FlowError
 from casadi_skin.zero.settings import End, Point
 
-BUILTIN = (ZeroDivisionError, OverflowError, FloatingPointError)
+BUILTIN_ERRORS = (ZeroDivisionError, OverflowError, FloatingPointError)
 
 
 class Rows(Protocol):
@@ -122,7 +122,7 @@ class Branches:
         """Keep a failure of the block in words, so that the next branch is followed."""
         try:
             yield
-        except BUILTIN as error:  # not raised by this package, so that it names nothing
+        except BUILTIN_ERRORS as error:  # not raised by this package, so that it names nothing
             self.failures.append(f"{where}numbers leave the range of double precision ({error})")
         except (ArithmeticError, ValueError) as error:
             self.failures.append(f"{where}{error}")

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from casadi_skin.runs.request import Request
 
 OF_MODEL = ("orbit", "continuation", "search", "dynamics", "export", "map")  # tables checked against the model
-ASKED = ("family", "equilibrium", "orbit", "solution", "search", "dynamics", "export", "spectrum")
+ASKED_TASKS = ("family", "equilibrium", "orbit", "solution", "search", "dynamics", "export", "spectrum")
 MOST_REASONS = 5  # of failed cells that are printed
 
 
@@ -68,7 +68,7 @@ def _stopped(arguments: argparse.Namespace, limit: TimeLimit) -> tuple[int, str]
 def run(arguments: argparse.Namespace) -> int:
     """Compute the request of a scene."""
     scene, text = read_scene(arguments.scene)
-    if not scene.given(*ASKED):
+    if not scene.given(*ASKED_TASKS):
         accepted = "a table [family], [equilibrium], [orbit], [solution], [search], [dynamics], [export] or [spectrum]"
         raise InputError(f"{arguments.scene}: asks for nothing to compute; accepted: {accepted}")
     name_program(scene, arguments)
@@ -279,13 +279,13 @@ def tradeoff(arguments: argparse.Namespace) -> int:
 
 def explore(arguments: argparse.Namespace) -> int:
     """Write the page of a run."""
-    from casadi_skin.runs.explorer import PAGE, write_page
+    from casadi_skin.runs.explorer import PAGE_FILE, write_page
 
     source = arguments.directory
     if not source.exists():
         accepted = "accepted: the directory of a run or a map, or a file of one"
         raise InputError(f"explore: {source} does not exist; {accepted}")
-    target = arguments.out or (source.with_suffix(".html") if source.is_file() else source / PAGE)
+    target = arguments.out or (source.with_suffix(".html") if source.is_file() else source / PAGE_FILE)
     if not target.parent.is_dir() or target.suffix != ".html":
         accepted = "accepted: a name that ends in .html, in a directory that is there"
         raise InputError(f"explore: given --out {target}; {accepted}")

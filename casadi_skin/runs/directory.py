@@ -19,22 +19,73 @@ from casadi_skin.runs.reading import parse_scene
 from casadi_skin.runs.rules import SceneError
 from casadi_skin.runs.scene import Scene
 
-SCENE = "scene.toml"
-JOURNAL = "journal.msgpack"
-LOCK = ".casadi_skin.lock"  # first letters of the files by which processes keep each other out
+SCENE_FILE = "scene.toml"
+JOURNAL_FILE = "journal.msgpack"
+LOCK_PREFIX = ".casadi_skin.lock"  # first letters of the files by which processes keep each other out
 SCENE_MODEL = "scene_model"  # stem of the copy of a model's file
-WRITTEN = ("family.csv", "events.csv", "further_events.csv", "tongues.csv", "spectrum.csv", "family.nc",
-           "passed_resonances.csv", "dynamics.csv", "dynamics.nc", "search.csv", "starts.csv", "search.nc",
-           "branch.csv", "branch.nc", "special_points.csv", "cycles_*.csv", "cycles_*.nc", "other_*.csv",
-           "other_*.nc", "curve_*.csv", "curve_*.nc", "bands.csv", f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json",
-           "map.csv", "map.nc", "boundary.csv", "journal_*_of_*.msgpack", "explore.html", SCENE, JOURNAL)  # fmt: skip
-MADE = "# The scene of a run of casadi-skin, whose results are beside this file."  # first line of its copy
-EXPORT = "export"  # the folder of generated C
-EXPORTED = ("{0}.h", "{0}.c", "{0}_*.c", "main.c", "README.md", "CMakeLists.txt", "license.txt")  # of a model's name
-AUTHOR = b"casadi_skin"  # in the comment that a header of ours begins with
+WRITTEN_FILES = (
+    "family.csv",
+    "events.csv",
+    "further_events.csv",
+    "tongues.csv",
+    "spectrum.csv",
+    "family.nc",
+    "passed_resonances.csv",
+    "dynamics.csv",
+    "dynamics.nc",
+    "search.csv",
+    "starts.csv",
+    "search.nc",
+    "branch.csv",
+    "branch.nc",
+    "special_points.csv",
+    "cycles_*.csv",
+    "cycles_*.nc",
+    "other_*.csv",
+    "other_*.nc",
+    "curve_*.csv",
+    "curve_*.nc",
+    "bands.csv",
+    f"{SCENE_MODEL}.py",
+    f"{SCENE_MODEL}.json",
+    "map.csv",
+    "map.nc",
+    "boundary.csv",
+    "journal_*_of_*.msgpack",
+    "explore.html",
+    SCENE_FILE,
+    JOURNAL_FILE,
+)
+MADE_BY_RUN = "# The scene of a run of casadi-skin, whose results are beside this file."  # first line of its copy
+EXPORT_FOLDER = "export"  # the folder of generated C
+EXPORTED_FILES = (
+    "{0}.h",
+    "{0}.c",
+    "{0}_*.c",
+    "main.c",
+    "README.md",
+    "CMakeLists.txt",
+    "license.txt",
+)  # of a model's name
+HEADER_AUTHOR = b"casadi_skin"  # in the comment that a header of ours begins with
 ACCEPTED_EXPORT = "accepted: a folder of generated C alone"
-PICTURES = ("frequency", "profile", "spectrum", "bands", "plane_j*", "multipliers_j*", "dynamics", "search", "branch",
-            "orbit", "curves", "portrait", "map_*", "skin", "spreading")  # fmt: skip
+PICTURE_STEMS = (
+    "frequency",
+    "profile",
+    "spectrum",
+    "bands",
+    "plane_j*",
+    "multipliers_j*",
+    "dynamics",
+    "search",
+    "branch",
+    "orbit",
+    "curves",
+    "portrait",
+    "map_*",
+    "skin",
+    "spreading",
+)
 
 
 class DirectoryError(InputError):
@@ -54,7 +105,7 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
 
     Raises DirectoryError where the directory may not be used; nothing is written then.
     """
-    names = (*WRITTEN, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURES for kind in FORMATS), "*.fmu")
+    names = (*WRITTEN_FILES, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURE_STEMS for kind in FORMATS), "*.fmu")
     check_writable(directory)
     left = leftovers(directory, names) if directory.is_dir() else []
     held = _check_free(
@@ -63,7 +114,7 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
     if held and existing is Existing.RESUME:
         _check_same(directory, scene)
         written = any((directory / name).exists() for name in ("family.nc", "search.nc", "branch.nc", "dynamics.nc"))
-        if written and not (directory / JOURNAL).exists():
+        if written and not (directory / JOURNAL_FILE).exists():
             _check_complete(directory)
             return False
     if held and existing is Existing.OVERWRITE:
@@ -79,7 +130,7 @@ def _check_complete(directory: Path) -> None:
     """Raises DirectoryError where a file of numbers of a complete run is damaged: its journal is gone."""
     from casadi_skin.results.dataset import check_whole
 
-    for path in sorted(p for name in WRITTEN if name.endswith((".nc", ".csv")) for p in directory.glob(name)):
+    for path in sorted(p for name in WRITTEN_FILES if name.endswith((".nc", ".csv")) for p in directory.glob(name)):
         try:
             check_whole(path)
         except ValueError as error:
@@ -93,7 +144,7 @@ def prepare_part(directory: Path, scene: Scene, scene_text: str) -> None:
     """
     check_writable(directory)
     make_directory(directory)
-    path = directory / SCENE
+    path = directory / SCENE_FILE
     held = sorted(p.name for p in directory.iterdir() if not p.name.startswith("."))
     if path.exists():
         _check_same(directory, scene)
@@ -107,12 +158,12 @@ def renew(directory: Path, scene_text: str) -> None:
     """Make the directory of a run that was removed; its journal is empty."""
     directory.mkdir(parents=True)
     _write_scene(directory, scene_text)
-    (directory / JOURNAL).touch()
+    (directory / JOURNAL_FILE).touch()
 
 
 def _write_scene(directory: Path, scene_text: str) -> None:
-    with replacing(directory / SCENE) as temporary:
-        temporary.write_text(f"{MADE}\n{scene_text}", encoding="utf-8")
+    with replacing(directory / SCENE_FILE) as temporary:
+        temporary.write_text(f"{MADE_BY_RUN}\n{scene_text}", encoding="utf-8")
 
 
 def make_directory(directory: Path) -> None:
@@ -130,22 +181,24 @@ def make_directory(directory: Path) -> None:
 def _remove_results(directory: Path, names: Sequence[str]) -> None:
     """Remove the files of a run; raises DirectoryError, before any is removed, where a directory is not of a run."""
     if not _of_a_run(directory):
-        held = min(path.name for path in directory.iterdir() if not path.name.startswith(LOCK))
-        accepted = f"--overwrite replaces the results of a run, with its {SCENE}; accepted: an empty or new directory"
+        held = min(path.name for path in directory.iterdir() if not path.name.startswith(LOCK_PREFIX))
+        accepted = (
+            f"--overwrite replaces the results of a run, with its {SCENE_FILE}; accepted: an empty or new directory"
+        )
         raise DirectoryError(f"{directory}: holds {held} and no run made it; {accepted}")
     old = [path for name in names for path in directory.glob(name)]
     for path in old:
         if path.is_dir() and not path.is_symlink():
             raise DirectoryError(f"{path}: is a directory, which no run made; accepted: a directory without it")
-    _remove_export(directory / EXPORT)
+    _remove_export(directory / EXPORT_FOLDER)
     for path in old:
         path.unlink()
 
 
 def _of_a_run(directory: Path) -> bool:
     """Whether a run made the directory: its copy of the scene begins with a line that scenes of users do not have."""
-    scene = directory / SCENE
-    return scene.is_file() and scene.read_bytes().startswith(MADE.encode())
+    scene = directory / SCENE_FILE
+    return scene.is_file() and scene.read_bytes().startswith(MADE_BY_RUN.encode())
 
 
 def _remove_export(folder: Path) -> None:
@@ -154,8 +207,8 @@ def _remove_export(folder: Path) -> None:
         raise DirectoryError(f"{folder}: is no folder that a run made; {ACCEPTED_EXPORT}")
     if not folder.exists():
         return
-    stems = [path.stem for path in folder.glob("*.h") if path.is_file() and AUTHOR in path.read_bytes()[:400]]
-    own = {path for name in EXPORTED for stem in stems[:1] for path in folder.glob(name.format(escape(stem)))}
+    stems = [path.stem for path in folder.glob("*.h") if path.is_file() and HEADER_AUTHOR in path.read_bytes()[:400]]
+    own = {path for name in EXPORTED_FILES for stem in stems[:1] for path in folder.glob(name.format(escape(stem)))}
     others = sorted(path.name for path in folder.iterdir() if path not in own)
     if others:
         raise DirectoryError(f"{folder}: holds {others[0]}, which no run wrote; {ACCEPTED_EXPORT}")
@@ -177,7 +230,7 @@ def prepare_study(directory: Path, overwrite: bool) -> None:
 def _check_free(directory: Path, may_hold: bool, accepted: str, left: Sequence[Path] = ()) -> bool:
     """Whether a directory holds anything beside `left`; raises DirectoryError where it may not."""
     paths = [path for path in directory.iterdir() if path not in left] if directory.exists() else []
-    held = sorted(path.name for path in paths if not path.name.startswith(LOCK))
+    held = sorted(path.name for path in paths if not path.name.startswith(LOCK_PREFIX))
     if held and not may_hold:
         more = " and more" if len(held) > 1 else ""
         raise DirectoryError(f"{directory}: holds {held[0]}{more}; accepted: {accepted}")
@@ -211,13 +264,13 @@ def check_same_source(directory: Path, path: Path, source: str) -> None:
 
 def _check_same(directory: Path, scene: Scene) -> None:
     """Raises DirectoryError where the directory is not a run of this scene."""
-    path = directory / SCENE
+    path = directory / SCENE_FILE
     if not _of_a_run(directory):
-        raise DirectoryError(f"{directory}: holds no {SCENE} of a run to resume; accepted: the directory of a run")
+        raise DirectoryError(f"{directory}: holds no {SCENE_FILE} of a run to resume; accepted: the directory of a run")
     try:
         before = parse_scene(path.read_text(encoding="utf-8"), str(path))
     except (SceneError, UnicodeDecodeError) as error:
-        raise DirectoryError(f"{directory}: its {SCENE} cannot be read: {error}") from error
+        raise DirectoryError(f"{directory}: its {SCENE_FILE} cannot be read: {error}") from error
     if not scene.same_request(before):
         tables = [name for name in scene.__struct_fields__ if name not in ("title", "time_limit")]
         changed = [f"[{name}]" for name in tables if getattr(scene, name) != getattr(before, name)]
@@ -229,7 +282,7 @@ def _check_same(directory: Path, scene: Scene) -> None:
 
 # Directories in use: one process computes in a directory, or several that share a map ---------------------------------
 
-ACCEPTED = "accepted: another directory, or this one when that process has ended"
+ACCEPTED_DIRECTORIES = "accepted: another directory, or this one when that process has ended"
 
 
 class _Held:
@@ -294,7 +347,7 @@ def in_use(directory: Path, report: Callable[[str], None], shared: bool = False,
     check_writable(directory)
     new = not directory.exists()
     make_directory(directory)
-    held = _taken(directory / (f"{LOCK}_{part}" if part else LOCK), report, shared)
+    held = _taken(directory / (f"{LOCK_PREFIX}_{part}" if part else LOCK_PREFIX), report, shared)
     try:
         yield
     finally:
@@ -319,7 +372,9 @@ def _taken(path: Path, report: Callable[[str], None], shared: bool) -> _Held | N
         holder = ""
         with suppress(OSError):
             holder = path.read_text(encoding="utf-8", errors="replace")
-        raise DirectoryError(f"{path.parent}: {holder or 'another process'} computes in it; {ACCEPTED}") from None
+        raise DirectoryError(
+            f"{path.parent}: {holder or 'another process'} computes in it; {ACCEPTED_DIRECTORIES}"
+        ) from None
     except OSError as error:
         report(f"{path.parent}: cannot be locked ({error.strerror}): nothing else may compute in it meanwhile")
         return None

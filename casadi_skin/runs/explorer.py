@@ -27,21 +27,21 @@ from casadi_skin.results.saving import read_result
 from casadi_skin.results.tables import EVENT_COLUMNS, event_rows
 from casadi_skin.runs.map_result import read_map, write_map
 
-PAGE = "explore.html"
-FILES = ("family.nc", "branch.nc", "cycles_*.nc", "other_*.nc", "curve_*.nc")
-POINTS = 3000  # of a curve
-NUMBERS = 400_000  # of wave forms, in all
-PHASES, STATES = 49, 24  # of a wave form
-CHANGE = "stability changes"
-FILL = 9e36  # values from here on are empty
-ACCEPTED = f"accepted: the directory of a run, with one of {', '.join(FILES)}"
+PAGE_FILE = "explore.html"
+SHOWN_FILES = ("family.nc", "branch.nc", "cycles_*.nc", "other_*.nc", "curve_*.nc")
+MOST_CURVE_POINTS = 3000  # of a curve
+MOST_WAVE_NUMBERS = 400_000  # of wave forms, in all
+WAVE_PHASES, WAVE_STATES = 49, 24  # of a wave form
+CHANGE_NAME = "stability changes"
+FILL_VALUE = 9e36  # values from here on are empty
+ACCEPTED_FOLDERS = f"accepted: the directory of a run, with one of {', '.join(SHOWN_FILES)}"
 
 Variables = Mapping[str, NDArray[Any]]
 
 
 def page_data(directory: Path) -> dict[str, Any]:
     """All that the page shows, as JSON takes it; raises ValueError where the directory has no branches."""
-    files = sorted(path for path in directory.glob("*.nc") if any(fnmatch(path.name, name) for name in FILES))
+    files = sorted(path for path in directory.glob("*.nc") if any(fnmatch(path.name, name) for name in SHOWN_FILES))
     title, parts = "", list[tuple[Path, str, Variables]]()
     for path in files:
         with readable(path):
@@ -49,14 +49,14 @@ def page_data(directory: Path) -> dict[str, Any]:
             title = title or attributes.get("title", "")
             parts += [(path, name, part) for name, part in _split(path.stem, variables)]
     if not parts:
-        raise ValueError(f"{directory}: holds no branches; {ACCEPTED}")
-    share = max(NUMBERS // (len(parts) * PHASES * STATES), 20)
+        raise ValueError(f"{directory}: holds no branches; {ACCEPTED_FOLDERS}")
+    share = max(MOST_WAVE_NUMBERS // (len(parts) * WAVE_PHASES * WAVE_STATES), 20)
     branches = list[dict[str, Any]]()
     for path, name, part in parts:
         with readable(path):
             branches.append(_branch(name, part, share))
     thinned = [b for b in branches if b["count"] > len(b["columns"]["point"])]
-    note = f"curves show {POINTS} of the points of {len(thinned)} branches" if thinned else ""
+    note = f"curves show {MOST_CURVE_POINTS} of the points of {len(thinned)} branches" if thinned else ""
     return {"title": title or directory.name, "note": note, "branches": branches}
 
 
@@ -85,7 +85,7 @@ def read_netcdf(
             texts = [b"".join(row).decode().rstrip("\0 ") for row in rows]
             variables[name] = np.array(texts).reshape(values.shape[:-1])
         elif values.dtype.kind == "f":
-            variables[name] = np.where(np.abs(values) > FILL, np.nan, values).astype(float)
+            variables[name] = np.where(np.abs(values) > FILL_VALUE, np.nan, values).astype(float)
     return attributes, variables, dimensions, meanings
 
 
@@ -141,7 +141,7 @@ def _branch(name: str, variables: Variables, share: int) -> dict[str, Any]:
     columns = _columns(variables)
     count = len(next(iter(columns.values())))
     special = _special(variables, count)
-    kept = _chosen(count, POINTS, special, variables)
+    kept = _chosen(count, MOST_CURVE_POINTS, special, variables)
     detailed = _chosen(count, share, special, variables)
     x = "S" if "S" in columns else next(iter(columns))
     y = "Omega" if "S" in columns else list(columns)[1]
@@ -184,7 +184,7 @@ def _special(variables: Variables, count: int) -> dict[int, str]:
     if "stable" in variables:
         changes = np.flatnonzero(np.diff(variables["stable"].astype(int)))
         near = {j for i in found for j in (i - 1, i, i + 1)}
-        found |= {int(i) + 1: CHANGE for i in changes if not near & {int(i), int(i) + 1}}
+        found |= {int(i) + 1: CHANGE_NAME for i in changes if not near & {int(i), int(i) + 1}}
     return dict(sorted(found.items()))
 
 
@@ -198,7 +198,7 @@ def _listed(
     """Special points by place, between points too, with the nearest point kept and words for a list."""
     places = [(float(i), kind, columns[x][i]) for i, kind in special.items()]
     if "event_S" in variables:
-        places = [place for place in places if place[1] != CHANGE]
+        places = [place for place in places if place[1] != CHANGE_NAME]
         events = zip(variables["event_S"], variables["event_Omega"], variables["event_words"], strict=True)
         for S, Omega, words in events:
             places.append((_between(columns["S"], columns["Omega"], S, Omega), str(words), S))
@@ -238,7 +238,7 @@ def _detail(variables: Variables, chosen: NDArray[np.int64], kept: NDArray[np.in
             detail[name] = [short_numbers(pairs) for pairs in variables[name][chosen].reshape(chosen.size, -1)]
     waves, names = _waves(variables, chosen)
     if waves is not None:
-        moving = np.sort(np.argsort(-np.max(np.ptp(waves, axis=1), axis=0), kind="stable")[:STATES])
+        moving = np.sort(np.argsort(-np.max(np.ptp(waves, axis=1), axis=0), kind="stable")[:WAVE_STATES])
         detail["waves"] = [[short_numbers(state) for state in wave[:, moving].T] for wave in waves]
         detail["names"] = [names[i] for i in moving]
     return detail
@@ -246,14 +246,14 @@ def _detail(variables: Variables, chosen: NDArray[np.int64], kept: NDArray[np.in
 
 def _waves(variables: Variables, chosen: NDArray[np.int64]) -> tuple[NDArray[np.float64] | None, list[str]]:
     """States at even phases, shape (points, phases, states), and their names."""
-    phases = np.linspace(0.0, 1.0, PHASES)
+    phases = np.linspace(0.0, 1.0, WAVE_PHASES)
     if "coefficients" in variables:
         names = [f"y_{n}" for n in variables["site"].tolist()]
         c = variables["coefficients"][chosen]
         odd = 2 * np.arange(c.shape[1]) + 1
         return np.einsum("tk,pks->pts", np.cos(2 * np.pi * np.outer(phases, odd)), c), names
     if "profile" in variables and variables["profile"].ndim == 3:
-        places = np.linspace(0, variables["profile"].shape[1] - 1, PHASES).astype(int)
+        places = np.linspace(0, variables["profile"].shape[1] - 1, WAVE_PHASES).astype(int)
         return variables["profile"][chosen][:, places], [str(n) for n in variables["state_name"]]
     return None, []
 
@@ -265,20 +265,20 @@ def short_numbers(values: NDArray[Any]) -> list[float | None]:
 
 # Contents of a page of a map: quantities over its axes, thinned where there are too many cells ------------------------
 
-MAP = "map.nc"
-CELLS = 40_000  # of a map, in all
-STATUS = ("not computed", "done", "ended early", "failed")
-SKIPPED = ("status", "reason", "regime")
+MAP_FILE = "map.nc"
+MOST_CELLS = 40_000  # of a map, in all
+STATUS_WORDS = ("not computed", "done", "ended early", "failed")
+SKIPPED_COLUMNS = ("status", "reason", "regime")
 
 
 def map_data(directory: Path) -> dict[str, Any]:
     """All that the page shows, as JSON takes it; raises ValueError where the map has no cells."""
-    with readable(directory / MAP):
-        contents = read_netcdf(directory / MAP)
+    with readable(directory / MAP_FILE):
+        contents = read_netcdf(directory / MAP_FILE)
         empty = not contents[1]["status"].size
     if empty:
         raise ValueError(f"{directory}: a map without cells; accepted: one with at least one")
-    with readable(directory / MAP):
+    with readable(directory / MAP_FILE):
         return _contents(directory.name, *contents)
 
 
@@ -293,7 +293,7 @@ def _contents(
     chosen = _thinned(variables["status"].shape)
     index = np.ix_(*chosen)
     status = variables["status"][index]
-    whole = [n for n, d in dimensions.items() if list(d) == axes and n not in SKIPPED]
+    whole = [n for n, d in dimensions.items() if list(d) == axes and n not in SKIPPED_COLUMNS]
     numbers = {n: short_numbers(variables[n].astype(float)[index]) for n in whole if variables[n].dtype.kind in "fi"}
     left = status.size < variables["status"].size
     return {
@@ -303,14 +303,14 @@ def _contents(
         "quantities": [{"name": n, "words": words.get(n, n), "values": values} for n, values in numbers.items()],
         "status": status.astype(int).ravel().tolist(),
         "reasons": [str(text) for text in variables["reason"][index].ravel()] if np.any(status > 1) else [],
-        "states": list(STATUS),
+        "states": list(STATUS_WORDS),
     }
 
 
 def _thinned(shape: tuple[int, ...]) -> list[NDArray[np.int64]]:
     """Places along each axis, evenly, so that the cells are few enough; the longest axes are thinned first."""
     sizes = list(shape)
-    while np.prod(sizes) > CELLS:
+    while np.prod(sizes) > MOST_CELLS:
         longest = int(np.argmax(sizes))
         sizes[longest] = (sizes[longest] + 1) // 2
     return [np.unique(np.linspace(0, n - 1, m).round().astype(np.int64)) for n, m in zip(shape, sizes, strict=True)]
@@ -331,7 +331,7 @@ def write_files(path: Path, directory: Path) -> None:
     """Write the netCDF files and the tables of a file's contents; raises ValueError for other contents."""
     if zipfile.is_zipfile(path):
         found = read_map(path)
-        write_map(found.columns, directory / MAP, {"title": path.stem}, True)
+        write_map(found.columns, directory / MAP_FILE, {"title": path.stem}, True)
         return
     result = read_result(path)
     branches = result.branches if isinstance(result, Diagram) else (result,)
@@ -386,7 +386,7 @@ def write_page(source: Path, target: Path) -> Path:
 
 def _data_in(directory: Path) -> tuple[dict[str, Any], str]:
     """The contents of a page of a directory, and their kind."""
-    return (map_data(directory), "map") if (directory / MAP).exists() else (page_data(directory), "run")
+    return (map_data(directory), "map") if (directory / MAP_FILE).exists() else (page_data(directory), "run")
 
 
 def _data_of_file(path: Path) -> tuple[dict[str, Any], str]:

@@ -10,8 +10,8 @@ from casadi_skin.model import methods
 from casadi_skin.runs.output import Lines
 from casadi_skin.runs.scene import ChainTable, FamilyTable, MethodTable, Scene
 
-KNOWN = ("chain", "family", "spectrum", "stability")  # tables whose plan is known from the scene
-SMALLEST, LARGEST = 1e-100, 1e100  # sizes of g S that are checked no further
+KNOWN_TABLES = ("chain", "family", "spectrum", "stability")  # tables whose plan is known from the scene
+SMALLEST_SCALED_S, LARGEST_SCALED_S = 1e-100, 1e100  # sizes of g S that are checked no further
 TO_MEASURE = "casadi-skin check --measure builds the equations, solves at the start and measures it"
 UNKNOWNS = {
     methods.TRIGONOMETRIC: "positions only, as odd cosines",
@@ -38,8 +38,8 @@ class FamilyPlan(NamedTuple):
 def chain_lines(scene: Scene) -> Lines | None:
     """The plan of a scene of a chain without numerics; None where it is not known without them, or not allowed."""
     chain, family = scene.chain, scene.family
-    asked = [name for name in (*KNOWN, *_OTHER_TABLES) if getattr(scene, name) is not None]
-    if chain is None or family is None or not set(asked) <= set(KNOWN) or scene.accuracy.certify:
+    asked = [name for name in (*KNOWN_TABLES, *_OTHER_TABLES) if getattr(scene, name) is not None]
+    if chain is None or family is None or not set(asked) <= set(KNOWN_TABLES) or scene.accuracy.certify:
         return None
     modes = family.modes(chain.sites)
     named = MethodTable(corrector=scene.method.corrector, flow=scene.method.flow)
@@ -50,22 +50,24 @@ def chain_lines(scene: Scene) -> Lines | None:
         return None
     flow, transcription = scene.methods.flow or "", scene.methods.transcription or ""
     plan = FamilyPlan(modes, methods.QUARTER_PERIOD, methods.EVERY_SITE, transcription, flow, sites=int(chain.sites))
-    spectrum = [SPECTRUM] if scene.spectrum is not None else []
+    spectrum = [SPECTRUM_LINE] if scene.spectrum is not None else []
     return [chain_line(int(chain.sites), chain.alpha, chain.gamma, chain.g), *spectrum, *family_lines(scene, plan)]
 
 
-SPECTRUM = ("spectrum", "linear frequencies and modes")
+SPECTRUM_LINE = ("spectrum", "linear frequencies and modes")
 _OTHER_TABLES = tuple(
     name
     for name in Scene.__struct_fields__
-    if name not in (*KNOWN, "title", "figures", "accuracy", "method")  # of which any scene has some
+    if name not in (*KNOWN_TABLES, "title", "figures", "accuracy", "method")  # of which any scene has some
 )
 
 
 def _has_full_chain(chain: ChainTable, family: FamilyTable) -> bool:
     """Whether all sites are unknowns, as `lattice.chain_coordinates` decides, and no limit of doubles is near."""
     ends = [abs(chain.g) * S for S in (family.amplitude_max, *family.at)]
-    sizes = min(ends) >= SMALLEST and max(ends) <= LARGEST and family.amplitude_max <= LARGEST
+    sizes = (
+        min(ends) >= SMALLEST_SCALED_S and max(ends) <= LARGEST_SCALED_S and family.amplitude_max <= LARGEST_SCALED_S
+    )
     return chain.sites < methods.PAYS_FROM and abs(chain.gamma) < 1.0 and sizes
 
 

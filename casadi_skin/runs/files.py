@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from casadi_skin.points.edges import EdgeCurve
 
 POINT_COLUMNS = ("branch", "kind", "S", "error", "Omega", "period", "mu", "loses")
-EMPTY: Cell = ""
+EMPTY_CELL: Cell = ""
 PASSED_COLUMNS = ("mode", "S_before", "S_after", "Omega_before", "Omega_after", "changes", "meetings")
 
 
@@ -187,10 +187,10 @@ def diagram_rows(name: str, branch: Branch, columns: Sequence[str]) -> Iterator[
     """
     for point in branch.special_points:
         known = list(branch_parameters(point, columns[2:-5]).values())
-        period: Cell = point.solution.period if isinstance(point.solution, Orbit) else EMPTY
+        period: Cell = point.solution.period if isinstance(point.solution, Orbit) else EMPTY_CELL
         yield dict(zip(columns, [name, point.kind, *known, point.error, period, *_critical(point)], strict=True))
     for stretch in branch.passed_over:
-        row: dict[str, Cell] = dict.fromkeys(columns, EMPTY)
+        row: dict[str, Cell] = dict.fromkeys(columns, EMPTY_CELL)
         width = abs(stretch.end - stretch.start)
         yield {**row, "branch": name, "kind": UNRESOLVED, columns[2]: stretch.start, "error": width}
 
@@ -204,8 +204,8 @@ def _critical(point: SpecialPoint) -> list[Cell]:
     try:
         frequency, coefficient, words = point.frequency, point.coefficient, point.criticality
     except (ValueError, ArithmeticError):
-        return [EMPTY, EMPTY, EMPTY]
-    return [frequency or EMPTY, coefficient if coefficient == coefficient else EMPTY, words]
+        return [EMPTY_CELL, EMPTY_CELL, EMPTY_CELL]
+    return [frequency or EMPTY_CELL, coefficient if coefficient == coefficient else EMPTY_CELL, words]
 
 
 def write_offshoots(

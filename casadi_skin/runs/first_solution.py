@@ -24,7 +24,7 @@ from casadi_skin.runs.request import Request, state_of
 from casadi_skin.runs.scene import SELECTED, EquilibriumTable
 from casadi_skin.zero.problem import Array
 
-SAMPLES = 801  # of the cycle that is the guess
+CYCLE_SAMPLES = 801  # of the cycle that is the guess
 TRANSIENT_SAMPLES = 20_001  # of a transient whose cycle is not known before
 
 
@@ -85,11 +85,11 @@ def cycle(request: Request) -> Cycle:
         if not (math.isfinite(length) and length > 0.0):
             raise ValueError(f"[model] parameters: give a period of the forcing of {length:g}; accepted: finite, > 0")
         before = length * math.ceil((orbit.transient or 0.0) / length * (1.0 - 1e-12))
-        t = np.linspace(before, before + length, SAMPLES)
+        t = np.linspace(before, before + length, CYCLE_SAMPLES)
         simulation = simulate(model, start_state, t if before == 0.0 else np.append(0.0, t), parameters=values)
         return Cycle(simulation, before, length)
     if orbit.period is not None:
-        simulation = simulate(model, start_state, np.linspace(0.0, orbit.period, SAMPLES), parameters=values)
+        simulation = simulate(model, start_state, np.linspace(0.0, orbit.period, CYCLE_SAMPLES), parameters=values)
         return Cycle(simulation, 0.0, orbit.period)
     t = np.linspace(0.0, float(orbit.transient or 0.0), TRANSIENT_SAMPLES)
     simulated = simulate(model, start_state, t, parameters=values)
@@ -155,7 +155,7 @@ def known_cycle(records: Sequence[BranchRecord], model: OdeModel, parameters: Ma
 def _from_section(found: Cycle, section: Expression) -> Cycle:
     """The cycle from the first place on at which the section's expression passes zero; as it is where it never does."""
     evolution = found.evolution
-    t = np.linspace(0.0, found.period, SAMPLES)
+    t = np.linspace(0.0, found.period, CYCLE_SAMPLES)
     values = _along(evolution, section, found.evaluate(t))
     crossed = np.flatnonzero(values[:-1] * values[1:] < 0.0)
     if crossed.size == 0:

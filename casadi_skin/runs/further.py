@@ -24,7 +24,7 @@ from casadi_skin.runs.scene import ContinuationTable
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, TORUS
 from casadi_skin.zero.settings import End
 
-EVENTS, FURTHER = "events.csv", "further_events.csv"  # where edges are listed
+EVENTS_FILE, FURTHER_EVENTS_FILE = "events.csv", "further_events.csv"  # where edges are listed
 
 
 def reasons(found: Offshoots) -> Iterator[str]:
@@ -73,14 +73,17 @@ def follow_edges(
             failures.append(f"{where}: changes of localised multipliers are not followed in another parameter")
             continue
         diagram = family.stability_diagram
-        counts = {EVENTS: len(family.changes), FURTHER: len(diagram.further) if diagram and asked.further else 0}
+        counts = {
+            EVENTS_FILE: len(family.changes),
+            FURTHER_EVENTS_FILE: len(diagram.further) if diagram and asked.further else 0,
+        }
         for listed, number in ((listed, k) for listed, count in counts.items() for k in range(1, count + 1)):
             mode, name = mode_of(family), f"{listed} {mode_of(family)} {number}"
             progress.say(f"j = {mode}: edge {number} of {counts[listed]} in {asked.parameter}")
             try:
                 curve = _kept(known.get(name))
                 if curve is None:
-                    point = family.edge(number - 1, further=listed == FURTHER)
+                    point = family.edge(number - 1, further=listed == FURTHER_EVENTS_FILE)
                     options = {"max_points": table.max_points, "max_step": table.max_step}
                     curve = point.curve(asked.parameter, asked.to, **options)
                     _keep(name, curve, journal, progress)
@@ -109,8 +112,8 @@ def _kept(record: EdgeRecord | None) -> EdgeCurve | None:
 
 
 CYCLES, OTHER, CURVE = "cycles", "other", "curve"
-FOLLOWED = (FOLD, HOPF, DOUBLING, TORUS)  # kinds that curves in two parameters have
-SAME = 1e-6  # distance of special points that are one
+FOLLOWED_KINDS = (FOLD, HOPF, DOUBLING, TORUS)  # kinds that curves in two parameters have
+SAME_POINT_DISTANCE = 1e-6  # distance of special points that are one
 
 
 def further_spaces(
@@ -139,7 +142,12 @@ def further_spaces(
     for place, point in further.reached:
         passed = any(_passes(curve, point) for curve in curves)
         crossing = point.kind == BRANCH_POINT and point.mu is None
-        if table.curve is not None and (point.kind in FOLLOWED or crossing) and not _at_rest(point) and not passed:
+        if (
+            table.curve is not None
+            and (point.kind in FOLLOWED_KINDS or crossing)
+            and not _at_rest(point)
+            and not passed
+        ):
             try:
                 space = curve_space(point, table.curve.parameter, table.curve.to, at=(), **options)  # type: ignore[arg-type]
                 yield f"{CURVE}{place}", space
@@ -171,6 +179,6 @@ def _passes(curve: Branch, point: SpecialPoint) -> bool:
         return False
     if not isinstance(found, Equilibrium):
         a, b = found.parameters[point.parameter], point.parameters[point.parameter]
-        return bool(abs(a - b) <= SAME * max(abs(a), abs(b)))
+        return bool(abs(a - b) <= SAME_POINT_DISTANCE * max(abs(a), abs(b)))
     x, y = found.positions, point.solution.evaluate(0.0)[: found.positions.size]
-    return bool(np.max(np.abs(x - y)) <= SAME * max(1.0, float(np.max(np.abs(x)))))
+    return bool(np.max(np.abs(x - y)) <= SAME_POINT_DISTANCE * max(1.0, float(np.max(np.abs(x)))))

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from casadi_skin.lattice.declaration import INDICES
+from casadi_skin.lattice.declaration import CELL_INDICES
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.lattice.linear import REAL, bands, brillouin_zone, lattice_modes, winding_numbers
+from casadi_skin.lattice.linear import REAL_SQUARE_RTOL, bands, brillouin_zone, lattice_modes, winding_numbers
 from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.results import figures
@@ -21,7 +21,7 @@ from casadi_skin.runs.output import Lines, named
 from casadi_skin.runs.parts import picture
 from casadi_skin.runs.scene import Scene
 
-ROUNDING = 1e-13  # of the largest omega^2: smaller ones are 0
+ZERO_SQUARE_RATIO = 1e-13  # of the largest omega^2: smaller ones are 0
 MOST_MODES = 600  # whose frequencies a plan computes at once
 
 
@@ -49,7 +49,7 @@ def _linear(lattice: Lattice, parameters: Mapping[str, float]) -> str:
         squares = modes.squares
         words.append(f"omega {_from_to(squares.real.min(), squares.real.max())}")
         if not modes.real:
-            count = int(np.sum(np.abs(squares.imag) > REAL * np.max(np.abs(squares))))
+            count = int(np.sum(np.abs(squares.imag) > REAL_SQUARE_RTOL * np.max(np.abs(squares))))
             words[0] += f"; {count} of {squares.size} omega^2 are complex: it has no families"
         lost = np.log10(np.max(1.0 / np.abs(np.sum(modes.left * modes.right, axis=0))))
         if lattice.structure.log_weights is None and lost >= 1.0:
@@ -66,7 +66,7 @@ def _linear(lattice: Lattice, parameters: Mapping[str, float]) -> str:
 
 def _from_to(low: float, high: float) -> str:
     """Ends of a range of omega^2 as those of omega, imaginary where omega^2 < 0."""
-    zero = ROUNDING * max(abs(low), abs(high))
+    zero = ZERO_SQUARE_RATIO * max(abs(low), abs(high))
     ends = (f"{np.sqrt(abs(end)):.6g}{'i' if end < -zero else ''}" if abs(end) > zero else "0" for end in (low, high))
     return "from " + " to ".join(ends)
 
@@ -97,7 +97,7 @@ def write_lattice_spectrum(scene: Scene, lattice: Lattice, parameters: Mapping[s
     for j, omega in enumerate(modes.frequencies):
         row: dict[str, Cell] = {"mode": j + 1, "omega": float(omega.real), "growth": float(omega.imag)}
         row |= {"participation": modes.participation[j], "left_participation": modes.left_participation[j]}
-        for k, name in zip(range(modes.centre.shape[1]), INDICES, strict=False):
+        for k, name in zip(range(modes.centre.shape[1]), CELL_INDICES, strict=False):
             row |= {f"centre_{name}": modes.centre[j, k], f"decay_{name}": modes.decay[j, k]}
         if has_skin:
             row |= {"winding_number": float(windings[j]), "beta": float(sizes[j])}
@@ -114,7 +114,7 @@ def write_lattice_spectrum(scene: Scene, lattice: Lattice, parameters: Mapping[s
 def _write_bands(scene: Scene, lattice: Lattice, parameters: Mapping[str, float], directory: Path) -> None:
     """bands.csv and its picture, of a lattice whose cells are all alike."""
     found = bands(lattice, parameters)
-    names = INDICES[: found.wave_numbers.shape[1]]
+    names = CELL_INDICES[: found.wave_numbers.shape[1]]
     of_bands: list[dict[str, Cell]] = []
     for wave, squares in zip(found.wave_numbers, found.squares, strict=True):
         row: dict[str, Cell] = {f"k_{name}": float(k) for name, k in zip(names, wave, strict=True)}

@@ -22,8 +22,8 @@ from casadi_skin.model.files import replacing
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.directory import (
-    JOURNAL,
-    SCENE,
+    JOURNAL_FILE,
+    SCENE_FILE,
     SCENE_MODEL,
     DirectoryError,
     Existing,
@@ -35,10 +35,10 @@ from casadi_skin.runs.directory import (
 from casadi_skin.runs.map_cell import Computer, Job
 from casadi_skin.runs.map_grid import FAILED as FAULT
 from casadi_skin.runs.map_grid import LOST, Cells, Grid, Result, Task, needed, plain, scene_at
-from casadi_skin.runs.map_grid import UNKNOWN as UNLABELLED
-from casadi_skin.runs.map_lines import BOUNDARY, OF_BOUNDARY, boundaries, check_boundary, write_boundary
+from casadi_skin.runs.map_grid import UNKNOWN_LABEL as UNLABELLED
+from casadi_skin.runs.map_lines import BOUNDARY_FILE, OF_BOUNDARY, boundaries, check_boundary, write_boundary
 from casadi_skin.runs.map_result import CSV, NETCDF, Map, write_map, write_pictures, write_table
-from casadi_skin.runs.map_store import ATTEMPTS, DONE, FAILED, UNKNOWN, Columns, Store, check_quantities
+from casadi_skin.runs.map_store import DONE, FAILED, MOST_ATTEMPTS, UNKNOWN, Columns, Store, check_quantities
 from casadi_skin.runs.parts import origin
 from casadi_skin.runs.pool import end_workers
 from casadi_skin.runs.progress import Progress
@@ -48,11 +48,11 @@ from casadi_skin.runs.rules import SceneError
 from casadi_skin.runs.scene import MapTable, Scene
 from casadi_skin.solve.watch import one_thread
 
-AHEAD = 3  # tasks a worker that are handed over before they are begun
-GIVEN = 64  # workers of an executor without a public number of workers
+TASKS_AHEAD = 3  # tasks a worker that are handed over before they are begun
+ASSUMED_WORKERS = 64  # workers of an executor without a public number of workers
 CONNECT_LIMIT = 10.0  # seconds until a scheduler answers
 MOST_WORKERS = 256
-ASK = 5.0  # seconds between two questions about the workers of a cluster
+ASK_SECONDS = 5.0  # seconds between two questions about the workers of a cluster
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Engine:
 
     def width(self) -> int:
         """Number of tasks handed over at the same time."""
-        return max(self.workers(), 1) + AHEAD * max(self.workers(), 1)
+        return max(self.workers(), 1) + TASKS_AHEAD * max(self.workers(), 1)
 
 
 def local_engine(workers: int) -> Engine:
@@ -105,7 +105,7 @@ def dask_engine(address: str) -> Engine:
 
     def workers() -> int:
         nonlocal known, requested
-        if time.monotonic() - requested > ASK:
+        if time.monotonic() - requested > ASK_SECONDS:
             found: dict[str, Any] = client.scheduler_info(n_workers=-1).get("workers", {})
             known, requested = sum(int(worker.get("nthreads", 1)) for worker in found.values()), time.monotonic()
         return known
@@ -121,7 +121,7 @@ def given_engine(executor: Executor) -> Engine:
     if not isinstance(executor, Executor):
         raise TypeError(f"executor: given {short_repr(executor)}; accepted: a concurrent.futures.Executor")
     count = getattr(executor, "_max_workers", None)
-    workers = count if isinstance(count, int) else GIVEN
+    workers = count if isinstance(count, int) else ASSUMED_WORKERS
 
     def lost() -> str:
         return "the executor is broken" if getattr(executor, "_broken", False) else ""
@@ -134,9 +134,9 @@ def check_workers(name: str, workers: object) -> int:
     return whole(name, workers, 1, MOST_WORKERS)
 
 
-LOOK = 1.0  # seconds between two looks at an engine
-SHOW = 0.2  # seconds between two changes of the line of progress
-TELL = 30.0  # seconds between two lines of progress where there is no terminal
+LOOK_SECONDS = 1.0  # seconds between two looks at an engine
+SHOW_SECONDS = 0.2  # seconds between two changes of the line of progress
+TELL_SECONDS = 30.0  # seconds between two lines of progress where there is no terminal
 Part = tuple[int, int]  # a share and the number of shares, the first being 1
 
 
@@ -176,7 +176,7 @@ class Drive:
             self.store.refresh()
             if np.any(self.store.attempts[batch] == 0):
                 return False
-            self._compute(self._again(batch, seen), ATTEMPTS)
+            self._compute(self._again(batch, seen), MOST_ATTEMPTS)
         return True
 
     def _batches(self) -> Iterator[Cells]:
@@ -205,7 +205,7 @@ class Drive:
         places = self.grid.places(done)
         for task in self.grid.tasks(batch):
             cell = task.cells[0]
-            if self.store.states[cell] != FAILED or self.store.attempts[cell] >= ATTEMPTS:
+            if self.store.states[cell] != FAILED or self.store.attempts[cell] >= MOST_ATTEMPTS:
                 continue
             if self.store.record(cell).kind == FAULT and done.size:
                 distances = np.abs(places - self.grid.places(np.array([cell]))).sum(axis=1)
@@ -230,7 +230,7 @@ class Drive:
                     waiting[future] = task
             if not waiting:
                 return
-            ended, _ = wait(waiting, LOOK, FIRST_COMPLETED)
+            ended, _ = wait(waiting, LOOK_SECONDS, FIRST_COMPLETED)
             for future in ended:
                 self._keep(waiting.pop(future), _outcome(future, self.engine), attempt)
             if self.engine.lost():
@@ -275,7 +275,7 @@ class Drive:
     def _show(self) -> None:
         """The place of the map, and an estimate of the remaining time."""
         now = time.monotonic()
-        if now - self._shown < SHOW:
+        if now - self._shown < SHOW_SECONDS:
             return
         self._shown, failed = now, int(np.sum(self.store.states == FAILED))
         left = max(self._planned - self.computed, 0)
@@ -284,7 +284,7 @@ class Drive:
         of = f" of {self.grid.coarsest.size}" if not self.grid.refined else f", {left} to go before the next refinement"
         words = f"{known}{of} cells; {failed} failed; about {duration(seconds * left)} left"
         self.progress.say(words)
-        if not self.progress.on_terminal and now - self._told > TELL:
+        if not self.progress.on_terminal and now - self._told > TELL_SECONDS:
             self._told = now
             self.progress.report(words)
 
@@ -310,7 +310,7 @@ def duration(seconds: float) -> str:
 
 # The plan of a map: the number of cells, the cost of one (measured now) and of all ------------------------------------
 
-SHORT = 5.0  # seconds of a first cell, imports among them, below which it is measured again
+SHORT_CELL_SECONDS = 5.0  # seconds of a first cell, imports among them, below which it is measured again
 
 
 def map_lines(scene: Scene, request: Request, path: Path) -> list[tuple[str, str]]:
@@ -324,7 +324,7 @@ def map_lines(scene: Scene, request: Request, path: Path) -> list[tuple[str, str
     (middle,), tasks = grid.tasks(family), len(cells) // len(family)
     computer = Computer(Job(plain(scene), str(path.resolve()), table.growth))
     result = computer.compute(middle)
-    if result.seconds < SHORT:
+    if result.seconds < SHORT_CELL_SECONDS:
         result = computer.compute(middle)
     sizes = " x ".join(f"{len(range(0, len(axis.values), axis.stride))} {axis.name}" for axis in grid.axes)
     families = f", orbits of {tasks} families" if grid.amplitude is not None else ""
@@ -359,7 +359,7 @@ def _axis_words(grid: Grid, place: int) -> str:
 
 # A map of a scene from beginning to end: checked, computed by an engine, written --------------------------------------
 
-ADDRESS = re.compile(r"inproc://\S+|(\w+://)?[^\s/]+:\d{1,5}")  # of a scheduler
+SCHEDULER_ADDRESS = re.compile(r"inproc://\S+|(\w+://)?[^\s/]+:\d{1,5}")  # of a scheduler
 
 
 @dataclass(frozen=True)
@@ -487,7 +487,7 @@ def check_ways(ways: Ways) -> None:
         words = f"scheduler: given {short_repr(ways.scheduler)}; accepted: an address, such as tcp://host:8786"
         if not isinstance(ways.scheduler, str):
             raise TypeError(words)
-        if not ADDRESS.fullmatch(ways.scheduler):
+        if not SCHEDULER_ADDRESS.fullmatch(ways.scheduler):
             raise ValueError(words)
     given = [name for name in ("scheduler", "executor") if getattr(ways, name) is not None]
     if len(given) > 1:
@@ -507,7 +507,7 @@ def check_ways(ways: Ways) -> None:
 def compute_map(mapped: Mapped, directory: Path, ways: Ways, progress: Progress) -> Map:
     """Compute the missing cells of a map and write the results; see `run_map`."""
     own = None if ways.collect else journal_name(ways.part)
-    if ways.collect and not (directory / SCENE).is_file():
+    if ways.collect and not (directory / SCENE_FILE).is_file():
         raise DirectoryError(f"{directory}: holds no map to collect; accepted: the directory of a map that was begun")
     with ExitStack() as held:
         held.enter_context(in_use(directory, progress.report, ways.shared))
@@ -526,7 +526,7 @@ def compute_map(mapped: Mapped, directory: Path, ways: Ways, progress: Progress)
 
 def journal_name(part: Part | None) -> str:
     """The journal of a map, or of a share of it."""
-    return JOURNAL if part is None else f"journal_{part[0]}_of_{part[1]}.msgpack"
+    return JOURNAL_FILE if part is None else f"journal_{part[0]}_of_{part[1]}.msgpack"
 
 
 def _computed(mapped: Mapped, store: Store, engine: Engine | None, ways: Ways, progress: Progress) -> Map:
@@ -592,7 +592,7 @@ def _written(mapped: Mapped, store: Store, waits: bool, ways: Ways, progress: Pr
             lines = boundaries(
                 mapped.scene, mapped.path, plain(mapped.scene), Columns(store, OF_BOUNDARY), progress.report
             )
-        write_boundary(lines, mapped.grid, store.directory / BOUNDARY)
+        write_boundary(lines, mapped.grid, store.directory / BOUNDARY_FILE)
         found = replace(found, boundary=lines)
     progress.say("writing tables and pictures")
     write_table(columns, store.directory / CSV)

@@ -116,7 +116,7 @@ def _end(branch: Branch) -> str:
     return "stopped" if branch.stopped else "missed" if branch.end is None else branch.end.name.lower()
 
 
-CHANGES = "changes of stability along the branch; where stretches are unresolved, at least so many"
+CHANGES_MEANING = "changes of stability along the branch; where stretches are unresolved, at least so many"
 
 
 def _instabilities(branch: Branch, growth: float) -> Iterator[tuple[str, Any, str]]:
@@ -129,7 +129,7 @@ def _instabilities(branch: Branch, growth: float) -> Iterator[tuple[str, Any, st
             modes = "" if first.modes is None else f", modes {first.modes[0]} + {first.modes[1]}, order {first.order}"
             yield "first_tongue", f"{first.kind}{modes}", "kind of the first instability, and the modes that meet there"
         yield "unresolved", len(branch.unresolved), "stretches on which changes of stability may be missing"
-        yield "changes", len(branch.changes), CHANGES
+        yield "changes", len(branch.changes), CHANGES_MEANING
     elif branch.localised_diagram is not None:
         lost = branch.localised_diagram.first_instability()
         if lost is not None:
@@ -137,13 +137,13 @@ def _instabilities(branch: Branch, growth: float) -> Iterator[tuple[str, Any, st
             yield "first_instability_error", lost.S_error, "its estimated absolute error"
             yield "first_tongue", lost.kind, "kind of the first instability, and the modes that meet there"
         yield "unresolved", len(branch.unresolved), "stretches on which changes of stability may be missing"
-        yield "changes", len(branch.changes), CHANGES
+        yield "changes", len(branch.changes), CHANGES_MEANING
     elif branch.with_events and not branch.space.stability_included:
         change = next((c for c in branch.located if not c.stable_after), None)
         where, error = (math.nan, math.nan) if change is None else (change.value, change.error)
         yield "first_instability", where, f"{branch.parameter} at which stability is first lost along the branch"
         yield "first_instability_error", error, "its estimated absolute error"
-        yield "changes", len(branch.located), CHANGES
+        yield "changes", len(branch.located), CHANGES_MEANING
 
 
 def _special(branch: Branch) -> Iterator[tuple[str, Any, str]]:

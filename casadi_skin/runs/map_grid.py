@@ -221,7 +221,7 @@ def scene_at(tables: Tables, settings: Sequence[tuple[Path, Any]], amplitudes: S
 
 Value = float | int | str
 FAILED, DIED, LATE, LOST = "failed", "died", "late", "lost"  # kinds of faults; a computation reports the first itself
-OUTSIDE = (DIED, LATE, LOST)  # those that another run may not meet
+OUTSIDE_FAULTS = (DIED, LATE, LOST)  # those that another run may not meet
 
 
 class Row(msgspec.Struct, frozen=True):
@@ -278,7 +278,7 @@ MapRecord = TaskRecord | MeaningsRecord | MapHead
 
 # Labels of cells in a map that is refined: cells of one label show the same behaviour ---------------------------------
 
-UNKNOWN = -1  # of the label of a cell that is not computed
+UNKNOWN_LABEL = -1  # of the label of a cell that is not computed
 Labels = NDArray[np.int32]  # shape of the finest grid, equal where the watched quantities are equal
 Places = NDArray[np.int64]  # shape (boxes, axes)
 
@@ -286,7 +286,7 @@ Places = NDArray[np.int64]  # shape (boxes, axes)
 def needed(grid: Grid, labels: Labels) -> Cells:
     """Cells to compute next, ascending; none where the map is as fine as it is to be."""
     coarse = grid.coarsest
-    missing = coarse[labels.ravel()[coarse] == UNKNOWN]
+    missing = coarse[labels.ravel()[coarse] == UNKNOWN_LABEL]
     if missing.size or not grid.refined:
         return np.asarray(missing)
     wanted, along = np.zeros(grid.shape, dtype=bool), [axis.stride > 1 for axis in grid.axes]
@@ -303,9 +303,9 @@ def needed(grid: Grid, labels: Labels) -> Cells:
         sides = [max(s // 2, 1) for s in sides]
         boxes = np.concatenate([boxes + np.array(offset) for offset in itertools.product(*lower)])
         ends = [(0, s) if a else (0,) for s, a in zip(sides, along, strict=True)]
-        known = [labels[_at(boxes, offset)] != UNKNOWN for offset in itertools.product(*ends)]
+        known = [labels[_at(boxes, offset)] != UNKNOWN_LABEL for offset in itertools.product(*ends)]
         boxes = boxes[np.all(known, axis=0)]
-    return np.flatnonzero(wanted & (labels == UNKNOWN)).astype(np.int64)
+    return np.flatnonzero(wanted & (labels == UNKNOWN_LABEL)).astype(np.int64)
 
 
 def _mixed(labels: Labels, boxes: Places, inside: Iterable[Iterable[int]]) -> NDArray[np.bool_]:
@@ -313,7 +313,7 @@ def _mixed(labels: Labels, boxes: Places, inside: Iterable[Iterable[int]]) -> ND
     mixed, first = np.zeros(len(boxes), dtype=bool), labels[tuple(boxes.T)]
     for offset in itertools.product(*inside):
         here = labels[_at(boxes, offset)]
-        mixed |= (here != first) & (here != UNKNOWN)
+        mixed |= (here != first) & (here != UNKNOWN_LABEL)
     return mixed
 
 
@@ -321,7 +321,7 @@ def _at(boxes: Places, offset: tuple[int, ...]) -> tuple[NDArray[np.int64], ...]
     return tuple((boxes + np.array(offset)).T)
 
 
-DEFAULT = ("stable", "end")
+DEFAULT_QUANTITIES = ("stable", "end")
 Watched = Sequence[str] | Mapping[str, Sequence[float]] | None
 
 
@@ -329,10 +329,12 @@ class Watch:
     """Labels of cells, shape of the finest grid; none are kept of a map that is not refined."""
 
     def __init__(self, grid: Grid, watched: Watched = None) -> None:
-        names = DEFAULT if watched is None else watched
+        names = DEFAULT_QUANTITIES if watched is None else watched
         self._levels: Mapping[str, Sequence[float]] = names if isinstance(names, Mapping) else dict.fromkeys(names, ())
         self._codes: dict[tuple[object, ...], int] = {}
-        self.labels = np.full(grid.shape, UNKNOWN, dtype=np.int32) if grid.refined else np.zeros(0, dtype=np.int32)
+        self.labels = (
+            np.full(grid.shape, UNKNOWN_LABEL, dtype=np.int32) if grid.refined else np.zeros(0, dtype=np.int32)
+        )
 
     def see(self, record: TaskRecord) -> None:
         """Label the cells of a record."""
@@ -344,7 +346,7 @@ class Watch:
     def forget(self, cells: Cells) -> None:
         """Take labels back."""
         if self.labels.size:
-            self.labels.flat[cells] = UNKNOWN
+            self.labels.flat[cells] = UNKNOWN_LABEL
 
     def _label(self, row: Row | None) -> tuple[object, ...]:
         if row is None:

@@ -28,9 +28,9 @@ from casadi_skin.runs.rules import SceneError
 from casadi_skin.runs.scene import Scene
 from casadi_skin.zero.kinds import EDGE, FOLD, HOPF
 
-BEYOND = 1e-3  # of S: how far beyond an edge the family is followed that it is found on
-AGREE = 1e-6  # of S: within which the edge is the one that the map has
-MARGIN = 0.05  # of the range of S, by which a curve leaves it before it ends
+BEYOND_EDGE_FRACTION = 1e-3  # of S: how far beyond an edge the family is followed that it is found on
+EDGE_S_RTOL = 1e-6  # of S: within which the edge is the one that the map has
+S_RANGE_MARGIN = 0.05  # of the range of S, by which a curve leaves it before it ends
 Bound = Callable[[Sequence[Any], float], Request]
 
 
@@ -91,10 +91,10 @@ def _followed(plane: Plane, run: Sequence[Entry], reach: tuple[float, float], bo
     """
     (name,) = [axis.paths[0][-1] for k, axis in zip(plane.along, plane.axes, strict=True) if k != plane.grid.amplitude]
     middle = run[len(run) // 2]
-    (branch,), fault = followed(bound(plane.grid.settings(middle.cell), middle.S * (1.0 + BEYOND)))
+    (branch,), fault = followed(bound(plane.grid.settings(middle.cell), middle.S * (1.0 + BEYOND_EDGE_FRACTION)))
     diagram = branch.stability_diagram
     edges = [] if diagram is None else [*diagram.changes, *diagram.further]
-    near = [edge for edge in edges if abs(edge.S - middle.S) <= AGREE * middle.S]
+    near = [edge for edge in edges if abs(edge.S - middle.S) <= EDGE_S_RTOL * middle.S]
     if not near:
         raise ArithmeticError(fault or "it is not found again")
     orbit, outside = branch.at(S=near[0].S), _outside(plane)
@@ -115,7 +115,7 @@ def _outside(plane: Plane) -> Callable[[Any], bool]:
     """Whether an edge lies beyond the range of S."""
     (axis,) = [axis for k, axis in zip(plane.along, plane.axes, strict=True) if k == plane.grid.amplitude]
     low, high = sorted((float(axis.values[0]), float(axis.values[-1])))
-    margin = MARGIN * (high - low)
+    margin = S_RANGE_MARGIN * (high - low)
     least, most = max(low - margin, 0.5 * low), high + margin
 
     def outside(solution: Any) -> bool:
@@ -131,7 +131,7 @@ def checked(curve: Any, name: str, run: Sequence[Entry]) -> Points:
     for entry in run:
         if low <= entry.value <= high:
             near = np.abs(points[points[:, 0] == entry.value, 1] - entry.S)
-            if not np.any(near <= AGREE * entry.S):
+            if not np.any(near <= EDGE_S_RTOL * entry.S):
                 raise ArithmeticError(f"it passes {name} = {entry.value:g} elsewhere")
     return points
 
@@ -154,10 +154,10 @@ def lowest(line: Points, others: Sequence[Points]) -> Iterator[Points]:
 
 Lines = Mapping[tuple[int, ...], tuple[Points, ...]]
 OF_BOUNDARY = ("stable", "first_instability", "first_tongue")  # quantities that locate it
-BOUNDARY = "boundary.csv"
-LINE = "line"  # the column with the number of a line
+BOUNDARY_FILE = "boundary.csv"
+LINE_COLUMN = "line"  # the column with the number of a line
 MOST_STARTS = 24  # of curves in a plane
-STEP = 0.05  # longest, of a curve
+LONGEST_CURVE_STEP = 0.05  # longest, of a curve
 
 
 def check_boundary(scene: Scene, grid: Grid) -> None:
@@ -207,13 +207,13 @@ def write_boundary(lines: Lines, grid: Grid, path: Path) -> None:
     others = [axis for axis in grid.axes if not axis.numeric]
     ranges = [axis.name for axis in grid.axes if axis.numeric]
     rows = (
-        {**{axis.name: axis.values[k] for axis, k in zip(others, chosen, strict=True)}, LINE: number,
+        {**{axis.name: axis.values[k] for axis, k in zip(others, chosen, strict=True)}, LINE_COLUMN: number,
          **dict(zip(ranges, point, strict=True))}
         for chosen, curves in lines.items()
         for number, curve in enumerate(curves, start=1)
         for point in curve.tolist()
     )  # fmt: skip
-    write_csv(path, [*(axis.name for axis in others), LINE, *ranges], rows)
+    write_csv(path, [*(axis.name for axis in others), LINE_COLUMN, *ranges], rows)
 
 
 def read_boundary(grid: Grid, path: Path) -> Lines:
@@ -306,7 +306,7 @@ def _curves_between(
 def _curve(point: SpecialPoint, names: Sequence[str], axes: Sequence[Axis]) -> Points:
     """The curve of a special point to both ends of the second range, in the first range with a margin."""
     low, high = sorted((float(axes[0].values[0]), float(axes[0].values[-1])))
-    margin = MARGIN * (high - low)
+    margin = S_RANGE_MARGIN * (high - low)
 
     def outside(solution: Any) -> bool:
         return not low - margin <= solution.parameters[names[0]] <= high + margin
@@ -314,7 +314,7 @@ def _curve(point: SpecialPoint, names: Sequence[str], axes: Sequence[Axis]) -> P
     halves, faults = [], list[str]()
     for to in (float(axes[1].values[0]), float(axes[1].values[-1])):
         try:
-            branch = point.curve(names[1], to, until=outside, max_step=STEP)
+            branch = point.curve(names[1], to, until=outside, max_step=LONGEST_CURVE_STEP)
         except (ValueError, ArithmeticError) as error:
             faults.append(str(error))
             continue

@@ -18,15 +18,26 @@ from casadi_skin.fmu.unzip import Archive
 from casadi_skin.model.arguments import check_name, cut, file_path, short_repr
 from casadi_skin.model.files import TemporaryFolder, replacing
 from casadi_skin.model.result import WithVerbs
-from casadi_skin.results.dataset import EMPTY, characters, new_file, put_attributes, stored_name, write_csv
+from casadi_skin.results.dataset import NETCDF_FILL_VALUE, characters, new_file, put_attributes, stored_name, write_csv
 from casadi_skin.results.figures.map import MapAxis, Panel, draw_map, map_figure, panel_title
 from casadi_skin.results.figures.style import save
 from casadi_skin.results.quantities import Cell
 from casadi_skin.results.words import listed
-from casadi_skin.runs.directory import SCENE
+from casadi_skin.runs.directory import SCENE_FILE
 from casadi_skin.runs.map_grid import Axis, Grid
-from casadi_skin.runs.map_lines import BOUNDARY, read_boundary
-from casadi_skin.runs.map_store import DONE, ENDED, FAILED, JOURNALS, REASON, STATUS, UNKNOWN, Columns, Store, scratch
+from casadi_skin.runs.map_lines import BOUNDARY_FILE, read_boundary
+from casadi_skin.runs.map_store import (
+    DONE,
+    ENDED,
+    FAILED,
+    JOURNAL_PATTERN,
+    REASON,
+    STATUS_WORDS,
+    UNKNOWN,
+    Columns,
+    Store,
+    scratch,
+)
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.reading import parse_scene, read_text
 from casadi_skin.runs.rules import SceneError
@@ -41,8 +52,8 @@ if TYPE_CHECKING:
 
 # A map as one file: an archive of its scene, its journals and its boundary, read as its directory is ------------------
 
-PARTS = (SCENE, JOURNALS, BOUNDARY)
-EPOCH = (1980, 1, 1, 0, 0, 0)  # so that the bytes depend on the map alone
+MAP_PARTS = (SCENE_FILE, JOURNAL_PATTERN, BOUNDARY_FILE)
+FILE_DATE = (1980, 1, 1, 0, 0, 0)  # so that the bytes depend on the map alone
 
 
 def save_map(directory: Path, path: str | Path) -> Path:
@@ -53,7 +64,7 @@ def save_map(directory: Path, path: str | Path) -> Path:
     parts = sorted(p for p in directory.iterdir() if _is_part(p.name))
     with replacing(target) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for part in parts:
-            entry = zipfile.ZipInfo(part.name, EPOCH)
+            entry = zipfile.ZipInfo(part.name, FILE_DATE)
             entry.compress_type = zipfile.ZIP_DEFLATED
             archive.writestr(entry, part.read_bytes())
     return target
@@ -75,7 +86,7 @@ def unpacked(path: Path) -> TemporaryFolder:
 
 
 def _is_part(name: str) -> bool:
-    return any(fnmatch(name, part) for part in PARTS) and "/" not in name
+    return any(fnmatch(name, part) for part in MAP_PARTS) and "/" not in name
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +194,7 @@ class Map(WithVerbs):
         columns: dict[str, Any] = {}
         for axis, places in zip(self.store.grid.axes, self.store.grid.places(cells).T, strict=True):
             columns[axis.name] = np.array(axis.values)[places]
-        columns["status"] = [STATUS[state] for state in self.store.states[cells]]
+        columns["status"] = [STATUS_WORDS[state] for state in self.store.states[cells]]
         columns |= {name: self[name].ravel()[cells] for name in self.names}
         columns[REASON] = [self.columns.text(REASON, cell) for cell in cells.tolist()]
         return pandas.DataFrame(columns)
@@ -204,7 +215,7 @@ class Map(WithVerbs):
 # Files of a map: map.csv, map.nc and a picture a quantity, made from the journals -------------------------------------
 
 CSV, NETCDF = "map.csv", "map.nc"
-LARGEST = 2**31  # of whole numbers in netCDF 3
+LARGEST_WHOLE_NUMBER = 2**31  # of whole numbers in netCDF 3
 CHAIN_MEANINGS = {"sites": "number of sites", "N": "number of sites", "alpha": "on-site stiffness",
                   "gamma": "nonreciprocity", "g": "cubic on-site coefficient", "S": "total amplitude: sum of y_n^2 at "
                   "t = 0", "mode": "linear mode by ascending frequency"}  # fmt: skip
@@ -219,7 +230,7 @@ def write_table(columns: Columns, path: Path) -> None:
         whole = {name: columns.is_whole(name) for name in columns.numbers}
         for cell in np.flatnonzero(columns.store.states != UNKNOWN).tolist():
             row: dict[str, Cell] = dict(zip(names, columns.store.grid.values(cell), strict=False))
-            row["status"] = STATUS[columns.store.states[cell]]
+            row["status"] = STATUS_WORDS[columns.store.states[cell]]
             for name in columns.names:
                 if name in columns.texts:
                     row[name] = columns.text(name, cell)
@@ -242,8 +253,8 @@ def write_map(columns: Columns, path: Path, attributes: Mapping[str, Any], dimen
         shape = columns.store.grid.shape
         flags = file.createVariable(_free(file, "status"), "i4", names)
         flags[:] = columns.store.states.reshape(shape)
-        words = " ".join(word.replace(" ", "_") for word in STATUS)
-        values = np.arange(len(STATUS), dtype="i4")
+        words = " ".join(word.replace(" ", "_") for word in STATUS_WORDS)
+        values = np.arange(len(STATUS_WORDS), dtype="i4")
         put_attributes(flags, {"long_name": "what is known of a cell", "flag_values": values, "flag_meanings": words})
         for name in columns.names:
             meaning = columns.store.meanings.get(name, "the cell whose solution the second start began at")
@@ -277,7 +288,7 @@ def _put_axis(file: netcdf_file, axis: Axis, dimension: str, unit: str) -> None:
         stored = file.createVariable(dimension, "c", (dimension, f"{dimension}_length"))
         stored[:] = encoded
     else:
-        whole = values.dtype.kind in "bi" and bool(np.all(np.abs(values.astype(float)) < LARGEST))
+        whole = values.dtype.kind in "bi" and bool(np.all(np.abs(values.astype(float)) < LARGEST_WHOLE_NUMBER))
         kind = "i4" if whole else "f8"
         stored = file.createVariable(dimension, kind, (dimension,))
         stored[:] = values.astype(kind)
@@ -292,9 +303,9 @@ def _put_numbers(
     stored = file.createVariable(_free(file, name), "f8", dimensions)
     values = columns.numbers[name]
     data = scratch(">f8", values.shape)
-    data[:] = np.where(np.isfinite(values), values, EMPTY)
+    data[:] = np.where(np.isfinite(values), values, NETCDF_FILL_VALUE)
     stored.__dict__["data"] = data.reshape(columns.store.grid.shape)  # set plainly it becomes an attribute too
-    put_attributes(stored, {"long_name": meaning, **_units(unit), "_FillValue": EMPTY})
+    put_attributes(stored, {"long_name": meaning, **_units(unit), "_FillValue": NETCDF_FILL_VALUE})
 
 
 def _units(unit: str) -> dict[str, str]:
@@ -327,7 +338,7 @@ def _free(file: netcdf_file, name: str) -> str:
 
 # A map read back from its directory: the journals are the truth, tables and pictures are not needed -------------------
 
-ACCEPTED = "accepted: the directory of a map, with its scene.toml and journals, or a file of Map.save"
+ACCEPTED_MAPS = "accepted: the directory of a map, with its scene.toml and journals, or a file of Map.save"
 
 
 def read_map(directory: str | Path) -> Map:
@@ -360,22 +371,22 @@ def read_map(directory: str | Path) -> Map:
 
 def _in_directory(directory: Path, shown: Path) -> Map:
     """The map in a directory, which messages call by another name."""
-    if not (directory / SCENE).is_file():
-        raise ValueError(f"{shown}: holds no {SCENE}; {ACCEPTED}")
+    if not (directory / SCENE_FILE).is_file():
+        raise ValueError(f"{shown}: holds no {SCENE_FILE}; {ACCEPTED_MAPS}")
     try:
-        scene = parse_scene(read_text(directory / SCENE), str(shown / SCENE))
+        scene = parse_scene(read_text(directory / SCENE_FILE), str(shown / SCENE_FILE))
         if scene.map is None:
-            raise ValueError(f"{shown}: its {SCENE} has no [map]; {ACCEPTED}")
+            raise ValueError(f"{shown}: its {SCENE_FILE} has no [map]; {ACCEPTED_MAPS}")
         grid = Grid.of(scene)
     except SceneError as error:
-        raise ValueError(f"{shown}: {error}; {ACCEPTED}") from None
+        raise ValueError(f"{shown}: {error}; {ACCEPTED_MAPS}") from None
     with Progress() as progress, Store(directory, grid, scene, None, progress.report) as store:
         columns = Columns(store, scene.map.quantities)
     try:
-        boundary = read_boundary(grid, directory / BOUNDARY)
+        boundary = read_boundary(grid, directory / BOUNDARY_FILE)
     except (ValueError, KeyError, IndexError) as error:
         accepted = "accepted: the file that the map wrote"
-        raise ValueError(f"{shown / BOUNDARY}: cannot be read ({error}); {accepted}") from None
+        raise ValueError(f"{shown / BOUNDARY_FILE}: cannot be read ({error}); {accepted}") from None
     return Map(directory, columns, store.complete, boundary=boundary)
 
 

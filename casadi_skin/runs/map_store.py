@@ -26,7 +26,7 @@ from casadi_skin.results.quantities import FIXED as OF_BRANCHES
 from casadi_skin.results.quantities import FIXED_AT_REST as OF_EQUILIBRIA
 from casadi_skin.runs.directory import DirectoryError
 from casadi_skin.runs.map_grid import (
-    OUTSIDE,
+    OUTSIDE_FAULTS,
     Cells,
     Grid,
     MapHead,
@@ -44,10 +44,10 @@ from casadi_skin.runs.rules import SceneError, check_known
 from casadi_skin.runs.scene import Scene
 from casadi_skin.zero.kinds import BRANCH_POINT, CUSP, DOUBLING, FOLD, HOPF, TAKENS, TORUS, ZERO_HOPF
 
-DECODER = msgspec.msgpack.Decoder(MapRecord)
-JOURNALS = "journal*.msgpack"
+RECORD_DECODER = msgspec.msgpack.Decoder(MapRecord)
+JOURNAL_PATTERN = "journal*.msgpack"
 UNKNOWN, DONE, ENDED, FAILED = 0, 1, 2, 3  # states of a cell
-ATTEMPTS = 2  # at a cell
+MOST_ATTEMPTS = 2  # at a cell
 
 
 def digest(scene: Scene) -> bytes:
@@ -82,7 +82,7 @@ class Store:
         self._journal: Journal[MapRecord] | None = None
         if own is not None:
             self._paths, self._ends = [directory / own], [0]
-            self._journal = Journal(directory / own, DECODER, partial(self._index, 0))
+            self._journal = Journal(directory / own, RECORD_DECODER, partial(self._index, 0))
             if self._journal.fault:
                 report(f"{directory / own}: {self._journal.fault}; what follows it is dropped and computed again")
             if self._journal.end == 0:
@@ -100,14 +100,14 @@ class Store:
     def refresh(self) -> dict[Path, str]:
         """Read new records of other parts; returns where they end before the end of a journal, and why."""
         faults = dict[Path, str]()
-        for path in sorted(self.directory.glob(JOURNALS)):
+        for path in sorted(self.directory.glob(JOURNAL_PATTERN)):
             if path not in self._paths:
                 self._paths.append(path)
                 self._ends.append(0)
         first = 0 if self._journal is None else 1
         for number, path in enumerate(self._paths[first:], start=first):
             with mapped(path) as data:  # one that is being written may end in a part of a record
-                self._ends[number], fault = scan(data, DECODER, partial(self._index, number), self._ends[number])
+                self._ends[number], fault = scan(data, RECORD_DECODER, partial(self._index, number), self._ends[number])
             if fault:
                 faults[path] = fault
         return faults
@@ -157,23 +157,23 @@ class Store:
         self.seconds, self.finished = self.seconds + record.seconds, self.finished + cells.size
         self._places[cells], self._sources[cells] = place, source
         self.attempts[cells] = record.attempt
-        self._outside[cells] = record.kind in OUTSIDE
+        self._outside[cells] = record.kind in OUTSIDE_FAULTS
         if record.kind:
             self.states[cells] = FAILED
         else:
             self.states[cells] = [ENDED if row.fault else DONE for row in record.rows]
-        if not record.kind or record.attempt >= ATTEMPTS:
+        if not record.kind or record.attempt >= MOST_ATTEMPTS:
             self.watch.see(record)
 
     def final(self, cells: Cells) -> NDArray[np.bool_]:
         """Whether nothing is left to do at each of the cells."""
-        states, tried = self.states[cells], self.attempts[cells] >= ATTEMPTS
+        states, tried = self.states[cells], self.attempts[cells] >= MOST_ATTEMPTS
         return np.asarray((states == DONE) | (states == ENDED) | ((states == FAILED) & tried))
 
     def record(self, cell: int) -> TaskRecord:
         """The record of a cell that is known."""
         with mapped(self._paths[self._sources[cell]]) as data:
-            found, _ = record_at(data, int(self._places[cell]), DECODER)
+            found, _ = record_at(data, int(self._places[cell]), RECORD_DECODER)
         assert isinstance(found, TaskRecord)
         return found
 
@@ -183,7 +183,7 @@ class Store:
             mine = np.unique(self._places[(self._sources == number) & (self.states != UNKNOWN)])
             with mapped(path) as data:
                 for place in mine.tolist():
-                    record, _ = record_at(data, place, DECODER)
+                    record, _ = record_at(data, place, RECORD_DECODER)
                     assert isinstance(record, TaskRecord)
                     for i, cell in enumerate(record.cells):
                         if self._places[cell] == place and self._sources[cell] == number:
@@ -200,7 +200,7 @@ class Store:
 # The quantities of a map as columns on the disk: tables and pictures of any number of cells need no more memory -------
 
 REASON, STARTED_FROM = "reason", "started_from"
-STATUS = ("not computed", "done", "ended early", "failed")  # by state
+STATUS_WORDS = ("not computed", "done", "ended early", "failed")  # by state
 Places = NDArray[np.int64]  # where the text of a cell starts, and its length; shape (cells, 2)
 
 
@@ -292,7 +292,7 @@ KINDS = (FOLD, HOPF, BRANCH_POINT, DOUBLING, TORUS, CUSP, TAKENS, ZERO_HOPF, "ge
 OF_ALL = ("points", "end", "end_reason")
 STABILITY = ("first_instability", "first_instability_error", "first_tongue", "unresolved", "changes")
 LEFT_OUT = ("point", "requested", "special", "fold")  # marks of a place along a branch
-SUFFIX = re.compile(r"_(j?\d+)$")  # of a family or a branch among several
+FAMILY_SUFFIX = re.compile(r"_(j?\d+)$")  # of a family or a branch among several
 
 
 def plain_kind(kind: str) -> str:
@@ -326,7 +326,7 @@ def check_quantities(request: Request, grid: Grid) -> None:
     known = [name for name in known_names(request) if name not in [axis.name for axis in grid.axes]]
     for key in ("quantities", "watch"):
         for name in getattr(table, key) or ():
-            if SUFFIX.sub("", name) not in known:
+            if FAMILY_SUFFIX.sub("", name) not in known:
                 check_known(f"[map] {key}", name, known)
     if table is not None and table.growth and "first_instability" not in known:
         raise SceneError("[map] growth: given without a quantity first_instability; accepted: beside a [family]")

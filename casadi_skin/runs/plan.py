@@ -12,7 +12,7 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.model import methods
 from casadi_skin.model.conserved import SymmetryClass, symmetry_class
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.runs.family_plan import SPECTRUM, FamilyPlan, chain_line, family_lines
+from casadi_skin.runs.family_plan import SPECTRUM_LINE, FamilyPlan, chain_line, family_lines
 from casadi_skin.runs.output import Lines, listed, named
 from casadi_skin.runs.request import Request, state_of
 from casadi_skin.runs.scene import LEAVING, ContinuationTable, EquilibriumTable
@@ -31,7 +31,7 @@ def plan_lines(request: Request, measure: bool) -> Lines:
     """Pairs (subject, text) that describe the work of a run of the request; with `measure` of families the cost too."""
     scene, lines = request.scene, _model_lines(request)
     if scene.spectrum is not None:
-        lines.append(SPECTRUM)
+        lines.append(SPECTRUM_LINE)
     if request.families:
         lines += _family_lines(request, measure)
     elif scene.equilibrium is not None:
@@ -257,11 +257,11 @@ def _problem_lines(request: Request) -> Lines:
 
 def _unknowns(request: Request) -> str:
     """States at the ends and stages of the intervals, and free parameters, on the first mesh."""
-    from casadi_skin.zero.orbit import DEGREE, FIRST, UNFOLDING
+    from casadi_skin.zero.orbit import DEFAULT_DEGREE, FIRST_INTERVALS, UNFOLDING
     from casadi_skin.zero.stated_problem import PERIOD
 
     method, model, problem = request.scene.methods, request.ode, request.problem
-    intervals, degree = method.intervals or FIRST, method.degree or DEGREE
+    intervals, degree = method.intervals or FIRST_INTERVALS, method.degree or DEFAULT_DEGREE
     table = TABLES[str(method.transcription)](degree)
     columns = intervals * table.ends.size + 1
     unfolded = model.hamiltonian is not None and _symmetry(request) is SymmetryClass.FULL

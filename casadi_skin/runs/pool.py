@@ -24,7 +24,7 @@ from casadi_skin.runs.map_grid import DIED, LATE, Result
 # The program of a worker: `python -m casadi_skin.runs.pool FD` computes the tasks that it reads from a socket -------
 
 READY, BEGUN = b"ready", b"begun"
-LOADED = (  # before the first cell, whose time is limited
+LOADED_MODULES = (  # before the first cell, whose time is limited
     "casadi_skin.follow.series",
     "casadi_skin.lattice.chain_coordinates",
     "casadi_skin.follow.family_tongues",
@@ -33,8 +33,8 @@ LOADED = (  # before the first cell, whose time is limited
     "casadi_skin.stability.splitting",
 )
 DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
-IDLE = 60.0  # seconds after which a worker without a task ends; the next task starts another
-WATCH = 0.5  # seconds between two looks at the parent
+IDLE_SECONDS = 60.0  # seconds after which a worker without a task ends; the next task starts another
+WATCH_SECONDS = 0.5  # seconds between two looks at the parent
 
 
 def end_with(parent: int) -> None:
@@ -44,7 +44,7 @@ def end_with(parent: int) -> None:
 
     def watch() -> None:
         while os.getppid() == parent:
-            time.sleep(WATCH)
+            time.sleep(WATCH_SECONDS)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
@@ -59,12 +59,12 @@ def main(descriptor: int, parent: int) -> None:
     from casadi_skin.runs.map_cell import Computer, Job
     from casadi_skin.runs.map_grid import Task
 
-    for name in LOADED:
+    for name in LOADED_MODULES:
         import_module(name)
     known, computer = b"", None
     connection.send_bytes(READY)
     with suppress(EOFError, OSError):
-        while connection.poll(IDLE):
+        while connection.poll(IDLE_SECONDS):
             job, task = connection.recv_bytes(), connection.recv_bytes()
             connection.send_bytes(BEGUN)
             if computer is None or job != known:
@@ -79,7 +79,7 @@ if __name__ == "__main__":
 
 # Worker processes, one for each thread that computes cells: one that ends or hangs leaves the others alone ------------
 
-STARTS = 3  # of a worker that ends before it has taken a task
+MOST_STARTS = 3  # of a worker that ends before it has taken a task
 START_LIMIT = 120.0  # seconds until a worker is there
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -109,7 +109,7 @@ class Worker:
 
     def _given(self, job: bytes, task: bytes) -> Connection:
         """The connection to a worker that has taken the task; raises EOFError or OSError where none does."""
-        for attempt in range(STARTS):
+        for attempt in range(MOST_STARTS):
             try:
                 connection = self._connected()
                 connection.send_bytes(job)
@@ -117,7 +117,7 @@ class Worker:
                 if connection.recv_bytes() == BEGUN:
                     return connection
             except (EOFError, OSError):
-                if attempt + 1 == STARTS:
+                if attempt + 1 == MOST_STARTS:
                     raise
                 self.end()
         raise EOFError

@@ -99,7 +99,11 @@ def _discard(stream: TextIO | None) -> None:
         return
 
 
-RARELY = (200_000, 20, 50)  # thresholds of the collector: modules live to the end, and a picture is 20,000 objects
+COLLECTOR_THRESHOLDS = (
+    200_000,
+    20,
+    50,
+)  # thresholds of the collector: modules live to the end, and a picture is 20,000 objects
 
 # The commands: what each is for, an example, and its options; options of which one may be given stand in one list --
 
@@ -262,7 +266,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status."""
     before = gc.get_threshold()
-    gc.set_threshold(*RARELY)
+    gc.set_threshold(*COLLECTOR_THRESHOLDS)
     try:
         with guarded_streams():
             return _status(arguments)

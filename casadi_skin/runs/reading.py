@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from casadi_skin.model.arguments import LONGEST, cut, nearest
+from casadi_skin.model.arguments import LONGEST_VALUE_TEXT, cut, nearest
 from casadi_skin.runs.axes import check_map, with_axes
 from casadi_skin.runs.rules import (
     SceneError,
@@ -39,10 +39,10 @@ from casadi_skin.runs.scene import (
     words,
 )
 
-MODELS = ("chain", "lattice", "model")  # tables of which a scene has one
+MODEL_TABLES = ("chain", "lattice", "model")  # tables of which a scene has one
 PARTS = (SiteTable, BondTable, UniformTable, CurveTable, SearchCondition, RangeTable)  # of tables
 LATTICE_PARTS: Mapping[str, type[Table]] = {"site": SiteTable, "bond": BondTable}
-SYNONYMS = {  # letters of papers and words of other programs, in lower case, for keys
+KEY_SYNONYMS = {  # letters of papers and words of other programs, in lower case, for keys
     "n": "sites",
     "length": "sites",
     "s_max": "amplitude_max",
@@ -89,7 +89,7 @@ def parse_scene(text: str, source: str = "scene") -> Scene:
 def _check_decimals(text: str) -> None:
     """Refuse numbers of the model and of S with more digits than doubles have: proofs are about the decimals given."""
     raw = tomllib.loads(text, parse_float=Decimal)
-    for table in (*MODELS, "family"):
+    for table in (*MODEL_TABLES, "family"):
         for key, value in raw.get(table, {}).items():
             for number in _leaves(value):
                 if not isinstance(number, int | Decimal) or not Decimal(number).is_finite():
@@ -119,7 +119,7 @@ def scene_schema() -> dict[str, Any]:
         for key, (title, accepted) in words(table).items():
             definition["properties"][key] |= {"title": title, "description": accepted} if title else {}
     definition = schema["$defs"]["Scene"]
-    definition["anyOf"] = [{"required": [name]} for name in MODELS]
+    definition["anyOf"] = [{"required": [name]} for name in MODEL_TABLES]
     of_map = schema["$defs"]["MapTable"]  # whose axes may stand in it by their own names
     of_map["additionalProperties"] = of_map["properties"]["axes"]["additionalProperties"]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "casadi-skin scene", **schema}
@@ -144,15 +144,15 @@ def _parse_toml(text: str) -> dict[str, Any]:
         reason = "nested too deeply"
     except ValueError as error:  # with line and column, but for an integer of thousands of digits
         reason = str(error).partition("; use sys.")[0]
-        if len(reason) > 2 * LONGEST:  # a long name inside; line and column stand at the end
-            reason = f"{reason[:LONGEST]}...{reason[-LONGEST:]}"
+        if len(reason) > 2 * LONGEST_VALUE_TEXT:  # a long name inside; line and column stand at the end
+            reason = f"{reason[:LONGEST_VALUE_TEXT]}...{reason[-LONGEST_VALUE_TEXT:]}"
     raise SceneError(f"not TOML: {reason}")
 
 
 def _check_names(raw: dict[str, Any]) -> None:
     """Refuse unknown tables and keys, values in place of tables, and keys that are required but missing."""
     check_unknown(_unknown_names(raw))
-    models = [name for name in MODELS if name in raw]
+    models = [name for name in MODEL_TABLES if name in raw]
     if len(models) > 1:
         raise refusal(f"[{models[0]}]", f"beside [{models[1]}]", "[chain], [lattice] or [model] in one scene")
     if not models:
@@ -207,7 +207,7 @@ def _unknown_keys(place: str, table: type[Table], given: Mapping[str, object]) -
     known = table.__struct_encode_fields__
     for key in given:
         if key not in known:
-            other = SYNONYMS.get(key.lower())
+            other = KEY_SYNONYMS.get(key.lower())
             near = other if other in known else nearest(key, known)
             yield Unknown(f"{place} {cut(key)}: unknown key", near and f"'{near}'", ", ".join(known) or "no keys")
 

@@ -13,7 +13,7 @@ from string import Formatter
 from typing import Any, NamedTuple
 
 from casadi_skin.lattice.stiffness import stiffness
-from casadi_skin.model.arguments import LONGEST, cut, nearest
+from casadi_skin.model.arguments import LONGEST_VALUE_TEXT, cut, nearest
 from casadi_skin.model.methods import COLLOCATION_TABLES, FLOWS, FULL_PERIOD_FLOWS, SHOOTING, TRIGONOMETRIC
 from casadi_skin.optimise.names import FREE, NAMED
 from casadi_skin.runs.output import InputError
@@ -83,13 +83,13 @@ def is_table(value: object) -> bool:
 def toml_repr(value: object, depth: int = 3) -> str:
     """A value as TOML would write it, cut where it is long, nested or huge."""
     if isinstance(value, str):
-        return cut(json.dumps(value[:LONGEST], ensure_ascii=False))
+        return cut(json.dumps(value[:LONGEST_VALUE_TEXT], ensure_ascii=False))
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int):  # beyond some hundred digits Python may refuse to write decimals, never hex
         return cut(str(value) if value.bit_length() < 2000 else hex(value))
     if isinstance(value, list):
-        items = [toml_repr(item, depth - 1) for item in value[:LONGEST]] if depth else ["..."]
+        items = [toml_repr(item, depth - 1) for item in value[:LONGEST_VALUE_TEXT]] if depth else ["..."]
         return cut(f"[{', '.join(items)}]")
     return "a table" if isinstance(value, dict) else str(value)
 
@@ -109,7 +109,7 @@ def with_kind(value: object) -> str:
 
 # The rules: a condition on a scene, and the message where it holds ----------------------------------------------------
 
-NEAREST = 1e-12  # relative, of the end of a family to its start
+NEAREST_END_RTOL = 1e-12  # relative, of the end of a family to its start
 NARROWEST_BAND = 1e-10  # the same as in lattice.full_chain, which loads numerics
 LONGEST_ENVELOPE = 700.0  # the same as in dynamics, which loads numerics
 LOWEST_DEGREE = 2  # of families; the same as in zero.request, which loads numerics
@@ -211,7 +211,7 @@ def _oscillates(s: Seen) -> Iterator[str]:
             reason = "beside a larger one the modes of the band are the same in doubles"
             yield f"[chain] alpha: given {chain.alpha!r}; accepted: {largest} ({reason})"
         linear = 2 * math.pi / math.sqrt(square)
-        if family.period_max is not None and family.period_max <= linear * (1 + NEAREST):
+        if family.period_max is not None and family.period_max <= linear * (1 + NEAREST_END_RTOL):
             accepted = f"a finite number > {linear:.12g} (the period of linear mode {mode})"
             yield f"[family] period_max: given {family.period_max!r}; accepted: {accepted}"
 

@@ -18,7 +18,7 @@ from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.results.dataset import write_csv
 from casadi_skin.results.quantities import Cell, Place, certified, columns_of, csv_row
 from casadi_skin.runs.branches import Branches
-from casadi_skin.runs.directory import JOURNAL, SCENE_MODEL, renew
+from casadi_skin.runs.directory import JOURNAL_FILE, SCENE_MODEL, renew
 from casadi_skin.runs.files import write_branches, write_diagram, write_offshoots, write_spectrum
 from casadi_skin.runs.parts import ended_well, mode_of, origin
 from casadi_skin.runs.progress import Progress
@@ -97,7 +97,7 @@ class Run(Branches):
 
     def execute(self) -> bool:
         """Compute, write, and return whether everything requested was found."""
-        scene, journal = self.request.scene, self.directory / JOURNAL
+        scene, journal = self.request.scene, self.directory / JOURNAL_FILE
         journal.touch()
         if self.request.path is not None:
             with replacing(self.directory / f"{SCENE_MODEL}{self.request.path.suffix}") as temporary:

@@ -30,10 +30,10 @@ PRESET_TOLERANCES: Mapping[str, float] = MappingProxyType({"draft": 1e-4, "stand
 
 # Kinds of values: a bound at the largest float is how msgspec is made to refuse inf; nan fails every comparison -------
 
-LARGEST = sys.float_info.max
-Infinite = Annotated[float, Meta(gt=LARGEST)]
-Finite = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
-Positive = Annotated[float, Meta(gt=0, le=LARGEST)]
+LARGEST_NUMBER = sys.float_info.max
+Infinite = Annotated[float, Meta(gt=LARGEST_NUMBER)]
+Finite = Annotated[float, Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
+Positive = Annotated[float, Meta(gt=0, le=LARGEST_NUMBER)]
 Text = Annotated[str, Meta(min_length=1)]
 Tolerance = Annotated[float, Meta(ge=1e-13, le=1e-2)]
 Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]
@@ -132,7 +132,7 @@ def words_of(kind: Any) -> str:
         some = [inner for inner in get_args(kind) if inner is not NoneType]
         return words_of(some[0]) if len(some) == 1 else ""
     limits = getattr(kind, "__metadata__", (Meta(),))[0]
-    if limits.ge == -LARGEST or limits.le == LARGEST:
+    if limits.ge == -LARGEST_NUMBER or limits.le == LARGEST_NUMBER:
         return "a finite number" if limits.gt is None else f"a finite number > {limits.gt}"
     if limits.ge is None:
         return ""

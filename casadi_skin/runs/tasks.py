@@ -27,7 +27,7 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.dataset import Dataset, write_csv, write_netcdf
 from casadi_skin.results.figures.style import number
 from casadi_skin.runs.branches import Branches
-from casadi_skin.runs.directory import EXPORT, JOURNAL
+from casadi_skin.runs.directory import EXPORT_FOLDER, JOURNAL_FILE
 from casadi_skin.runs.output import Lines
 from casadi_skin.runs.parts import mode_of, origin, picture
 from casadi_skin.runs.progress import Progress
@@ -40,7 +40,11 @@ if TYPE_CHECKING:
     from casadi_skin.optimise.family_search import FamilySearch
     from casadi_skin.optimise.search import SearchResult
 
-PER_PERIOD, FEWEST, MOST = 20, 401, 4001  # times of a motion that are written unless a number of them is given
+PER_PERIOD, FEWEST_TIMES, MOST_TIMES = (
+    20,
+    401,
+    4001,
+)  # times of a motion that are written unless a number of them is given
 
 
 class Task(ABC):
@@ -216,9 +220,9 @@ def sample_times(dynamics: DynamicsTable, period: float) -> Array:
     end = dynamics.duration if dynamics.duration is not None else (dynamics.periods or 1.0) * period
     samples = dynamics.samples
     if samples is None:
-        samples = max(FEWEST, 1 + int(np.ceil(PER_PERIOD * end / period)))
-    if samples > MOST and dynamics.samples is None:
-        intervals = np.arange(MOST - 401, MOST)
+        samples = max(FEWEST_TIMES, 1 + int(np.ceil(PER_PERIOD * end / period)))
+    if samples > MOST_TIMES and dynamics.samples is None:
+        intervals = np.arange(MOST_TIMES - 401, MOST_TIMES)
         half_periods = 2.0 * (end / period) * np.arange(1, 11)[:, None] / intervals
         apart = np.abs(half_periods - np.round(half_periods)).min(axis=0)
         samples = 1 + int(intervals[np.argmax(apart)])
@@ -240,10 +244,10 @@ def _origin_of(orbit: Orbit | None, dynamics: DynamicsTable) -> tuple[dict[str, 
 
 def _write_spreading(scene: Scene, found: Spreading, lattice: Lattice, directory: Path) -> None:
     """spreading.csv, energies.csv and the picture of where the energy of a lattice is."""
-    from casadi_skin.lattice.declaration import INDICES
+    from casadi_skin.lattice.declaration import CELL_INDICES
     from casadi_skin.results.figures.evolutions import spreading_figure
 
-    centres = [f"centre_{name}" for name in INDICES[: found.centre.shape[1]]]
+    centres = [f"centre_{name}" for name in CELL_INDICES[: found.centre.shape[1]]]
     columns = ["t", "energy", *centres, "participation", "second_moment"]
     table = np.column_stack([found.t, found.total, found.centre, found.participation, found.second_moment])
     write_csv(directory / "spreading.csv", columns, (dict(zip(columns, row, strict=True)) for row in table.tolist()))
@@ -273,7 +277,7 @@ class Export(Task):
         lines = []
         if asked.c is not None:
             parts = "all parts that need libm only" if asked.c == "all" else ", ".join(asked.c)
-            lines.append(("export", f"C code of {of} in {EXPORT}/: {parts}"))
+            lines.append(("export", f"C code of {of} in {EXPORT_FOLDER}/: {parts}"))
         if asked.fmu is not None:
             words = f"FMU of {of} in {asked.fmu}: FMI {asked.fmi}, Model Exchange and Co-Simulation"
             lines.append(("export", words))
@@ -284,7 +288,7 @@ class Export(Task):
         from casadi_skin.export.c_code import export_c
         from casadi_skin.fmu.archive import export_fmu
 
-        asked, target = self.asked, directory / EXPORT
+        asked, target = self.asked, directory / EXPORT_FOLDER
         run.progress.say("exporting")
         try:
             of = self._exported(run.branches)
@@ -378,7 +382,7 @@ class Search(Task):
         from casadi_skin.results.tables import write_search
 
         scene = self.request.scene
-        found = self.result = self.searched(run.progress, directory / JOURNAL)
+        found = self.result = self.searched(run.progress, directory / JOURNAL_FILE)
         run.progress.say("writing the search")
         write_search(found, directory, scene_text, scene.title or "")
         if found.optima or found.others:

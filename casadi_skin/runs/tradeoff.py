@@ -25,11 +25,11 @@ from casadi_skin.runs.reading import read_scene
 from casadi_skin.runs.study import Study, letter, run_study
 from casadi_skin.runs.tradeoff_settings import (
     COLUMNS,
+    MEASURED_TOLERANCES,
     QUICK_TOLERANCES,
     SHOOTING_POSITIONS,
     SMALLEST_ERROR,
     TIGHTEST_TOLERANCE,
-    TOLERANCES,
     Errors,
     Kind,
     Measured,
@@ -45,7 +45,7 @@ from casadi_skin.zero.family import Method, Targets
 from casadi_skin.zero.request import FamilyRequest, family_request
 
 TABLE_TOLERANCES = QUICK_TOLERANCES  # of the rows that the page shows
-REPEATS = 5
+DEFAULT_REPEATS = 5
 PARTS_OF_FAMILY = 5  # at whose ends errors are measured unless the scene requests orbits
 DEFAULT_AT = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)  # no value next to a change of stability, where mu meet
 EQUAL_ERRORS = 1.5  # factor between errors that count as equal on a Pareto front
@@ -59,7 +59,7 @@ class WorkPrecision(Study):
 
     family: FamilyRequest
     quick: bool = False
-    repeats: int = REPEATS
+    repeats: int = DEFAULT_REPEATS
     measured: list[Measured] = field(default_factory=list)
     baseline: float = nan  # memory of a process that computes nothing
 
@@ -70,7 +70,7 @@ class WorkPrecision(Study):
         reference = Reference(self.family)
         self.write_table("reference", Reference.COLUMNS, reference.rows())
         self.baseline = memory_of(None)
-        settings = settings_of(self.family, QUICK_TOLERANCES if self.quick else TOLERANCES)
+        settings = settings_of(self.family, QUICK_TOLERANCES if self.quick else MEASURED_TOLERANCES)
         self.say("warming up")  # the loading at a first use is no part of any setting's time
         for setting in {s.method: s for s in reversed(settings)}.values():
             measure(self.family, setting, reference, 0)
@@ -110,7 +110,7 @@ def run(arguments: argparse.Namespace) -> int:
     family = family_request(Chain(24, 1.0, 0.25, -1.0), 1, 1.0, at=DEFAULT_AT)  # the paper's softening end breather
     if arguments.scene is not None:
         family = _family_of(arguments.scene)
-    repeats = arguments.repeats or (1 if arguments.quick else REPEATS)
+    repeats = arguments.repeats or (1 if arguments.quick else DEFAULT_REPEATS)
     return run_study(WorkPrecision(arguments.out, family, arguments.quick, repeats), arguments)
 
 
@@ -293,7 +293,7 @@ def recommendations(
 
 # The picture --------------------------------------------------------------------------------------------------------
 
-MARKERS, FLOW_MARKERS = "os^D", "Pv<X"
+TRANSCRIPTION_MARKERS, FLOW_MARKERS = "os^D", "Pv<X"
 LOWEST_ERROR = 1e-17  # of the axes
 
 
@@ -306,7 +306,7 @@ def _look(setting: Setting) -> dict[str, Any]:
     colour = colours(len(TRANSCRIPTIONS))[place]
     dashes: Any = (0, (4.0, 1.5)) if setting.walker == "series" else "-"
     face = "white" if setting.corrector == "ipopt" else colour
-    return {"marker": MARKERS[place], "color": colour, "mfc": face, "ls": dashes, "ms": 5.0}
+    return {"marker": TRANSCRIPTION_MARKERS[place], "color": colour, "mfc": face, "ls": dashes, "ms": 5.0}
 
 
 def _draw(axes: Axes, measured: Sequence[Measured], kind: Kind, known: Errors) -> None:

@@ -37,7 +37,7 @@ from casadi_skin.zero.request import FamilyRequest
 
 Result = TypeVar("Result")
 
-TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
+MEASURED_TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 QUICK_TOLERANCES = (1e-4, 1e-8, 1e-12)
 TIGHTEST_TOLERANCE = 1e-13
 SHOOTING_POSITIONS = 6  # shooting integrates the sensitivities of all states to all: measured up to here

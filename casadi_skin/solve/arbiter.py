@@ -12,16 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.solve.ipopt import STATUS, IpoptCorrector, SquareSolver, residual_scale
+from casadi_skin.solve.ipopt import STATUS_BY_WORDS, IpoptCorrector, SquareSolver, residual_scale
 from casadi_skin.solve.newton import Correction, HeldState, NewtonCorrector, Status
 from casadi_skin.solve.watch import heed
 from casadi_skin.zero.collocation import CollocationEquations
 from casadi_skin.zero.problem import Array, Problem
 
-STEPS = 10  # of Newton's method, before Ipopt is called
-SHRINK = 0.5  # of each step to the next at least: the solution is within two steps of the guess then (Kantorovich)
-AGREED = 10.0  # tolerances within which Ipopt's solution is the same as that of Newton's method
-ITERATIONS = 20
+NEWTON_STEPS = 10  # of Newton's method, before Ipopt is called
+STEP_SHRINKAGE = (
+    0.5  # of each step to the next at least: the solution is within two steps of the guess then (Kantorovich)
+)
+AGREED_TOLERANCES = 10.0  # tolerances within which Ipopt's solution is the same as that of Newton's method
+MOST_IPOPT_ITERATIONS = 20
 
 
 class ConfirmedCorrector:
@@ -32,7 +34,7 @@ class ConfirmedCorrector:
 
     def __init__(self, problem: Problem, tolerance: float = 1e-12, together: int = 1) -> None:
         self.problem, self.tolerance, self.together = problem, tolerance, together
-        self._newton = NewtonCorrector(problem, tolerance, STEPS, SHRINK)
+        self._newton = NewtonCorrector(problem, tolerance, NEWTON_STEPS, STEP_SHRINKAGE)
         self._one: list[IpoptCorrector] = []  # none before it is needed; the list is that of all copies
 
     def on(self, problem: Problem) -> ConfirmedCorrector:
@@ -46,14 +48,14 @@ class ConfirmedCorrector:
     def _ipopt(self) -> IpoptCorrector:
         """Ipopt on one orbit, built when it is first needed."""
         if not self._one:
-            self._one.append(IpoptCorrector(self.problem, self.tolerance, ITERATIONS))
+            self._one.append(IpoptCorrector(self.problem, self.tolerance, MOST_IPOPT_ITERATIONS))
         return self._one[0].on(self.problem)
 
     def _several(self) -> SquareSolver:
         """Ipopt on several orbits, built when it is first needed."""
         shared, key = self.problem.shared, ("several", self.tolerance, self.together)
         if key not in shared:
-            shared[key] = SquareSolver(self.problem, self.together, self.tolerance, ITERATIONS)
+            shared[key] = SquareSolver(self.problem, self.together, self.tolerance, MOST_IPOPT_ITERATIONS)
         found: SquareSolver = shared[key]
         return found
 
@@ -82,7 +84,7 @@ class ConfirmedCorrector:
             some = points[first : first + self.together]
             heed(f"Ipopt, {self.problem.size * self.together} unknowns")
             found, words, iterations = self._solved(some)
-            if STATUS.get(words) is Status.CONVERGED and np.all(np.isfinite(found)):
+            if STATUS_BY_WORDS.get(words) is Status.CONVERGED and np.all(np.isfinite(found)):
                 corrections = [Correction(z, Status.CONVERGED, iterations, words) for z in found]
             else:
                 corrections = [self._ipopt().correct(*point) for point in some]
@@ -95,7 +97,7 @@ class ConfirmedCorrector:
         steps = np.stack([correction.z for correction in corrections]) - z
         with np.errstate(all="ignore"):
             apart = np.sqrt(np.sum(self.problem.metrics(z, 1.0) * steps**2, axis=1))
-        same = (apart <= AGREED * self.tolerance).tolist()
+        same = (apart <= AGREED_TOLERANCES * self.tolerance).tolist()
         return [
             Correction(state, found.status, found.iterations) if agrees and found.converged else found
             for state, found, agrees in zip(states, corrections, same, strict=True)
@@ -125,7 +127,7 @@ class ArbitratedCorrector:
         always: bool = True,
     ) -> None:
         self.problem, self.tolerance, self.max_iterations, self._always = problem, tolerance, max_iterations, always
-        self._newton = NewtonCorrector(problem, tolerance, STEPS, SHRINK)
+        self._newton = NewtonCorrector(problem, tolerance, NEWTON_STEPS, STEP_SHRINKAGE)
 
     def on(self, problem: Any) -> ArbitratedCorrector:
         """This corrector for a problem that differs in its constants only; nothing is built again."""
@@ -153,7 +155,7 @@ class ArbitratedCorrector:
         correction = self._ipopt(not np.any(row[: self.problem.states])).correct(guess, row, value)
         if correction.converged:
             return correction
-        last = NewtonCorrector(self.problem, self.tolerance, STEPS).correct(guess, row, value)
+        last = NewtonCorrector(self.problem, self.tolerance, NEWTON_STEPS).correct(guess, row, value)
         return last if last.converged else correction
 
     def confirm(self, z: Array, row: Array, value: float) -> Correction:
@@ -171,7 +173,7 @@ class ArbitratedCorrector:
             return found
         step = found.z - z
         apart = float(np.sqrt(np.sum(self.problem.metric(z, 1.0) * step**2)))
-        return Correction(z, found.status, 0) if apart <= AGREED * self.tolerance else found
+        return Correction(z, found.status, 0) if apart <= AGREED_TOLERANCES * self.tolerance else found
 
     def _is_optimal(self, z: Array) -> bool:
         """Whether z meets the test at which Ipopt ends: no scaled residual above the tolerance."""

@@ -77,9 +77,9 @@ def _parity(permutation: Indices) -> float:
     return sign
 
 
-SINGULAR = 1e12  # growth of a right-hand side of size 1 that only a singular matrix gives
-LONG = 1e-2  # factor of rows through most unknowns, as of integrals and of the arclength
-ACCURATE = 1e-9  # residual of a solve, relative to the largest entries of matrix and solution
+SINGULAR_GROWTH = 1e12  # growth of a right-hand side of size 1 that only a singular matrix gives
+LONG_ROW_FACTOR = 1e-2  # factor of rows through most unknowns, as of integrals and of the arclength
+ACCURATE_RESIDUAL = 1e-9  # residual of a solve, relative to the largest entries of matrix and solution
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,9 @@ class BandLayout:
             return None
         parts = self.inside, self.right, self.below, self.corner
         places = [(part.source, part.target) for part in parts]
-        return BorderedKernel((problem.states, problem.size, self.width), places, problem.pattern, (SINGULAR, ACCURATE))
+        return BorderedKernel(
+            (problem.states, problem.size, self.width), places, problem.pattern, (SINGULAR_GROWTH, ACCURATE_RESIDUAL)
+        )
 
 
 @dataclass(frozen=True)
@@ -195,7 +197,9 @@ class BorderedSolver:
     def _scale(self) -> Array:
         """Factors of the rows that keep those through most unknowns from being pivots, which would fill the factors."""
         scale = np.ones(self.problem.size)
-        scale[self.problem.kept("long rows", lambda: long_rows(self._closed.indices, self.problem.size))] = LONG
+        scale[self.problem.kept("long rows", lambda: long_rows(self._closed.indices, self.problem.size))] = (
+            LONG_ROW_FACTOR
+        )
         return scale
 
     @cached_property
@@ -245,7 +249,7 @@ class BorderedSolver:
         the matrix is singular. A NaN in either fails every comparison.
         """
         x, general = np.ascontiguousarray(probes.T)
-        if not max(general.max(), -general.min()) < SINGULAR:
+        if not max(general.max(), -general.min()) < SINGULAR_GROWTH:
             return False
         largest = max(x.max(), -x.min()) * max(nonzeros.max(), -nonzeros.min())
         if self.problem.in_order:  # collocation, whose solvers are made more often than used
@@ -254,7 +258,9 @@ class BorderedSolver:
         else:
             self._jacobian.data = nonzeros
             defect = self._jacobian @ x
-        return bool(max(defect.max(), -defect.min()) <= ACCURATE * largest and abs(row @ x - 1.0) <= ACCURATE)
+        return bool(
+            max(defect.max(), -defect.min()) <= ACCURATE_RESIDUAL * largest and abs(row @ x - 1.0) <= ACCURATE_RESIDUAL
+        )
 
     def _factor_sparse(self, nonzeros: Array, row: Array) -> Solve:
         from scipy.sparse.linalg import splu

@@ -15,12 +15,12 @@ from casadi_skin.zero import mesh
 from casadi_skin.zero.problem import Array, SingularError
 from casadi_skin.zero.stated_problem import BoundaryProblem
 
-UNRESOLVED = 0.1  # relative error beyond which a first mesh has missed something
-RESOLVED = 1e-2  # a smaller one needs no finer mesh to be believed
-RUNGS = (40, 90, 200)
-ROUNDS = 20
-SETTLED = 1.2  # imbalance of a mesh that need not be placed again
-SMALLEST = 1e-8  # first interval of a graded mesh, of the whole
+UNRESOLVED_ERROR = 0.1  # relative error beyond which a first mesh has missed something
+RESOLVED_ERROR = 1e-2  # a smaller one needs no finer mesh to be believed
+MESH_SIZES = (40, 90, 200)
+PLACEMENT_ROUNDS = 20
+SETTLED_IMBALANCE = 1.2  # imbalance of a mesh that need not be placed again
+SMALLEST_INTERVAL = 1e-8  # first interval of a graded mesh, of the whole
 
 
 def converged_mesh(
@@ -28,20 +28,20 @@ def converged_mesh(
 ) -> tuple[BoundaryProblem, Correction] | None:
     """The solution near a first one on a mesh that resolves it; None where it is resolved as it is, or nowhere."""
     z = first.z
-    if _error(levels, problem, first) <= UNRESOLVED:
+    if _error(levels, problem, first) <= UNRESOLVED_ERROR:
         return None
-    for resolution in [r for r in RUNGS if r > problem.resolution]:
+    for resolution in [r for r in MESH_SIZES if r > problem.resolution]:
         target = levels.problem(resolution)
-        starts = (problem.transferred(target), target.with_constants(mesh.graded(resolution, SMALLEST)))
+        starts = (problem.transferred(target), target.with_constants(mesh.graded(resolution, SMALLEST_INTERVAL)))
         found, errors = [], []
         for start in starts:
             solution = _placed(levels, problem, z, start)
             if solution is not None:
                 found.append(solution)
                 errors.append(_error(levels, *solution))
-                if errors[-1] <= RESOLVED:
+                if errors[-1] <= RESOLVED_ERROR:
                     break
-        if min(errors, default=np.inf) <= UNRESOLVED:
+        if min(errors, default=np.inf) <= UNRESOLVED_ERROR:
             return found[int(np.argmin(errors))]
     return None
 
@@ -50,13 +50,13 @@ def _placed(
     levels: Levels, problem: BoundaryProblem, z: Array, target: object
 ) -> tuple[BoundaryProblem, Correction] | None:
     """The solution near z on a mesh placed until it has settled."""
-    for _ in range(ROUNDS):
+    for _ in range(PLACEMENT_ROUNDS):
         assert isinstance(target, BoundaryProblem)
         correction = levels.corrector(target).correct(problem.prolong(z, target), target.parameter_row(), 0.0)
         if not correction.converged:
             return None
         problem, z = target, correction.z
-        if problem.imbalance(z) <= SETTLED and _error(levels, problem, correction) <= UNRESOLVED:
+        if problem.imbalance(z) <= SETTLED_IMBALANCE and _error(levels, problem, correction) <= UNRESOLVED_ERROR:
             return problem, correction
         target = problem.placed(z, problem)
     return problem, correction
@@ -64,6 +64,6 @@ def _placed(
 
 def _error(levels: Levels, problem: BoundaryProblem, correction: Correction) -> float:
     try:
-        return levels.near(problem, correction.z, RESOLVED, correction.solve)[0].relative(1.0)
+        return levels.near(problem, correction.z, RESOLVED_ERROR, correction.solve)[0].relative(1.0)
     except SingularError:
         return float(np.inf)

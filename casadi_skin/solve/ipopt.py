@@ -16,9 +16,9 @@ from casadi_skin.zero.problem import Array, Evaluate, Problem
 
 # Nonlinear programs for Ipopt (Waechter and Biegler 2006): solvers are built, and their endings put in words, here ----
 
-SOLVED = "Solve_Succeeded"
+SOLVED_STATUS = "Solve_Succeeded"
 _NO_POINT = "no point near the guess satisfies conditions and bounds"
-_REASONS = {
+_REASON_WORDS = {
     "Infeasible_Problem_Detected": _NO_POINT,
     "Restoration_Failed": _NO_POINT,
     "Diverging_Iterates": "the objective is unbounded below, or the iteration diverges",
@@ -55,11 +55,11 @@ def nlp_solver(
 
 def nlp_reason(status: str) -> str:
     """Why Ipopt found no optimum, in words; the status itself where there are none."""
-    return _REASONS.get(status, status)
+    return _REASON_WORDS.get(status, status)
 
 
-STATUS = {
-    SOLVED: Status.CONVERGED,
+STATUS_BY_WORDS = {
+    SOLVED_STATUS: Status.CONVERGED,
     "Solved_To_Acceptable_Level": Status.TOO_MANY_ITERATIONS,
     "Maximum_Iterations_Exceeded": Status.TOO_MANY_ITERATIONS,
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
@@ -267,7 +267,7 @@ class IpoptCorrector:
         solver.held[0, :size], solver.held[0, size], solver.held[0, size + 1] = row, value, scale
         (z,), words, iterations = solver.solve()
         heed(f"Ipopt, {size} unknowns")
-        status = STATUS.get(words, Status.DIVERGED)
+        status = STATUS_BY_WORDS.get(words, Status.DIVERGED)
         if status is Status.CONVERGED and not np.all(np.isfinite(z)):
             status = Status.DIVERGED
         if status is not Status.CONVERGED:

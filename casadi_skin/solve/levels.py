@@ -15,9 +15,9 @@ from casadi_skin.zero.settings import ErrorEstimate, Refinement
 
 # Errors of points, from Newton steps on a finer level: estimates, and their part by rounding --------------------------
 
-SAFETY = 2.0  # the finer step is asymptotically the error itself; twice it covers what the finer grid misses
+ERROR_SAFETY = 2.0  # the finer step is asymptotically the error itself; twice it covers what the finer grid misses
 NEAR_ROUND_OFF = 1e-9  # relative errors below this are compared with those of rounding
-FOLD = 1e-4  # tangents that change the parameter by less than this part of its size are those of a fold
+FOLD_TANGENT_RATIO = 1e-4  # tangents that change the parameter by less than this part of its size are those of a fold
 
 
 Measured = tuple[ErrorEstimate, Refinement | None]
@@ -27,7 +27,7 @@ def step_error(problem: Problem, z: Array, step: Array, with_parameter: bool = F
     """The error that a step from z to the better point makes up for."""
     parameter = abs(float(step[problem.parameter_index])) / problem.parameter_size(z) if with_parameter else 0.0
     Omega, profile = abs(problem.frequency_step(z, step)), problem.profile_change(z, step)
-    return ErrorEstimate(SAFETY * Omega, SAFETY * profile, parameter=SAFETY * parameter)
+    return ErrorEstimate(ERROR_SAFETY * Omega, ERROR_SAFETY * profile, parameter=ERROR_SAFETY * parameter)
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def _at_parameter(problem: Problem, z: Array, steps: Array, along: Array | None,
     if along is None:
         return steps
     index, sizes = problem.parameter_index, np.array([problem.parameter_size(one) for one in z])
-    back = free & (np.abs(along[:, index]) > FOLD * sizes)
+    back = free & (np.abs(along[:, index]) > FOLD_TANGENT_RATIO * sizes)
     ratios = np.divide(steps[:, index], along[:, index], out=np.zeros(len(z)), where=back)
     found = np.asarray(steps - along * ratios[:, None])
     found[back, index] = 0.0  # but for round-off
@@ -96,7 +96,7 @@ def _step_errors(problem: Problem, z: Array, steps: Array, with_parameter: NDArr
     errors[1] = problem.profile_changes(z, steps)
     for i in np.flatnonzero(with_parameter).tolist():
         errors[2, i] = abs(steps[i, problem.parameter_index]) / problem.parameter_size(z[i])
-    errors *= SAFETY
+    errors *= ERROR_SAFETY
     return errors
 
 
@@ -128,8 +128,8 @@ def _by_constants(problem: Problem, z: Array, tangent: Array) -> float:
     return problem.round_off * by_parameter / max(by_Omega, EPSILON)
 
 
-MUCH = 2.0  # tolerances: a level whose error is expected above them is passed over
-UNEVEN = 1.2  # imbalance of a mesh beyond which a finer one is placed anew
+MUCH_ERROR = 2.0  # tolerances: a level whose error is expected above them is passed over
+UNEVEN_IMBALANCE = 1.2  # imbalance of a mesh beyond which a finer one is placed anew
 
 
 class Levels:
@@ -180,9 +180,9 @@ class Levels:
         if not above:
             return None
         if z is not None and problem.in_order:
-            while len(above) > 2 and problem.expected_error(z, excess, self.problem(above[0])) > MUCH:
+            while len(above) > 2 and problem.expected_error(z, excess, self.problem(above[0])) > MUCH_ERROR:
                 del above[0]
-        if z is not None and problem.imbalance(z) > UNEVEN:
+        if z is not None and problem.imbalance(z) > UNEVEN_IMBALANCE:
             return problem.placed(z, self.problem(above[0]))
         return problem.transferred(self.problem(above[0]))
 
@@ -226,7 +226,10 @@ class Levels:
         if improved is None:
             return None
         step, size = improved
-        error, Omega = ErrorEstimate(SAFETY * abs(problem.frequency_step(z, step)), SAFETY * size), problem.frequency(z)
+        error, Omega = (
+            ErrorEstimate(ERROR_SAFETY * abs(problem.frequency_step(z, step)), ERROR_SAFETY * size),
+            problem.frequency(z),
+        )
         error = replace(error, Omega=max(error.Omega, problem.round_off * Omega))
         if error.relative(Omega) < NEAR_ROUND_OFF:
             noise = solve(np.append(problem.rounding(z) * problem.probe, 0.0))

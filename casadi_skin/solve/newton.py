@@ -71,13 +71,17 @@ def confirmations(corrector: Corrector, points: Sequence[HeldState]) -> list[Cor
     return [Correction(z, Status.CONVERGED, 0) if one is None else one(z, row, value) for z, row, value in points]
 
 
-CHORD = 1e-3  # step, relative to the state, after which the factors at hand serve the next: they cost the most
-FAST = 0.05  # of the step before: after a shorter one with new factors these shrink the next by about 2 FAST^2
-SAFETY = 100.0  # times the error that the last two steps with old factors foresee: places on branches want more digits
-SLOW = 0.1  # of the step before: a longer one with old factors needs new ones
-DECREASE = 1e-5  # of the sum of residuals, relative, in each step that Ipopt's line search takes
-NEGLIGIBLE = 1e-3  # of the tolerance: such a step need not be taken
-HALVINGS = 6  # of a step
+CHORD_STEP = 1e-3  # step, relative to the state, after which the factors at hand serve the next: they cost the most
+FAST_STEP_RATIO = (
+    0.05  # of the step before: after a shorter one with new factors these shrink the next by about 2 FAST_STEP_RATIO^2
+)
+CHORD_SAFETY = (
+    100.0  # times the error that the last two steps with old factors foresee: places on branches want more digits
+)
+SLOW_STEP_RATIO = 0.1  # of the step before: a longer one with old factors needs new ones
+LEAST_DECREASE = 1e-5  # of the sum of residuals, relative, in each step that Ipopt's line search takes
+NEGLIGIBLE_STEP = 1e-3  # of the tolerance: such a step need not be taken
+STEP_HALVINGS = 6  # of a step
 
 
 class NewtonCorrector:
@@ -121,12 +125,12 @@ class NewtonCorrector:
                 return Correction(z, Status.SINGULAR, iteration, str(error))
             step = solve(np.append(residual, row @ z - value))
             length = float(np.sqrt(np.sum(weights * step**2)))
-            if reuse and not length <= SLOW * last:
+            if reuse and not length <= SLOW_STEP_RATIO * last:
                 reuse = False
                 continue
-            if length <= NEGLIGIBLE * self.tolerance:  # the equations at z are known
+            if length <= NEGLIGIBLE_STEP * self.tolerance:  # the equations at z are known
                 return Correction(z, Status.CONVERGED, iteration, solve=solve)
-            if self._decreasing and CHORD < length < np.inf:
+            if self._decreasing and CHORD_STEP < length < np.inf:
                 moved = self._lower(z, step, row, value)
                 if moved is None:
                     break
@@ -137,18 +141,18 @@ class NewtonCorrector:
                 return Correction(guess, Status.DIVERGED, iteration, self.problem.worst(guess))
             # Quadratic convergence: after a step of this length the next would be about its square.
             quadratic = not reuse and length < 1e-3 and length**2 / min(last, 1.0) < 0.1 * self.tolerance
-            linear = reuse and SAFETY * length**2 / last < 0.1 * self.tolerance
+            linear = reuse and CHORD_SAFETY * length**2 / last < 0.1 * self.tolerance
             if length <= self.tolerance or quadratic or linear:
                 return Correction(z, Status.CONVERGED, iteration, solve=solve)
-            shrinks = length <= CHORD or length <= FAST * min(last, 1.0)
+            shrinks = length <= CHORD_STEP or length <= FAST_STEP_RATIO * min(last, 1.0)
             reuse, last = self.problem.in_order and shrinks, length
         return Correction(z, Status.TOO_MANY_ITERATIONS, self.max_iterations, self.problem.worst(z))
 
     def _lower(self, z: Array, step: Array, row: Array, value: float) -> Array | None:
         """The point of the longest of the halved steps that makes the residuals smaller; None where none does."""
         before = self._total(z, row, value)
-        trials = (z - 0.5**k * step for k in range(HALVINGS))
-        return next((x for x in trials if self._total(x, row, value) <= (1.0 - DECREASE) * before), None)
+        trials = (z - 0.5**k * step for k in range(STEP_HALVINGS))
+        return next((x for x in trials if self._total(x, row, value) <= (1.0 - LEAST_DECREASE) * before), None)
 
     def _total(self, z: Array, row: Array, value: float) -> float:
         """The sum of the residuals at z, not finite where the model is not."""
@@ -161,7 +165,7 @@ class NewtonCorrector:
 # A corrector that takes residuals of the size of their rounding for converged -----------------------------------------
 
 TO_ROUNDING = "to rounding"
-ROUNDED = 4.0  # times the rounding of the largest term
+ROUNDING_FACTOR = 4.0  # times the rounding of the largest term
 
 
 class RoundedCorrector:
@@ -198,7 +202,9 @@ class RoundedCorrector:
             residual = np.abs(self.problem.evaluate(z)[0])
         except ArithmeticError:
             return correction
-        held = abs(float(row @ z) - value) <= ROUNDED * np.finfo(float).eps * max(1.0, float(np.abs(row) @ np.abs(z)))
-        if held and np.all(residual <= ROUNDED * self.problem.rounding(z)):
+        held = abs(float(row @ z) - value) <= ROUNDING_FACTOR * np.finfo(float).eps * max(
+            1.0, float(np.abs(row) @ np.abs(z))
+        )
+        if held and np.all(residual <= ROUNDING_FACTOR * self.problem.rounding(z)):
             return replace(correction, status=Status.CONVERGED, message=TO_ROUNDING)
         return correction

@@ -24,7 +24,7 @@ from casadi_skin.model.arguments import function_of, short_repr, whole
 from casadi_skin.solve.ipopt import Monitor
 from casadi_skin.solve.watch import one_thread
 
-POLL = 0.1  # seconds between two reports of a process
+POLL_SECONDS = 0.1  # seconds between two reports of a process
 ENDED_EARLY = 'search: a process ended early; in a script, parallel searches go below if __name__ == "__main__":'
 
 
@@ -122,7 +122,7 @@ class Runner:
         waiting: set[Future[Any]] = {executor.submit(_work, data, job, len(jobs), shared) for job in jobs}
         try:
             while waiting:
-                ended, waiting = wait(waiting, timeout=POLL, return_when=FIRST_COMPLETED)
+                ended, waiting = wait(waiting, timeout=POLL_SECONDS, return_when=FIRST_COMPLETED)
                 for progress in _reports(shared):
                     if self.report is not None:
                         self.report(replace(progress, done=done))
@@ -215,7 +215,7 @@ def _work(solve: bytes, job: Any, starts: int, shared: _Shared | None) -> Any:
     if shared is not None and shared.stop.is_set():
         return None
     where = partial(SearchProgress, job.number, starts, 0, name=job.name)
-    monitor = None if shared is None else _monitor(where, shared.reports.put, shared.stop.is_set, POLL)
+    monitor = None if shared is None else _monitor(where, shared.reports.put, shared.stop.is_set, POLL_SECONDS)
     with one_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # they would be printed by a worker process
         return unpickled(solve)(job, monitor)

@@ -9,20 +9,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_skin.solve.bordered import LONG, long_rows
+from casadi_skin.solve.bordered import LONG_ROW_FACTOR, long_rows
 from casadi_skin.zero.orbit import UNFOLDING, Extended
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.stated_problem import BoundaryProblem
 
-SINGULAR = 1e-6  # smallest singular value of the scaled matrix that counts as zero: solvers stop near such points
-PERTURBED = 1e-13
-ROUNDS = 4
-ADDED = ("period", UNFOLDING)  # parameters that are not the model's
-RESTING = 1e-2  # of the sizes that states are measured by at least, a thousandth of the guess
-SHRUNK = 100.0  # of the same: an orbit within a tenth of the guess's size nears an equilibrium
-MOVING = 100.0  # of the same: a state that changes by more in the guessed period does not rest
-BESIDE = 0.1  # of the sizes of unknowns: how far off z a point in general position is
-NAMED = 0.05  # of the largest weight of a condition
+ZERO_SINGULAR_VALUE = (
+    1e-6  # smallest singular value of the scaled matrix that counts as zero: solvers stop near such points
+)
+PERTURBATION_RTOL = 1e-13
+ITERATION_ROUNDS = 4
+ADDED_PARAMETERS = ("period", UNFOLDING)  # parameters that are not the model's
+RESTING_STATE_RATIO = 1e-2  # of the sizes that states are measured by at least, a thousandth of the guess
+SHRUNK_ORBIT_FACTOR = 100.0  # of the same: an orbit within a tenth of the guess's size nears an equilibrium
+MOVING_STATE_FACTOR = 100.0  # of the same: a state that changes by more in the guessed period does not rest
+GENERAL_POSITION_DISTANCE = 0.1  # of the sizes of unknowns: how far off z a point in general position is
+NAMED_CONDITION_WEIGHT = 0.05  # of the largest weight of a condition
 
 
 def rank_deficiency(problem: BoundaryProblem, z: Array, everywhere: bool = False) -> str:
@@ -39,14 +41,17 @@ def rank_deficiency(problem: BoundaryProblem, z: Array, everywhere: bool = False
         return ""
     if everywhere:
         noise = np.random.default_rng(1).normal(size=z.size - 1)
-        if _null_vectors(problem, np.append(z[:-1] + BESIDE * problem.sizes(z)[:-1] * noise, z[-1])) is None:
+        if (
+            _null_vectors(problem, np.append(z[:-1] + GENERAL_POSITION_DISTANCE * problem.sizes(z)[:-1] * noise, z[-1]))
+            is None
+        ):
             return ""
     left, right = found
     first = problem.states - problem.formulation.states  # of the equations that are conditions and integrals
     weights = np.abs(left[first:])
-    if not np.max(weights, initial=0.0) > NAMED * np.max(np.abs(left)) / np.sqrt(left.size):
+    if not np.max(weights, initial=0.0) > NAMED_CONDITION_WEIGHT * np.max(np.abs(left)) / np.sqrt(left.size):
         return f"the equations are singular and leave {_variable(problem, z, right)} undetermined"
-    rows = first + np.flatnonzero(weights > NAMED * np.max(weights))
+    rows = first + np.flatnonzero(weights > NAMED_CONDITION_WEIGHT * np.max(weights))
     names = " and ".join(problem.place(int(row)) for row in rows)
     if len(rows) == 1:
         return f"{names} leaves {_variable(problem, z, right)} undetermined"
@@ -61,7 +66,7 @@ def in_family(problem: BoundaryProblem, z: Array) -> str:
     """
     model = problem.statement.model
     orbit = "period" in problem.statement.free and isinstance(model, Extended)
-    if not orbit or _rests(problem, z, SHRUNK) or _null_vectors(problem, z) is None:
+    if not orbit or _rests(problem, z, SHRUNK_ORBIT_FACTOR) or _null_vectors(problem, z) is None:
         return ""
     more = "more than is declared" if any(name.startswith(UNFOLDING) for name in model.parameter_names) else "something"
     declare = "accepted: what is conserved declared, as hamiltonian= or in conserved=, with select= to pick an orbit"
@@ -93,17 +98,17 @@ def equilibrium_words(problem: BoundaryProblem, z: Array) -> str:
     start = z[: problem.formulation.states]
     state = ", ".join(f"{name} = {value:.6g}" for name, value in zip(model.state_names, start, strict=True))
     values = zip(model.parameter_names, p, strict=True)
-    at = ", ".join(f"{name} = {value:.6g}" for name, value in values if not name.startswith(ADDED))
+    at = ", ".join(f"{name} = {value:.6g}" for name, value in values if not name.startswith(ADDED_PARAMETERS))
     place = f"({state}{f', at {at}' if at else ''})"
-    guessed = problem.statement.values.get(ADDED[0], 1.0)
+    guessed = problem.statement.values.get(ADDED_PARAMETERS[0], 1.0)
     moves = np.abs(np.array(model.vector_field(0.0, start, p)).ravel()) * guessed
-    if np.any(moves > MOVING * problem.floors):
-        period = dict(zip(model.parameter_names, p, strict=True)).get(ADDED[0], 0.0)
+    if np.any(moves > MOVING_STATE_FACTOR * problem.floors):
+        period = dict(zip(model.parameter_names, p, strict=True)).get(ADDED_PARAMETERS[0], 0.0)
         return f"the orbit has shrunk to a point at which the model does not rest {place}, its period to {period:.2g}"
     return f"this is an equilibrium: the orbit has shrunk to it {place}"
 
 
-def _rests(problem: BoundaryProblem, z: Array, most: float = RESTING) -> bool:
+def _rests(problem: BoundaryProblem, z: Array, most: float = RESTING_STATE_RATIO) -> bool:
     """Whether states move by less than so much of what the guess's own sizes distinguish."""
     states = z[: problem.states].reshape(-1, problem.formulation.states)
     return bool(np.all(np.ptp(states, axis=0) <= most * problem.floors))
@@ -127,22 +132,22 @@ def _null_vectors(problem: BoundaryProblem, z: Array) -> tuple[Array, Array] | N
     largest = np.zeros(problem.size - 1)
     np.maximum.at(largest, rows[inside], np.abs(entries))
     largest[largest == 0.0] = 1.0
-    largest[long_rows(rows, problem.size)] /= LONG
+    largest[long_rows(rows, problem.size)] /= LONG_ROW_FACTOR
     n = problem.size - 1
     matrix = csc_matrix((entries / largest[rows[inside]], (rows[inside], columns[inside])), shape=(n, n))
     generator = np.random.default_rng(0)
     order = problem.elimination_order[:-1]  # u is the last
-    perturbed = (matrix + diags(PERTURBED * (1.0 + generator.random(n)))).tocsc()[:, order]
+    perturbed = (matrix + diags(PERTURBATION_RTOL * (1.0 + generator.random(n)))).tocsc()[:, order]
     factors = splu(perturbed, permc_spec="NATURAL")
     right: Array = generator.normal(size=n)
-    for _ in range(ROUNDS):
+    for _ in range(ITERATION_ROUNDS):
         scaled = right[order] / np.linalg.norm(right)
         left = np.asarray(factors.solve(scaled, trans="T"))  # type: ignore[call-overload]
         right[order] = factors.solve(np.asarray(left / np.linalg.norm(left), dtype=float))
     if not (np.all(np.isfinite(left)) and np.all(np.isfinite(right))):
         return None
     left, right = left / np.linalg.norm(left), right / np.linalg.norm(right)
-    return (left, right) if np.linalg.norm(np.asarray(matrix @ right)) < SINGULAR else None
+    return (left, right) if np.linalg.norm(np.asarray(matrix @ right)) < ZERO_SINGULAR_VALUE else None
 
 
 def _variable(problem: BoundaryProblem, z: Array, right: Array) -> str:

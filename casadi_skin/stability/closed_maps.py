@@ -19,9 +19,9 @@ from casadi_skin.zero.problem import Array
 
 # Multipliers that are 1 for every orbit, with the vectors that belong to them all along it ----------------------------
 
-SLOWEST = 1e-6  # of the fastest motion along an orbit: slower, its direction is not known well
-DEPENDENT = 1e3  # tolerances: directions of norm 1 that differ by less are the same, and cosines below are 0
-SMALLEST = 1e-6  # of the largest component: one that is smaller may be zero but for rounding
+SLOWEST_MOTION_RATIO = 1e-6  # of the fastest motion along an orbit: slower, its direction is not known well
+DEPENDENT_DIRECTIONS = 1e3  # tolerances: directions of norm 1 that differ by less are the same, and cosines below are 0
+SMALLEST_COMPONENT_RATIO = 1e-6  # of the largest component: one that is smaller may be zero but for rounding
 MOST_DEPENDENT, LEAST_DEPENDENT = 1e-4, 1e-8  # bounds on that
 
 
@@ -88,7 +88,7 @@ def trivial_along(
         return no_trivial(states.shape[1])
     right, left = vectors_along(model, states, parameters)
     units = units_of(states)
-    rests = not float(np.max(np.abs(right[:, 0] / units))) * duration > SLOWEST
+    rests = not float(np.max(np.abs(right[:, 0] / units))) * duration > SLOWEST_MOTION_RATIO
     found = trivial_of(right[:, 1:] if rests else right, left, units, tolerance)
     count = max(found.count + rests, 1)
     return replace(found, count=count + _by_reversal(model, symmetry, count))
@@ -104,7 +104,7 @@ def vectors_along(model: OdeModel, states: Array, parameters: Array) -> tuple[Ar
 
 def trivial_of(right: Array, left: Array, units: Array, tolerance: float) -> Trivial:
     """As many as directions and gradients are independent, less the pairs of which one changes the other's quantity."""
-    least = float(np.clip(DEPENDENT * tolerance, LEAST_DEPENDENT, MOST_DEPENDENT))
+    least = float(np.clip(DEPENDENT_DIRECTIONS * tolerance, LEAST_DEPENDENT, MOST_DEPENDENT))
     right, left = _independent(right, 1.0 / units, least), _independent(left, units, least)
     right = _neutral(right, left, units, least)
     return Trivial(right.shape[1] + left.shape[1], right, left)
@@ -113,7 +113,7 @@ def trivial_of(right: Array, left: Array, units: Array, tolerance: float) -> Tri
 def units_of(states: Array) -> Array:
     """The size of each component along an orbit, no less than a part of the largest."""
     sizes = np.max(np.abs(states), axis=0)
-    return np.asarray(np.maximum(sizes, SMALLEST * np.max(sizes, initial=0.0) or 1.0))
+    return np.asarray(np.maximum(sizes, SMALLEST_COMPONENT_RATIO * np.max(sizes, initial=0.0) or 1.0))
 
 
 def _by_reversal(model: OdeModel, symmetry: SymmetryClass, known: int) -> int:
@@ -157,7 +157,7 @@ def _well_directed(vectors: Array) -> NDArray[np.bool_]:
     if vectors.shape[1] == 0:
         return np.ones(len(vectors), dtype=bool)
     smallest = np.linalg.svd(vectors, compute_uv=False)[:, -1]
-    return np.asarray(smallest > SLOWEST * np.max(smallest))
+    return np.asarray(smallest > SLOWEST_MOTION_RATIO * np.max(smallest))
 
 
 @lru_cache(maxsize=16)
@@ -168,10 +168,12 @@ def _vectors(model: OdeModel) -> tuple[ca.Function, int]:
     return model.function("trivial", *(ca.densify(e) for e in (*moved, *slopes))), len(moved)
 
 
-MACHINE = float(np.finfo(float).eps)
-ROUNDING = 64.0  # units in the last place by which entries of a map over an interval are off: measured
-BACKWARD = 4.0  # the same of a matrix, relative to its norm, whose eigenvalues LAPACK finds
-COUPLED = 1e-8  # of the largest diagonal entry of a product: entries that units are chosen by are no smaller
+MACHINE_EPSILON = float(np.finfo(float).eps)
+MAP_ENTRY_ROUNDING = 64.0  # units in the last place by which entries of a map over an interval are off: measured
+BACKWARD_ERROR_UNITS = 4.0  # the same of a matrix, relative to its norm, whose eigenvalues LAPACK finds
+COUPLED_ENTRY_RATIO = (
+    1e-8  # of the largest diagonal entry of a product: entries that units are chosen by are no smaller
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +231,7 @@ def _found(along: MapsAlong) -> Multipliers:
     trivial = along.trivial
     matrix, size = scaled_product(along.maps)
     scaled = matrix * along.units / along.units[:, None]
-    coupled = np.abs(scaled) + COUPLED * (np.max(np.abs(np.diagonal(scaled)), initial=0.0) or 1.0)
+    coupled = np.abs(scaled) + COUPLED_ENTRY_RATIO * (np.max(np.abs(np.diagonal(scaled)), initial=0.0) or 1.0)
     _, (scales, _) = matrix_balance(coupled, permute=False, separate=True)  # no entry is large by its units
     units = along.units * scales
     maps = along.maps * units / units[:, None]
@@ -275,7 +277,7 @@ def _plain_product(maps: Array) -> Array:
 def _rounding(maps: Array, sizes: Array, found: Spectrum) -> Array:
     """What errors of the maps by rounding make of each multiplier, at first order, or of a pair that nearly meets."""
     K, n = maps.shape[:2]
-    own = np.asarray(ROUNDING * MACHINE * K * np.abs(found.values))
+    own = np.asarray(MAP_ENTRY_ROUNDING * MACHINE_EPSILON * K * np.abs(found.values))
     if n == 0 or found.extreme:
         return own
     there, back = np.empty((K + 1, n, n)), np.empty((K + 1, n, n))
@@ -293,20 +295,20 @@ def _rounding(maps: Array, sizes: Array, found: Spectrum) -> Array:
             left = np.full_like(right, np.inf)
         after, before = left @ back[1:], there[:-1] @ right
         terms = (np.abs(after) @ sizes) * np.abs(before).swapaxes(1, 2)
-        moved = ROUNDING * MACHINE * np.sum(terms, axis=(0, 2))
+        moved = MAP_ENTRY_ROUNDING * MACHINE_EPSILON * np.sum(terms, axis=(0, 2))
         conditions = np.linalg.norm(left, axis=1) * np.linalg.norm(right, axis=0) * np.linalg.norm(there[K])
-        moved += BACKWARD * MACHINE * conditions
-        whole = ROUNDING * MACHINE * float(np.sum(np.abs(back[1:]) @ sizes @ np.abs(there[:-1])))
-    return np.asarray(np.fmin(np.maximum(moved, MACHINE * np.abs(found.values)), np.sqrt(whole)))
+        moved += BACKWARD_ERROR_UNITS * MACHINE_EPSILON * conditions
+        whole = MAP_ENTRY_ROUNDING * MACHINE_EPSILON * float(np.sum(np.abs(back[1:]) @ sizes @ np.abs(there[:-1])))
+    return np.asarray(np.fmin(np.maximum(moved, MACHINE_EPSILON * np.abs(found.values)), np.sqrt(whole)))
 
 
 # Matrices along a branch that a symmetry of its orbits makes copies of smaller ones: each of these once ---------------
 
-COMBINATIONS = 4  # random ones, that couple what any of the matrices couples
-EQUAL = 1e-7  # distance of eigenvalues that are one, relative to the largest
-PLACES = np.array([0.21, 0.5, 0.83])  # of the series
+RANDOM_COMBINATIONS = 4  # random ones, that couple what any of the matrices couples
+EQUAL_EIGENVALUES_RTOL = 1e-7  # distance of eigenvalues that are one, relative to the largest
+COPY_PLACES = np.array([0.21, 0.5, 0.83])  # of the series
 COPIES_COUPLED = 1e-10  # entries relative to the largest: smaller ones are noise
-ALIKE = 1e-9  # difference of copies, relative to the largest entries: noise of orbits and flows
+ALIKE_COPIES_RTOL = 1e-9  # difference of copies, relative to the largest entries: noise of orbits and flows
 
 
 def without_copies(series: MatrixSeries) -> list[MatrixSeries]:
@@ -317,10 +319,10 @@ def without_copies(series: MatrixSeries) -> list[MatrixSeries]:
     matrices = (series.coefficients / np.maximum(sizes, np.finfo(float).tiny)[:, None, None]).reshape(
         -1, series.size, series.size
     )
-    weights = np.random.default_rng(0).normal(size=(COMBINATIONS, len(matrices)))
+    weights = np.random.default_rng(0).normal(size=(RANDOM_COMBINATIONS, len(matrices)))
     combined = np.tensordot(weights, matrices, 1)
     values, vectors = np.linalg.eigh(combined[0] + combined[0].T)
-    apart = np.flatnonzero(np.diff(values) > EQUAL * np.max(np.abs(values))) + 1
+    apart = np.flatnonzero(np.diff(values) > EQUAL_EIGENVALUES_RTOL * np.max(np.abs(values))) + 1
     if apart.size == series.size - 1 and not _repeats(series):
         return [series]
     spaces = [slice(a, b) for a, b in pairwise([0, *apart.tolist(), series.size])]
@@ -336,9 +338,9 @@ def without_copies(series: MatrixSeries) -> list[MatrixSeries]:
 
 def _repeats(series: MatrixSeries) -> bool:
     """Whether two mu are equal at several places: symmetries in time as well as space do that without copies."""
-    mu = np.linalg.eigvals(series.at(series.start + PLACES * (series.end - series.start), 1)[:, 0]).astype(complex)
+    mu = np.linalg.eigvals(series.at(series.start + COPY_PLACES * (series.end - series.start), 1)[:, 0]).astype(complex)
     apart = np.abs(mu[:, :, None] - mu[:, None, :]) + np.eye(series.size)
-    return bool(np.all(np.min(apart, axis=(1, 2)) <= EQUAL))
+    return bool(np.all(np.min(apart, axis=(1, 2)) <= EQUAL_EIGENVALUES_RTOL))
 
 
 def _coupled(entries: Array, spaces: Sequence[slice]) -> Iterator[list[slice]]:
@@ -380,7 +382,7 @@ def _copies(entries: Array, group: Sequence[slice]) -> list[Array] | None:
     return list(bases)
 
 
-def _restricted(series: MatrixSeries, copies: Sequence[Array], alike: float = ALIKE) -> MatrixSeries | None:
+def _restricted(series: MatrixSeries, copies: Sequence[Array], alike: float = ALIKE_COPIES_RTOL) -> MatrixSeries | None:
     """The mean of the copies, with what they differ by as noise; None where they are not `alike`."""
     parts = [basis.T @ series.coefficients @ basis for basis in copies]
     mean = np.mean(parts, axis=0)

@@ -13,10 +13,12 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.stability.stepping import FlowError, OrbitState, Transition, duration
 from casadi_skin.zero.problem import Array, Problem
 
-TIGHTEST = 1e-13
+TIGHTEST_LOCAL_TOLERANCE = 1e-13
 MAX_STEPS = 100_000
-SAFETY = 2.0  # errors are not quite proportional to local tolerances: measured, up to 2.4 times the difference
-MARGIN = 1e-3  # local tolerance per global tolerance: measured, the global error is up to several hundred local ones
+ERROR_SAFETY = 2.0  # errors are not quite proportional to local tolerances: measured, up to 2.4 times the difference
+LOCAL_TOLERANCE_RATIO = (
+    1e-3  # local tolerance per global tolerance: measured, the global error is up to several hundred local ones
+)
 
 
 class CvodesFlow:
@@ -70,14 +72,14 @@ class CvodesFlow:
         alike: bool = False,
     ) -> list[Transition]:
         """Transition matrices along several orbits; local tolerances follow `tolerance` down, by powers of ten."""
-        local = MARGIN * self.tolerance
+        local = LOCAL_TOLERANCE_RATIO * self.tolerance
         if tolerance is not None and tolerance < self.tolerance:
-            local = MARGIN * 10.0 ** np.floor(np.log10(tolerance))
-        local = max(float(local), TIGHTEST)
+            local = LOCAL_TOLERANCE_RATIO * 10.0 ** np.floor(np.log10(tolerance))
+        local = max(float(local), TIGHTEST_LOCAL_TOLERANCE)
         return [self._estimated(orbit, local) for orbit in orbits]
 
     def _estimated(self, orbit: OrbitState, local: float) -> Transition:
         fine, coarse = self._matrix(orbit, local), self._matrix(orbit, 10.0 * local)
         pair = None if orbit.better is None else (fine, self._matrix(orbit.better, local))
-        difference = SAFETY * (fine - coarse)
+        difference = ERROR_SAFETY * (fine - coarse)
         return Transition(fine, self.fraction, float(np.linalg.norm(difference)), difference, pair)

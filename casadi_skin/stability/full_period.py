@@ -35,7 +35,7 @@ from casadi_skin.zero.stated_problem import BoundaryProblem
 
 # Transition matrices over the intervals of a collocated solution, or over parts of these where it changes fast --------
 
-RESOLVED = 2.0  # logarithm of the factor that a perturbation may change by in an interval
+RESOLVED_LOG_GROWTH = 2.0  # logarithm of the factor that a perturbation may change by in an interval
 WITHIN_PART = 1.0  # the same in a part
 MOST_PARTS = 20_000
 MOST_WORK = 1e10  # of the linear systems of all parts: their number times the third power of their size
@@ -113,9 +113,9 @@ class Parts:
         """Whether an interval is too long for the changes in it."""
         entries = np.abs(self.jacobians)
         bounds = np.minimum(np.max(np.sum(entries, axis=1), axis=1), np.max(np.sum(entries, axis=2), axis=1))
-        if np.max(self._changes(bounds)) <= RESOLVED:  # of eigenvalues, which take far longer
+        if np.max(self._changes(bounds)) <= RESOLVED_LOG_GROWTH:  # of eigenvalues, which take far longer
             return False
-        return bool(np.max(self._counts) * WITHIN_PART > RESOLVED)
+        return bool(np.max(self._counts) * WITHIN_PART > RESOLVED_LOG_GROWTH)
 
     def _changes(self, rates: Array) -> Array:
         """Logarithms of the factors by which rates at the stages may change something in each interval."""
@@ -134,11 +134,11 @@ class Parts:
         return interval_maps(finer, lengths, problem.table), problem.sample(self.z, ends)[:, :n]
 
 
-LOCAL = 1e-3  # of the tolerance, for one step of CVODES
-TIGHTEST = 1e-12
-TIGHTER = 0.1  # times the local tolerance of CVODES, for the multipliers that show the error of the others
-LEFT = 0.75  # of the error that the tighter tolerance may leave: measured, up to 0.7 of single multipliers
-LEAST = 0.1  # of the largest error: that of a single multiplier may vanish at both tolerances
+LOCAL_TOLERANCE_RATIO = 1e-3  # of the tolerance, for one step of CVODES
+TIGHTEST_LOCAL_TOLERANCE = 1e-12
+TIGHTER_RATIO = 0.1  # times the local tolerance of CVODES, for the multipliers that show the error of the others
+LEFT_ERROR_RATIO = 0.75  # of the error that the tighter tolerance may leave: measured, up to 0.7 of single multipliers
+LEAST_ERROR_RATIO = 0.1  # of the largest error: that of a single multiplier may vanish at both tolerances
 MAX_STEPS = 200_000
 
 
@@ -234,11 +234,15 @@ def by_cvodes(orbit: Closed, better: Closed | None, tolerance: float) -> FullPer
 
     Their errors are seen on the better solution, with a tighter local tolerance.
     """
-    local = max(LOCAL * tolerance, TIGHTEST)
+    local = max(LOCAL_TOLERANCE_RATIO * tolerance, TIGHTEST_LOCAL_TOLERANCE)
     found = _by_sensitivities(orbit, local, tolerance)
-    result = judged(found, _by_sensitivities(better or orbit, TIGHTER * local, tolerance), tolerance, LEFT)
+    result = judged(
+        found, _by_sensitivities(better or orbit, TIGHTER_RATIO * local, tolerance), tolerance, LEFT_ERROR_RATIO
+    )
     sizes = np.maximum(1.0, np.abs(result.others))
-    errors = np.maximum(result.other_errors, LEAST * sizes * np.max(result.other_errors / sizes, initial=0.0))
+    errors = np.maximum(
+        result.other_errors, LEAST_ERROR_RATIO * sizes * np.max(result.other_errors / sizes, initial=0.0)
+    )
     return replace(result, other_errors=errors, blurred=int(np.count_nonzero(result.log_moduli < np.log(local))))
 
 

@@ -19,8 +19,8 @@ from casadi_skin.zero.problem import Array, Indices, Problem
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-CHUNK = 64  # phases a call: enough to hide the cost of a call
-FEW = 4  # terms a non-zero up to which numpy is faster than CasADi
+PHASES_PER_CALL = 64  # phases a call: enough to hide the cost of a call
+FEW_TERMS = 4  # terms a non-zero up to which numpy is faster than CasADi
 
 
 class _Terms:
@@ -43,7 +43,7 @@ class _Terms:
             groups = polynomial_terms(expressions, model.state, model.parameters)
         except NotPolynomialError:
             return None
-        few = sum(group.rows.size for group in groups) <= FEW * expressions.numel()
+        few = sum(group.rows.size for group in groups) <= FEW_TERMS * expressions.numel()
         return cls(groups, expressions.numel()) if few else None
 
     def __call__(self, states: Array, parameters: Array) -> Array:
@@ -68,10 +68,10 @@ class _Compiled:
 
     def __init__(self, model: OdeModel, expressions: Expression) -> None:
         parameters = ca.vec(model.parameters)
-        self._states = np.zeros((CHUNK, model.size))
-        self._parameters = np.zeros((CHUNK, int(parameters.numel())))
-        self._values = np.zeros((CHUNK, int(expressions.numel())))
-        self._function = ca.Function("J", [model.state, parameters], [expressions]).map(CHUNK)
+        self._states = np.zeros((PHASES_PER_CALL, model.size))
+        self._parameters = np.zeros((PHASES_PER_CALL, int(parameters.numel())))
+        self._values = np.zeros((PHASES_PER_CALL, int(expressions.numel())))
+        self._function = ca.Function("J", [model.state, parameters], [expressions]).map(PHASES_PER_CALL)
         self._buffer, self._trigger = self._function.buffer()
         self._buffer.set_arg(0, self._states.data)
         self._buffer.set_arg(1, self._parameters.data)
@@ -80,12 +80,12 @@ class _Compiled:
     def __call__(self, states: Array, parameters: Array) -> Array:
         """As that of `_Terms`."""
         values = np.empty((parameters.size, self._values.shape[1]))
-        for first in range(0, parameters.size, CHUNK):
-            part = states[first : first + CHUNK]
+        for first in range(0, parameters.size, PHASES_PER_CALL):
+            part = states[first : first + PHASES_PER_CALL]
             self._states[: len(part)] = part
-            self._parameters[: len(part)] = parameters[first : first + CHUNK, None]
+            self._parameters[: len(part)] = parameters[first : first + PHASES_PER_CALL, None]
             self._trigger()
-            values[first : first + CHUNK] = self._values[: len(part)]
+            values[first : first + PHASES_PER_CALL] = self._values[: len(part)]
         return values
 
 
@@ -184,7 +184,7 @@ def repeated(indices: NDArray[np.int32], indptr: NDArray[np.int32], count: int) 
 
 # Transition matrices of long chains stored by the bands of their blocks, and products of these ------------------------
 
-BLOCK = 128  # columns of a product of which zeros are left out
+BLOCK_COLUMNS = 128  # columns of a product of which zeros are left out
 
 
 def half_width(block: Array) -> int | None:
@@ -208,11 +208,11 @@ def rows_of(band: Array, start: int, end: int) -> Array:
 def transposed_product(left: Array, right: Array) -> Array:
     """left^T right of blocks (points, n, n) or of their bands, without the zeros far from the diagonal; full."""
     n, width = left.shape[1], half_width(left)
-    if n <= BLOCK:
+    if n <= BLOCK_COLUMNS:
         return np.asarray(left.swapaxes(1, 2) @ right)
     product = np.zeros((len(left), n, n))
-    for start in range(0, n, BLOCK):
-        end = min(n, start + BLOCK)
+    for start in range(0, n, BLOCK_COLUMNS):
+        end = min(n, start + BLOCK_COLUMNS)
         if width is None:
             rows = _extent(np.any(left[:, :, start:end] != 0.0, axis=(0, 2)))
             others = _extent(np.any(right[:, rows] != 0.0, axis=(0, 1)))

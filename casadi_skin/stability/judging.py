@@ -19,21 +19,23 @@ from casadi_skin.stability.tongues.assembly import Group
 from casadi_skin.stability.tongues.interpolation import Gap
 from casadi_skin.zero.problem import Array
 
-SAFETY = 2.0  # distances to the better solution are the error up to the error of that
-DRIFT = 100.0  # tolerances by which the trivial multiplier may be off, times the size of the balanced monodromy matrix
+DISTANCE_SAFETY = 2.0  # distances to the better solution are the error up to the error of that
+TRIVIAL_DRIFT = (
+    100.0  # tolerances by which the trivial multiplier may be off, times the size of the balanced monodromy matrix
+)
 
 
 def judged(found: Multipliers, better: Multipliers | None, tolerance: float, left: float = 0.0) -> FullPeriodFloquet:
     """Multipliers with the errors that better ones show, of which the part `left` is in these too; infinite without."""
     errors = np.full(found.rounding.size, np.inf)
     if better is not None:
-        errors = SAFETY / (1.0 - left) * _distances(found.others, better.others) + found.rounding
+        errors = DISTANCE_SAFETY / (1.0 - left) * _distances(found.others, better.others) + found.rounding
     near, count = found.trivial.values, found.trivial.values.size
     deviation = float(np.prod(np.abs(near - 1.0)) ** (1.0 / max(count, 1))) if count else 0.0
     return FullPeriodFloquet(
         np.concatenate([near, found.others.values]),
         found.matrix * np.exp(min(found.size, LARGEST_LOGARITHM)),
-        count, deviation, errors, float(DRIFT * tolerance * found.norm),
+        count, deviation, errors, float(TRIVIAL_DRIFT * tolerance * found.norm),
         np.concatenate([found.trivial.logs, found.others.logs]), found.lost,
     )  # fmt: skip
 
@@ -58,11 +60,11 @@ def _distances(found: Spectrum, better: Spectrum) -> Array:
 
 # The account of a family: multipliers outside the unit circle at its orbits, each beside the tongue that it is in -----
 
-CLEARLY = 4.0  # errors of a mu that it is outside by, to be in the account
-LEAST = 1e-9  # of such a distance: rounding of two mu that nearly meet
+CLEARLY_OUTSIDE_ERRORS = 4.0  # errors of a mu that it is outside by, to be in the account
+LEAST_DISTANCE = 1e-9  # of such a distance: rounding of two mu that nearly meet
 SAME_PLACE = 1e-13  # of a coordinate: rounding of sums
-NEAR = 1e-3  # distance of a mu at an orbit from that of its tongue there, beside ten errors
-UNBALANCED = (
+NEAR_TONGUE_DISTANCE = 1e-3  # distance of a mu at an orbit from that of its tongue there, beside ten errors
+UNBALANCED_WORDS = (
     "the account does not balance: multipliers outside the unit circle at an orbit are not those of its tongues"
 )
 
@@ -95,9 +97,9 @@ def unbalanced(entries: Sequence[Entry], groups: Sequence[Group], gaps: Sequence
         parts = [segments[i].block.unstable_mu(segments[i], entry.coordinate) for i in here.tolist()]
         fits = _fits(entry, np.concatenate([np.empty(0, complex), *parts]))
         if not fits and balanced:
-            found.append(Gap(last, entry.coordinate, UNBALANCED))
+            found.append(Gap(last, entry.coordinate, UNBALANCED_WORDS))
         elif not balanced:
-            found[-1] = Gap(found[-1].start, entry.coordinate, UNBALANCED)
+            found[-1] = Gap(found[-1].start, entry.coordinate, UNBALANCED_WORDS)
         balanced, last = fits, entry.coordinate
     return found
 
@@ -107,14 +109,14 @@ def _fits(entry: Entry, unstable: ComplexArray) -> bool:
     if entry.mu.size == 0:
         return True
     own, theirs = (mu.real + 1j * np.abs(mu.imag) for mu in (entry.mu, unstable))
-    far = _outside(own) > CLEARLY * entry.errors + LEAST
+    far = _outside(own) > CLEARLY_OUTSIDE_ERRORS * entry.errors + LEAST_DISTANCE
     if np.any(far) and unstable.size == 0:
         return False
     apart = np.abs(own[:, None] - theirs)
-    if np.any(np.min(apart[far], axis=1, initial=np.inf) > NEAR + 10.0 * entry.errors[far]):
+    if np.any(np.min(apart[far], axis=1, initial=np.inf) > NEAR_TONGUE_DISTANCE + 10.0 * entry.errors[far]):
         return False
     nearest = np.argmin(apart, axis=0)
-    clear = _outside(theirs) > CLEARLY * entry.errors[nearest] + LEAST
+    clear = _outside(theirs) > CLEARLY_OUTSIDE_ERRORS * entry.errors[nearest] + LEAST_DISTANCE
     return bool(np.all(_outside(own[nearest[clear]]) > 0.0))
 
 

@@ -18,9 +18,11 @@ from casadi_skin.stability.result import ContinuousSpectrum, ReversibleFloquet
 from casadi_skin.stability.stepping import Transition
 from casadi_skin.zero.problem import Array
 
-CORNER = 4  # cells at the cut, from which B^T C differs from that of a longer chain: farther in by less than their size
-SAFETY = 2.0
-WAVE = 1e-3  # what the cut may change of a mu that belongs to a wave: measured 0.03 to 0.5, falling as 1/sites
+CORNER_CELLS = (
+    4  # cells at the cut, from which B^T C differs from that of a longer chain: farther in by less than their size
+)
+ERROR_SAFETY = 2.0
+WAVE_CHANGE = 1e-3  # what the cut may change of a mu that belongs to a wave: measured 0.03 to 0.5, falling as 1/sites
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -120,7 +122,7 @@ def localised_floquet(
     errors = eigenvalue_errors(systems, parts, norms, round_off_of([transition], matrix))[0][0]
     if bound:
         errors = errors + _by_deviation(systems, similar[0], trivial)
-    corner = slice(0, CORNER * cell) if cut_first else slice(-CORNER * cell, n)
+    corner = slice(0, CORNER_CELLS * cell) if cut_first else slice(-CORNER_CELLS * cell, n)
     cut = _by_cut(systems, reflections[0].u[0] if bound else None, corner)
     mu, local = systems.values[0], cut <= tolerance * np.maximum(1.0, np.abs(systems.values[0]))
     if not bound:  # the velocity of the flow may decay enough to be localised all the same
@@ -129,7 +131,7 @@ def localised_floquet(
     continuous = ContinuousSpectrum(Omega, bands, power)
     return LocalisedFloquet(
         mu[local], (errors + cut)[local], deviation if bound else 0.0, power,
-        continuous, n, mu[off & (cut > WAVE)], mu[off & (cut <= WAVE)],
+        continuous, n, mu[off & (cut > WAVE_CHANGE)], mu[off & (cut <= WAVE_CHANGE)],
     )  # fmt: skip
 
 
@@ -147,4 +149,4 @@ def _by_cut(systems: Eigensystems, u: Array | None, corner: slice) -> Array:
         right = np.vstack([np.zeros(right.shape[1]), right]) - 2.0 * np.outer(u, u[1:] @ right)
         left = np.column_stack([np.zeros(left.shape[0]), left]) - 2.0 * np.outer(left @ u[1:], u)
     sizes = np.linalg.norm(right[corner], axis=0) * np.linalg.norm(left[:, corner], axis=1)
-    return np.asarray(SAFETY * np.maximum(1.0, np.abs(systems.values[0])) * sizes)
+    return np.asarray(ERROR_SAFETY * np.maximum(1.0, np.abs(systems.values[0])) * sizes)

@@ -38,10 +38,10 @@ from casadi_skin.zero.problem import Array
 # Errors of eigenvalues from estimated errors of their matrix: first order, and pairs that nearly meet -----------------
 
 Booleans = NDArray[np.bool_]
-LARGE = 128  # eigenvalues from which on only those that are close are coupled
-DECIDES = 0.01  # of an eigenvalue's error otherwise: couplings that matter
-MACHINE = float(np.finfo(float).eps)
-FLOOR = 0.1  # of the largest error in an orbit: W_ii can vanish where the error that it stands for does not
+LARGE_EIGENVALUE_COUNT = 128  # eigenvalues from which on only those that are close are coupled
+DECIDING_COUPLING = 0.01  # of an eigenvalue's error otherwise: couplings that matter
+MACHINE_EPSILON = float(np.finfo(float).eps)
+ERROR_FLOOR = 0.1  # of the largest error in an orbit: W_ii can vanish where the error that it stands for does not
 
 
 def couplings(systems: Eigensystems, errors: Array) -> Array:
@@ -66,25 +66,25 @@ def eigenvalue_errors(
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         images = [part @ systems.basis for part in parts]
         left, chosen = systems.left_sizes, np.ones(systems.values.shape[1], dtype=bool)
-        large = chosen.size > LARGE
+        large = chosen.size > LARGE_EIGENVALUE_COUNT
         if large:
             alone = [systems.expectations(image) for image in images]
         else:
             coupled = [systems.couplings(image) for image in images]
             alone = [np.einsum("pii->pi", W).copy() for W in coupled]
         first = sum(alone) + round_off[:, None] * left
-        rest = first + FLOOR * np.max(first, axis=1, keepdims=True)
+        rest = first + ERROR_FLOOR * np.max(first, axis=1, keepdims=True)
         if large:
             moved = left * (sum(systems.sizes(image) for image in images) + round_off[:, None])
-            chosen = systems.whole_pairs(_close(systems.values.real, moved, DECIDES * rest))
-            rest = (1.0 + DECIDES) * rest
+            chosen = systems.whole_pairs(_close(systems.values.real, moved, DECIDING_COUPLING * rest))
+            rest = (1.0 + DECIDING_COUPLING) * rest
         few = systems.of(chosen)
         if large:
             coupled = [few.couplings(image[:, :, chosen]) for image in images]
         W = sum(coupled)
         W = W + (round_off[:, None] * left[:, chosen])[:, :, None]
         product = W * W.swapaxes(1, 2)
-        pairs = np.minimum(product / np.maximum(few.distances, MACHINE), np.sqrt(product))
+        pairs = np.minimum(product / np.maximum(few.distances, MACHINE_EPSILON), np.sqrt(product))
         np.einsum("pii->pi", pairs)[:] = 0.0
         rest[:, chosen] += np.max(pairs, axis=2, initial=0.0)
     # A pair moves by the root of the matrix's error at most, when it is defective; W is infinite there.
@@ -110,8 +110,8 @@ def _close(values: Array, moved: Array, matters: Array) -> Booleans:
 ORBIT_SAFETY = 2.0
 ROUND_OFF = 4e-16  # of a transition matrix, relative to its norm, as it shows in mu
 NORM_PER_MU = 30.0  # norm of a flow's error over its part in mu: measured, 7 to 1000 for nine of ten random orbits
-COARSEST = 1e-2  # error of a transition matrix above which its estimate means little
-RETRIES = 2
+COARSEST_ERROR = 1e-2  # error of a transition matrix above which its estimate means little
+MOST_RETRIES = 2
 
 
 def power_of(transition: Transition) -> int:
@@ -156,11 +156,11 @@ def floquets(
         return _solve(those, starts[places], better[places])
 
     starts, better = np.split(accelerations([*orbits, *(orbit.better or orbit for orbit in orbits)]), 2)
-    transitions = flow.transitions(orbits, min(NORM_PER_MU * tolerance, COARSEST), banded=symplectic)
+    transitions = flow.transitions(orbits, min(NORM_PER_MU * tolerance, COARSEST_ERROR), banded=symplectic)
     waiting = np.arange(len(orbits))
     solved = solve(transitions, waiting)
     results, flow_errors = solved.results, solved.flow_errors
-    for _ in range(RETRIES):
+    for _ in range(MOST_RETRIES):
         over = flow_errors > tolerance
         if not over.any():
             break

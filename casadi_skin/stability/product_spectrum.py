@@ -21,13 +21,15 @@ from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import LARGEST_LOGARITHM
 from casadi_skin.zero.problem import Array
 
-SMALL = 0.5  # modulus above which no eigenvalue has lost digits in a product with entries near 1
-EXTREME = float(np.log(1e14))  # of the condition of a product: beyond it eigenvalues in the middle have lost digits
-FAR = 7.0  # logarithm of an eigenvalue of whose digits factors may have lost some
-WIDE = 1e200  # norm of a product that needs no scales
-SPREAD = float(np.log(1e4))  # of the moduli of a block
-CONVERGED = 40.0  # logarithm of the gain of subspace iteration over a gap
-ROUNDS = 60  # of it
+SMALL_MODULUS = 0.5  # modulus above which no eigenvalue has lost digits in a product with entries near 1
+EXTREME_LOG_CONDITION = float(
+    np.log(1e14)
+)  # of the condition of a product: beyond it eigenvalues in the middle have lost digits
+FAR_LOG_EIGENVALUE = 7.0  # logarithm of an eigenvalue of whose digits factors may have lost some
+WIDE_NORM = 1e200  # norm of a product that needs no scales
+LOG_MODULUS_SPREAD = float(np.log(1e4))  # of the moduli of a block
+CONVERGED_LOG_GAIN = 40.0  # logarithm of the gain of subspace iteration over a gap
+SUBSPACE_ROUNDS = 60  # of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +55,11 @@ class Spectrum:
     @property
     def far(self) -> int:
         """How many are so far from 1 that a step may have lost their digits, 0 where all but one are near."""
-        return int(np.count_nonzero(np.abs(self.logs) > -np.log(SMALL))) if np.any(np.abs(self.logs) > FAR) else 0
+        return (
+            int(np.count_nonzero(np.abs(self.logs) > -np.log(SMALL_MODULUS)))
+            if np.any(np.abs(self.logs) > FAR_LOG_EIGENVALUE)
+            else 0
+        )
 
     def joined(self, other: Spectrum) -> Spectrum:
         """These, then those of another one."""
@@ -71,7 +77,7 @@ def scaled_product(maps: Sequence[Array] | Array) -> tuple[Array, float]:
     with np.errstate(over="ignore", invalid="ignore"):
         plain = reduce(lambda done, matrix: matrix @ done, maps, total)
         size = float(np.linalg.norm(plain))
-    if 1.0 / WIDE < size < WIDE:
+    if 1.0 / WIDE_NORM < size < WIDE_NORM:
         return np.asarray(plain / size), float(np.log(size))
     for matrix in maps:
         total = matrix @ total
@@ -90,7 +96,7 @@ def spectrum_of(maps: Array) -> Spectrum:
     if len(maps) == 1:
         return found
     inverse = _inverse_product(maps)
-    if inverse is not None and size + inverse[1] <= EXTREME:
+    if inverse is not None and size + inverse[1] <= EXTREME_LOG_CONDITION:
         return _of_both(found, size, inverse)
     triangular = _schur(maps)
     return triangular or Spectrum(found.logs, found.phases, True)
@@ -109,9 +115,9 @@ def _of_both(forward: Spectrum, size: float, inverse: tuple[Array, float]) -> Sp
     """
     reciprocal = _shifted(np.linalg.eigvals(inverse[0]).astype(complex), inverse[1])
     backward = Spectrum(-reciprocal.logs[::-1], reciprocal.phases[::-1].conj())
-    small = (forward.logs < np.log(SMALL)) & (0.5 * (forward.logs + backward.logs) < 0.5 * (size - inverse[1]))
+    small = (forward.logs < np.log(SMALL_MODULUS)) & (0.5 * (forward.logs + backward.logs) < 0.5 * (size - inverse[1]))
     if forward.logs.size == 1:
-        small[:] = forward.logs < np.log(SMALL)
+        small[:] = forward.logs < np.log(SMALL_MODULUS)
     logs = np.where(small, backward.logs, forward.logs)
     return Spectrum(logs, np.where(small, backward.phases, forward.phases))
 
@@ -134,7 +140,7 @@ def _schur(maps: Array) -> Spectrum | None:
     n = maps.shape[1]
     frame = np.linalg.qr(np.random.default_rng(0).normal(size=(n, n)))[0]
     edges: list[int] = []
-    for turn in range(1, ROUNDS + 1):
+    for turn in range(1, SUBSPACE_ROUNDS + 1):
         start, factors = frame, np.empty_like(maps)
         for k, matrix in enumerate(maps):
             frame, factors[k] = np.linalg.qr(matrix @ frame)
@@ -143,8 +149,8 @@ def _schur(maps: Array) -> Spectrum | None:
             return None
         logs = np.sum(np.log(diagonal), axis=0)
         gaps = logs[:-1] - logs[1:]
-        edges = [0, *(np.flatnonzero(turn * gaps > CONVERGED) + 1).tolist(), n]
-        if turn > 1 and all(abs(logs[a] - logs[b - 1]) <= SPREAD for a, b in pairwise(edges)):
+        edges = [0, *(np.flatnonzero(turn * gaps > CONVERGED_LOG_GAIN) + 1).tolist(), n]
+        if turn > 1 and all(abs(logs[a] - logs[b - 1]) <= LOG_MODULUS_SPREAD for a, b in pairwise(edges)):
             break
     blocks = []
     for a, b in pairwise(edges):
@@ -174,7 +180,7 @@ def by_liouville(spectrum: Spectrum, maps: Array, contraction: float) -> Spectru
 
 def _single(spectrum: Spectrum) -> int | None:
     """Place of the single eigenvalue that is tiny, or huge where none is tiny; None where there are more, or none."""
-    small, large = spectrum.logs < np.log(SMALL), spectrum.logs > -np.log(SMALL)
+    small, large = spectrum.logs < np.log(SMALL_MODULUS), spectrum.logs > -np.log(SMALL_MODULUS)
     if np.count_nonzero(small) == 1:
         return spectrum.logs.size - 1
     return 0 if np.count_nonzero(large) == 1 and not small.any() else None

@@ -15,7 +15,7 @@ from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.zero.problem import Array
 
 LARGEST_LOGARITHM = float(np.log(np.finfo(float).max))
-DIRECTIONS = np.exp(0.25j * np.pi * np.arange(8))  # in which a mu off the real axis may be wrong
+ERROR_DIRECTIONS = np.exp(0.25j * np.pi * np.arange(8))  # in which a mu off the real axis may be wrong
 
 
 class TrivialMultiplierWarning(UserWarning):
@@ -196,7 +196,7 @@ class ReversibleFloquet(Floquet):
     @cached_property
     def other_errors(self) -> Array:  # type: ignore[override]
         """From the multipliers at mu changed by its error: near the circle they go with the root of mu."""
-        directions = np.where(self.is_real, np.sign(DIRECTIONS.real)[:, None], DIRECTIONS[:, None])
+        directions = np.where(self.is_real, np.sign(ERROR_DIRECTIONS.real)[:, None], ERROR_DIRECTIONS[:, None])
         mu = np.where(self.is_real, self.mu.real, self.mu) + self.mu_error * directions
         moved = (np.sqrt(mu + 0j) + np.sqrt(1.0 + mu + 0j)) ** (2 * self.power)
         pairs = np.stack([moved, 1.0 / moved], axis=-1)  # the multipliers of a mu, in either order
@@ -221,7 +221,7 @@ class ReversibleFloquet(Floquet):
             return largest
         real = self.is_real[outside]
         mu = np.where(real, self.mu.real[outside], self.mu[outside])
-        directions = np.where(real, np.sign(DIRECTIONS.real)[:, None], DIRECTIONS[:, None])
+        directions = np.where(real, np.sign(ERROR_DIRECTIONS.real)[:, None], ERROR_DIRECTIONS[:, None])
         moduli = _modulus(mu + self.mu_error[outside] * directions) ** (2 * self.power)
         with np.errstate(invalid="ignore"):
             above = np.max(moduli) - self.max_abs_multiplier
@@ -307,7 +307,7 @@ def _modulus(mu: ComplexArray) -> Array:
 # The continuous spectrum of an orbit at the edge of an infinite linear medium: arcs of the unit circle in closed form
 
 HALF_TURN = np.pi
-TOUCHING = 1e-12  # length of an overlap of arcs that only meet, as where the orbit is pinned to its band
+TOUCHING_ARC_LENGTH = 1e-12  # length of an overlap of arcs that only meet, as where the orbit is pinned to its band
 
 
 @dataclass(frozen=True)
@@ -366,7 +366,7 @@ class ContinuousSpectrum:
                 for order in range(int(first), int(last) + 1):
                     start = max(low, order * HALF_TURN - other_high)
                     end = min(high, order * HALF_TURN - other_low)
-                    if end - start <= TOUCHING:
+                    if end - start <= TOUCHING_ARC_LENGTH:
                         continue
                     mu = _interval(start, end)
                     angles = (2.0 * self.power * float(start), 2.0 * self.power * float(end))

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # The splitting SRKN11b of order 6 (Blanes and Moan 2002): its coefficients, and its sequence of kicks and drifts ------
 
-ORDER = 6
+SPLITTING_ORDER = 6
 
 T = TypeVar("T")
 
@@ -88,13 +88,13 @@ def srkn_step(model: OdeModel, h: ca.SX, parameters: ca.SX | float) -> tuple[ca.
     return one.apply(model.state, model.velocity, kick, drift)
 
 
-TINY = 1e-300
-NEGLIGIBLE = 1e-20  # of an entry of a transition matrix: entries farther from the diagonal are left out
-STEPS = (3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
-SPARE = 2  # components by which the reach of other numbers of steps may be larger
-ALIKE = 2  # parts with the same J around them that columns are cut into, at least, in multiples of their reach
-LONG = 128  # components of chains from which on the bands of transition matrices may be stored
-CACHED = 64_000  # numbers of X that stay in the cache of a core, with V and a product of one shape
+TINY_NUMBER = 1e-300
+NEGLIGIBLE_ENTRY = 1e-20  # of an entry of a transition matrix: entries farther from the diagonal are left out
+STEP_NUMBERS = (3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
+SPARE_REACH = 2  # components by which the reach of other numbers of steps may be larger
+ALIKE_PARTS = 2  # parts with the same J around them that columns are cut into, at least, in multiples of their reach
+LONG_CHAIN_COMPONENTS = 128  # components of chains from which on the bands of transition matrices may be stored
+CACHED_NUMBERS = 64_000  # numbers of X that stay in the cache of a core, with V and a product of one shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,9 +154,9 @@ def propagated(jacobian: JacobianAlong, drifts: Array, runs: Sequence[SplittingR
     ordered = [runs[i] for i in order]
     points, reach = sum(run.steps.size for run in runs), _reach(jacobian, drifts, ordered)
     width = n
-    while width > 1 and points * min(n, width + 2 * reach) * 2 * width > CACHED:
+    while width > 1 and points * min(n, width + 2 * reach) * 2 * width > CACHED_NUMBERS:
         width = (width + 1) // 2
-    while width > ALIKE * reach > 0 and n > ALIKE * width:
+    while width > ALIKE_PARTS * reach > 0 and n > ALIKE_PARTS * width:
         width = (width + 1) // 2
     result = np.zeros((points, 2, n, 2 * n))
     known: tuple[object, ...] = ()
@@ -194,9 +194,9 @@ def _reach(jacobian: JacobianAlong, drifts: Array, runs: Sequence[SplittingRun])
         sums = np.maximum(sums, np.sum(np.max(rows, axis=2), axis=1))
     K, L = sums * float(np.sum(np.abs(drifts)))
     k = np.arange(1.0, most + 1.0)
-    logs = k * (np.log(max(K, TINY)) - np.log(k)) - np.cumsum(np.log(k)) + 2.0 * np.sqrt(L)
+    logs = k * (np.log(max(K, TINY_NUMBER)) - np.log(k)) - np.cumsum(np.log(k)) + 2.0 * np.sqrt(L)
     falling = np.append(np.diff(logs) < -1.0, True)  # then those beyond add up to less than twice the first
-    small = np.flatnonzero((logs < np.log(NEGLIGIBLE)) & falling)
+    small = np.flatnonzero((logs < np.log(NEGLIGIBLE_ENTRY)) & falling)
     return jacobian.half_bandwidth * (int(k[small[0]]) if small.size else most)
 
 
@@ -244,7 +244,7 @@ class SplittingFlow(SteppedFlow):
     Raises ValueError for a model that is not of second order with forces that depend on positions only.
     """
 
-    method, step_numbers = "splitting", STEPS
+    method, step_numbers = "splitting", STEP_NUMBERS
     orders = (6, 8)
 
     def __init__(self, model: OdeModel, tolerance: float) -> None:
@@ -265,12 +265,14 @@ class SplittingFlow(SteppedFlow):
         return found
 
     def half_width(self, orbits: Sequence[OrbitState]) -> int | None:
-        if not kernels() or self.model.size <= LONG:
+        if not kernels() or self.model.size <= LONG_CHAIN_COMPONENTS:
             return None
         coarse = self._splitting(
-            STEPS[0]
+            STEP_NUMBERS[0]
         )  # all numbers of steps reach as far: the sums of their kicks and drifts agree
-        width = coarse.reach(self._linearised(orbits, coarse.fractions), self._durations(orbits)) + SPARE + LANES - 1
+        width = (
+            coarse.reach(self._linearised(orbits, coarse.fractions), self._durations(orbits)) + SPARE_REACH + LANES - 1
+        )
         return width if 2 * width + 1 < self.model.size // 2 else None
 
     def several(self, wanted: Sequence[tuple[int, Sequence[OrbitState]]], half_width: int | None = None) -> list[Array]:
@@ -284,7 +286,7 @@ class SplittingFlow(SteppedFlow):
             for step_map, (_, orbits) in zip(maps, wanted, strict=True)
         ]
         most = max(maps, key=lambda step_map: step_map.steps).sequence.drifts
-        if sum(run.steps.size for run in runs) * 2 * self.model.size**2 <= CACHED:
+        if sum(run.steps.size for run in runs) * 2 * self.model.size**2 <= CACHED_NUMBERS:
             return propagated(self.jacobian, most, runs)
         return [propagated(self.jacobian, most, [run])[0] for run in runs]
 

@@ -107,9 +107,9 @@ def duration(orbit: OrbitState, fraction: float) -> float:
 
 
 ROUND_OFF = 2e-14
-SAFETY = 2.0  # the difference that another extrapolation makes is asymptotically the error itself
-WORK = 20_000  # entries of a batch of transition matrices: they stay in the cache of a core
-HEADROOM = 3.0  # of the tolerance over the error expected, before fewer steps are tried
+EXTRAPOLATION_SAFETY = 2.0  # the difference that another extrapolation makes is asymptotically the error itself
+BATCH_ENTRIES = 20_000  # entries of a batch of transition matrices: they stay in the cache of a core
+TOLERANCE_HEADROOM = 3.0  # of the tolerance over the error expected, before fewer steps are tried
 
 
 class StepMap(Protocol):
@@ -173,7 +173,7 @@ class SteppedFlow(ABC):
     @property
     def batch(self) -> int:
         """Number of orbits that are best given together."""
-        return max(1, WORK // self.model.full_size**2 * self.model.order)
+        return max(1, BATCH_ENTRIES // self.model.full_size**2 * self.model.order)
 
     def _banded(self, steps: int, half_width: int) -> StepMap:
         """The map with that many steps to the bands of blocks; of flows that have a `half_width` alone."""
@@ -296,7 +296,7 @@ class SteppedFlow(ABC):
         steps = tuple(self.step_numbers[r] for r in levels)
         few, all_ = extrapolation(steps[1:], self.orders[:-1]), extrapolation(steps, self.orders)
         found = [maps[r] for r in levels]
-        return _combined(found[1:], few), _combined(found, SAFETY * (all_ - np.append(0.0, few)))
+        return _combined(found[1:], few), _combined(found, EXTRAPOLATION_SAFETY * (all_ - np.append(0.0, few)))
 
     def _pairs(
         self, orbits: Sequence[OrbitState], met: NDArray[np.bool_], steps: int, maps: Array, half_width: int | None
@@ -320,7 +320,7 @@ class SteppedFlow(ABC):
         if level == len(self.orders):
             return level
         expected = truncation * self._leading(level - 1) / self._leading(level)
-        return level - 1 if HEADROOM * expected <= tolerance else level
+        return level - 1 if TOLERANCE_HEADROOM * expected <= tolerance else level
 
     def _higher(self, level: int, truncation: float, tolerance: float, place: str) -> int:
         """The level that should do where one did not; raises FlowError at the end of the step_numbers."""

@@ -34,7 +34,7 @@ from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, FOLD, TORUS
 from casadi_skin.zero.linearised import Linearised, Vector, null_vectors, velocities
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import AlgebraicProblem, Course
-from casadi_skin.zero.stated_problem import ZERO, BoundaryProblem
+from casadi_skin.zero.stated_problem import ZERO_SOLUTION_SIZE, BoundaryProblem
 from casadi_skin.zero.statement import Statement
 from casadi_skin.zero.statics import BalancedMatrix, ComplexArray, NullSpace, Statics, upper_pair
 
@@ -174,7 +174,7 @@ def plane(q: ComplexArray) -> tuple[Array, Array]:
     return v, d / np.linalg.norm(d)
 
 
-LINEARISED = 0.1  # weight of linearised states beside those of the orbit in the length of a step
+LINEARISED_WEIGHT = 0.1  # weight of linearised states beside those of the orbit in the length of a step
 KAPPA, SHIFT, PUSH = "cosine of the angle", "shift along the orbit", "push along the null vector"
 
 
@@ -198,7 +198,7 @@ class CriticalProblem(BoundaryProblem):
     def metric(self, z: Array, parameter_scale: float) -> Array:
         weights, model = super().metric(z, parameter_scale), self.statement.model
         assert isinstance(model, _Joined)
-        weights[: self.states].reshape(self.columns, -1)[:, model.inner.full_size :] *= LINEARISED**2
+        weights[: self.states].reshape(self.columns, -1)[:, model.inner.full_size :] *= LINEARISED_WEIGHT**2
         return weights
 
 
@@ -370,8 +370,8 @@ class Critical:
 
 # Start of Newton's method on the extended problem of a special orbit: an orbit near it, and its null vectors ----------
 
-UNSEEN = 1e-9  # of what a left null vector sees of the conditions: less of the field is rounding
-RESTS = 1e-5  # of the largest component: what a smaller one changes by is not known from its size
+UNSEEN_FIELD_RATIO = 1e-9  # of what a left null vector sees of the conditions: less of the field is rounding
+RESTING_COMPONENT_RATIO = 1e-5  # of the largest component: what a smaller one changes by is not known from its size
 
 
 def started(critical: Critical, problem: BoundaryProblem, z: Array, value: float, angle: float = np.pi) -> Array:
@@ -429,8 +429,8 @@ def _of_torus(critical: Critical, problem: BoundaryProblem, z: Array, angle: flo
 def component_sizes(values: Array) -> Array:
     """Scale of each component of a Floquet function: the orbit's largest, or a usual one where it rests; 1 of zeros."""
     largest = np.max(np.abs(values), axis=0)
-    moves = largest > RESTS * np.max(largest)
-    if np.max(largest) <= ZERO:
+    moves = largest > RESTING_COMPONENT_RATIO * np.max(largest)
+    if np.max(largest) <= ZERO_SOLUTION_SIZE:
         return np.ones(largest.size)
     return np.asarray(np.where(moves, largest, np.median(largest[moves])))
 
@@ -471,7 +471,7 @@ def seen_push(problem: BoundaryProblem, z: Array, statement: Statement, sizes: A
     v, psi = null_vectors(linear.jacobian)
     seen = linear.products(psi, v) * np.outer(sizes, 1.0 / sizes)
     conditions = psi[linear.inner :][: problem.formulation.conditions.numel()]
-    if np.linalg.norm(seen) > UNSEEN * np.linalg.norm(conditions):
+    if np.linalg.norm(seen) > UNSEEN_FIELD_RATIO * np.linalg.norm(conditions):
         return np.asarray(seen / np.linalg.norm(seen) * np.outer(sizes, 1.0 / sizes)), np.zeros(0)
     return np.zeros_like(seen), np.asarray(conditions / np.linalg.norm(conditions))
 

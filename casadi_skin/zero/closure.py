@@ -29,10 +29,13 @@ from casadi_skin.zero.settings import Refinement
 from casadi_skin.zero.stated_problem import BoundaryProblem
 from casadi_skin.zero.statement import Statement
 
-TRIALS, SAME = 3, 1e-12  # random points at which derivatives of conditions are compared, and their difference
-TURNED = 1e-9  # relative: a field that is the same after a turn
-STILL = 1e-6  # of the largest value: the variation of a solution that rests
-KEPT = 1e-5  # relative: values that close as the solution does
+CONDITION_TRIALS, SAME_DERIVATIVE_ATOL = (
+    3,
+    1e-12,
+)  # random points at which derivatives of conditions are compared, and their difference
+TURNED_FIELD_RTOL = 1e-9  # relative: a field that is the same after a turn
+STILL_VARIATION = 1e-6  # of the largest value: the variation of a solution that rests
+CLOSED_VALUE_RTOL = 1e-5  # relative: values that close as the solution does
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,13 +79,13 @@ class Closure:
         """Whether the field is the same after a turn, f(t + T, S x + c) = S f(t, x), at places near a solution."""
         model, p = self.statement.model, problem.parameters(z)
         start, end = self.statement.span(p)
-        generator, places = np.random.default_rng(0), np.linspace(0.0, 1.0, TRIALS + 1)[:-1]
+        generator, places = np.random.default_rng(0), np.linspace(0.0, 1.0, CONDITION_TRIALS + 1)[:-1]
         field = model.function("field", ca.densify(model.full_rhs))
         for t, x in zip(start + places * (end - start), problem.sample(z, places), strict=True):
             near = x + 0.1 * (1.0 + np.abs(x)) * generator.normal(size=x.size)
             here = self.matrix @ np.array(field(t, near, p)).ravel()
             after = np.array(field(t + end - start, self.matrix @ near + self.shift(p), p)).ravel()
-            if not np.max(np.abs(after - here)) <= TURNED * (1.0 + np.max(np.abs(here))):
+            if not np.max(np.abs(after - here)) <= TURNED_FIELD_RTOL * (1.0 + np.max(np.abs(here))):
                 return False
         return True
 
@@ -121,7 +124,7 @@ class Closure:
         """Whether a solution may start at any of its phases: S maps its velocity as it maps the solution."""
         n = self.matrix.shape[0]
         values = z[: problem.states].reshape(problem.columns, -1)[:, :n]
-        return bool(self._trivial(problem, z, values[[0, -1, 0]], TURNED).right.shape[1])
+        return bool(self._trivial(problem, z, values[[0, -1, 0]], TURNED_FIELD_RTOL).right.shape[1])
 
     def _trivial(self, problem: BoundaryProblem, z: Array, states: Array, tolerance: float) -> Trivial:
         """Trivial multipliers: directions and gradients that S maps as it maps the solution.
@@ -131,7 +134,7 @@ class Closure:
         model, n = self.statement.model, self.matrix.shape[0]
         values = z[: problem.states].reshape(problem.columns, -1)[:, :n]
         size = max(float(np.max(np.abs(values))), float(np.max(problem.floors[:n])))
-        if model.forced or np.max(np.ptp(values, axis=0)) <= STILL * size:  # at rest
+        if model.forced or np.max(np.ptp(values, axis=0)) <= STILL_VARIATION * size:  # at rest
             return no_trivial(n)
         right, left = vectors_along(model, states, problem.parameters(z)[: model.parameters.numel()])
         right = right[:, [_same(self.matrix @ v[0], v[-2]) for v in right.swapaxes(0, 1)]]
@@ -153,11 +156,11 @@ def closure_of(statement: Statement) -> Closure | None:
         [ca.densify(ca.jacobian(rows, start)), ca.densify(ca.jacobian(rows, end))],
     )  # fmt: skip
     generator, found = np.random.default_rng(0), []
-    for _ in range(TRIALS):
+    for _ in range(CONDITION_TRIALS):
         points = (np.abs(generator.normal(size=size)) for size in (n, n, model.parameters.numel()))
         found.append(np.hstack([np.array(slope) for slope in slopes(*points)]))
     first = found[0]
-    linear = np.all([np.max(np.abs(other - first), axis=1) <= SAME for other in found[1:]], axis=0)
+    linear = np.all([np.max(np.abs(other - first), axis=1) <= SAME_DERIVATIVE_ATOL for other in found[1:]], axis=0)
     both = linear & np.any(first[:, :n] != 0.0, axis=1) & np.any(first[:, n:] != 0.0, axis=1)
     A, B = first[both, :n], first[both, n:]
     if A.shape[0] != n or np.linalg.matrix_rank(A) < n or np.linalg.matrix_rank(B) < n:
@@ -171,7 +174,7 @@ def _rows(statement: Statement) -> Expression:
 
 
 def _same(one: Array, other: Array) -> bool:
-    return bool(np.max(np.abs(one - other)) <= KEPT * np.max(np.abs(other)))
+    return bool(np.max(np.abs(one - other)) <= CLOSED_VALUE_RTOL * np.max(np.abs(other)))
 
 
 # Orbits of a family as boundary-value problems: the unfolded field, conditions of symmetry or of periodicity ----------

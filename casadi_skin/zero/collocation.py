@@ -23,9 +23,9 @@ from casadi_skin.zero.formulation import Formulation
 from casadi_skin.zero.mesh import defect_table, missed
 from casadi_skin.zero.problem import Array, Evaluate, Indices, Problem, Solve, sparse_matrix
 
-NONE: Array = np.zeros(0)
-NEARBY = 0.1  # of a step: the largest part that factors of another Jacobian may have left
-FEW = 2_000  # places whose weights are kept for the next solution on the same mesh
+NO_VALUES: Array = np.zeros(0)
+NEARBY_FACTORS_RATIO = 0.1  # of a step: the largest part that factors of another Jacobian may have left
+FEW_PLACES = 2_000  # places whose weights are kept for the next solution on the same mesh
 MESH_NOISE = 4.0 * float(np.finfo(float).eps)  # of a state value, relative to the largest
 
 
@@ -41,7 +41,7 @@ class CollocationEquations(Problem):
     in_order = True
 
     def _discretise(
-        self, formulation: Formulation, intervals: int, table: CollocationTable, values: Array = NONE
+        self, formulation: Formulation, intervals: int, table: CollocationTable, values: Array = NO_VALUES
     ) -> None:
         """Set the parts of the equations."""
         self.formulation, self.table, self.resolution, self.values = formulation, table, intervals, values
@@ -172,7 +172,7 @@ class CollocationEquations(Problem):
     def _interpolate(self, z: Array, fractions: Array) -> Array:
         """States at fractions of the interval, shape (len(fractions), components)."""
         values = z[: self.states].reshape(self.columns, self.formulation.states)
-        few = fractions.size <= FEW
+        few = fractions.size <= FEW_PLACES
         columns, weights = (_kept_weights if few else _weights)(
             *(array.tobytes() for array in (self.constants, self.table.ends, fractions))
         )
@@ -194,7 +194,7 @@ class CollocationEquations(Problem):
         more = solve(right)
         sizes = self._component_sizes(z[: self.states].reshape(self.columns, -1))
         largest, rest = self._largest(step + more, between, sizes), self._largest(more, None, sizes)
-        return (step + more, largest) if rest <= NEARBY * largest else None
+        return (step + more, largest) if rest <= NEARBY_FACTORS_RATIO * largest else None
 
     def _largest(self, step: Array, between: Array | None, sizes: Array) -> float:
         """The largest part of a step of the states, relative to their sizes, with what is `between` stages as well."""

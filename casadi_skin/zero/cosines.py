@@ -57,7 +57,7 @@ def second_derivative_matrix(harmonics: int) -> Array:
 
 # Equations of collocation in odd cosines: where entries of the Jacobian go, for CasADi and for the compiled kernel ----
 
-LONGER = 40_000  # instructions of a model with its derivatives, at most
+LONGEST_PROGRAM = 40_000  # instructions of a model with its derivatives, at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ def _programs(model: Program) -> _Programs | None:
     force, normalisation = model.expressions(symbols[:3], symbols[3])
     slopes, by_norm = ca.jacobian(force, symbols[0]), ca.jacobian(normalisation, symbols[0])
     of_force = [force, ca.vertcat(*slopes.nonzeros()), ca.jacobian(force, symbols[2])]
-    found = [lifted(symbols, results, LONGER) for results in (of_force, [normalisation, by_norm.T])]
+    found = [lifted(symbols, results, LONGEST_PROGRAM) for results in (of_force, [normalisation, by_norm.T])]
     rows, columns = (np.array(t, dtype=np.int64) for t in slopes.sparsity().get_triplet())
     if found[0] is None or found[1] is None or not has_kernel(found[0][0], found[1][0]):
         return None

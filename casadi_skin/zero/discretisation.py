@@ -19,7 +19,7 @@ from casadi_skin.zero.problem import Array, Buffers, Indices
 
 # Places of the entries of collocation equations, which depend on numbers and patterns alone, for all problems ---------
 
-KEPT, LARGE = 64, 20_000  # tables that are kept, and non-zeros beyond which none are
+KEPT_TABLES, LARGE_NONZEROS = 64, 20_000  # tables that are kept, and non-zeros beyond which none are
 
 
 @dataclass(frozen=True)
@@ -86,11 +86,11 @@ class Structure:
 
 def structure_of(layout: Layout) -> Structure:
     """The places of all entries, which are not to be written to."""
-    large = layout.intervals * layout.increments * layout.degree * len(layout.field[0]) > LARGE
+    large = layout.intervals * layout.increments * layout.degree * len(layout.field[0]) > LARGE_NONZEROS
     return _structure(layout) if large else _kept_structure(layout)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=KEPT_TABLES)
 def _kept_structure(layout: Layout) -> Structure:
     return _structure(layout)
 

@@ -285,12 +285,12 @@ def shift_by_projection(Omega: float, omega: float, nonlinear: float, overlap: f
 # Numerical methods of orbits, and the places along a branch where they are wanted: frozen objects ---------------------
 
 TWO_PI = 2.0 * math.pi
-TOLERANCES = (1e-13, 1e-2)
+TOLERANCE_RANGE = (1e-13, 1e-2)
 HIGHEST_DEGREE = 12
 MOST_INTERVALS = 1500  # of a first mesh
 STABILITY_SITES = (8, 2000)  # matrices of twice as many rows
 MAX_POINTS = 2000  # of a family: ten times the need of those that do not wander from one resonance to the next
-SAME = 1e-12  # relative difference of periods that are the same
+SAME_PERIOD_RTOL = 1e-12  # relative difference of periods that are the same
 
 
 @dataclass(frozen=True)
@@ -394,7 +394,7 @@ class Targets:
         if not ascending or any(not 0 < a <= amplitude_max for a in self.at):
             raise ValueError(f"at: given {list(self.at)}; accepted: ascending numbers > 0 up to {amplitude_max:g}")
         longest = math.inf if self.period_max is None else self.period_max
-        if self.period_max is not None and not linear_period * (1.0 + SAME) < self.period_max < math.inf:
+        if self.period_max is not None and not linear_period * (1.0 + SAME_PERIOD_RTOL) < self.period_max < math.inf:
             accepted = f"a finite number > {linear_period:.12g} (the period of linear mode {mode})"
             raise ValueError(f"period_max: given {self.period_max!r}; accepted: {accepted}")
         for name, values, within in (

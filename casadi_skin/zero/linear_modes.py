@@ -10,10 +10,10 @@ import numpy as np
 
 from casadi_skin.zero.problem import Array
 
-SYMMETRIC = 1e-12  # relative difference of entries that are the same but for rounding
-REST = 1e-12  # force at 0 of a model that rests there, relative to its stiffness
-NODE = 1e-12  # of the largest amplitude: rounding at sites where a mode rests
-SMALL = 1e-7  # of the largest amplitude of a mode: below it rounding would show where displacements lean
+SYMMETRY_RTOL = 1e-12  # relative difference of entries that are the same but for rounding
+REST_FORCE_RTOL = 1e-12  # force at 0 of a model that rests there, relative to its stiffness
+NODE_AMPLITUDE_RTOL = 1e-12  # of the largest amplitude: rounding at sites where a mode rests
+SMALL_MODE_AMPLITUDE = 1e-7  # of the largest amplitude of a mode: below it rounding would show where displacements lean
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def linear_modes(force: ca.SX, state: ca.SX, name: str) -> LinearModes:
         ValueError: the model does not rest at 0, is not finite or smooth there, or a frequency is complex.
     """
     K, at_rest = _at_rest(force, state, name)
-    if np.max(np.abs(at_rest)) > REST * max(1.0, float(np.max(np.abs(K)))):
+    if np.max(np.abs(at_rest)) > REST_FORCE_RTOL * max(1.0, float(np.max(np.abs(K)))):
         raise ValueError(f"{name}: its families grow from rest at 0; accepted: forces that are finite and vanish there")
     log_scale = scale_of_couplings(K, force, state)
     if log_scale is not None:
@@ -59,7 +59,7 @@ def linear_modes(force: ca.SX, state: ca.SX, name: str) -> LinearModes:
     from scipy.linalg import eig
 
     values, vectors = eig(K)
-    if np.max(np.abs(values.imag)) > np.sqrt(SYMMETRIC) * np.max(np.abs(values)):
+    if np.max(np.abs(values.imag)) > np.sqrt(SYMMETRY_RTOL) * np.max(np.abs(values)):
         worst = values[np.argmax(np.abs(values.imag))]
         raise ValueError(f"{name}: omega^2 = {worst:.6g} of a linear mode is complex; accepted: real ones")
     order = np.argsort(values.real)
@@ -87,7 +87,7 @@ def _at_rest(force: ca.SX, state: ca.SX, name: str) -> tuple[Array, Array]:
 
 def with_small_amplitudes(mode: Array, stiffness: Array, square: float) -> Array:
     """A mode whose amplitudes below SMALL of the largest are right relative to themselves, from those above."""
-    small = np.abs(mode) < SMALL * np.max(np.abs(mode))
+    small = np.abs(mode) < SMALL_MODE_AMPLITUDE * np.max(np.abs(mode))
     if not small.any():
         return mode
     from scipy.linalg import solve
@@ -100,9 +100,11 @@ def with_small_amplitudes(mode: Array, stiffness: Array, square: float) -> Array
     for k in range(count):
         here = part == k
         block = inside[np.ix_(here, here)]
-        if np.min(np.abs(np.linalg.eigvalsh(block))) > SMALL * np.max(np.abs(stiffness)):
+        if np.min(np.abs(np.linalg.eigvalsh(block))) > SMALL_MODE_AMPLITUDE * np.max(np.abs(stiffness)):
             found[indices[here]] = solve(block, -stiffness[indices[here]][:, ~small] @ mode[~small])
-        elif np.max(np.abs(mode[indices[here]])) < NODE * np.max(np.abs(mode)):  # sites of a node, which rest
+        elif np.max(np.abs(mode[indices[here]])) < NODE_AMPLITUDE_RTOL * np.max(
+            np.abs(mode)
+        ):  # sites of a node, which rest
             found[indices[here]] = 0.0
     return found
 
@@ -121,7 +123,7 @@ def scale_of_couplings(K: Array, force: ca.SX, state: ca.SX) -> Array | None:
         log_scale = symmetrising_scale(-J) if np.all(np.isfinite(J)) else None
         if log_scale is not None:
             S = K / np.exp(log_scale)[:, None] * np.exp(log_scale)
-            if np.max(np.abs(S - S.T)) <= SYMMETRIC * len(K) * np.max(np.abs(S)):
+            if np.max(np.abs(S - S.T)) <= SYMMETRY_RTOL * len(K) * np.max(np.abs(S)):
                 return log_scale
     return symmetrising_scale(K)
 
@@ -153,4 +155,4 @@ def symmetrising_scale(K: Array) -> Array | None:
     rows, columns = np.nonzero(K)
     ratios = np.log(K[rows, columns] / K[columns, rows])
     mismatch = 2.0 * (log_scale[rows] - log_scale[columns]) - ratios
-    return log_scale if np.max(np.abs(mismatch), initial=0.0) <= SYMMETRIC * len(K) else None
+    return log_scale if np.max(np.abs(mismatch), initial=0.0) <= SYMMETRY_RTOL * len(K) else None

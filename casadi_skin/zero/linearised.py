@@ -20,8 +20,8 @@ from casadi_skin.zero.stated_problem import BoundaryProblem
 from casadi_skin.zero.statement import Statement
 
 Vector = NDArray[Any]  # of real or complex numbers
-ROUNDS = 4  # of inverse iteration
-SHIFT = 1e-13  # of the largest entry of a matrix that may be singular to the last digit
+ITERATION_ROUNDS = 4  # of inverse iteration
+INVERSE_ITERATION_SHIFT = 1e-13  # of the largest entry of a matrix that may be singular to the last digit
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,11 +185,11 @@ def null_vectors(matrix: Any) -> tuple[Vector, Vector]:
     from scipy.sparse import eye
     from scipy.sparse.linalg import splu
 
-    shift = SHIFT * float(np.max(np.abs(matrix.data)))
+    shift = INVERSE_ITERATION_SHIFT * float(np.max(np.abs(matrix.data)))
     factors = splu((matrix + shift * eye(matrix.shape[0], format="csc")).tocsc())
     right: Vector = np.random.default_rng(0).normal(size=matrix.shape[0]).astype(matrix.dtype)
     left = right
-    for _ in range(ROUNDS):
+    for _ in range(ITERATION_ROUNDS):
         left = factors.solve(right / np.linalg.norm(right), trans="H")  # type: ignore[call-overload]
         right = factors.solve(left / np.linalg.norm(left))
     return right / np.linalg.norm(right), left / np.linalg.norm(left)

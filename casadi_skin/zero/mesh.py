@@ -19,9 +19,9 @@ from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.discretisation import Discretisation
 from casadi_skin.zero.problem import Array
 
-FLOOR = 0.2  # of the mean density: no interval is longer than 1/FLOOR mean ones
+DENSITY_FLOOR = 0.2  # of the mean density: no interval is longer than 1/DENSITY_FLOOR mean ones
 ON_EDGE = 1e-14  # of the whole: distance of a place from an edge that is rounding
-NEIGHBOURS = 2.0  # largest ratio of the lengths of neighbouring intervals, about
+NEIGHBOUR_LENGTH_RATIO = 2.0  # largest ratio of the lengths of neighbouring intervals, about
 
 
 def uniform(intervals: int) -> Array:
@@ -69,8 +69,8 @@ def _slowly_varying(lengths: Array, wanted: Array) -> Array:
     padded = wanted
     for _ in range(3):  # floor and rate depend on the mean of the result
         mean = float(lengths @ padded)
-        rate = np.log(NEIGHBOURS) * lengths.size / mean
-        inverse = 1.0 / np.maximum(wanted, FLOOR * mean)
+        rate = np.log(NEIGHBOUR_LENGTH_RATIO) * lengths.size / mean
+        inverse = 1.0 / np.maximum(wanted, DENSITY_FLOOR * mean)
         forward = rate * middles + np.minimum.accumulate(inverse - rate * middles)
         backward = np.minimum.accumulate((inverse + rate * middles)[::-1])[::-1] - rate * middles
         padded = 1.0 / np.minimum(forward, backward)

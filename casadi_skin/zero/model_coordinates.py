@@ -17,13 +17,13 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
 from casadi_skin.zero.cosines import quarter_phases
 from casadi_skin.zero.family import Coordinates, shift_by_projection
-from casadi_skin.zero.linear_modes import SYMMETRIC, LinearModes, linear_modes, with_small_amplitudes
+from casadi_skin.zero.linear_modes import SYMMETRY_RTOL, LinearModes, linear_modes, with_small_amplitudes
 from casadi_skin.zero.problem import EPSILON, Array, Problem
 from casadi_skin.zero.statement import named_values
 
 # Linear modes of models that have families: checks of the model, of its parameters and of a mode ----------------------
 
-SIMPLE = 1e-10  # relative distance of squared frequencies that doubles distinguish
+SIMPLE_SQUARE_RTOL = 1e-10  # relative distance of squared frequencies that doubles distinguish
 HIGHEST_HARMONIC = 7  # whose resonance with another mode is looked for: the coarsest level has no higher ones
 MOST_NAMED = 6  # modes in a message
 FIRST, LAST = "first", "last"
@@ -116,7 +116,7 @@ def check_alone(squares: Array, number: int, name: str, odd: bool) -> None:
 
     Arguments are those of `check_harmonics`.
     """
-    square, same = squares[number - 1], SIMPLE * np.max(np.abs(squares))
+    square, same = squares[number - 1], SIMPLE_SQUARE_RTOL * np.max(np.abs(squares))
     if square <= same:
         words = f"mode {number} of {name} does not oscillate: omega^2 = {square:.6g}"
         raise ValueError(f"mode: {words}; accepted: a mode with omega^2 > 0")
@@ -139,18 +139,18 @@ def check_harmonics(squares: Array, number: int, name: str, odd: bool) -> None:
     Arguments are those of `nearest_resonance`, and the `name` of the model.
     """
     found = nearest_resonance(squares, number, odd, lowest=2)
-    if found is not None and found.off <= SIMPLE:
+    if found is not None and found.off <= SIMPLE_SQUARE_RTOL:
         words = f"mode {found.other} of {name} has {found.harmonic} times the frequency of mode {number}, {found.words}"
         accepted = "a mode without such a resonance, or other values of parameters"
         raise ValueError(f"mode: {words}: its family does not start alone; accepted: {accepted}")
 
 
-DEEPEST = -230.0  # of log D: its cube is still a double
-LARGEST = 1e3  # amplitude of a scaled mode
-TIE = 1e-9  # relative difference of amplitudes that are the same but for rounding
-RANDOM = 0.1  # amplitude of random positions
-PHASES = np.linspace(0.0, 2.0 * np.pi, 1001)  # at which a linear mode is looked at for jumps
-TRIALS = 3  # random states at which the symmetry of the forces' derivative is looked at
+DEEPEST_LOG_SCALE = -230.0  # of log D: its cube is still a double
+LARGEST_SCALED_AMPLITUDE = 1e3  # amplitude of a scaled mode
+TIE_RTOL = 1e-9  # relative difference of amplitudes that are the same but for rounding
+RANDOM_AMPLITUDE = 0.1  # amplitude of random positions
+JUMP_PHASES = np.linspace(0.0, 2.0 * np.pi, 1001)  # at which a linear mode is looked at for jumps
+SYMMETRY_TRIALS = 3  # random states at which the symmetry of the forces' derivative is looked at
 
 
 class ModelCoordinates(Coordinates):
@@ -177,20 +177,22 @@ class ModelCoordinates(Coordinates):
         self._numbers = numbers
         self._force = self._at_values(model.rhs)
         self.modes = linear_modes(self._force, model.state, model.name)
-        if np.min(self.modes.log_scale) < DEEPEST:
+        if np.min(self.modes.log_scale) < DEEPEST_LOG_SCALE:
             span = f"positions whose scales differ by exp({-np.min(self.modes.log_scale):.4g})"
-            raise ValueError(f"model: given {model.name} with {span}; accepted: up to exp({-DEEPEST:g}), or a Chain")
+            raise ValueError(
+                f"model: given {model.name} with {span}; accepted: up to exp({-DEEPEST_LOG_SCALE:g}), or a Chain"
+            )
         self.mode_number = number_of_mode(model, mode)
         self._check_mode()
         self._check_drift()
         self._check_amplitude()
         excess = float(np.max(np.abs(self.mode)))
-        if excess > LARGEST:  # where the mode lives at the end that displacements lean away from
+        if excess > LARGEST_SCALED_AMPLITUDE:  # where the mode lives at the end that displacements lean away from
             self.modes = replace(self.modes, log_scale=self.modes.log_scale + np.log(excess))
             for name in ("mode", "scale"):
                 self.__dict__.pop(name)
         self._parts = _homogeneous(self._force, model.state)
-        words = self.jump(lambda: np.sqrt(amplitude_max) * np.cos(PHASES)[:, None] * (self.scale * self.mode))
+        words = self.jump(lambda: np.sqrt(amplitude_max) * np.cos(JUMP_PHASES)[:, None] * (self.scale * self.mode))
         if words:
             raise JumpError(model.name, f"{words}, in the linear mode at S = {amplitude_max:g}")
         self._squared = self._parts is not None and all(degree % 2 for degree in self._parts)
@@ -205,7 +207,7 @@ class ModelCoordinates(Coordinates):
         y = self.scale * self.modes.modes[:, self.mode_number - 1]
         curvature, _ = ca.hessian(self._amplitude.form, self._model.state)
         size = float(np.linalg.norm(np.array(ca.evalf(curvature)))) * float(y @ y)
-        if not self._amplitude.value(y) > SIMPLE * size:
+        if not self._amplitude.value(y) > SIMPLE_SQUARE_RTOL * size:
             words = f"a normalisation by which mode {self.mode_number} of {self._model.name} has no amplitude"
             raise ValueError(f"normalisation: given {words}; accepted: one that is positive for it")
 
@@ -231,9 +233,9 @@ class ModelCoordinates(Coordinates):
         state = self._model.state
         derivative = ca.Function("J", [state], [ca.densify(ca.jacobian(self._force, state))])
         generator, scale = np.random.default_rng(0), self.scale
-        for _ in range(TRIALS):
+        for _ in range(SYMMETRY_TRIALS):
             J = np.array(derivative(scale * generator.normal(size=scale.size))) / scale[:, None] * scale
-            if not np.max(np.abs(J - J.T)) <= SYMMETRIC * scale.size * np.max(np.abs(J)):
+            if not np.max(np.abs(J - J.T)) <= SYMMETRY_RTOL * scale.size * np.max(np.abs(J)):
                 return False
         return True
 
@@ -275,7 +277,7 @@ class ModelCoordinates(Coordinates):
 
     def _at_rest(self) -> NDArray[np.bool_]:
         """Which linear modes have frequency 0."""
-        return np.asarray(np.abs(self.modes.squares) <= SIMPLE * np.max(np.abs(self.modes.squares)))
+        return np.asarray(np.abs(self.modes.squares) <= SIMPLE_SQUARE_RTOL * np.max(np.abs(self.modes.squares)))
 
     def _check_drift(self) -> None:
         """Raises ValueError for a mode of frequency 0 that is no free motion of a part, where the mean is unknown."""
@@ -301,14 +303,14 @@ class ModelCoordinates(Coordinates):
         state, scale, generator = self._model.state, self.scale, np.random.default_rng(0)
         derivative = ca.Function("J", [state], [ca.densify(ca.jacobian(self._force, state))])
         images = []
-        for _ in range(TRIALS):
-            y = self._unit * scale * generator.uniform(-RANDOM, RANDOM, scale.size)
+        for _ in range(SYMMETRY_TRIALS):
+            y = self._unit * scale * generator.uniform(-RANDOM_AMPLITUDE, RANDOM_AMPLITUDE, scale.size)
             J = np.array(derivative(y)) / scale[:, None] * scale
             if not np.all(np.isfinite(J)):
                 return modes[:, :0]
             images.append((J.T if transposed else J) @ modes / np.max(np.abs(J)))
         _, sizes, rows = np.linalg.svd(np.concatenate(images))
-        unchanging = modes @ rows[sizes <= SYMMETRIC * scale.size].T
+        unchanging = modes @ rows[sizes <= SYMMETRY_RTOL * scale.size].T
         return np.asarray(np.linalg.qr(unchanging)[0])
 
     def _scaled_force(self, q: ca.SX, p: ca.SX) -> ca.SX:
@@ -346,7 +348,9 @@ class ModelCoordinates(Coordinates):
             q = with_small_amplitudes(q, self.modes.stiffness, self.modes.squares[self.mode_number - 1])
         q = q / self.amplitude(self.scale * q)
         sizes = np.abs(self.scale * q)
-        largest = int(np.argmax(sizes > (1.0 - TIE) * np.max(sizes)))  # the first of those that only rounding orders
+        largest = int(
+            np.argmax(sizes > (1.0 - TIE_RTOL) * np.max(sizes))
+        )  # the first of those that only rounding orders
         return np.asarray(q * np.sign(q[largest]))
 
     def amplitude(self, positions: Array) -> float:

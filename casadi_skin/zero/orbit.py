@@ -40,10 +40,10 @@ from casadi_skin.zero.stated_problem import PERIOD
 from casadi_skin.zero.statement import Bounds, Statement, check_expressions
 
 UNFOLDING = "unfolding"  # of the hamiltonian; of another quantity with its name after it
-SAMPLES = 256  # of the guess over a period
-LARGEST = 1e150  # state of a guess
-HARMONICS = 12  # of the reference of the phase
-DEPENDENT = 0.05  # relative: gradients of conserved quantities along a guess that count as dependent
+GUESS_SAMPLES = 256  # of the guess over a period
+LARGEST_GUESS_STATE = 1e150  # state of a guess
+REFERENCE_HARMONICS = 12  # of the reference of the phase
+DEPENDENT_GRADIENTS = 0.05  # relative: gradients of conserved quantities along a guess that count as dependent
 TWO_PI = 2.0 * np.pi
 
 
@@ -157,7 +157,7 @@ class OrbitRequest:
             _, values = self.sampled
             p = [self.values_of(self.model)[name] for name in self.model.parameter_names]
             along = [np.array([np.array(g) for g in gradients(0.0, x, p)]).reshape(len(known), -1) for x in values]
-            kept = independent(np.hstack(along), DEPENDENT)
+            kept = independent(np.hstack(along), DEPENDENT_GRADIENTS)
             known = {name: quantity for i, (name, quantity) in enumerate(known.items()) if i in kept}
         return {_unfolding(name): quantity for name, quantity in known.items()}
 
@@ -223,12 +223,13 @@ class OrbitRequest:
         """Times over the guessed period and states of the guess there; raises ValueError for other guesses."""
         model, span = self.model, (0.0, self.length)
         statement = Statement(model, [model.start(model.state)], interval=span, parameters=self.values_of(model))
-        times = known_times(statement, self.guess, SAMPLES + 1)
+        times = known_times(statement, self.guess, GUESS_SAMPLES + 1)
         states = sampled(statement, self.guess, times)
         largest = float(np.max(np.abs(states)))
-        if largest > LARGEST:
+        if largest > LARGEST_GUESS_STATE:
             raise ValueError(
-                f"guess: given states up to {largest:.3g}; accepted: up to {LARGEST:g}, whose squares are finite"
+                f"guess: given states up to {largest:.3g}; "
+                f"accepted: up to {LARGEST_GUESS_STATE:g}, whose squares are finite"
             )
         return times, states
 
@@ -238,7 +239,7 @@ class OrbitRequest:
         times, values = self.sampled
         turn, rotation = times / self.length, TWO_PI * self.rotations
         values = values - turn[:, None] * rotation
-        waves = np.exp(-1j * TWO_PI * np.outer(np.arange(1, HARMONICS + 1), turn))
+        waves = np.exp(-1j * TWO_PI * np.outer(np.arange(1, REFERENCE_HARMONICS + 1), turn))
         c = 2.0 * np.trapezoid(waves[:, :, None] * values, turn, axis=1)
         found = Reference(c, np.asarray(np.trapezoid(values, turn, axis=0)), rotation)
         if not found.size > 1e-24 * float(np.max(np.abs(values))) ** 2:
@@ -339,7 +340,7 @@ def _symmetry_phases(request: OrbitRequest, model: OdeModel, period: Expression)
 
 # Choices for a boundary-value problem: methods, scales of its unknowns, and the data of orbits ------------------------
 
-DEGREE, FIRST = 6, 12  # of the polynomials, and intervals of the first mesh, by default
+DEFAULT_DEGREE, FIRST_INTERVALS = 6, 12  # of the polynomials, and intervals of the first mesh, by default
 
 
 def boundary_method(options: Mapping[str, Any]) -> Method:
@@ -352,7 +353,7 @@ def boundary_method(options: Mapping[str, Any]) -> Method:
         options = {name: first, **options}
         if not isinstance(options[name], str) or options[name] not in accepted:
             raise ValueError(f"{name}: given {short_repr(options[name])}; accepted: {', '.join(accepted)}")
-    method = Method(**{"degree": DEGREE, "intervals": FIRST, **options})
+    method = Method(**{"degree": DEFAULT_DEGREE, "intervals": FIRST_INTERVALS, **options})
     method.check_degree(1)
     return method
 

@@ -11,14 +11,14 @@ from typing import Any, Protocol, runtime_checkable
 from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.methods import COLLOCATION_TABLES, FLOWS, TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.zero.family import TOLERANCES, TWO_PI, Coordinates, Method, Targets
+from casadi_skin.zero.family import TOLERANCE_RANGE, TWO_PI, Coordinates, Method, Targets
 from casadi_skin.zero.model_coordinates import ModelCoordinates
 from casadi_skin.zero.problem import Scalar
 from casadi_skin.zero.settings import ContinuationSettings, Target
 
 LOWEST_DEGREE = 2  # of polynomials on an interval
-WITHIN = 1e-150, 1e150  # sizes of the free parameter: their squares are doubles
-LARGEST = 1e300  # S of which a picture can be drawn
+PARAMETER_SIZE_RANGE = 1e-150, 1e150  # sizes of the free parameter: their squares are doubles
+LARGEST_S = 1e300  # S of which a picture can be drawn
 QUICK_LOOK = 1e-5  # tolerance from which on points are for a quick look
 
 
@@ -75,7 +75,7 @@ class FamilyRequest:
             raise TypeError(f"model: given {short_repr(self.model)}; accepted: a Chain, or an OdeModel of second order")
         if not number("amplitude_max", self.amplitude_max, "a finite number > 0") > 0:
             raise ValueError(f"amplitude_max: given {self.amplitude_max!r}; accepted: a finite number > 0")
-        low, high = TOLERANCES
+        low, high = TOLERANCE_RANGE
         if not low <= number("tolerance", self.tolerance, f"{low:g} to {high:g}") <= high:
             raise ValueError(f"tolerance: given {self.tolerance!r}; accepted: {low:g} to {high:g}")
         if not isinstance(self.parameters, Mapping | None):
@@ -95,12 +95,12 @@ class FamilyRequest:
             parameter = abs(self.coordinates.parameter_of(S))
         except ArithmeticError:
             parameter = math.inf
-        low, high = WITHIN
+        low, high = PARAMETER_SIZE_RANGE
         if not low <= parameter <= high:
             size = f"the free parameter of the scaled equations (g S of a chain) has the size {parameter:.3g} there"
             raise ValueError(f"{name}: given {S!r}; {size}; accepted: sizes from {low:g} to {high:g}")
-        if S > LARGEST:
-            raise ValueError(f"{name}: given {S!r}; accepted: a number up to {LARGEST:g}")
+        if S > LARGEST_S:
+            raise ValueError(f"{name}: given {S!r}; accepted: a number up to {LARGEST_S:g}")
 
     @cached_property
     def coordinates(self) -> Coordinates:

@@ -16,12 +16,12 @@ import numpy as np
 
 from casadi_skin.model.expressions import Expression
 from casadi_skin.zero.problem import EPSILON, Array, Problem, Scalar
-from casadi_skin.zero.statics import ROUNDED, NullSpace, Statics, units_of
+from casadi_skin.zero.statics import ROUNDED_COMPONENT_RATIO, NullSpace, Statics, units_of
 
-SMALLEST = 1e-3  # of a component's size: changes of smaller components are measured by that
-KEPT = 16  # places whose units are kept
-TOGETHER = 64  # states at which equations are evaluated by one call
-BESIDE = 0.1  # weight of unknowns beside state and parameters in the length of a step
+SMALLEST_COMPONENT_RATIO = 1e-3  # of a component's size: changes of smaller components are measured by that
+KEPT_UNITS = 16  # places whose units are kept
+STATES_TOGETHER = 64  # states at which equations are evaluated by one call
+BESIDE_STATE_WEIGHT = 0.1  # weight of unknowns beside state and parameters in the length of a step
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,9 @@ def _units(statics: Statics, x: Array, p: Array, courses: Sequence[Course], usua
     matrix, ranges = statics.jacobian(x, p), np.abs(p)
     for course in courses:
         ranges[list(statics.values).index(course.name)] += abs(course.to - course.start)
-    moved = statics.jacobian(x + ROUNDED * np.maximum(np.abs(x), sizes), p + ROUNDED * ranges)
+    moved = statics.jacobian(
+        x + ROUNDED_COMPONENT_RATIO * np.maximum(np.abs(x), sizes), p + ROUNDED_COMPONENT_RATIO * ranges
+    )
     matrix = np.where(np.abs(matrix) <= np.abs(moved - matrix), 0.0, matrix)  # all are kept beside undefined places
     return units_of(matrix, x, moving(statics, x, p, courses), usual, sizes)
 
@@ -193,7 +195,7 @@ class AlgebraicProblem(Problem):
 
     def profile_change(self, z: Array, step: Array) -> float:
         n = self.statics.size
-        return float(np.max(np.abs(step[:n]) / np.maximum(np.abs(z[:n]), SMALLEST)))
+        return float(np.max(np.abs(step[:n]) / np.maximum(np.abs(z[:n]), SMALLEST_COMPONENT_RATIO)))
 
     def metric(self, z: Array, parameter_scale: float) -> Array:
         """Diagonal of the mean of |dy|^2 relative to the sizes, and of the scalars; little of what is beside these.
@@ -202,7 +204,7 @@ class AlgebraicProblem(Problem):
         """
         weights, n = np.maximum(np.abs(z), 1.0) ** -2.0, self.statics.size
         weights[:n] /= n
-        weights[n : self.states] *= BESIDE**2 / max(self.others, 1)
+        weights[n : self.states] *= BESIDE_STATE_WEIGHT**2 / max(self.others, 1)
         weights[-1] = parameter_scale**-2.0
         return np.asarray(weights)
 
@@ -217,7 +219,7 @@ class AlgebraicProblem(Problem):
         key = z.tobytes()
         known: dict[bytes, Array] = self.shared.setdefault("units", {})
         if key not in known:
-            if len(known) >= KEPT:
+            if len(known) >= KEPT_UNITS:
                 del known[next(iter(known))]
             known[key] = self._units_at(z)
         return known[key]
@@ -294,14 +296,16 @@ class AlgebraicProblem(Problem):
             for k, one in enumerate(z):
                 residual[k], nonzero[k] = self._buffers(one, self.constants)
             return residual, self._matrix(nonzero)
-        padded = np.concatenate([z, np.repeat(z[:1], -len(z) % TOGETHER, axis=0)]).reshape(-1, TOGETHER, self.size)
-        numbers = np.tile(self.numbers[:, None], TOGETHER)
+        padded = np.concatenate([z, np.repeat(z[:1], -len(z) % STATES_TOGETHER, axis=0)]).reshape(
+            -1, STATES_TOGETHER, self.size
+        )
+        numbers = np.tile(self.numbers[:, None], STATES_TOGETHER)
         found = [self._together(some.T, numbers) for some in padded]
         residuals = np.concatenate([np.array(residual).T for residual, _ in found])
-        nonzeros = np.concatenate([jacobians.nz[:].full().reshape(TOGETHER, -1) for _, jacobians in found])
+        nonzeros = np.concatenate([jacobians.nz[:].full().reshape(STATES_TOGETHER, -1) for _, jacobians in found])
         return residuals[: len(z)], self._matrix(nonzeros[: len(z)])
 
     @cached_property
     def _together(self) -> ca.Function:
         """The function at `TOGETHER` states, whose residuals and Jacobians are columns one beside the other."""
-        return self.compiled.map(TOGETHER)
+        return self.compiled.map(STATES_TOGETHER)

@@ -39,9 +39,9 @@ class Refinement:
     z: Array
 
 
-SAME = 1e-12  # relative difference below which a point walked is the requested one
-NEXT = 1e-10  # and its distance along the branch
-RESOLVED = 1e-2  # units in the last place that a value changes by over that distance at least
+SAME_POINT_RTOL = 1e-12  # relative difference below which a point walked is the requested one
+NEXT_POINT_DISTANCE = 1e-10  # and its distance along the branch
+RESOLVED_CHANGE_UNITS = 1e-2  # units in the last place that a value changes by over that distance at least
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,11 @@ class Target:
         """
         index, value = self.unknown(point.problem)
         gap = abs(float(point.z[index]) - value)
-        next_to = NEXT * abs(float(point.tangent[index]))
-        return gap <= min(SAME * abs(value), next_to) and next_to >= EPSILON * abs(value) * RESOLVED
+        next_to = NEXT_POINT_DISTANCE * abs(float(point.tangent[index]))
+        return (
+            gap <= min(SAME_POINT_RTOL * abs(value), next_to)
+            and next_to >= EPSILON * abs(value) * RESOLVED_CHANGE_UNITS
+        )
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 # The flow over one segment of an orbit by SUNDIALS CVODES, as CasADi callbacks that do not fail but report ------------
 
-FAR = 1e20
+FAR_STATE = 1e20
 SENSITIVITY_DIGITS = 8  # Newton's steps then err by 1e-6 of themselves, and cost a quarter of those with 13 digits
 MAX_STEPS = 5_000  # in one segment: ten times what steep orbits need with 14 digits
 
@@ -106,7 +106,7 @@ class SegmentFlow:
             return [scale * self._flow(x0=x / scale, p=ca.vertcat(p, scale))["xf"]]
         except RuntimeError as error:
             self.failure = f"cvodes {cvodes_reason(error)}"
-            return [x + FAR]
+            return [x + FAR_STATE]
 
     def _sensitivities(self, x: ca.DM, p: ca.DM) -> list[ca.DM]:
         """Its derivatives with respect to the start, (n, n), and to the parameters, (n, parameters)."""
@@ -134,11 +134,13 @@ def _scale(x: ca.DM) -> float:
     return largest if np.isfinite(largest) and largest > 0 else 1.0
 
 
-DIGITS = (3, 15)  # of CVODES' local tolerance
-SEGMENTS = 4  # of a quarter of the period: with two the metric of a walk sees too little of steep orbits
+DIGITS_RANGE = (3, 15)  # of CVODES' local tolerance
+QUARTER_SEGMENTS = 4  # of a quarter of the period: with two the metric of a walk sees too little of steep orbits
 PATH_TOLERANCE = 3e-14  # of the paths between the segments' ends, which are off by two or three times as much
-PATHS = 4  # orbits whose paths are kept
-ROUNDING = 1e-13  # error of CVODES' steps by rounding, relative to the largest state: measured with 14 and 15 digits
+KEPT_PATHS = 4  # orbits whose paths are kept
+CVODES_ROUNDING = (
+    1e-13  # error of CVODES' steps by rounding, relative to the largest state: measured with 14 and 15 digits
+)
 
 
 class ShootingError(SingularError):
@@ -154,9 +156,9 @@ class ShootingProblem(FirstOrderProblem):
 
     def __init__(self, model: OdeModel, digits: int, symmetry: SymmetryClass, segments: int | None = None) -> None:
         super().__init__(model, digits, symmetry)
-        if not DIGITS[0] <= digits <= DIGITS[1]:
-            raise ValueError(f"digits: given {digits}; accepted: {DIGITS[0]} to {DIGITS[1]}")
-        self.segments = round(4 * symmetry.value) * SEGMENTS if segments is None else segments
+        if not DIGITS_RANGE[0] <= digits <= DIGITS_RANGE[1]:
+            raise ValueError(f"digits: given {digits}; accepted: {DIGITS_RANGE[0]} to {DIGITS_RANGE[1]}")
+        self.segments = round(4 * symmetry.value) * QUARTER_SEGMENTS if segments is None else segments
         if self.segments < 1:
             raise ValueError(f"segments: given {segments}; accepted: a whole number >= 1")
         self.states = model.full_size * (self.segments + 1)
@@ -212,7 +214,7 @@ class ShootingProblem(FirstOrderProblem):
         return z.copy()
 
     def rounding(self, z: Array) -> float:
-        return ROUNDING * float(np.max(np.abs(z[: self.states])))
+        return CVODES_ROUNDING * float(np.max(np.abs(z[: self.states])))
 
     def sample(self, z: Array, theta: Array) -> Array:
         """Positions at phases, from the start of the segment that each lies in; raises ShootingError."""
@@ -230,7 +232,7 @@ class ShootingProblem(FirstOrderProblem):
     def _path(self, z: Array, segment: int) -> OdeSolution:
         """States of an orbit along one segment, from 0 to 1, by the Dormand-Prince method of order 8."""
         paths = self._paths.setdefault(z.tobytes(), {})
-        if len(self._paths) > PATHS:
+        if len(self._paths) > KEPT_PATHS:
             self._paths.pop(next(iter(self._paths)))
         if segment not in paths:
             paths[segment] = self._integrate(z, segment)

@@ -19,9 +19,9 @@ from casadi_skin.zero.statement import Statement
 
 LONGEST_CONDITION = 40  # characters of a condition in a message
 PERIOD = "period"  # the free parameter that is the unknown period of an autonomous orbit
-FLOOR = 1e-3  # of the largest value of a component: what it is measured by at least
-ZERO = 1e-12  # solutions smaller than this, found from zeros, are measured by 1
-SMALLEST = 1e-6  # of the largest component: smaller ones are measured by that
+COMPONENT_FLOOR = 1e-3  # of the largest value of a component: what it is measured by at least
+ZERO_SOLUTION_SIZE = 1e-12  # solutions smaller than this, found from zeros, are measured by 1
+SMALLEST_COMPONENT_RATIO = 1e-6  # of the largest component: smaller ones are measured by that
 
 
 class BoundaryProblem(CollocationEquations):
@@ -82,7 +82,7 @@ class BoundaryProblem(CollocationEquations):
 
     @property
     def residual_size(self) -> float:
-        largest = FLOOR**-1 * float(np.max(self.floors, initial=0.0))
+        largest = COMPONENT_FLOOR**-1 * float(np.max(self.floors, initial=0.0))
         return min(1.0, largest) if largest > 0.0 else 1.0
 
     def frequency(self, z: Array) -> float:
@@ -98,7 +98,7 @@ class BoundaryProblem(CollocationEquations):
 
     def _component_sizes(self, values: Array) -> Array:
         own = np.maximum(np.max(np.abs(values), axis=0), self.floors)
-        return np.asarray(np.maximum(own, SMALLEST * np.max(own)))
+        return np.asarray(np.maximum(own, SMALLEST_COMPONENT_RATIO * np.max(own)))
 
     def measure_by(self, z: Array) -> None:
         """Let FLOOR of z be what its components are measured by at least, where it is not zero but for rounding.
@@ -106,8 +106,8 @@ class BoundaryProblem(CollocationEquations):
         On all meshes that share `floors`: a guess of zeros has not the size of the solution that it led to.
         """
         largest = np.max(np.abs(z[: self.states].reshape(self.columns, -1)), axis=0)
-        if np.max(largest) > ZERO:
-            self.floors[:] = FLOOR * largest
+        if np.max(largest) > ZERO_SOLUTION_SIZE:
+            self.floors[:] = COMPONENT_FLOOR * largest
 
     def _scalar_sizes(self, z: Array) -> Array:
         return np.asarray(np.maximum(np.abs(z[self.states : -1]), self.scalar_floors))

@@ -20,11 +20,13 @@ from casadi_skin.zero.statement import named_values
 # A linearisation in units in which it is balanced: its eigenvalues with their errors, and what of it vanishes ---------
 
 ComplexArray = NDArray[np.complex128]
-ROUNDING = 16.0  # of the machine's, in the derivatives: what is left of an eigenvalue that is zero, over its condition
-ROUNDED = 1e-12  # of the usual size of a component: one that is smaller is zero
-LARGE = 1e200  # beyond it a component moves at a singular place alone
-SLIGHT = 1e-8  # of an equation's terms: a disturbance by which no regular equilibrium moves far
-FAINT = 1e-3  # of the unit by which a component acts on others: the least unit of one that hardly changes
+DERIVATIVE_ROUNDING = (
+    16.0  # of the machine's, in the derivatives: what is left of an eigenvalue that is zero, over its condition
+)
+ROUNDED_COMPONENT_RATIO = 1e-12  # of the usual size of a component: one that is smaller is zero
+LARGE_MOVE = 1e200  # beyond it a component moves at a singular place alone
+SLIGHT_DISTURBANCE = 1e-8  # of an equation's terms: a disturbance by which no regular equilibrium moves far
+FAINT_UNIT_RATIO = 1e-3  # of the unit by which a component acts on others: the least unit of one that hardly changes
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +70,7 @@ class BalancedMatrix:
         with np.errstate(divide="ignore"):
             return np.asarray(1.0 / np.abs(np.sum(left.conj() * right, axis=0)))
 
-    def errors(self, safety: float = ROUNDING) -> Array:
+    def errors(self, safety: float = DERIVATIVE_ROUNDING) -> Array:
         """Errors of the eigenvalues: by their condition, and no more than of a double one that is defective."""
         size = safety * self.uncertain
         return np.asarray(
@@ -137,7 +139,10 @@ class NullSpace:
         """
         left, values, right = np.linalg.svd(matrix * units / units[:, None])
         return cls(
-            values, left / units[:, None], right.T * units[:, None], 4.0 * ROUNDING * rounding * float(values[0])
+            values,
+            left / units[:, None],
+            right.T * units[:, None],
+            4.0 * DERIVATIVE_ROUNDING * rounding * float(values[0]),
         )
 
     @classmethod
@@ -152,7 +157,7 @@ class NullSpace:
         rows = np.where(seen, rows, 1.0)
         left, values, right = np.linalg.svd(np.where(seen[:, None], scaled, 0.0) / rows[:, None])
         moved = float(np.linalg.norm(np.where(seen[:, None], off, 0.0) / rows[:, None]))
-        uncertain = 4.0 * ROUNDING * rounding * float(values[0]) + moved
+        uncertain = 4.0 * DERIVATIVE_ROUNDING * rounding * float(values[0]) + moved
         return cls(values, left / rows[:, None], right.T * columns[:, None], uncertain)
 
     def solution(self, residual: Array) -> Array:
@@ -185,17 +190,17 @@ def units_of(matrix: Array, x: Array, by_parameters: Array, usual: Array, otherw
     B, d = balanced(matrix)
     moved = _response(B, by_parameters / d[:, None]) * d
     _, blocks = connected_components(matrix != 0.0, connection="strong")
-    acting, least = np.array(d), np.full_like(d, FAINT)
+    acting, least = np.array(d), np.full_like(d, FAINT_UNIT_RATIO)
     for block in range(int(blocks.max(initial=-1)) + 1):
         own = blocks == block
         for sizes in (np.maximum(np.abs(x), usual), moved, otherwise):
             largest = float(np.max(sizes[own] / d[own]))
-            if ROUNDED * float(np.max(otherwise[own] / d[own])) < largest < LARGE:
+            if ROUNDED_COMPONENT_RATIO * float(np.max(otherwise[own] / d[own])) < largest < LARGE_MOVE:
                 acting[own] *= largest
-                least[own] = 1.0 if sizes is otherwise else FAINT
+                least[own] = 1.0 if sizes is otherwise else FAINT_UNIT_RATIO
                 break
     general = np.cos(np.arange(d.size) ** 2 % 6.25)  # orthogonal to no null vector, as one is that a symmetry gives
-    disturbed = SLIGHT * np.max(np.abs(B), axis=1, initial=0.0) * acting / d * general
+    disturbed = SLIGHT_DISTURBANCE * np.max(np.abs(B), axis=1, initial=0.0) * acting / d * general
     moved = np.maximum(moved, _response(B, disturbed[:, None]) * d)  # far where the matrix is singular
     return np.asarray(np.maximum(np.abs(x), np.clip(moved, least * acting, acting)))
 
@@ -208,8 +213,11 @@ def _response(matrix: Array, change: Array) -> Array:
         return np.full(len(matrix), np.inf)
 
 
-SECOND, THIRD = 3e-4, 1e-3  # of the size of x: steps of second and third derivatives of a program
-SAFETY = 4.0  # of the estimated errors of eigenvalues
+SECOND_DERIVATIVE_STEP, THIRD_DERIVATIVE_STEP = (
+    3e-4,
+    1e-3,
+)  # of the size of x: steps of second and third derivatives of a program
+EIGENVALUE_SAFETY = 4.0  # of the estimated errors of eigenvalues
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,7 +333,7 @@ class Statics:
         def real(a: Array, b: Array) -> Array:
             if self.exact:
                 return np.array(self._second(x, p, a, b)).ravel()
-            h = self.widening * SECOND * self._scale(x, a)
+            h = self.widening * SECOND_DERIVATIVE_STEP * self._scale(x, a)
             return np.asarray((self.jacobian(x + h * a, p) - self.jacobian(x - h * a, p)) @ b / (2.0 * h))
 
         return real(u.real, v.real) - real(u.imag, v.imag) + 1j * (real(u.real, v.imag) + real(u.imag, v.real))
@@ -346,7 +354,7 @@ class Statics:
         """f_xxx a b c, shape (n,)."""
         if self.exact:
             return np.array(self._third(x, p, a, b, c)).ravel()
-        h, k = (self.widening * THIRD * self._scale(x, along) for along in (a, b))
+        h, k = (self.widening * THIRD_DERIVATIVE_STEP * self._scale(x, along) for along in (a, b))
         ends = [(i * j, self.jacobian(x + i * h * a + j * k * b, p)) for i in (-1, 1) for j in (-1, 1)]
         return np.asarray(sum(sign * matrix for sign, matrix in ends) @ c / (4.0 * h * k))
 
@@ -371,7 +379,7 @@ class Statics:
         rounding by the condition of each (Wilkinson 1965).
         """
         linear = self.linearised(x, p, moved)
-        values, errors = linear.eigensystem[0], linear.errors(SAFETY)
+        values, errors = linear.eigensystem[0], linear.errors(EIGENVALUE_SAFETY)
         if self.model.order == 2:
             values, errors = _roots(values, errors)
         places = np.lexsort((-values.imag, -values.real))

@@ -27,12 +27,14 @@ from casadi_skin.zero.cosines import (
 from casadi_skin.zero.problem import EPSILON, Array, Buffers, Evaluate, Indices, OrbitProblem, Problem
 from casadi_skin.zero.recursion import PolynomialForm, Recursion, TaylorRecursion
 
-MOST = 4000  # instructions of a model up to which it is worth while to compare them with those of others
-KEPT = 32  # resolutions of models whose functions are kept
-ALIASED = 4.0  # error of a coarser orbit per size of the harmonics that it leaves out: measured
+LONGEST_COMPARED_PROGRAM = (
+    4000  # instructions of a model up to which it is worth while to compare them with those of others
+)
+KEPT_RESOLUTIONS = 32  # resolutions of models whose functions are kept
+ALIASING_FACTOR = 4.0  # error of a coarser orbit per size of the harmonics that it leaves out: measured
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=KEPT_RESOLUTIONS)
 def _sampling(harmonics: int, theta: bytes) -> Array:
     """Weights of the values at the nodes in those at phases, given as bytes, shape (harmonics, phases)."""
     phases = np.outer(2 * np.arange(harmonics) + 1, np.frombuffer(theta))
@@ -44,11 +46,13 @@ def _sampling(harmonics: int, theta: bytes) -> Array:
 @lru_cache(maxsize=8)
 def _lifted(model: OdeModel) -> tuple[Program, Array] | None:
     """The force and the normalisation of a model without their numbers, and these; None where they are long."""
-    found = lifted([model.state, model.velocity, model.parameters], [model.rhs, model.normalisation], MOST)
+    found = lifted(
+        [model.state, model.velocity, model.parameters], [model.rhs, model.normalisation], LONGEST_COMPARED_PROGRAM
+    )
     return None if found is None else (_first(found[0]), found[1])
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=KEPT_RESOLUTIONS)
 def _first(program: Program) -> Program:
     """The first of all programs that are equal to this one, so that the others are not compared again."""
     return program
@@ -89,7 +93,7 @@ class _Kept:
         return Buffers(self.function)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=KEPT_RESOLUTIONS)
 def _kept(program: Program, harmonics: int, thread: int) -> _Kept:
     """Those of a thread: the arguments of functions are arrays of their own."""
     return _Kept(program, harmonics)
@@ -238,7 +242,7 @@ class TrigonometricProblem(OrbitProblem):
         if self.model.output_scale is not None:
             scale = np.array(self.model.output_scale)
             ratio = max(ratio, np.max(scale * lost) / np.max(scale * sizes))
-        return error + ALIASED * float(ratio)
+        return error + ALIASING_FACTOR * float(ratio)
 
     def sample(self, z: Array, theta: Array) -> Array:
         return np.asarray(self.samples(z[None], theta)[0])

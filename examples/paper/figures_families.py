@@ -26,7 +26,16 @@ from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.results.figures.evolutions import draw_spacetime
 from casadi_skin.results.figures.families import LINES, MARKERS, draw_band, family_path, family_pieces, label_ends
-from casadi_skin.results.figures.style import AMPLITUDE, blank, colours, finished, number, number_sites, style, title
+from casadi_skin.results.figures.style import (
+    AMPLITUDE_LABEL,
+    blank,
+    colours,
+    finished,
+    number,
+    number_sites,
+    style,
+    title,
+)
 from casadi_skin.results.quantities import columns_of, csv_row, places_of
 from casadi_skin.results.tables import EVENT_COLUMNS, event_rows
 from casadi_skin.runs.study import Rows, letter, stacked, table
@@ -96,7 +105,7 @@ def _draw_families(axes: Axes, families: dict[int, Branch], marked: Orbit, marke
     points = np.concatenate(paths)
     axes.set(xlim=(0.0, AMPLITUDE_MAX), ylim=(points[:, 1].min() - 0.08, points[:, 1].max() + 0.08))
     label_ends(axes, branches, np.array([path[-1] for path in paths]))
-    axes.set(xlabel=AMPLITUDE, ylabel=r"frequency $\Omega$")
+    axes.set(xlabel=AMPLITUDE_LABEL, ylabel=r"frequency $\Omega$")
 
 
 def _draw_profile(axes: Axes, orbit: Orbit, mode_number: int) -> None:
@@ -166,9 +175,9 @@ def theory_figure(data: PaperData) -> Drawn:
         points = np.concatenate(paths)
         left.set(xlim=(0.0, AMPLITUDE_MAX), ylim=(points[:, 1].min() - 0.08, points[:, 1].max() + 0.12))
         label_ends(left, branches, np.array([path[-1] for path in paths]))
-        left.set(xlabel=AMPLITUDE, ylabel=r"frequency $\Omega$")
+        left.set(xlabel=AMPLITUDE_LABEL, ylabel=r"frequency $\Omega$")
         right.axhline(1.0, color="0.6", lw=0.8, zorder=0)
-        right.set(xlim=(0.0, AMPLITUDE_MAX), xlabel=AMPLITUDE)
+        right.set(xlim=(0.0, AMPLITUDE_MAX), xlabel=AMPLITUDE_LABEL)
         right.set_ylabel(r"shift $\Omega - \omega_j$: multiple scales / continuation")
         letter(left, "a")
         letter(right, "b")

@@ -20,9 +20,9 @@ from paper_data import KICK, KICK_TIME, SITES, PaperData
 from casadi_skin.dynamics import Evolution, simulate_orbit
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.results.figures.multipliers import MODULUS, draw_plane
+from casadi_skin.results.figures.multipliers import MODULUS_LABEL, draw_plane
 from casadi_skin.results.figures.multipliers import moduli as moduli_line
-from casadi_skin.results.figures.style import AMPLITUDE, blank, finished, number, style, title
+from casadi_skin.results.figures.style import AMPLITUDE_LABEL, blank, finished, number, style, title
 from casadi_skin.runs.study import Rows, letter, stacked, table
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.zero.problem import Array
@@ -56,17 +56,17 @@ def _draw_moduli(axes: Axes, branch: Branch) -> None:
     S, logs = np.repeat(diagram.S(at), growth.shape[1]), growth.ravel()
     S, logs = S[logs > 0.0], logs[logs > 0.0]
     axes.axhline(1.0, color="0.6", lw=0.8, zorder=1)
-    axes.plot(*moduli_line(diagram).T, color="black", lw=1.0, label=f"largest {MODULUS}", zorder=2)
+    axes.plot(*moduli_line(diagram).T, color="black", lw=1.0, label=f"largest {MODULUS_LABEL}", zorder=2)
     both = np.concatenate([S, S]), np.exp(np.concatenate([logs, -logs]))
-    axes.plot(*both, ".", ms=2.0, color="0.35", label=f"{MODULUS} off the unit circle", zorder=3)
+    axes.plot(*both, ".", ms=2.0, color="0.35", label=f"{MODULUS_LABEL} off the unit circle", zorder=3)
     ends = [0.0, *(change.value for change in branch.changes), float(branch.S.max())]
     stable = [bool(branch.stable[0]), *(bool(change.stable_after) for change in branch.changes)]
     for left, right, is_stable in zip(ends[:-1], ends[1:], stable, strict=True):
         if is_stable:
             span: dict[str, Any] = {"transform": axes.get_xaxis_transform(), "fc": "black", "lw": 0.0}
             axes.fill_between([left, right], 0.0, 0.035, label="stable", **span)
-    axes.set(xlim=(0.0, 1.01 * branch.S.max()), ylim=(0.66, 1.44), xlabel=AMPLITUDE)
-    axes.set_ylabel(f"{MODULUS} (trivial pair left out)")
+    axes.set(xlim=(0.0, 1.01 * branch.S.max()), ylim=(0.66, 1.44), xlabel=AMPLITUDE_LABEL)
+    axes.set_ylabel(f"{MODULUS_LABEL} (trivial pair left out)")
 
 
 def _draw_vectors(figure: Figure, axes: Axes, orbit: Orbit) -> None:
@@ -78,7 +78,7 @@ def _draw_vectors(figure: Figure, axes: Axes, orbit: Orbit) -> None:
     )
     axes.plot(index[trivial], np.full(2, 1.02), "v", ms=5, color="black", clip_on=False,
               transform=axes.get_xaxis_transform(), label="trivial pair in (d)")  # fmt: skip
-    axes.set(xlabel=rf"vector $l$, in increasing {MODULUS}", ylabel="site $n$")
+    axes.set(xlabel=rf"vector $l$, in increasing {MODULUS_LABEL}", ylabel="site $n$")
     axes.set(xticks=[1, 12, 24, 36, 48], yticks=[1, 6, 12, 18, 24])
     axes.tick_params(top=False, right=False, direction="out")
     figure.colorbar(
@@ -114,7 +114,7 @@ def floquet_figure(data: PaperData) -> Drawn:
         for name, orbit in zip("bc", orbits, strict=True):
             draw_plane(panels[name], orbit)
             largest = orbit.floquet().max_abs_multiplier
-            letter(panels[name], name, rf"$S = {number(orbit.S)}$, max {MODULUS} $= {number(largest, 5)}$")
+            letter(panels[name], name, rf"$S = {number(orbit.S)}$, max {MODULUS_LABEL} $= {number(largest, 5)}$")
         _draw_vectors(figure, panels["d"], orbits[0])
         letter(panels["d"], "d", f"$S = {number(MARKED[0])}$")
         figure.suptitle(f"family $j = 1$; {title(orbits[0].model)}")

@@ -98,7 +98,7 @@ def test_missing_library_is_refused_with_the_extra_to_install(tmp_path, capsys, 
 def test_orbits_that_are_not_proved_are_told_with_exit_status_1(tmp_path, capsys, monkeypatch):
     from casadi_skin.certify import certify as attempt
 
-    monkeypatch.setattr(attempt, "LARGEST", 5)
+    monkeypatch.setattr(attempt, "MOST_FINITE_UNKNOWNS", 5)
     out = tmp_path / "out"
     assert main(["run", str(scene(tmp_path)), "--out", str(out)]) == 1
     captured = capsys.readouterr()

@@ -18,7 +18,7 @@ from apart import BLANK
 
 from casadi_skin.results.journal import Journal
 from casadi_skin.runs import run as writing
-from casadi_skin.runs.directory import MADE
+from casadi_skin.runs.directory import MADE_BY_RUN
 from casadi_skin.runs.program import main
 
 SCENE = """[chain]
@@ -220,4 +220,4 @@ def test_a_directory_that_cannot_be_made_is_refused_before_anything_is_computed(
 
 def test_the_copy_of_the_scene_tells_what_made_the_directory(scene: Path, tmp_path: Path) -> None:
     assert main(["spectrum", str(scene), "--out", str(tmp_path / "out")]) == 0
-    assert (tmp_path / "out" / "scene.toml").read_text(encoding="utf-8") == f"{MADE}\n{SCENE}"
+    assert (tmp_path / "out" / "scene.toml").read_text(encoding="utf-8") == f"{MADE_BY_RUN}\n{SCENE}"

@@ -19,7 +19,7 @@ from drawing import blank_pictures
 
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.results.branch_records import BranchRecord, CycleRecord, PointRecord, data_of, value_of
-from casadi_skin.results.journal import FORMAT, HEADER, MARK, Journal, read_records
+from casadi_skin.results.journal import FORMAT, MARK, RECORD_HEADER, Journal, read_records
 from casadi_skin.runs import first_solution
 from casadi_skin.runs import run as writing
 from casadi_skin.runs.program import main
@@ -76,7 +76,7 @@ def written(records: list[Any]) -> bytes:
     for record in records:
         payload = msgspec.msgpack.encode(record)
         fields = MARK, FORMAT, len(payload)
-        data += HEADER.pack(*fields, zlib.crc32(payload, zlib.crc32(HEADER.pack(*fields, 0)))) + payload
+        data += RECORD_HEADER.pack(*fields, zlib.crc32(payload, zlib.crc32(RECORD_HEADER.pack(*fields, 0)))) + payload
     return data
 
 
@@ -228,8 +228,8 @@ def test_every_flipped_bit_of_a_journal_is_noticed(scene: Path, records: list[An
     decoder = msgspec.msgpack.Decoder(BranchRecord)
     ends = [0]
     while ends[-1] < len(data):
-        ends.append(ends[-1] + HEADER.size + HEADER.unpack_from(data, ends[-1])[2])
-    for place in {*range(2 * HEADER.size), *range(0, len(data), max(1, len(data) // 100)), len(data) - 1}:
+        ends.append(ends[-1] + RECORD_HEADER.size + RECORD_HEADER.unpack_from(data, ends[-1])[2])
+    for place in {*range(2 * RECORD_HEADER.size), *range(0, len(data), max(1, len(data) // 100)), len(data) - 1}:
         for bit in (0, 3, 7):
             damaged = bytearray(data)
             damaged[place] ^= 1 << bit
@@ -245,7 +245,7 @@ TAILS: dict[str, Callable[[bytes], bytes]] = {
     "zeros": lambda data: data[:-50] + bytes(4096),
     "zeros after it": lambda data: data + bytes(4096),
     "a bit": lambda data: data[:-20] + bytes([data[-20] ^ 4]) + data[-19:],
-    "another format": lambda data: data + HEADER.pack(MARK, FORMAT + 1, 0, 0),
+    "another format": lambda data: data + RECORD_HEADER.pack(MARK, FORMAT + 1, 0, 0),
     "another version": lambda data: data + written([{"type": "point", "z": 1}]),
     "the format before": lambda data: data + struct.pack("<I", 13) + b"half a record",
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from casadi_skin.model.arguments import LONGEST, check_name, cut, nearest, short_repr
+from casadi_skin.model.arguments import LONGEST_VALUE_TEXT, check_name, cut, nearest, short_repr
 
 NAMES = ("Omega", "S", "gamma", "participation")
 
@@ -42,8 +42,8 @@ def test_a_known_name_passes_and_none_is_named_where_none_is_known() -> None:
 
 
 def test_long_values_are_one_line_of_so_many_characters() -> None:
-    assert cut("k" * LONGEST) == "k" * LONGEST
-    assert cut("k" * (LONGEST + 1)) == "k" * (LONGEST - 3) + "..."
+    assert cut("k" * LONGEST_VALUE_TEXT) == "k" * LONGEST_VALUE_TEXT
+    assert cut("k" * (LONGEST_VALUE_TEXT + 1)) == "k" * (LONGEST_VALUE_TEXT - 3) + "..."
     assert short_repr("a\nb" * 50) == "'" + "a\\nb" * 14 + "..."
     assert short_repr(10**5000).startswith("0x")
-    assert len(short_repr(10**5000)) == LONGEST
+    assert len(short_repr(10**5000)) == LONGEST_VALUE_TEXT

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from casadi_skin.stability.tongues import chebyshev
-from casadi_skin.stability.tongues.assembly import DISAGREEMENT, groups_of
+from casadi_skin.stability.tongues.assembly import DISAGREEMENT_WORDS, groups_of
 from casadi_skin.stability.tongues.blocks import blocks_of, comes_apart
-from casadi_skin.stability.tongues.decoupling import DEGREE, PROBES, contracts
+from casadi_skin.stability.tongues.decoupling import PROBE_NODES, SERIES_DEGREE, contracts
 from casadi_skin.stability.tongues.small_blocks import Segment, SingleBlock, single_functions
 
 Array = np.ndarray
@@ -18,7 +18,7 @@ ALONE = np.eye(3, dtype=bool)[None]
 def linear(middle: list[float], slopes: list[float], couplings: list[list[float]]) -> Array:
     """A matrix that changes linearly, at the nodes of an interval, in the eigenvectors at its middle."""
     change = np.diag(slopes) + np.array(couplings)
-    return np.diag(middle) + chebyshev.nodes(DEGREE)[:, None, None] * change
+    return np.diag(middle) + chebyshev.nodes(SERIES_DEGREE)[:, None, None] * change
 
 
 @pytest.mark.parametrize(
@@ -44,10 +44,10 @@ def test_couplings_that_leave_all_apart_come_apart() -> None:
 
 def test_two_that_meet_and_part_between_the_nodes_that_are_asked_do_not_come_apart() -> None:
     """(mu_1 - mu_2)^2 = (s - s_1)(s - s_2), with both zeros between two of the nodes, beside a third mu."""
-    low, high = chebyshev.nodes(DEGREE)[PROBES][[3, 4]]
-    squares = np.poly1d([low + 0.3 * (high - low), low + 0.6 * (high - low)], r=True)(chebyshev.nodes(DEGREE))
+    low, high = chebyshev.nodes(SERIES_DEGREE)[PROBE_NODES][[3, 4]]
+    squares = np.poly1d([low + 0.3 * (high - low), low + 0.6 * (high - low)], r=True)(chebyshev.nodes(SERIES_DEGREE))
     mu = 0.5 * np.sqrt(squares.astype(complex))
-    K = np.zeros((1, DEGREE + 1, 3, 3), dtype=complex)
+    K = np.zeros((1, SERIES_DEGREE + 1, 3, 3), dtype=complex)
     K[0, :, 0, 0], K[0, :, 1, 1], K[0, :, 2, 2] = mu, -mu, 4.0
     assert not contracts(K, ALONE)[0]
     K[0, :, 0, 0], K[0, :, 1, 1] = 1.0 + mu, -1.0 - mu
@@ -59,7 +59,7 @@ def test_no_block_has_complex_mu_beside_real_ones() -> None:
     random, seen = np.random.default_rng(3), 0
     for _ in range(40):
         A, B = random.normal(size=(2, 8, 8))
-        K = (A + 0.3 * chebyshev.nodes(DEGREE)[:, None, None] * B)[None, :, None]
+        K = (A + 0.3 * chebyshev.nodes(SERIES_DEGREE)[:, None, None] * B)[None, :, None]
         for _, blocks in blocks_of(K, np.zeros_like(K)):
             labels, real = blocks.labels[0], blocks.real[0]
             for label in np.unique(labels).tolist():
@@ -69,26 +69,26 @@ def test_no_block_has_complex_mu_beside_real_ones() -> None:
 
 
 def block_of(start: float, end: float, pi: Array, kappa: Array, error: float = 1e-12) -> SingleBlock:
-    parts = np.zeros((DEGREE + 1, 3, 1, 1))
+    parts = np.zeros((SERIES_DEGREE + 1, 3, 1, 1))
     parts[:, 1, 0, 0], parts[:, 2, 0, 0] = pi, kappa
     errors, none = np.full(parts.shape, error), np.zeros(3)
-    coefficients = np.tensordot(chebyshev.transform(DEGREE), parts[..., 0, 0], 1)
+    coefficients = np.tensordot(chebyshev.transform(SERIES_DEGREE), parts[..., 0, 0], 1)
     (functions,) = single_functions(coefficients[None], errors[None, ..., 0, 0], none[None])
     return SingleBlock(start, end, parts, errors, none, none, functions)
 
 
 def test_an_edge_that_neither_of_two_intervals_has_is_not_invented() -> None:
     """A mu outside up to the end of its interval, and nothing beside it: that is not known, and no edge."""
-    ones = np.ones(DEGREE + 1)
+    ones = np.ones(SERIES_DEGREE + 1)
     outside = block_of(0.0, 1.0, 0.1 * ones, 0.1 * ones)
     segment = Segment(outside, 0.0, 1.0, None, None, False, 1)
     groups, gaps = groups_of([segment], {0.0})
     assert groups[0].edges == ()
-    assert [(gap.start, gap.end, gap.reason) for gap in gaps] == [(0.0, 2.0, DISAGREEMENT)]
+    assert [(gap.start, gap.end, gap.reason) for gap in gaps] == [(0.0, 2.0, DISAGREEMENT_WORDS)]
 
 
 def test_an_edge_at_the_end_of_an_interval_that_errors_hide_is_there() -> None:
-    ones, x = np.ones(DEGREE + 1), chebyshev.nodes(DEGREE)
+    ones, x = np.ones(SERIES_DEGREE + 1), chebyshev.nodes(SERIES_DEGREE)
     outside = block_of(0.0, 1.0, 0.1 * ones, 1.0 - x + 1e-12, error=1e-11)
     segment = Segment(outside, 0.0, 1.0, None, None, False, 1)
     groups, gaps = groups_of([segment], {0.0})

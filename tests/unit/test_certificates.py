@@ -150,7 +150,7 @@ def test_amplitude_with_products_of_positions_is_that_of_the_model():
     )  # fmt: skip
     certificate = orbit_of(model, 0.8, mode=2).certify()
     assert certificate.proved
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         one, two = (flint.arb(a).union(flint.arb(b)) for a, b in certificate.profile.T.tolist())
         square = one**2 + one * two + two**2
     assert square.overlaps(flint.arb(0.8))
@@ -234,7 +234,7 @@ def test_harmonics_that_are_left_out_count_in_the_radius():
 
 def test_the_frequency_that_a_radius_is_measured_from_is_the_double_itself():
     orbit = orbit_of(Chain(2, 1.0, 0.25, -1.0), 1.5)
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         series = computed_series(orbit, system_of(orbit.space.coordinates, orbit.S), 4)
         square = Fraction(orbit.Omega) ** 2
         assert series.square.overlaps(flint.arb(flint.fmpq(square.numerator, square.denominator)))
@@ -280,7 +280,7 @@ def padded(series, harmonics):
 def test_radius_is_the_distance_of_the_true_orbit_but_for_a_little():
     """The radius of coarse coefficients against the true distance: Y lowered by half would not hold it."""
     orbit = orbit_of(Chain(3, 1.0, 0.25, -1.0), 1.0)
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         bounds = unrefined(orbit, 6)
         constants = bounds.constants()
         radius = proved_radius(constants)
@@ -301,7 +301,7 @@ def test_radius_is_the_distance_of_the_true_orbit_but_for_a_little():
 )
 def test_z_bounds_the_operator_on_many_harmonics_and_not_by_much_more(chain, S, harmonics, sharp):
     orbit = orbit_of(chain, S)
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         bounds = unrefined(orbit, harmonics, 1.05)
         Z = bounds.Z()
     A, DF, weights = explicit(bounds, 60)
@@ -311,7 +311,7 @@ def test_z_bounds_the_operator_on_many_harmonics_and_not_by_much_more(chain, S, 
 def test_z_counts_how_far_the_matrix_is_from_an_inverse():
     """Of six tenths of an inverse the finite rows alone are four tenths off."""
     orbit = orbit_of(Chain(3, 1.0, 0.25, -1.0), 1.0)
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         good = unrefined(orbit, 12, 1.02)
         bounds = FiniteInverse(good.series, good.nu, 0.6 * good.matrix)
         Z = bounds.Z()
@@ -323,7 +323,7 @@ def test_z_counts_how_far_the_matrix_is_from_an_inverse():
 def test_z_and_w_bound_the_operator_of_all_cosines(sites, S, harmonics):
     """Bounds about coarse series, whose k = 0 matters: beside them twice its rows would be outside."""
     orbit = orbit_of(soft(sites), S)
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         bounds = unrefined(orbit, harmonics, 1.05)
         Z, W = bounds.Z(), bounds.W(1e-3)
         J = bounds._jacobian()
@@ -342,7 +342,7 @@ def test_z_and_w_bound_the_operator_of_all_cosines(sites, S, harmonics):
 @pytest.mark.parametrize(("model", "S"), [(Chain(3, 1.0, 0.25, -1.0), 2.0), (soft(3), 0.3)])
 def test_derivatives_of_forces_have_the_norms_of_their_columns(model, S):
     """With weights near 1 a column far from both ends has the whole norm of the series that makes it."""
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         bounds = unrefined(orbit_of(model, S), 6, 1.0001)
         bound = max(float(bounds.derivative_norm(n)) for n in range(3))
     _, DF, weights = explicit(bounds, 40)
@@ -355,7 +355,7 @@ def test_derivatives_of_forces_have_the_norms_of_their_columns(model, S):
 def test_finite_rows_of_z_are_those_of_the_operator():
     """A third harmonic near the other mode makes columns beyond the finite part reach far into it."""
     orbit = orbit_of(Chain(2, -0.7, 0.0, -0.3), 0.4)
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         bounds = unrefined(orbit, 2, 2.0)
         finite, beyond = bounds.finite_columns(), float(bounds.beyond)
         through_amplitude = (bounds.Z() - finite) * (1.0 - 1.0 / beyond)
@@ -375,7 +375,7 @@ def test_finite_rows_of_z_are_those_of_the_operator():
 )
 def test_w_bounds_differences_of_the_operator(chain, S, sharp):
     orbit, reach = orbit_of(chain, S), 1e-3
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         bounds = unrefined(orbit, 5, 1.05)
         W = bounds.W(reach)
     A, DF, weights = explicit(bounds, 40)
@@ -391,7 +391,7 @@ def test_w_is_its_formula():
     """For one cubic oscillator each part of W by hand, from the explicit inverse."""
     S, g = 1.7, 3.0
     orbit, reach = orbit_of(Chain(1, 0.5, 0.0, g), S), 1e-3
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         bounds = unrefined(orbit, 6, 1.05)
         W = bounds.W(reach)
     A, _, weights = explicit(bounds, 40)
@@ -405,7 +405,7 @@ def test_w_is_its_formula():
 
 def test_rounding_of_matrix_products_is_enclosed():
     """Each column of I - A_f J in balls, where it is nothing but rounding, against its bound by doubles."""
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         bounds = unrefined(orbit_of(Chain(6, 1.0, 0.25, -1.0), 2.0), 12)
         H, size = 12, bounds.inner
         for n in range(6):

@@ -12,7 +12,7 @@ from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.section_orbits import SectionOrbit, find_all, find_one
 from casadi_skin.stability.stepping import OrbitState
 from casadi_skin.stability.tongues import chebyshev
-from casadi_skin.stability.tongues.decoupling import DEGREE
+from casadi_skin.stability.tongues.decoupling import SERIES_DEGREE
 from casadi_skin.stability.tongues.rotation import _to_the_nearest
 from casadi_skin.stability.tongues.zeros import Function
 
@@ -60,11 +60,11 @@ def test_orbits_found_together_are_those_found_one_by_one(family: tuple[Family, 
 
 def test_zeros_found_together_are_those_of_the_polynomials() -> None:
     """Products of factors with zeros that are known: none, one at an end, three, and two that only come near zero."""
-    x, zeros = chebyshev.nodes(DEGREE), [[], [1.0], [-0.71, 0.2, 0.2004], [0.3]]
+    x, zeros = chebyshev.nodes(SERIES_DEGREE), [[], [1.0], [-0.71, 0.2, 0.2004], [0.3]]
     values = np.array([np.prod([x - zero for zero in each], axis=0) * (2.0 + x) for each in zeros])
     values[3] = (x - 0.3) ** 2 + 1e-12
-    errors = np.full((4, DEGREE + 1), 1e-11)
-    functions = Function.several(chebyshev.transform(DEGREE) @ values.T, errors)
+    errors = np.full((4, SERIES_DEGREE + 1), 1e-11)
+    functions = Function.several(chebyshev.transform(SERIES_DEGREE) @ values.T, errors)
     assert [function.excludes_zero for function in functions] == [True, False, False, False]
     Function.find_zeros(functions)
     for function, expected in zip(functions, zeros, strict=True):

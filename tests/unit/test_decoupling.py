@@ -10,7 +10,7 @@ from numpy.polynomial.chebyshev import chebroots
 
 from casadi_skin import native
 from casadi_skin.stability.tongues import chebyshev, decoupling
-from casadi_skin.stability.tongues.decoupling import DEGREE
+from casadi_skin.stability.tongues.decoupling import SERIES_DEGREE
 
 Array = np.ndarray
 
@@ -26,7 +26,7 @@ def random_intervals(size: int, dtype: type, seed: int = 7) -> tuple[Array, Arra
     if dtype is complex:
         mu = mu + 1j * generator.normal(size=size)
         linear += 1j * generator.normal(size=linear.shape)
-    x = chebyshev.nodes(DEGREE)[:, None, None]
+    x = chebyshev.nodes(SERIES_DEGREE)[:, None, None]
     sizes = np.array([0.3, 0.2, 0.1, 0.1, 0.01, 40.0])[:, None, None, None] / size
     K = np.diag(mu) + sizes * (x * linear[:, None] + x**2 * bent[:, None])
     same = np.tile(np.eye(size, dtype=bool), (6, 1, 1))
@@ -56,7 +56,9 @@ def test_bases_are_invariant(size: int, dtype: type) -> None:
     for i in range(5):
         count = np.count_nonzero(columns[i] >= 0)
         assert invariance(K[i], T[i], same[i], columns[i]) < 1e-8
-        assert np.array_equal(T[i, DEGREE // 2], np.eye(size, columns.shape[1]) * (np.arange(columns.shape[1]) < count))
+        assert np.array_equal(
+            T[i, SERIES_DEGREE // 2], np.eye(size, columns.shape[1]) * (np.arange(columns.shape[1]) < count)
+        )
 
 
 @needs_kernels
@@ -82,7 +84,7 @@ def test_forms_have_the_eigenvalues_of_their_columns() -> None:
     forms = decoupling.decoupled(own, same, columns, near, vectors, inverse, K[:, :, None], None, np.arange(5))
     for i in range(5):
         count = np.count_nonzero(columns[i] >= 0)
-        for node in (0, 3, DEGREE // 2, DEGREE):
+        for node in (0, 3, SERIES_DEGREE // 2, SERIES_DEGREE):
             block = forms.values[i, node, 0, :count, :count]
             assert np.max(np.abs(np.where(same[i, :count, :count], 0.0, block))) < 1e-8
             exact = np.linalg.eigvals(own[i, node])
@@ -94,14 +96,16 @@ def test_forms_have_the_eigenvalues_of_their_columns() -> None:
 def test_steps_from_the_identity_give_all_mu(dtype: type) -> None:
     """Within the square of the last step, which is small but not zero, and as numpy's do."""
     K, same, _ = random_intervals(6, dtype)
-    K = K[2:, decoupling.PROBES]
-    values, fine = native.contracts(K, same[2:], decoupling.STEPS, 1e-9, decoupling.LARGEST)
+    K = K[2:, decoupling.PROBE_NODES]
+    values, fine = native.contracts(K, same[2:], decoupling.MOST_STEPS, 1e-9, decoupling.LARGEST_STEP)
     assert fine.tolist() == [True] * 3 + [False]
     for here, matrices in zip(values[:3], K[:3], strict=True):
         exact = np.linalg.eigvals(matrices)
         assert np.sort_complex(here) == pytest.approx(np.sort_complex(exact), abs=1e-9)
     plain, _ = decoupling._steps_from_identity(K[:3], same[2:5])
-    compiled, _ = native.contracts(K[:3], same[2:5], decoupling.STEPS, decoupling.SMALL, decoupling.LARGEST)
+    compiled, _ = native.contracts(
+        K[:3], same[2:5], decoupling.MOST_STEPS, decoupling.SMALL_STEP, decoupling.LARGEST_STEP
+    )
     np.testing.assert_allclose(compiled, plain, rtol=0, atol=1e-12)
 
 
@@ -148,7 +152,7 @@ def test_a_zero_on_the_border_of_two_parts_is_one(place: float) -> None:
 @pytest.mark.parametrize("end", [-1.0, 1.0])
 def test_a_zero_beyond_the_end_by_rounding_alone_is_at_the_end(end: float) -> None:
     """Of x - place and, by eigenvalues, of (x - place)(x^2 + 0.1): no place is outside of [-1, 1]."""
-    place = end * (1.0 + 0.5 * chebyshev.SLACK)
+    place = end * (1.0 + 0.5 * chebyshev.END_SLACK)
     coefficients = np.zeros((17, 2))
     coefficients[:2, 0] = -place, 1.0
     coefficients[:4, 1] = chebyshev_polynomial.poly2cheb([-0.1 * place, 0.1, -place, 1.0])

@@ -17,7 +17,7 @@ from casadi_skin.follow.find import find_orbit
 from casadi_skin.follow.first import packed, space_of
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve import ipopt, watch
-from casadi_skin.solve.arbiter import SHRINK, ArbitratedCorrector
+from casadi_skin.solve.arbiter import STEP_SHRINKAGE, ArbitratedCorrector
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.solve.ipopt import IpoptCorrector
 from casadi_skin.solve.newton import Correction, NewtonCorrector, Status
@@ -274,7 +274,7 @@ def test_newton_with_smaller_residuals_finds_what_ipopt_finds() -> None:
     problem = space_of(ring(30), wave(30), {}).levels.problem(5)
     assert isinstance(problem, BoundaryProblem)
     guess, row = 1.3 * packed(problem, wave(30)), problem.parameter_row()
-    assert not NewtonCorrector(problem, shrink=SHRINK).correct(guess, row, 0.0).converged
+    assert not NewtonCorrector(problem, shrink=STEP_SHRINKAGE).correct(guess, row, 0.0).converged
     found = NewtonCorrector(problem, 1e-10, 30, decreasing=True).correct(guess, row, 0.0)
     expected = IpoptCorrector(problem, 1e-10, 60).correct(guess, row, 0.0)
     assert found.converged

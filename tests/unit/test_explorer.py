@@ -18,7 +18,7 @@ from scipy.io import netcdf_file
 from casadi_skin import Chain, OdeModel, find_equilibrium, follow_family
 from casadi_skin.results.dataset import Dataset, Variable, dataset_of, stored_name, write_csv, write_netcdf
 from casadi_skin.results.tables import EVENT_COLUMNS, event_rows
-from casadi_skin.runs.explorer import CHANGE, POINTS, map_data, page_data
+from casadi_skin.runs.explorer import CHANGE_NAME, MOST_CURVE_POINTS, map_data, page_data
 from casadi_skin.runs.program import main
 from casadi_skin.stability.tongues.diagram import Unresolved
 
@@ -70,11 +70,11 @@ def test_a_long_branch_is_thinned_with_a_note(tmp_path: Path) -> None:
     write_netcdf(tmp_path / "branch.nc", Dataset(variables))
     data = page_data(tmp_path)
     (branch,) = data["branches"]
-    assert data["note"] == f"curves show {POINTS} of the points of 1 branches"
+    assert data["note"] == f"curves show {MOST_CURVE_POINTS} of the points of 1 branches"
     assert (branch["count"], branch["x"], branch["y"]) == (n, "p", "u")
-    assert POINTS <= len(branch["columns"]["p"]) <= POINTS + 3
+    assert MOST_CURVE_POINTS <= len(branch["columns"]["p"]) <= MOST_CURVE_POINTS + 3
     (change,) = branch["special"]
-    assert change["label"] == f"{CHANGE}: p = {change['label'].rpartition(' ')[2]}"
+    assert change["label"] == f"{CHANGE_NAME}: p = {change['label'].rpartition(' ')[2]}"
     assert branch["columns"]["p"][change["point"]] == pytest.approx(0.5, abs=1e-4)
     assert [branch["columns"]["p"][i] for i in branch["requested"]] == [1.0]
 
@@ -222,7 +222,7 @@ def test_a_map_becomes_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 def test_a_large_map_is_thinned_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("casadi_skin.runs.explorer.CELLS", 400)
+    monkeypatch.setattr("casadi_skin.runs.explorer.MOST_CELLS", 400)
     write_map(tmp_path, 30, 20, "γ")
     data = map_data(tmp_path)
     sizes = [len(axis["values"]) for axis in data["axes"]]

@@ -19,7 +19,7 @@ from scipy.integrate import solve_ivp
 from casadi_skin import Chain, OdeModel, Orbit, export_c, find_orbit, follow_family
 from casadi_skin.export.codegen import CodegenError, c_name, c_source
 from casadi_skin.export.compiler import CompilerError, build_c
-from casadi_skin.export.exported_model import PARTS
+from casadi_skin.export.exported_model import EXPORTED_PARTS
 from casadi_skin.runs.scene import C_PARTS
 from casadi_skin.stability.splitting import srkn_coefficients
 
@@ -477,7 +477,7 @@ def test_names(words: str, wanted: str) -> None:
 
 
 def test_parts_have_the_same_names_in_scenes_and_in_python() -> None:
-    assert set(C_PARTS) == set(PARTS) - {"outputs"}
+    assert set(C_PARTS) == set(EXPORTED_PARTS) - {"outputs"}
 
 
 @pytest.mark.parametrize(

@@ -146,7 +146,7 @@ def test_the_list_does_not_depend_on_the_interpolation(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     reference = diagram_of(chain, mode, S_max)
-    monkeypatch.setattr(interpolation, "DEGREES", degrees)
+    monkeypatch.setattr(interpolation, "SERIES_DEGREES", degrees)
     monkeypatch.setattr(interpolation, "FIRST_LENGTH", 0.11)
     monkeypatch.setattr(family_tongues, "find_changes", partial(find_changes, tolerance=tolerance))
     same(reference, tongues_along(followed(chain, mode, S_max)))

@@ -190,7 +190,7 @@ def test_work_is_done_from_small_coordinates_on_and_ends_where_it_is_limited(mon
     windows = [collision(cubic(-0.1, 2.0), 0.01), collision(cubic(-1.8, 2.0), 0.01, square=3.0)]
     family = SymplecticFamily([*windows, FAR])
     monkeypatch.setattr(crossings, "BATCH_WORK", 1.0)
-    monkeypatch.setattr(crossings, "OVERHEAD", 0.0)
+    monkeypatch.setattr(crossings, "EIGENVALUE_OVERHEAD", 0.0)
     monkeypatch.setattr(crossings, "first_intervals", eight_intervals)
     agree(find_changes(family), [0.04, 0.06, 0.89, 0.91], 1e-12)
     diagram = find_changes(family, work=1500.0)

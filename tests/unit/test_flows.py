@@ -23,7 +23,7 @@ from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability import family_stability, splitting
 from casadi_skin.stability.cvodes import CvodesFlow
 from casadi_skin.stability.jacobian import JacobianAlong, rows_of
-from casadi_skin.stability.multipliers import LARGE, couplings, eigenvalue_errors, floquet
+from casadi_skin.stability.multipliers import LARGE_EIGENVALUE_COUNT, couplings, eigenvalue_errors, floquet
 from casadi_skin.stability.reduction import Eigensystems, Reflections, eigensystems, half_cosine_errors, half_cosines
 from casadi_skin.stability.result import Floquet, ReversibleFloquet
 from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
@@ -133,7 +133,7 @@ def test_orbits_together_and_columns_by_themselves_change_nothing(cached: int, m
     with numpy_alone():
         alone = [[flow.matrices(steps, [orbit])[0] for orbit in orbits] for steps, orbits in wanted]
         monkeypatch.setattr(
-            splitting, "CACHED", cached
+            splitting, "CACHED_NUMBERS", cached
         )  # 432 numbers of four orbits: all, or each by itself, in columns
         together = flow.several(wanted)
     for found, expected in zip(together, alone, strict=True):
@@ -163,7 +163,7 @@ def test_what_kicks_do_not_reach_is_left_out_of_long_chains(
         return v + h * h * flow.sequence.kicks[i] * (jacobian.dense(nonzeros[0, i]) @ x)
 
     x, v = flow.sequence.apply(x, v, kick, lambda a, x, v: x + a * v)
-    monkeypatch.setattr(splitting, "CACHED", cached)
+    monkeypatch.setattr(splitting, "CACHED_NUMBERS", cached)
     np.testing.assert_allclose(flow(nonzeros, durations)[0], np.vstack([x, v / h]), rtol=1e-11, atol=1e-13)
     widths: list[int] = []
     columns = splitting._columns
@@ -515,7 +515,7 @@ def test_eigenvalues_that_nearly_meet_move_no_farther_than_their_errors(gap: flo
 def test_couplings_that_are_left_out_of_large_matrices_do_not_matter() -> None:
     """Beside all couplings of dense matrices with pairs that nearly meet, and with conjugate ones."""
     generator = np.random.default_rng(6)
-    size = LARGE + 40
+    size = LARGE_EIGENVALUE_COUNT + 40
     values = np.sort(generator.uniform(-1.0, 0.0, size))
     values[1:20:2] = values[:19:2] + 10.0 ** -np.arange(3.0, 13.0)
     D = np.diag(values)

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from casadi_skin.model.expressions import antiderivative, expression
-from casadi_skin.model.formula import DEEPEST, FUNCTIONS, LONGEST, FormulaError, parse_formula
+from casadi_skin.model.formula import DEEPEST_FORMULA, FUNCTIONS, LONGEST_FORMULA, FormulaError, parse_formula
 
 NAMES = {"y": 0.7, "alpha": 1.5, "g": -0.4}
 
@@ -58,9 +58,13 @@ def test_values(text: str, expected: float) -> None:
         ("1e999", 1, "accepted: a finite number"),
         ("y + \N{GREEK SMALL LETTER ALPHA}", 5, "accepted: a finite number, a name"),
         ("y\x00", 2, "\\x00"),
-        ("(" * (DEEPEST + 1) + "y" + ")" * (DEEPEST + 1), DEEPEST + 1, f"at most {DEEPEST}"),
-        ("-" * 10_00 + "y", DEEPEST + 1, f"at most {DEEPEST}"),
-        ("y" + "+y" * LONGEST, LONGEST + 1, f"accepted: {LONGEST} characters"),
+        (
+            "(" * (DEEPEST_FORMULA + 1) + "y" + ")" * (DEEPEST_FORMULA + 1),
+            DEEPEST_FORMULA + 1,
+            f"at most {DEEPEST_FORMULA}",
+        ),
+        ("-" * 10_00 + "y", DEEPEST_FORMULA + 1, f"at most {DEEPEST_FORMULA}"),
+        ("y" + "+y" * LONGEST_FORMULA, LONGEST_FORMULA + 1, f"accepted: {LONGEST_FORMULA} characters"),
     ],
 )
 def test_refusals_have_the_column(text: str, column: int, words: str) -> None:

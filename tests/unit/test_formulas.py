@@ -4,7 +4,7 @@ import pytest
 from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.textpath import TextPath
 
-from casadi_skin.results.figures.style import SYMBOLS, in_letters, style
+from casadi_skin.results.figures.style import FORMULA_SYMBOLS, in_letters, style
 
 WRITTEN = {
     "$S = 0.2$ (passage 2)": "𝑆 = 0.2 (passage 2)",
@@ -39,7 +39,7 @@ def test_other_texts_stay_as_they_are(formula: str) -> None:
 def test_the_font_has_every_character() -> None:
     with style():
         glyphs = get_font(findfont(FontProperties())).get_charmap()
-    assert not {character for text in SYMBOLS.values() for character in text if ord(character) not in glyphs}
+    assert not {character for text in FORMULA_SYMBOLS.values() for character in text if ord(character) not in glyphs}
 
 
 @pytest.mark.parametrize("formula", WRITTEN)

@@ -324,7 +324,7 @@ def test_what_the_progress_callback_raises_arrives() -> None:
 
 def test_without_an_optimum_the_best_start_is_kept_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
     least = found(2.0, starts=1).norm
-    monkeypatch.setattr("casadi_skin.optimise.kick_nlp.ITERATIONS", 2)
+    monkeypatch.setattr("casadi_skin.optimise.kick_nlp.MOST_ITERATIONS", 2)
     kick = smallest_kick(breather(), 2.0 * breather().period, starts=2)
     assert not kick.converged
     assert "no optimum (Ipopt: the iteration did not converge in the steps allowed)" in kick.status

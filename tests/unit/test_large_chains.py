@@ -12,7 +12,7 @@ from scipy.io import netcdf_file
 from casadi_skin import Chain, Orbit, follow_family
 from casadi_skin.lattice.closed_forms import frequency_slope
 from casadi_skin.lattice.full_chain import _continued
-from casadi_skin.results.dataset import EMPTY, dataset_of, write_csv, write_netcdf
+from casadi_skin.results.dataset import NETCDF_FILL_VALUE, dataset_of, write_csv, write_netcdf
 from casadi_skin.results.figures.families import profile_figure
 from casadi_skin.results.figures.style import save
 
@@ -112,8 +112,8 @@ def test_sites_at_rest_are_empty(tmp_path: Path) -> None:
     write_netcdf(tmp_path / "family.nc", dataset_of([branch]))
     with netcdf_file(tmp_path / "family.nc", mmap=False) as file:
         logs = file.variables["log10_profile"]
-        assert np.all(logs[:, :2] == EMPTY)
-        assert logs._FillValue == EMPTY
+        assert np.all(logs[:, :2] == NETCDF_FILL_VALUE)
+        assert logs._FillValue == NETCDF_FILL_VALUE
         np.testing.assert_allclose(10.0 ** logs[:, 2], np.sqrt(branch.S), rtol=1e-12)
         assert np.all(file.variables["profile_sign"][:, :2] == 0)
 

@@ -19,11 +19,11 @@ from outputs import drawn, read_rows
 from scipy.io import netcdf_file
 
 from casadi_skin import Chain, follow_family, read_map, run_map
-from casadi_skin.results.figures.map import COLOURS, MapAxis, Panel, map_figure
+from casadi_skin.results.figures.map import COLOUR_MAP, MapAxis, Panel, map_figure
 from casadi_skin.runs.axes import values_of
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.map_cell import Computer, Job
-from casadi_skin.runs.map_grid import UNKNOWN, Axis, Grid, Result, Row, needed, plain, scene_at
+from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Grid, Result, Row, needed, plain, scene_at
 from casadi_skin.runs.map_lines import (
     OF_BOUNDARY,
     Entry,
@@ -35,7 +35,7 @@ from casadi_skin.runs.map_lines import (
     write_boundary,
 )
 from casadi_skin.runs.map_result import Map
-from casadi_skin.runs.map_store import SUFFIX, Columns, Store, known_names
+from casadi_skin.runs.map_store import FAMILY_SUFFIX, Columns, Store, known_names
 from casadi_skin.runs.map_store import UNKNOWN as NOT_COMPUTED
 from casadi_skin.runs.program import main
 from casadi_skin.runs.reading import parse_scene
@@ -133,11 +133,11 @@ def test_a_boundary_is_sharp_for_a_tenth_of_the_cells(radius: float) -> None:
     grid = Grid((Axis("x", (("a", "x"),), values, 16, True), Axis("y", (("a", "y"),), values, 16, True)))
     x, y = np.meshgrid(values, values, indexing="ij")
     truth = ((x - 0.45) ** 2 + (y - 0.5) ** 2 < radius**2).astype(np.int32)
-    labels = np.full(grid.shape, UNKNOWN, dtype=np.int32)
+    labels = np.full(grid.shape, UNKNOWN_LABEL, dtype=np.int32)
     while (cells := needed(grid, labels)).size:
-        assert np.all(labels.flat[cells] == UNKNOWN)
+        assert np.all(labels.flat[cells] == UNKNOWN_LABEL)
         labels.flat[cells] = truth.flat[cells]
-    known = labels != UNKNOWN
+    known = labels != UNKNOWN_LABEL
     assert np.mean(known) < 0.1
     for axis in (0, 1):
         differ = np.diff(truth, axis=axis) != 0
@@ -325,7 +325,7 @@ def test_names_of_quantities_are_known_before_a_cell_is_computed(text: str, tmp_
     result = Computer(Job(plain(scene), str(path))).compute(next(grid.tasks(grid.coarsest)))
     assert result.rows, result.reason
     known = known_names(bind(scene, path))
-    assert [name for name in result.rows[0].values if SUFFIX.sub("", name) not in known] == []
+    assert [name for name in result.rows[0].values if FAMILY_SUFFIX.sub("", name) not in known] == []
 
 
 MANY = """
@@ -529,7 +529,7 @@ def test_a_boundary_of_orbits_is_followed_in_both_parameters(tmp_path: Path) -> 
 def test_colours_survive_grey_and_failed_cells_are_crossed_out() -> None:
     from matplotlib import colormaps
 
-    shades = colormaps[COLOURS](np.linspace(0.0, 1.0, 64))[:, :3] @ [0.2126, 0.7152, 0.0722]
+    shades = colormaps[COLOUR_MAP](np.linspace(0.0, 1.0, 64))[:, :3] @ [0.2126, 0.7152, 0.0722]
     assert np.all(np.diff(shades) > 0)
     values, failed = np.arange(12.0).reshape(4, 3), np.zeros((4, 3), dtype=bool)
     values[1, 2], failed[1, 2] = np.nan, True

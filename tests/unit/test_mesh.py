@@ -92,8 +92,8 @@ def test_a_boundary_layer_is_resolved_and_neighbours_stay_of_like_length(width: 
     degree, K = 4, 40
     lengths = adapted(lambda x: np.exp(-x / width), K, degree, rounds=10)
     ratios = lengths[1:] / lengths[:-1]
-    assert np.max(np.maximum(ratios, 1.0 / ratios)) < 1.3 * mesh.NEIGHBOURS
-    assert np.max(lengths) < 1.3 / (mesh.FLOOR * K)
+    assert np.max(np.maximum(ratios, 1.0 / ratios)) < 1.3 * mesh.NEIGHBOUR_LENGTH_RATIO
+    assert np.max(lengths) < 1.3 / (mesh.DENSITY_FLOOR * K)
     placed, even = (interpolants(lambda x: np.exp(-x / width), h, degree)[1] for h in (lengths, mesh.uniform(K)))
     assert placed < 3e-8
     assert even > 1e4 * placed

@@ -11,7 +11,7 @@ from maps import TINY, write
 from scipy.io import netcdf_file
 
 from casadi_skin import run_map
-from casadi_skin.results.dataset import EMPTY, Dataset, Variable, read_name, write_netcdf
+from casadi_skin.results.dataset import NETCDF_FILL_VALUE, Dataset, Variable, read_name, write_netcdf
 from casadi_skin.runs.program import main
 
 
@@ -27,8 +27,8 @@ def test_attributes_keep_their_digits_and_letters(tmp_path: Path) -> None:
         assert (file.title.decode(), file.empty, file.Conventions) == ("Über", b"untitled", b"CF-1.8")
         (stored,) = [held for name, held in file.variables.items() if read_name(name) == "μ"]
         assert (read_name(stored.dimensions[0]), stored.long_name.decode()) == ("Länge", "Größe")
-        assert stored.data.tolist() == [1.0, EMPTY]
-        assert float(stored._FillValue) == EMPTY
+        assert stored.data.tolist() == [1.0, NETCDF_FILL_VALUE]
+        assert float(stored._FillValue) == NETCDF_FILL_VALUE
         assert stored._FillValue.dtype.itemsize == 8  # of the kind of the values, as CF demands
         assert [b"".join(row).decode().strip() for row in file.variables["n"][:]] == ["ξ", "y"]
 

@@ -31,7 +31,7 @@ from casadi_skin.certify.system import CosineSeries, system_of
 def test_bounds_of_a_ball_hold_for_every_number_in_it() -> None:
     """Y over a ball of amplitudes, and Z over one of frequencies, beside those at numbers in the ball."""
     orbit = follow_family(Chain(3, 1.0, 0.25, -1.0), 1, 0.5, at=[0.5], tolerance=1e-10).at(S=0.5)
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         system = system_of(orbit.space.whole.coordinates, 0.5, step_of(orbit.space), False)
         columns = cosine_coefficients(orbit, system, 8).T.tolist()
         rows = [[(flint.arb(c) / d).mid() for c in column] for column, d in zip(columns, system.scale, strict=True)]

@@ -138,7 +138,7 @@ def test_stability_of_sums_of_all_cosines_agrees_with_an_integration_over_the_pe
 
 def test_rounding_of_sums_that_cancel_is_enclosed():
     """G_0 is nearly -lambda sigma^2: the rounding of the large terms counts, not that of their small sum."""
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         sigma, square = 0.123456789, 1.7
         problem = replace(hill([[[-square * sigma**2]], [[1e-9]]]), square=flint.arb(square))
         pair = _Pair.near(problem, complex(sigma), 4)
@@ -155,7 +155,7 @@ def test_rounding_of_sums_that_cancel_is_enclosed():
 
 def test_numbers_of_negative_eigenvalues_are_those_of_large_matrices():
     generator = np.random.default_rng(1)
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         for _ in range(20):
             blocks = generator.normal(size=(4, 3, 3)) * np.array([8.0, 3.0, 1.0, 0.3])[:, None, None]
             problem = hill(blocks + blocks.swapaxes(1, 2))
@@ -168,7 +168,7 @@ def test_numbers_of_negative_eigenvalues_are_those_of_large_matrices():
 @pytest.mark.parametrize("coupling", [0.5, 2.0, 6.0])
 def test_no_finite_part_is_trusted_with_an_eigenvalue_that_the_tail_moves(coupling, sign):
     """The nearest eigenvalue to 0 of the whole is moved there, to less than what the tail does to the finite part."""
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         for highest in (4, 6, 8):
             for part in (0.01, 0.3, 0.9):
                 free = hill([[[0.0]], [[coupling]], [[0.4 * coupling]]])
@@ -181,7 +181,7 @@ def test_no_finite_part_is_trusted_with_an_eigenvalue_that_the_tail_moves(coupli
 
 
 def test_doubt_about_the_orbit_counts():
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         near = hill([[[-(0.3**2) + 1e-6]], [[0.0]]])
         assert negative_eigenvalues(near, 0.3) is not None
         assert negative_eigenvalues(replace(near, radius=2e-6), 0.3) is None
@@ -190,7 +190,7 @@ def test_doubt_about_the_orbit_counts():
 
 def test_enclosed_exponents_are_bounded_by_dense_operators_and_disturbances():
     orbit = follow_family(Chain(2, 1.0, 0.2, 1.0), mode=2, amplitude_max=6.0, tolerance=1e-10).at(S=6.0)
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         _, attempt = best_attempt(orbit)
         problem = linearised(attempt.series, flint.arb(1.02), attempt.radius, attempt.constants.reach)
         mu = orbit.floquet().mu[0]

@@ -78,7 +78,7 @@ def test_families_of_all_cosines_are_proved_from_their_linear_mode(model, S):
 
 
 def test_true_orbits_lie_within_the_radius_of_the_curve_at_any_s():
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         stretch = stretch_of(family(Chain(3, 1.0, 0.25, -1.0), 2.5), 2.5)
         piece = _piece(stretch, 0.5, 2.0, 9)
         halved = replace(piece.constants, Y=0.5 * piece.constants.Y)
@@ -95,7 +95,7 @@ def test_true_orbits_lie_within_the_radius_of_the_curve_at_any_s():
 
 def test_bounds_at_any_place_are_below_those_of_the_piece():
     """With far fewer nodes than the polynomials need the largest value between them would be missed."""
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         stretch = stretch_of(family(Chain(3, 1.0, 0.25, -1.0), 2.5), 2.5)
         curve = stretch.curve(0.2, 2.2, 6)
         curve = replace(curve, inverse=curve.inverse * np.where(np.arange(11) < 4, 1.0, 0.0)[:, None, None])
@@ -133,7 +133,7 @@ def largest_along(curve, nu, harmonics=20):
 def many_nodes(monkeypatch):
     """So many nodes that the largest values between them are bounded by hardly more than those at them."""
     monkeypatch.setattr(polynomial_piece, "MORE_NODES", 6.0)
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         yield
 
 
@@ -175,7 +175,7 @@ def test_y_counts_the_harmonics_beyond_the_finite_part():
 
 def test_rounding_of_the_inverse_is_counted():
     """A_f has an entry in which large terms cancel: in doubles to nothing, or to something else than in truth."""
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         stretch = stretch_of(family(Chain(1, 1.0, 0.0, 1.0), 0.4), 0.4)
         flat = stretch.curve(0.1, 0.12, 1)
         centre, factor = np.vstack([flat.centre[:1], np.zeros((3, 2))]), np.append(flat.factor[:1], np.zeros(3))
@@ -200,7 +200,7 @@ def test_a_polynomial_between_nodes_is_bounded():
     """cos(d phi) shifted to be largest between two nodes attains the factor nearly."""
     from casadi_skin.certify.stretch import _Uniform
 
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         for count, degree in ((8, 5), (20, 13), (20, 19)):
             nodes = np.cos(np.pi * (2 * np.arange(count) + 1) / (2 * count))
             x = np.linspace(-1.0, 1.0, 20001)
@@ -219,7 +219,7 @@ def test_a_polynomial_between_nodes_is_bounded():
 
 @pytest.mark.slow
 def test_pieces_of_two_families_are_not_joined():
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         one, other = (stretch_of(family(Chain(2, 1.0, 0.25, 1.0), 0.8, mode=m), 0.8) for m in (1, 2))
         first, second, strange = _piece(one, 0.2, 0.5, 5), _piece(one, 0.5, 0.8, 5), _piece(other, 0.5, 0.8, 5)
         assert _joined(first, second)

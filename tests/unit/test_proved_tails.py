@@ -119,7 +119,7 @@ def norm(matrix, weights):
 
 @pytest.mark.parametrize(("core", "S", "harmonics"), [(3, 2.0, 4), (5, 1.2, 5)])
 def test_bounds_hold_the_operator_of_all_sites(core, S, harmonics):
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         bounds, whole = tailed(16, core, S, harmonics, 1.05)
         Y, Z, W = bounds.Y(), bounds.Z(), bounds.W(1e-3)
         finite, tail, curvature = bounds.finite_columns(), bounds.tailed, float(bounds.tailed.curvature(1e-3))
@@ -175,7 +175,7 @@ def test_bounds_hold_the_operator_of_all_sites(core, S, harmonics):
 
 def test_each_size_of_a_tail_enters_the_bounds():
     """Of a small part of a sum no operator shows that it is counted: each is made large, as in a tail that is."""
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         bounds = tailed(16, 3, 2.0, 4, 1.05)[0]
         small = bounds.tailed
         least = {
@@ -195,7 +195,7 @@ def test_each_size_of_a_tail_enters_the_bounds():
 
 def test_closed_forms_of_a_finite_tail():
     """Sums and shares of a tail of seven sites by solving its linear equations."""
-    with flint.ctx.workprec(balls.PRECISION):
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
         tail, square, L = tailed(12, 5, 1.2, 4, 1.05)[0].series.system.tail, flint.arb(0.9), 7
         assert tail.length == L
         c, E = float(tail.coupling), float(tail.energy(1, square))

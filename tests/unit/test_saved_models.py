@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import OdeModel
-from casadi_skin.model.loading import MODULE, run_file
+from casadi_skin.model.loading import USER_MODULE_NAME, run_file
 from casadi_skin.model.operations import CODES, MOST_DEPTH, MOST_OPERATIONS, ONE_ARGUMENT, from_operations
 from casadi_skin.model.saved import checksum, dumps, loads
 
@@ -30,7 +30,7 @@ def example_models() -> list[OdeModel]:
     found = []
     for path in SCRIPTS:
         names = run_file(path, path.read_text(encoding="utf-8"))
-        mine = [f for f in names.values() if inspect.isfunction(f) and f.__module__ == MODULE]
+        mine = [f for f in names.values() if inspect.isfunction(f) and f.__module__ == USER_MODULE_NAME]
         makers = [f for f in mine if not _needed(f)] if path.parent.name == "models" else []
         found += [v for v in (*names.values(), *(f() for f in makers)) if isinstance(v, OdeModel)]
     return found

@@ -25,7 +25,7 @@ from orbit_problems import (
 )
 from scipy.integrate import solve_ivp
 
-from casadi_skin.follow.family import DIGITS, Family
+from casadi_skin.follow.family import CVODES_DIGITS, Family
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.following import Following
 from casadi_skin.follow.orbit import Orbit
@@ -244,7 +244,7 @@ def test_the_estimated_error_covers_the_true_one_in_random_chains() -> None:
         sites, alpha, gamma = int(generator.integers(1, 9)), generator.uniform(0.2, 3), generator.uniform(-0.6, 0.6)
         chain = Chain(sites, alpha, gamma, generator.choice([-1.0, 1.0]))
         S = 10 ** generator.uniform(-1, 0.5 if chain.g > 0 else -0.2)
-        found = estimates(chain, int(generator.integers(1, sites + 1)), S, DIGITS)
+        found = estimates(chain, int(generator.integers(1, sites + 1)), S, CVODES_DIGITS)
         assert found
         for estimated, true in found:
             assert true <= estimated
@@ -424,8 +424,8 @@ def test_a_tolerance_out_of_reach_ends_the_family_by_name() -> None:
 
 def test_a_corrector_is_not_asked_for_less_than_the_noise() -> None:
     tools = Family(family_request(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, tolerance=1e-6, transcription="shooting"))
-    assert tools.levels.resolutions == DIGITS
-    assert DIGITS[-3:] == (12, 14, 15)
+    assert tools.levels.resolutions == CVODES_DIGITS
+    assert CVODES_DIGITS[-3:] == (12, 14, 15)
     newton = Family(
         replace(tools.request, method=replace(tools.request.method, corrector="newton"), tolerance=1e-10)
     ).levels

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.dynamics import Evolution, distance_from_orbit, evolve, simulate_orbit
-from casadi_skin.results.figures.evolutions import COLOURS, spacetime_figure
+from casadi_skin.results.figures.evolutions import COLOUR_MAP, spacetime_figure
 from casadi_skin.results.figures.style import save
 
 pytestmark = pytest.mark.usefixtures("pictures")
@@ -49,7 +49,7 @@ def test_cells_stand_at_their_times_and_sites_and_colours_are_centred() -> None:
 
 
 def test_lightness_rises_with_displacement() -> None:
-    rgb = mpl.colormaps[COLOURS](np.linspace(0, 1, 256))[:, :3]
+    rgb = mpl.colormaps[COLOUR_MAP](np.linspace(0, 1, 256))[:, :3]
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
     lightness = np.cbrt(linear @ [0.2126, 0.7152, 0.0722])
     assert np.all(np.diff(lightness) > 0)

@@ -69,7 +69,7 @@ def test_one_state_that_cannot_be_solved_leaves_all_to_the_solver_of_one(
     elif fault == "not a number":
         nonzeros[1, 7] = np.nan
     else:
-        monkeypatch.setattr("casadi_skin.solve.bordered.ACCURATE", 0.0)
+        monkeypatch.setattr("casadi_skin.solve.bordered.ACCURATE_RESIDUAL", 0.0)
         problem.shared.clear()
     assert solver_of(problem).steps(z, residuals, nonzeros, rows) is None
 

@@ -26,8 +26,8 @@ from casadi_skin.runs.tradeoff import (
 )
 from casadi_skin.runs.tradeoff_settings import (
     COLUMNS,
+    MEASURED_TOLERANCES,
     QUICK_TOLERANCES,
-    TOLERANCES,
     Computation,
     Errors,
     Kind,
@@ -183,8 +183,8 @@ def test_settings_are_every_method_at_every_tolerance() -> None:
     methods = [s.method for s in of_kind(Kind.ORBITS)]
     assert len(methods) == len(set(methods)) == 10
     assert "shooting, arclength, newton" in methods
-    longer = of_kind(Kind.ORBITS, LONG, TOLERANCES)
-    assert len(longer) == 8 * len(TOLERANCES)
+    longer = of_kind(Kind.ORBITS, LONG, MEASURED_TOLERANCES)
+    assert len(longer) == 8 * len(MEASURED_TOLERANCES)
     assert not any("shooting" in s.method for s in longer)
     assert len({s.method for s in of_kind(Kind.FLOW, tolerances=QUICK_TOLERANCES)}) > 1
     presets = of_kind(Kind.PRESET)

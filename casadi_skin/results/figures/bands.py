@@ -11,7 +11,7 @@ from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import Bands, bands, brillouin_zone, lattice_modes, winding_numbers
 from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.results.figures.style import (
-    DASHES,
+    LINE_DASHES,
     MARKED_SITES,
     blank,
     finished,
@@ -112,7 +112,7 @@ def skin_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None)
         panels["a"].set_xlabel(r"Re $\omega^2$ (dots: of a ring)")
         panels["a"].set_ylabel(r"Im $\omega^2$")
         circle = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 201))
-        panels["b"].plot(circle.real, circle.imag, color="0.6", lw=0.8, ls=DASHES[1])
+        panels["b"].plot(circle.real, circle.imag, color="0.6", lw=0.8, ls=LINE_DASHES[1])
         panels["b"].plot(zone.real, zone.imag, "o", ms=3, mfc="white", color="black")
         panels["b"].set_aspect("equal")
         panels["b"].set_xlabel(r"Re $\beta$ (dashed: $|\beta| = 1$)")

@@ -29,14 +29,14 @@ if TYPE_CHECKING:
     from casadi_skin.points.edges import EdgeCurve
 
 SAME_PLACE = 5e-3  # of the extent of a branch: a distance that a picture does not show
-LOOKS: dict[bool | None, dict[str, Any]] = {
+STABILITY_LOOKS: dict[bool | None, dict[str, Any]] = {
     True: {"label": "stable", "lw": 2.0},
     False: {"label": "unstable", "lw": 2.0, "ls": (0, (3.0, 1.6))},
     None: {"label": "stability not computed", "lw": 0.9},
 }
-WIDTHS = {False: 1.5, True: 2.8}  # of lines of equilibria, and of cycles
+LINE_WIDTHS = {False: 1.5, True: 2.8}  # of lines of equilibria, and of cycles
 DASHED, DOTTED = (0, (4.0, 1.4)), (0, (1.0, 1.2))
-CURVES = {  # words and dashes of a curve of special points, by kind and whether they are orbits
+CURVE_LOOKS = {  # words and dashes of a curve of special points, by kind and whether they are orbits
     ("fold", False): ("folds", "-"),
     ("hopf", False): ("Hopf points", DASHED),
     ("branch point", False): ("branch points", DOTTED),
@@ -47,11 +47,14 @@ CURVES = {  # words and dashes of a curve of special points, by kind and whether
     ("torus", True): ("tori", DOTTED),
     ("branch point", True): ("branch points of cycles", DOTTED),
 }
-CLOSE = 0.008  # of the width of a picture: marks that are closer overlap
-ROUNDING = 1e-6  # of a quantity: a change that is no course of a curve
-FEWEST, INSIDE = 4, 12  # points through which a curve is drawn smooth, and points drawn between two of them
-STRIP = 0.025  # of the height of a picture: a strip along its lower edge
-MARKS = {  # the symbols of the field, as far as there are any
+CLOSE_MARK_DISTANCE = 0.008  # of the width of a picture: marks that are closer overlap
+ROUNDING_CHANGE = 1e-6  # of a quantity: a change that is no course of a curve
+FEWEST_SMOOTH_POINTS, POINTS_BETWEEN = (
+    4,
+    12,
+)  # points through which a curve is drawn smooth, and points drawn between two of them
+STRIP_HEIGHT = 0.025  # of the height of a picture: a strip along its lower edge
+KIND_MARKS = {  # the symbols of the field, as far as there are any
     "fold": ("D", "0.6"),
     "branch point": ("o", "white"),
     "hopf": ("s", "black"),
@@ -80,8 +83,8 @@ MARKS = {  # the symbols of the field, as far as there are any
     "flip-torus": ("8", "white"),
     "torus-torus": ("X", "white"),
 }
-PLAIN = ("d", "0.8")
-LIMITS = ("homoclinic", "heteroclinic")  # possible ends of a branch of cycles
+PLAIN_MARK = ("d", "0.8")
+CYCLE_LIMITS = ("homoclinic", "heteroclinic")  # possible ends of a branch of cycles
 Pieces = Sequence[tuple[bool | None, Array]]
 
 
@@ -132,13 +135,13 @@ def smooth(path: Array) -> Array:
     """
     from scipy.interpolate import Akima1DInterpolator
 
-    extent = np.maximum(np.ptp(path, axis=0), ROUNDING * np.max(np.abs(path), axis=0, initial=0.0))
+    extent = np.maximum(np.ptp(path, axis=0), ROUNDING_CHANGE * np.max(np.abs(path), axis=0, initial=0.0))
     lengths = np.hypot(*(np.diff(path, axis=0) / np.where(extent > 0.0, extent, 1.0)).T)
     path = path[np.append(True, lengths > 0.0)]
-    if len(path) < FEWEST or not np.all(np.isfinite(path)):
+    if len(path) < FEWEST_SMOOTH_POINTS or not np.all(np.isfinite(path)):
         return path
     places = np.append(0.0, np.cumsum(lengths[lengths > 0.0]))
-    parts = np.linspace(0.0, 1.0, INSIDE + 1, endpoint=False)
+    parts = np.linspace(0.0, 1.0, POINTS_BETWEEN + 1, endpoint=False)
     between = places[:-1, None] + np.diff(places)[:, None] * parts
     curve = Akima1DInterpolator(places, path, method="makima")(between)
     curve[:, 0] = path[:-1]
@@ -165,13 +168,13 @@ def draw_pieces(axes: Axes, branch: Branch, path: Array, pieces: Pieces, colour:
     closed = space.connects == ORBITS
     kind = {ORBITS: orbits, EQUILIBRIA: "equilibria"}.get(space.connects, "solutions")
     for stable, piece in pieces:
-        look = LOOKS[stable]
-        if (space.kind, closed) in CURVES:
-            words, dashes = CURVES[space.kind, closed]
+        look = STABILITY_LOOKS[stable]
+        if (space.kind, closed) in CURVE_LOOKS:
+            words, dashes = CURVE_LOOKS[space.kind, closed]
             look = {"lw": 1.8, "ls": dashes, "label": words}
         elif space.connects != FAMILY:
             silent = stable is None and (kind == "solutions" or orbits == "orbits")
-            look = {**look, "lw": WIDTHS[closed], "label": kind if silent else f"{kind}, {look['label']}"}
+            look = {**look, "lw": LINE_WIDTHS[closed], "label": kind if silent else f"{kind}, {look['label']}"}
         seen = np.any(np.ptp(piece, axis=0) > SAME_PLACE * np.ptp(path, axis=0))
         drawn = piece if space.connects == FAMILY else smooth(piece)
         axes.plot(*drawn.T, color=colour, zorder=3, **{**look, "label": look["label"] if seen else "_nolegend_"})
@@ -193,13 +196,13 @@ def draw_lines(
     gap, orbits = np.full((1, 2), np.nan), branch.space.connects in (FAMILY, ORBITS)
     for stable in dict.fromkeys(stable for stable, _ in pieces):
         line = np.vstack([part for known, piece in pieces if known is stable for part in (gap, piece)])[1:]
-        axes.plot(*line.T, color=colour, zorder=3, **(LOOKS[stable] if orbits else {"lw": 1.4}))
+        axes.plot(*line.T, color=colour, zorder=3, **(STABILITY_LOOKS[stable] if orbits else {"lw": 1.4}))
     joints = np.array([piece[-1] for _, piece in pieces[:-1]]).reshape(-1, 2)
     joints = joints[~_are_marked(joints, path[list(special_places(branch, path))], np.ptp(path, axis=0))]
     if joints.size and strip and np.all(np.diff(path[:, 0]) > 0.0) and crowded(joints[:, 0]):
         bars = [(piece[0, 0], np.ptp(piece[:, 0])) for stable, piece in pieces if stable is False]
         look: dict[str, Any] = {"fc": "0.25", "ec": "none", "transform": axes.get_xaxis_transform(), "zorder": 4}
-        axes.broken_barh(bars, (0.0, STRIP), label="unstable, along the amplitude", **look)
+        axes.broken_barh(bars, (0.0, STRIP_HEIGHT), label="unstable, along the amplitude", **look)
     elif joints.size:
         axes.plot(*thinned(joints).T, "|", ms=7, mew=0.9, color="black", label="change of stability", zorder=5)
 
@@ -217,12 +220,12 @@ def label_of(words: str, piece: Array, path: Array) -> str:
 
 def crowded(places: Array) -> bool:
     """Whether marks at places along an axis would overlap."""
-    return bool(np.any(np.diff(np.sort(places)) < CLOSE * np.max(np.abs(places), initial=0.0)))
+    return bool(np.any(np.diff(np.sort(places)) < CLOSE_MARK_DISTANCE * np.max(np.abs(places), initial=0.0)))
 
 
 def thinned(places: Array) -> Array:
     """Marks of shape (marks, 2) without those that would overlap the one before along the axis."""
-    least, kept = 2.0 * CLOSE * np.max(np.abs(places[:, 0])), [0]
+    least, kept = 2.0 * CLOSE_MARK_DISTANCE * np.max(np.abs(places[:, 0])), [0]
     for i in range(1, len(places)):
         if np.abs(places[i, 0] - places[kept[-1], 0]) >= least:
             kept.append(i)
@@ -234,7 +237,7 @@ def draw_special(axes: Axes, branch: Branch, path: Array, size: float) -> None:
     places = special_places(branch, path)
     for kind in dict.fromkeys(places.values()):
         points = path[[i for i, found in places.items() if found == kind]]
-        marker, face = MARKS.get(kind, PLAIN)
+        marker, face = KIND_MARKS.get(kind, PLAIN_MARK)
         look: dict[str, Any] = {"mfc": face, "mec": "black", "ls": "none", "zorder": 5}
         axes.plot(*points.T, marker, color="black", ms=size, label=kind, **look)
 
@@ -247,7 +250,7 @@ def draw_marks(axes: Axes, branch: Branch, path: Array, colour: Any) -> None:
     if marked:
         look: dict[str, Any] = {"mfc": "white", "mec": colour, "label": "requested", "zorder": 6, "clip_on": False}
         axes.plot(*path[marked].T, "o", color=colour, ms=4, **look)
-    if branch.end not in (End.REACHED, End.RETURNED, End.CLOSED) and not branch.stopped and last not in LIMITS:
+    if branch.end not in (End.REACHED, End.RETURNED, End.CLOSED) and not branch.stopped and last not in CYCLE_LIMITS:
         axes.plot(*path[-1], "x", ms=6, color="black", label="ended early", zorder=7)
 
 
@@ -369,9 +372,9 @@ def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
         figure = blank(6.0, 4.4)
         axes = figure.subplots()
         looks = [(curve.space.kind, curve.space.connects == ORBITS) for curve in curves]
-        order = [look for look in CURVES if look in looks]
+        order = [look for look in CURVE_LOOKS if look in looks]
         for curve, look in zip(curves, looks, strict=True):
-            words, dashes = CURVES[look]
+            words, dashes = CURVE_LOOKS[look]
             path = np.column_stack([curve[first], curve[second]])
             colour = colours(max(2, len(order)))[order.index(look) if len(order) > 1 else int(look[0] == "hopf")]
             axes.plot(*smooth(path).T, ls=dashes, lw=1.8, color=colour, label=words)

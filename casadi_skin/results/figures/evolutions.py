@@ -17,7 +17,7 @@ from casadi_skin.dynamics.evolve import distance_from_orbit
 from casadi_skin.dynamics.starts import Spreading
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.results.figures.style import DASHES, blank, colours, finished, plain, position_label, style
+from casadi_skin.results.figures.style import LINE_DASHES, blank, colours, finished, plain, position_label, style
 from casadi_skin.results.figures.style import title as model_title
 from casadi_skin.zero.problem import Array
 
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-COLOURS = "cividis"  # blue to grey to yellow; perceptually uniform, and the same to colour-blind readers
+COLOUR_MAP = "cividis"  # blue to grey to yellow; perceptually uniform, and the same to colour-blind readers
 MOST_COLUMNS = 4000  # more samples than that no page resolves
 MOST_PERIODS = 100  # of the lowest linear frequency; beyond, the extent of the oscillations is shown
-PHASES = 64  # at which an orbit is looked at for its largest displacement
-WINDOWS = 200  # over which that extent is taken
-FEW = 6  # states of a model of first order that are drawn as lines
+EXTENT_PHASES = 64  # at which an orbit is looked at for its largest displacement
+EXTENT_WINDOWS = 200  # over which that extent is taken
+FEW_STATES = 6  # states of a model of first order that are drawn as lines
 
 
 def spacetime_figure(
@@ -93,11 +93,11 @@ def spacetime_figure(
             main.plot(evolution.t[0], kicked_site, ">", ms=8, mfc="white", mec="black", clip_on=False, zorder=5)
         model = model_title(evolution.model, evolution.parameters)
         figure.suptitle("; ".join(words for words in (title, model) if words))
-        return finished(figure, (main,) if few else (), FEW)
+        return finished(figure, (main,) if few else (), FEW_STATES)
 
 
 def _has_few_states(evolution: Evolution) -> bool:
-    return not evolution.equations.positions and evolution.states.shape[1] <= FEW
+    return not evolution.equations.positions and evolution.states.shape[1] <= FEW_STATES
 
 
 def _shown(evolution: Evolution) -> Array:
@@ -115,7 +115,7 @@ def _colour_label(evolution: Evolution) -> str:
 def _draw_states(axes: Axes, evolution: Evolution) -> None:
     """The few states as lines, in long runs as the range that each has in each window of time."""
     names, t = evolution.names, evolution.t
-    for x, name, colour, dashes in zip(evolution.states.T, names, colours(len(names)), DASHES, strict=False):
+    for x, name, colour, dashes in zip(evolution.states.T, names, colours(len(names)), LINE_DASHES, strict=False):
         if _is_long(evolution):
             edges, low, high = _extent(t, x[:, None])
             axes.stairs(high[:, 0], edges, baseline=low[:, 0], fill=True, color=colour, alpha=0.5, label=plain(name))
@@ -138,7 +138,7 @@ def draw_spacetime(axes: Axes, evolution: Evolution, orbit: Orbit | None = None)
         every = -(-evolution.t.size // MOST_COLUMNS)
         edges, y = _edges(evolution.t[::every]), shown[::every]
     places = np.arange(shown.shape[1] + 1) + 0.5
-    image = axes.pcolormesh(edges, places, y.T, cmap=COLOURS, vmin=lowest, vmax=largest, rasterized=True)
+    image = axes.pcolormesh(edges, places, y.T, cmap=COLOUR_MAP, vmin=lowest, vmax=largest, rasterized=True)
     axes.set(xlim=(edges[0], edges[-1]), ylim=(places[0], places[-1]), ylabel=_rows_label(evolution))
     axes.tick_params(top=False, right=False, direction="out")
     axes.yaxis.set_major_locator(MaxNLocator(6, integer=True, min_n_ticks=1, steps=[1, 2, 4, 5, 10]))
@@ -153,7 +153,7 @@ def _largest(evolution: Evolution, orbit: Orbit | None = None) -> float:
     """Value of the brightest colour: the range of the orbit, at most the edge of a well beyond which states escape."""
     shown = _shown(evolution)
     if orbit is not None:
-        shown = orbit.evaluate(orbit.period * np.arange(PHASES) / PHASES)[:, : shown.shape[1]]
+        shown = orbit.evaluate(orbit.period * np.arange(EXTENT_PHASES) / EXTENT_PHASES)[:, : shown.shape[1]]
     return min(float(np.abs(shown).max()) or 1.0, evolution.equations.well)
 
 
@@ -204,7 +204,7 @@ def _draw_energy(axes: Axes, evolution: Evolution) -> None:
 
 def _is_long(evolution: Evolution) -> bool:
     """Whether there are too many oscillations to show, and samples enough to show their extent."""
-    if evolution.t.size < 5 * WINDOWS:
+    if evolution.t.size < 5 * EXTENT_WINDOWS:
         return False
     frequencies = evolution.equations.linear_frequencies
     if frequencies is not None:
@@ -217,12 +217,12 @@ def _is_long(evolution: Evolution) -> bool:
 
 def _window(evolution: Evolution) -> float:
     """The length of a window of time."""
-    return float(evolution.t[-1] - evolution.t[0]) / WINDOWS
+    return float(evolution.t[-1] - evolution.t[0]) / EXTENT_WINDOWS
 
 
 def _starts(t: Array) -> NDArray[np.intp]:
     """Place of the first sample of each window that holds one, shape (windows,)."""
-    window = np.minimum((WINDOWS * (t - t[0]) / (t[-1] - t[0])).astype(int), WINDOWS - 1)
+    window = np.minimum((EXTENT_WINDOWS * (t - t[0]) / (t[-1] - t[0])).astype(int), EXTENT_WINDOWS - 1)
     return np.asarray(np.unique(window, return_index=True)[1], dtype=np.intp)
 
 
@@ -279,7 +279,7 @@ def spreading_figure(found: Spreading, lattice: Lattice) -> Figure:
         )  # fmt: skip
         panels["a"].set_ylabel("site" if len(lattice.declaration.cells) == 1 else "site, along rows")
         figure.colorbar(drawn, ax=panels["a"], label="energy of the site", use_gridspec=False)
-        for k, dash in zip(range(found.centre.shape[1]), DASHES, strict=False):
+        for k, dash in zip(range(found.centre.shape[1]), LINE_DASHES, strict=False):
             label = f"along direction {k + 1}" if found.centre.shape[1] > 1 else None
             panels["b"].plot(found.t, found.centre[:, k], color="black", ls=dash, lw=0.9, label=label)
         panels["b"].set_ylabel("centre (cell)")
@@ -287,7 +287,12 @@ def spreading_figure(found: Spreading, lattice: Lattice) -> Figure:
             panels["b"].legend(loc="best")
         panels["c"].plot(found.t, found.participation, color="black", lw=0.9, label="participation number (sites)")
         panels["c"].plot(
-            found.t, found.second_moment, color="black", lw=0.9, ls=DASHES[1], label="second moment (cells squared)"
+            found.t,
+            found.second_moment,
+            color="black",
+            lw=0.9,
+            ls=LINE_DASHES[1],
+            label="second moment (cells squared)",
         )
         panels["c"].set_ylim(bottom=0.0)
         panels["c"].legend(loc="best")

@@ -36,10 +36,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FLAT = 0.02  # of the height of a picture: a change of frequency that it does not show
-APART = 30.0  # ratio of shifts that one linear scale does not show
-NEAR, SHORT = 1e-2, 0.1  # of the largest S, and of that of the shortest family: where logarithmic scales begin
-LABELS = 24  # as many as fit one above the other beside the frequencies
+FLAT_HEIGHT_RATIO = 0.02  # of the height of a picture: a change of frequency that it does not show
+LINEAR_SCALE_RATIO = 30.0  # ratio of shifts that one linear scale does not show
+LOG_SCALE_NEAR, LOG_SCALE_SHORT = (
+    1e-2,
+    0.1,
+)  # of the largest S, and of that of the shortest family: where logarithmic scales begin
+MOST_LABELS = 24  # as many as fit one above the other beside the frequencies
 
 
 def family_path(branch: Branch, shift: bool) -> Array:
@@ -103,8 +106,8 @@ def label_ends(axes: Axes, branches: Sequence[Branch], ends: Array) -> None:
     heights = (ends[:, 1] - low) / (high - low)
     outside = [int(i) for i in np.argsort(heights, kind="stable") if ends[i, 0] > 0.97 * right]
     inside = set(range(len(branches))) - set(outside)
-    outside = outside[:: -(-len(outside) // LABELS) or 1]
-    gap, places = 0.048 if len(outside) < 22 else 1.0 / LABELS, heights[outside]
+    outside = outside[:: -(-len(outside) // MOST_LABELS) or 1]
+    gap, places = 0.048 if len(outside) < 22 else 1.0 / MOST_LABELS, heights[outside]
     for i in range(1, len(places)):
         places[i] = max(places[i], places[i - 1] + gap)
     for i in range(len(places))[::-1]:
@@ -122,7 +125,7 @@ def label_ends(axes: Axes, branches: Sequence[Branch], ends: Array) -> None:
 def _hardly_move(paths: Sequence[Array]) -> bool:
     """Whether one of several families changes its frequency by less than a picture of all of them shows."""
     moved = [float(np.ptp(path[:, 1])) for path in paths]
-    return len(paths) > 1 and min(moved) < FLAT * float(np.ptp(np.concatenate(paths)[:, 1]))
+    return len(paths) > 1 and min(moved) < FLAT_HEIGHT_RATIO * float(np.ptp(np.concatenate(paths)[:, 1]))
 
 
 def _draw_shifts(axes: Axes, branches: Sequence[Branch]) -> None:
@@ -130,7 +133,7 @@ def _draw_shifts(axes: Axes, branches: Sequence[Branch]) -> None:
     paths = [family_path(branch, True) for branch in branches]
     ends = np.array([path[-1] for path in paths])
     sizes = np.abs(ends[:, 1])
-    apart = bool(sizes.max() > APART * sizes.min() > 0.0)
+    apart = bool(sizes.max() > LINEAR_SCALE_RATIO * sizes.min() > 0.0)
     for branch, path, colour in zip(branches, paths, colours(len(branches)), strict=True):
         pieces = family_pieces(branch, path, True)
         shown = [(stable, np.abs(piece) if apart else piece) for stable, piece in pieces]
@@ -142,7 +145,7 @@ def _draw_shifts(axes: Axes, branches: Sequence[Branch]) -> None:
         axes.set_ylabel(r"frequency shift $\Omega - \omega_j$")
         label_ends(axes, branches, ends)
         return
-    left = min(NEAR * right, SHORT * float(ends[:, 0].min()))
+    left = min(LOG_SCALE_NEAR * right, LOG_SCALE_SHORT * float(ends[:, 0].min()))
     limits = 0.1 * float(np.min(sizes * left / ends[:, 0])), 2.0 * float(sizes.max())
     label = r"frequency shift $|\Omega - \omega_j|$"
     axes.set(xscale="log", yscale="log", xlim=(left, right), ylim=limits, ylabel=label)
@@ -199,8 +202,10 @@ def frequency_figure(branches: Sequence[Branch]) -> Figure:
 # Profiles of requested orbits beside their linear mode (paper, Fig. 3b, e) --------------------------------------------
 
 MARKERS, LINES = "os^Dv<", ("-", "--", "-.", ":")
-DEEPEST = -290.0  # log10 of sizes that are drawn as they are
-DECADES = 2.0  # that an axis spans whose whole powers of ten are ticks enough: each tick takes half a millisecond
+DEEPEST_LOG_SIZE = -290.0  # log10 of sizes that are drawn as they are
+DECADES_OF_TICKS = (
+    2.0  # that an axis spans whose whole powers of ten are ticks enough: each tick takes half a millisecond
+)
 
 
 def _logarithms(orbit: Orbit) -> Array:
@@ -247,7 +252,7 @@ def _draw_profiles(
     mode_logs = np.where(np.isfinite(mode_logs), mode_logs, np.nan)
     for axes in second:
         logs = {key: _logarithms(orbit) for key, orbit in orbits.items()}
-        deep = any(np.nanmin(values) < DEEPEST for values in (mode_logs, *logs.values()))
+        deep = any(np.nanmin(values) < DEEPEST_LOG_SIZE for values in (mode_logs, *logs.values()))
         axes.plot(n, mode_logs if deep else 10.0**mode_logs, marker=dot, color="0.65", lw=3, ms=9)
         for key, values in logs.items():
             axes.plot(n, values if deep else 10.0**values, **looks[key])
@@ -257,7 +262,7 @@ def _draw_profiles(
         else:
             axes.set_yscale("log")
             powers = np.concatenate([mode_logs, *logs.values()])
-            if np.nanmax(powers) - np.nanmin(powers) > DECADES:
+            if np.nanmax(powers) - np.nanmin(powers) > DECADES_OF_TICKS:
                 axes.yaxis.set_minor_locator(NullLocator())
     panels[0].axhline(0.0, color="0.45", lw=0.5, zorder=0)
     panels[0].set_title(f"$j = {coordinates.mode_number}$", loc="left", y=1.0)

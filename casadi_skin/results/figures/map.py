@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
 
-COLOURS = "cividis"  # its lightness rises all the way
-CONTOURS = 7
-FEW = 6  # whole numbers with a colour each
-COLUMNS = 3  # of panels
+COLOUR_MAP = "cividis"  # its lightness rises all the way
+CONTOUR_COUNT = 7
+FEW_WHOLE_NUMBERS = 6  # whole numbers with a colour each
+PANEL_COLUMNS = 3  # of panels
 MOST_PANELS = 12
-FLAGS: dict[tuple[float, ...], tuple[str, str]] = {(0.0, 1.0): ("no", "yes")}
+FLAG_WORDS: dict[tuple[float, ...], tuple[str, str]] = {(0.0, 1.0): ("no", "yes")}
 Values = NDArray[np.float64]
 
 
@@ -67,7 +67,7 @@ def map_figure(name: str, title: str, axes: Sequence[MapAxis], panels: Sequence[
         The figure; failed cells are crossed out.
     """
     shown = panels[:MOST_PANELS]
-    columns = min(len(shown), COLUMNS)
+    columns = min(len(shown), PANEL_COLUMNS)
     rows = math.ceil(len(shown) / columns)
     known = np.concatenate([panel.values[np.isfinite(panel.values)] for panel in shown])
     with style():
@@ -106,7 +106,7 @@ def _draw_bar(places: list[Axes], name: str, ticks: list[float] | None) -> None:
         places[0].collections[0], ax=places, label=plain(name).replace("_", " "), ticks=ticks
     )
     bar.ax.minorticks_off()
-    words = FLAGS.get(tuple(ticks)) if ticks is not None else None
+    words = FLAG_WORDS.get(tuple(ticks)) if ticks is not None else None
     if words is not None:
         bar.ax.set_yticklabels(list(words))
 
@@ -117,13 +117,13 @@ def _scale(known: Values) -> tuple[Normalize, Any, list[float] | None]:
     from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
 
     few = np.unique(known)
-    if few.size == 0 or few.size > FEW or np.any(few != np.round(few)):
+    if few.size == 0 or few.size > FEW_WHOLE_NUMBERS or np.any(few != np.round(few)):
         low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-        return Normalize(low, high if high > low else low + 1.0), colormaps[COLOURS], None
+        return Normalize(low, high if high > low else low + 1.0), colormaps[COLOUR_MAP], None
     levels = np.array([0.0, 1.0]) if set(few.tolist()) <= {0.0, 1.0} else few
     middle = 0.5 * (levels[1:] + levels[:-1])
     edges = np.concatenate([[levels[0] - 0.5], middle, [levels[-1] + 0.5]])
-    shades = ListedColormap(colormaps[COLOURS](np.linspace(0.15, 0.95, levels.size)))
+    shades = ListedColormap(colormaps[COLOUR_MAP](np.linspace(0.15, 0.95, levels.size)))
     return BoundaryNorm(edges, levels.size), shades, levels.tolist()
 
 
@@ -181,10 +181,10 @@ def _draw_contours(place: Axes, axes: Sequence[MapAxis], panel: Panel) -> None:
     x, y = axes
     look: dict[str, Any] = {"colors": "white", "linewidths": 0.6}
     if np.all(panel.known):
-        lines: Any = place.contour(x.values, y.values, np.ma.masked_invalid(panel.values.T), CONTOURS, **look)
+        lines: Any = place.contour(x.values, y.values, np.ma.masked_invalid(panel.values.T), CONTOUR_COUNT, **look)
     else:
         i, j = np.nonzero(panel.known & np.isfinite(panel.values))
-        lines = place.tricontour(x.values[i], y.values[j], panel.values[i, j], CONTOURS, **look)
+        lines = place.tricontour(x.values[i], y.values[j], panel.values[i, j], CONTOUR_COUNT, **look)
     place.clabel(lines, fontsize=7, fmt="%.3g")
 
 

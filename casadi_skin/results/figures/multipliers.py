@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
 # Stability along a family as its diagram has it: the frequency curve, multipliers through tongues, their angles -------
 
-POINTS = 300  # along a family, evenly
+FAMILY_POINTS = 300  # along a family, evenly
 IN_TONGUE, FEW_IN_TONGUE = 17, 7  # in a tongue that a picture shows the shape of, and in a short one beside even places
-CLOSE = 0.1  # of pi: angles farther apart at neighbouring places are not joined
-SIGNATURES = {1: ("#c05000", "-", "signature $+$"), -1: ("#2060b0", (0, (4.0, 1.2)), "signature $-$")}
-SHADE: dict[str, Any] = {"fc": "0.88", "ec": "0.6", "hatch": "////", "lw": 0.0, "zorder": 0}
+CLOSE_ANGLES = 0.1  # of pi: angles farther apart at neighbouring places are not joined
+SIGNATURE_LOOKS = {1: ("#c05000", "-", "signature $+$"), -1: ("#2060b0", (0, (4.0, 1.2)), "signature $-$")}
+SHADED_AREA: dict[str, Any] = {"fc": "0.88", "ec": "0.6", "hatch": "////", "lw": 0.0, "zorder": 0}
 
 
 def frequency_pieces(branch: Branch, diagram: StabilityDiagram, shift: bool) -> list[tuple[bool | None, Array]]:
@@ -45,7 +45,7 @@ def frequency_pieces(branch: Branch, diagram: StabilityDiagram, shift: bool) -> 
     Returns:
         Stability of each stretch, None where it is not resolved, and its points (S, height), shape (points, 2).
     """
-    at = diagram.coordinates(POINTS, in_tongue=2)
+    at = diagram.coordinates(FAMILY_POINTS, in_tongue=2)
     gaps = [(u.coordinate_start, u.coordinate_end) for u in diagram.unresolved]
     stops = {diagram.start, diagram.end, *(change.place.coordinate for change in diagram.changes)}
     ends = sorted({min(max(c, diagram.start), diagram.end) for c in (*stops, *(c for gap in gaps for c in gap))})
@@ -77,7 +77,7 @@ def _shifts(branch: Branch, S: Array) -> Array:
 def shade_unresolved(axes: Axes, unresolved: Sequence[Unresolved]) -> None:
     """A band over each stretch on which changes of stability may be missing."""
     for stretch in unresolved:
-        axes.axvspan(stretch.S_start, stretch.S_end, label="changes of stability not resolved", **SHADE)
+        axes.axvspan(stretch.S_start, stretch.S_end, label="changes of stability not resolved", **SHADED_AREA)
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,9 @@ class Sampled:
 
 def sampled(diagram: StabilityDiagram) -> Sampled:
     """The multipliers that a picture of a family shows, computed once."""
-    at = np.append(np.linspace(diagram.start, diagram.end, POINTS), [c.place.coordinate for c in diagram.changes])
+    at = np.append(
+        np.linspace(diagram.start, diagram.end, FAMILY_POINTS), [c.place.coordinate for c in diagram.changes]
+    )
     at, angles = np.unique(at), None
     if diagram.symplectic:
         angles, growths = diagram.angles_and_growths(at)
@@ -111,7 +113,7 @@ def moduli(diagram: StabilityDiagram, known: Sampled | None = None) -> Array:
     Tongues that lie below others are left out: the largest multiplier is not theirs.
     """
     known = known or sampled(diagram)
-    step = (diagram.end - diagram.start) / POINTS
+    step = (diagram.end - diagram.start) / FAMILY_POINTS
     shown = [t for t in diagram.tongues if t.growth > _lowest(t, known)]
     inner = [t.start.coordinate + _bent(_length(t) / step) * _length(t) for t in shown if _length(t) > step]
     at = np.concatenate([known.at, *inner])
@@ -165,7 +167,7 @@ def draw_angles(axes: Axes, diagram: StabilityDiagram, known: Sampled) -> None:
 
     angles = known.angles
     assert angles is not None
-    for sign, (colour, dashes, label) in SIGNATURES.items():
+    for sign, (colour, dashes, label) in SIGNATURE_LOOKS.items():
         lines = _followed(known.S, np.where(np.sign(angles) == sign, np.abs(angles), np.nan))
         looks: dict[str, Any] = {"colors": colour, "linewidths": 0.7, "linestyles": dashes, "zorder": 2}
         axes.add_collection(LineCollection(lines, label=label, **looks))
@@ -200,7 +202,7 @@ def _followed(S: Array, angles: Array) -> list[Array]:
         if last.size and values.size:
             apart = np.abs(values[:, None] - last)
             nearest = apart.argmin(axis=1)
-            mutual = (apart.argmin(axis=0)[nearest] == np.arange(values.size)) & (apart.min(axis=1) <= CLOSE)
+            mutual = (apart.argmin(axis=0)[nearest] == np.arange(values.size)) & (apart.min(axis=1) <= CLOSE_ANGLES)
             joined[mutual] = nearest[mutual]
         following = [active[k] if k >= 0 else [] for k in joined.tolist()]
         lines += [line for line in following if not line]
@@ -210,8 +212,8 @@ def _followed(S: Array, angles: Array) -> list[Array]:
     return [np.array(line) for line in lines]
 
 
-FRAME = 3.0  # multipliers farther from 0 than this are named in words
-MODULUS = r"$\left|\lambda\right|$"
+FRAME_RADIUS = 3.0  # multipliers farther from 0 than this are named in words
+MODULUS_LABEL = r"$\left|\lambda\right|$"
 TRIVIAL_LEFT_OUT = ("", " (trivial one left out)", " (trivial pair left out)")
 
 
@@ -225,7 +227,7 @@ def _draw_moduli(axes: Axes, branch: Branch, known: Sampled | None) -> None:
         axes.plot(at, np.concatenate(off), ".", ms=3, color="0.25", zorder=3)
     axes.axhline(1.0, color="0.6", lw=0.8, zorder=1)
     if diagram is not None and known is not None:
-        draw_moduli(axes, diagram, colours(1)[0], f"largest {MODULUS}", known)
+        draw_moduli(axes, diagram, colours(1)[0], f"largest {MODULUS_LABEL}", known)
     else:
         _draw_between_points(axes, branch)
     largest = branch.max_abs_multiplier.max()
@@ -238,7 +240,7 @@ def _draw_moduli(axes: Axes, branch: Branch, known: Sampled | None) -> None:
         axes.set(xlim=(0.0, 1.03 * values.max()), xlabel=amplitude_label(branch.space.model))
     else:
         axes.set_xlabel(plain(branch.parameter))
-    axes.set_ylabel(f"{MODULUS}{TRIVIAL_LEFT_OUT[branch.orbits[0].floquet().trivial]}")
+    axes.set_ylabel(f"{MODULUS_LABEL}{TRIVIAL_LEFT_OUT[branch.orbits[0].floquet().trivial]}")
 
 
 def _draw_between_points(axes: Axes, branch: Branch) -> None:
@@ -249,7 +251,7 @@ def _draw_between_points(axes: Axes, branch: Branch) -> None:
         if i and stable[i] != stable[i - 1] and changes:  # multipliers leave the circle at the change itself
             line.append((changes.pop(0).value, 1.0))
         line.append((value, orbit.floquet().max_abs_multiplier))
-    axes.plot(*np.transpose(line), color=colours(1)[0], lw=1.3, label=f"largest {MODULUS}", zorder=2)
+    axes.plot(*np.transpose(line), color=colours(1)[0], lw=1.3, label=f"largest {MODULUS_LABEL}", zorder=2)
     for change in branch.located:
         dashes = "-" if change.kind == "real" else "--"
         axes.axvline(
@@ -263,7 +265,7 @@ def draw_plane(axes: Axes, orbit: Orbit) -> None:
 
     floquet = orbit.floquet()
     others, on_circle, real = floquet.others, floquet.on_circle, floquet.real
-    near, angle = np.abs(others) <= FRAME, np.linspace(0.0, 2.0 * np.pi, 361)
+    near, angle = np.abs(others) <= FRAME_RADIUS, np.linspace(0.0, 2.0 * np.pi, 361)
     axes.plot(np.cos(angle), np.sin(angle), color="0.7", lw=1.0, zorder=1)
     for label, chosen, marker, size, fill in (
         ("on the unit circle", on_circle, "o", 4.0, "white"),
@@ -297,7 +299,7 @@ def _draw_waves(axes: Axes, floquet: LocalisedFloquet) -> None:
 
     arcs = [(float(start), float(end)) for start, end in floquet.continuous.arcs]
     for sign, radius in ((1, 1.07), (-1, 0.93)):
-        colour, dashes, words = SIGNATURES[sign]
+        colour, dashes, words = SIGNATURE_LOOKS[sign]
         turned = [(sign * start, sign * start + (end - start) * sign) for start, end in arcs]
         ordered = [(min(pair), max(pair)) for pair in turned]
         draw(ordered, radius, f"waves, {words}", color=colour, lw=1.6, ls=dashes, zorder=2)

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SHOWN = 4  # optima that are drawn
-SAMPLES = 401  # of an orbit
-NARROWEST = 1e-3  # of an axis, relative: starts that agree are to look so
+OPTIMA_SHOWN = 4  # optima that are drawn
+ORBIT_SAMPLES = 401  # of an orbit
+NARROWEST_AXIS = 1e-3  # of an axis, relative: starts that agree are to look so
 
 
 def search_figure(result: SearchResult, objective: str) -> Figure:
@@ -39,7 +39,7 @@ def search_figure(result: SearchResult, objective: str) -> Figure:
 
 
 def _profiles(axes: Axes, result: SearchResult) -> None:
-    found = (*result.optima, *result.others)[:SHOWN]
+    found = (*result.optima, *result.others)[:OPTIMA_SHOWN]
     for rank, (optimum, colour) in enumerate(zip(found, style.colours(len(found)), strict=True), start=1):
         words = "" if optimum.on_family is not False else ", another family"
         label = f"optimum {rank}: $S = {style.number(optimum.S)}$"
@@ -54,9 +54,9 @@ def _profiles(axes: Axes, result: SearchResult) -> None:
 
 
 def _orbits(axes: Axes, result: SearchResult) -> None:
-    phases = np.linspace(0.0, 1.0, SAMPLES)
-    colours = style.colours(len(result.optima[:SHOWN]))
-    for rank, (optimum, colour) in enumerate(zip(result.optima[:SHOWN], colours, strict=True), start=1):
+    phases = np.linspace(0.0, 1.0, ORBIT_SAMPLES)
+    colours = style.colours(len(result.optima[:OPTIMA_SHOWN]))
+    for rank, (optimum, colour) in enumerate(zip(result.optima[:OPTIMA_SHOWN], colours, strict=True), start=1):
         label = f"optimum {rank}: period {style.number(optimum.period)}"
         axes.plot(phases, optimum.orbit.evaluate(phases * optimum.period)[:, 0], color=colour, label=label)
     axes.set_xlabel("time / period")
@@ -80,7 +80,7 @@ def draw_starts(axes: Axes, result: SearchResult, objective: str) -> None:
         axes.axhline(optimum.objective, color="0.7", lw=0.8, zorder=0)
     low, high = axes.get_ylim()
     middle = 0.5 * (low + high)
-    half = max(0.5 * (high - low), NARROWEST * max(abs(middle), 1e-300))
+    half = max(0.5 * (high - low), NARROWEST_AXIS * max(abs(middle), 1e-300))
     axes.set_ylim(middle - half, middle + half)
     style.number_sites(axes, 1, max((o.start.number for o in result.outcomes), default=1), "start")
     axes.set_ylabel(objective.replace("_", " "))

@@ -16,7 +16,7 @@ from casadi_skin.model.files import replacing
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.figures.branches import solution_title
 from casadi_skin.results.figures.style import (
-    DASHES,
+    LINE_DASHES,
     blank,
     colours,
     finished,
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SAMPLES = 2001  # of an orbit
-SHOWN = 6  # states drawn against time
+ORBIT_SAMPLES = 2001  # of an orbit
+STATES_SHOWN = 6  # states drawn against time
 
 
 def orbit_figure(solution: Solution, title: str = "") -> Figure:
@@ -57,7 +57,7 @@ def orbit_figure(solution: Solution, title: str = "") -> Figure:
         figure = blank(5.0 if plane is None else 8.0, 3.6)
         axes = figure.subplots(1, 1 if plane is None else 2, squeeze=False)[0]
         for i, colour in enumerate(colours(len(names))):
-            axes[0].plot(t, x[:, i], color=colour, ls=DASHES[i], lw=1.4, label=names[i])
+            axes[0].plot(t, x[:, i], color=colour, ls=LINE_DASHES[i], lw=1.4, label=names[i])
         more = f" ({len(names)} of {known})" if known > len(names) else ""
         axes[0].set(xlabel="t", ylabel=f"states{more}", xlim=(t[0], t[-1]))
         if plane is not None:
@@ -67,15 +67,15 @@ def orbit_figure(solution: Solution, title: str = "") -> Figure:
             axes[1].plot(*points[0], "o", ms=5, mfc="white", mec="black", label=words)
             axes[1].set(xlabel=labels[0], ylabel=labels[1])
         figure.suptitle(orbit_title(solution, title))
-        return finished(figure, axes, SHOWN + 1, plain=True)
+        return finished(figure, axes, STATES_SHOWN + 1, plain=True)
 
 
 def drawn_states(solution: Solution) -> Indices:
     """Indices of the states that are drawn, six at the most: of a family with more positions those that move most."""
     count = len(solution.space.state_names)
-    if count <= SHOWN or solution.space.connects != FAMILY:
-        return np.arange(min(count, SHOWN))
-    return np.argsort(-np.abs(_states(solution, np.zeros(1), np.arange(count))[0]), kind="stable")[:SHOWN]
+    if count <= STATES_SHOWN or solution.space.connects != FAMILY:
+        return np.arange(min(count, STATES_SHOWN))
+    return np.argsort(-np.abs(_states(solution, np.zeros(1), np.arange(count))[0]), kind="stable")[:STATES_SHOWN]
 
 
 def _names(solution: Solution, chosen: Indices) -> list[str]:
@@ -91,7 +91,7 @@ def _states(solution: Any, t: Array, chosen: Indices) -> Array:
 def times(solution: Solution) -> Array:
     """Times over the interval or the period at which a solution looks smooth: those of its mesh among them."""
     start, end = solution.interval
-    even = np.linspace(start, end, SAMPLES)
+    even = np.linspace(start, end, ORBIT_SAMPLES)
     if not isinstance(solution.point.problem, BoundaryProblem):
         return even
     return np.unique(np.concatenate([even, np.clip(solution.t, start, end)]))
@@ -122,8 +122,8 @@ def orbit_title(solution: Any, name: str = "") -> str:
 
 # Several solutions of one model side by side: their phase portrait, and a state over time -----------------------------
 
-MOST = 6  # solutions that are drawn
-CHOSEN = 4  # orbits of a branch, by default
+MOST_SOLUTIONS = 6  # solutions that are drawn
+CHOSEN_ORBITS = 4  # orbits of a branch, by default
 
 
 def portrait_figure(solutions: Sequence[Solution], title: str = "", states: tuple[int, int] = (0, 1)) -> Figure:
@@ -140,8 +140,8 @@ def portrait_figure(solutions: Sequence[Solution], title: str = "", states: tupl
     Raises:
         ValueError: there are no solutions, or more than six.
     """
-    if not 1 <= len(solutions) <= MOST:
-        raise ValueError(f"solutions: given {len(solutions)}; accepted: 1 to {MOST}")
+    if not 1 <= len(solutions) <= MOST_SOLUTIONS:
+        raise ValueError(f"solutions: given {len(solutions)}; accepted: 1 to {MOST_SOLUTIONS}")
     names = solutions[0].space.state_names
     in_plane = len(names) > 1
     words, common = _words(solutions)
@@ -149,7 +149,9 @@ def portrait_figure(solutions: Sequence[Solution], title: str = "", states: tupl
     with style():
         figure = blank(8.0 if in_plane else 5.0, 3.8)
         axes = figure.subplots(1, 1 + in_plane, squeeze=False)[0]
-        for solution, colour, dashes, label in zip(solutions, colours(len(solutions)), DASHES, words, strict=False):
+        for solution, colour, dashes, label in zip(
+            solutions, colours(len(solutions)), LINE_DASHES, words, strict=False
+        ):
             at_rest = solution.space.connects == EQUILIBRIA
             t = np.array([0.0, longest]) if at_rest else times(solution)
             x = solution.evaluate(t)
@@ -173,9 +175,9 @@ def chosen_solutions(branches: Sequence[Branch]) -> list[Solution]:
     requested = [s for s in held if s.point.requested]
     cycles = next((branch.solutions for branch in branches if branch.space.connects in (FAMILY, ORBITS)), ())
     if requested and cycles:
-        return requested[:MOST]
+        return requested[:MOST_SOLUTIONS]
     moving = [s for s in cycles[1:] if not s.point.special]  # the first one has no amplitude
-    places = np.unique(np.linspace(0, len(moving) - 1, CHOSEN + 1)[1:].astype(int)) if moving else ()
+    places = np.unique(np.linspace(0, len(moving) - 1, CHOSEN_ORBITS + 1)[1:].astype(int)) if moving else ()
     born = [s for s in held if s.point.special == "hopf" and s.space.connects == EQUILIBRIA][:1]
     return [*born, *(moving[place] for place in places)] if moving else []
 
@@ -200,14 +202,14 @@ def _words(solutions: Sequence[Solution]) -> tuple[list[str], dict[str, float]]:
 
 # An orbit in motion as a film, GIF or MP4, through matplotlib: the displacements of a lattice, or a phase plane -------
 
-FRAMES = 48  # of one period
+FRAMES_PER_PERIOD = 48  # of one period
 ANIMATION_FEW = 2  # positions of a model of one's own that are not drawn as a lattice
-ROOM = 0.2  # of the height of a plane, for the clock
+CLOCK_ROOM = 0.2  # of the height of a plane, for the clock
 
 Show = Callable[[int], "tuple[Artist, ...]"]
 
 
-def animate(orbit: Orbit, path: Path | str, periods: int = 1, frames: int = FRAMES) -> Path:
+def animate(orbit: Orbit, path: Path | str, periods: int = 1, frames: int = FRAMES_PER_PERIOD) -> Path:
     """Write an orbit over whole periods as a film: a GIF repeats without a jump, MP4 needs the program ffmpeg.
 
     Of a lattice the displacements y_n(t) are drawn at their positions; of another model a point that moves along the
@@ -291,7 +293,7 @@ def _plane(axes: Axes, orbit: Orbit, turns: Array) -> Show:
     axes.set(xlabel=labels[0], ylabel=labels[1])
     axes.margins(0.1)
     low, high = axes.get_ylim()
-    axes.set_ylim(low, high + ROOM * (high - low))
+    axes.set_ylim(low, high + CLOCK_ROOM * (high - low))
 
     def show(frame: int) -> tuple[Artist, ...]:
         point.set_data(*places[frame : frame + 1].T)

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 # Places of panels in a figure: by constrained layout, or, which is quicker, from the sizes of texts alone -------------
 
-GAP = 4.0  # points between panels, and around all
-POINTS = 72.0  # in an inch
+PANEL_GAP_POINTS = 4.0  # points between panels, and around all
+POINTS_PER_INCH = 72.0  # in an inch
 TICK_PAD, TITLE_PAD = 3.5, 6.0  # points between an axis and its labels, as matplotlib has them
 OFFSET_HEIGHT = 13.0  # points: of the power of ten above an axis
 
@@ -74,14 +74,14 @@ def _parser() -> Any:
     """One parser of formulas for all figures, which keeps those it has parsed: each takes milliseconds."""
     from matplotlib.backends.backend_agg import RendererAgg
 
-    return RendererAgg(1, 1, POINTS).mathtext_parser  # type: ignore[no-untyped-call]
+    return RendererAgg(1, 1, POINTS_PER_INCH).mathtext_parser  # type: ignore[no-untyped-call]
 
 
 class _Ruler:
     """Widths and heights in points of the texts of a figure, which do not depend on places: each is measured once."""
 
     def __init__(self, figure: Figure, renderer: Any) -> None:
-        self.figure, self.renderer, self.points = figure, renderer, figure.dpi / POINTS
+        self.figure, self.renderer, self.points = figure, renderer, figure.dpi / POINTS_PER_INCH
         self._known: dict[Any, tuple[float, float]] = {}
 
     def of(self, artist: Text | Legend) -> tuple[float, float]:
@@ -106,10 +106,10 @@ class _Ruler:
 def _place(figure: Figure, ruler: _Ruler) -> None:
     """Places of all panels, and of the title of the figure."""
     width, height = figure.bbox.width / ruler.points, figure.bbox.height / ruler.points
-    bottom = sum(ruler.of(legend)[1] + GAP for legend in figure.legends)
+    bottom = sum(ruler.of(legend)[1] + PANEL_GAP_POINTS for legend in figure.legends)
     for title in figure.texts:  # the title alone
-        title.set_y(1.0 - GAP / height)
-        height -= ruler.of(title)[1] + GAP
+        title.set_y(1.0 - PANEL_GAP_POINTS / height)
+        height -= ruler.of(title)[1] + PANEL_GAP_POINTS
     specs = [spec for axes in figure.axes if (spec := axes.get_subplotspec()) is not None]
     grid, rooms = specs[0].get_gridspec(), np.array([_room(axes, ruler) for axes in figure.axes])
     columns, rows = [spec.colspan for spec in specs], [spec.rowspan for spec in specs]
@@ -131,9 +131,9 @@ def _spread(length: float, spans: Sequence[range], rooms: Array, ratios: Any) ->
     """
     before, after = np.zeros(len(ratios)), np.zeros(len(ratios))
     for span, (ahead, behind) in zip(spans, rooms, strict=True):
-        before[span[0]] = max(before[span[0]], ahead + GAP)
+        before[span[0]] = max(before[span[0]], ahead + PANEL_GAP_POINTS)
         after[span[-1]] = max(after[span[-1]], behind)
-    cells = (length - GAP - before.sum() - after.sum()) * np.asarray(ratios) / np.sum(ratios)
+    cells = (length - PANEL_GAP_POINTS - before.sum() - after.sum()) * np.asarray(ratios) / np.sum(ratios)
     ends = np.cumsum(before + cells + after) - after
     return np.array([(ends[span[0]] - cells[span[0]], ends[span[-1]]) for span in spans])
 
@@ -146,8 +146,8 @@ def _room(axes: Axes, ruler: _Ruler) -> tuple[float, float, float, float]:
     x, y, inches = axes.xaxis, axes.yaxis, axes.get_figure().dpi_scale_trans  # type: ignore[union-attr]
     (wide, low), (left, high) = _ticks(x, ruler), _ticks(y, ruler)
     beside, below = left + y.labelpad, low + x.labelpad
-    y.set_label_coords(0.0, 0.5, axes.transAxes + ScaledTranslation(-beside / POINTS, 0.0, inches))
-    x.set_label_coords(0.5, 0.0, axes.transAxes + ScaledTranslation(0.0, -below / POINTS, inches))
+    y.set_label_coords(0.0, 0.5, axes.transAxes + ScaledTranslation(-beside / POINTS_PER_INCH, 0.0, inches))
+    x.set_label_coords(0.5, 0.0, axes.transAxes + ScaledTranslation(0.0, -below / POINTS_PER_INCH, inches))
     titles = [text for text in axes.get_children() if isinstance(text, Text) and text not in axes.texts]
     above = [ruler.of(title)[1] + TITLE_PAD for title in titles if title.get_text()]
     outside = [text for text in axes.texts if isinstance(text, Annotation) and text.get_annotation_clip() is False]
@@ -179,9 +179,9 @@ def _ticks(axis: Axis, ruler: _Ruler) -> tuple[float, float]:
 
 # Formulas without fractions, indices and roots as plain text: matplotlib's parser takes milliseconds for each ---------
 
-FORMULA = re.compile(r"(?<!\\)\$(.+?)(?<!\\)\$")
-GREEK = dict(zip(("alpha", "beta", "gamma", "lambda", "pi", "sigma", "omega"), "𝛼𝛽𝛾𝜆𝜋𝜎𝜔", strict=True))
-SYMBOLS = {rf"\{name}": sign for name, sign in GREEK.items()} | {
+FORMULA_PATTERN = re.compile(r"(?<!\\)\$(.+?)(?<!\\)\$")
+GREEK_LETTERS = dict(zip(("alpha", "beta", "gamma", "lambda", "pi", "sigma", "omega"), "𝛼𝛽𝛾𝜆𝜋𝜎𝜔", strict=True))
+FORMULA_SYMBOLS = {rf"\{name}": sign for name, sign in GREEK_LETTERS.items()} | {
     **{letter: chr(ord("𝑎") + i) for i, letter in enumerate(string.ascii_lowercase) if letter != "h"},
     **{letter: chr(ord("𝐴") + i) for i, letter in enumerate(string.ascii_uppercase)},
     **{sign: sign for sign in f"{string.digits} .,()/|=+"},
@@ -197,15 +197,17 @@ SYMBOLS = {rf"\{name}": sign for name, sign in GREEK.items()} | {
     r"\infty": "∞",
     "^2": "²",
 }
-TOKEN = re.compile("|".join(re.escape(token) for token in sorted(SYMBOLS, key=len, reverse=True)))
+SYMBOL_PATTERN = re.compile("|".join(re.escape(token) for token in sorted(FORMULA_SYMBOLS, key=len, reverse=True)))
 
 
 def in_letters(words: str) -> str:
     """A text with its formulas in characters; the text itself where one of them needs more than a line of these."""
-    formulas = FORMULA.findall(words)
-    if not formulas or any(TOKEN.sub("", formula) for formula in formulas):
+    formulas = FORMULA_PATTERN.findall(words)
+    if not formulas or any(SYMBOL_PATTERN.sub("", formula) for formula in formulas):
         return words
-    return FORMULA.sub(lambda found: TOKEN.sub(lambda token: SYMBOLS[token[0]], found[1]), words)
+    return FORMULA_PATTERN.sub(
+        lambda found: SYMBOL_PATTERN.sub(lambda token: FORMULA_SYMBOLS[token[0]], found[1]), words
+    )
 
 
 def write_in_letters(figure: Figure) -> None:
@@ -234,10 +236,12 @@ def _texts(figure: Figure) -> Iterator[Text]:
 
 # PNG files of opaque pictures: rows as they are, which zlib packs smaller than rows filtered as photographs are -------
 
-SIGNATURE = b"\x89PNG\r\n\x1a\n"
-RGB = bytes([8, 2, 0, 0, 0])  # eight bits a channel, three channels, deflated, filters by row, not interlaced
-LEVEL = 3  # levels above take long and gain little
-INCH = 0.0254  # metres
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+PNG_RGB_HEADER = bytes(
+    [8, 2, 0, 0, 0]
+)  # eight bits a channel, three channels, deflated, filters by row, not interlaced
+DEFLATE_LEVEL = 3  # levels above take long and gain little
+INCH_METRES = 0.0254  # metres
 
 
 def write_png(stream: BinaryIO, pixels: NDArray[np.uint8], dpi: float) -> None:
@@ -252,12 +256,12 @@ def write_png(stream: BinaryIO, pixels: NDArray[np.uint8], dpi: float) -> None:
     rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)  # each row begins with its filter: none
     for channel in range(3):  # one at a time takes a seventh of the time: numpy is slow along three
         rows[:, 1 + channel :: 3] = pixels[..., channel]
-    metre = round(dpi / INCH)
-    stream.write(SIGNATURE)
+    metre = round(dpi / INCH_METRES)
+    stream.write(PNG_SIGNATURE)
     for kind, content in (
-        (b"IHDR", struct.pack(">II", width, height) + RGB),
+        (b"IHDR", struct.pack(">II", width, height) + PNG_RGB_HEADER),
         (b"pHYs", struct.pack(">IIB", metre, metre, 1)),
-        (b"IDAT", zlib.compress(rows.data, LEVEL)),
+        (b"IDAT", zlib.compress(rows.data, DEFLATE_LEVEL)),
         (b"IEND", b""),
     ):
         stream.write(struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content)))
@@ -266,12 +270,12 @@ def write_png(stream: BinaryIO, pixels: NDArray[np.uint8], dpi: float) -> None:
 MARKED_SITES = 60  # profiles of longer lattices are lines without markers, of the positions that move
 
 MOST_VALUES = 6  # of parameters in a title
-DPI = 200  # of pictures as PNG
-WIDEST = 8.3  # inches: 9 points are 7 at the width of a page, 6.5 inches
-DATED = {"svg": "Date", "pdf": "CreationDate"}  # formats, and their name of the date, which is left out
-AMPLITUDE = r"total amplitude $S = \Vert y\Vert^2$"
+PNG_DPI = 200  # of pictures as PNG
+WIDEST_INCHES = 8.3  # inches: 9 points are 7 at the width of a page, 6.5 inches
+DATED_FORMATS = {"svg": "Date", "pdf": "CreationDate"}  # formats, and their name of the date, which is left out
+AMPLITUDE_LABEL = r"total amplitude $S = \Vert y\Vert^2$"
 
-DASHES: tuple[Any, ...] = ("-", (0, (5.0, 1.6)), (0, (1.0, 1.2)), (0, (5.0, 1.4, 1.0, 1.4)), (0, (3.0, 3.0)),
+LINE_DASHES: tuple[Any, ...] = ("-", (0, (5.0, 1.6)), (0, (1.0, 1.2)), (0, (5.0, 1.4, 1.0, 1.4)), (0, (3.0, 3.0)),
                            (0, (1.0, 3.0)))  # fmt: skip
 
 
@@ -296,7 +300,7 @@ def blank(width: float, height: float) -> Figure:
     """An empty figure, no wider than lets its text be read on a page; `finished` lays it out."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(min(width, WIDEST), height))
+    return Figure(figsize=(min(width, WIDEST_INCHES), height))
 
 
 def finished(
@@ -315,7 +319,7 @@ def finished(
         for line in legend.get_lines() if in_black else ():
             line.set(color="black", markeredgecolor="black")
     write_in_letters(figure)
-    lay_out(figure, DPI, plain)
+    lay_out(figure, PNG_DPI, plain)
     return figure
 
 
@@ -393,7 +397,7 @@ def family(branch: Branch) -> Family:
 
 def amplitude_label(model: Any) -> str:
     """Axis label of S."""
-    return AMPLITUDE if is_sum_of_squares(model) else "amplitude $S$"
+    return AMPLITUDE_LABEL if is_sum_of_squares(model) else "amplitude $S$"
 
 
 def is_sum_of_squares(model: Any) -> bool:
@@ -437,8 +441,8 @@ def save(figure: Figure, stem: Path, formats: Iterable[str] = ("png",)) -> list[
 
 
 def _write(figure: Figure, path: Path, kind: str) -> None:
-    if kind in DATED:
-        figure.savefig(path, format=kind, dpi=DPI, metadata={DATED[kind]: None})
+    if kind in DATED_FORMATS:
+        figure.savefig(path, format=kind, dpi=PNG_DPI, metadata={DATED_FORMATS[kind]: None})
         return
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
@@ -446,8 +450,8 @@ def _write(figure: Figure, path: Path, kind: str) -> None:
     before = figure.get_dpi()
     if not isinstance(canvas, FigureCanvasAgg):
         canvas = FigureCanvasAgg(figure)
-    figure.set_dpi(DPI)
+    figure.set_dpi(PNG_DPI)
     canvas.draw()  # savefig copies the pixels twice
     with path.open("wb") as stream:
-        write_png(stream, np.asarray(canvas.buffer_rgba()), DPI)
+        write_png(stream, np.asarray(canvas.buffer_rgba()), PNG_DPI)
     figure.set_dpi(before)

@@ -20,9 +20,9 @@ from casadi_skin.zero.problem import Array
 
 # Unstable segments of neighbouring intervals that continue one another, joined to groups ------------------------------
 
-SAME = 0.05  # distance of two mu at the end of an interval that may be one
+SAME_MU_DISTANCE = 0.05  # distance of two mu at the end of an interval that may be one
 SAME_MU = 1e-6  # difference of mu of edges that coincide
-DISAGREEMENT = "intervals that touch disagree on whether a multiplier is off the circle"
+DISAGREEMENT_WORDS = "intervals that touch disagree on whether a multiplier is off the circle"
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def groups_of(segments: Sequence[Segment], unknown: Iterable[float]) -> tuple[li
                 added[i] = edge
             else:
                 length = order[i].block.end - order[i].block.start
-                gaps.append(Gap(coordinate - length, coordinate + length, DISAGREEMENT))
+                gaps.append(Gap(coordinate - length, coordinate + length, DISAGREEMENT_WORDS))
     members: dict[int, list[int]] = defaultdict(list)
     for i in range(len(order)):
         members[union.root(i)].append(i)
@@ -188,7 +188,7 @@ def _match(
     (one, owners), (other, others) = (_of_all(mu, coordinate, side) for side in (lefts, rights))
     distances = np.abs(one[:, None] - other)
     pairs: list[tuple[int, int]] = []
-    while distances.size and np.min(distances) <= SAME:
+    while distances.size and np.min(distances) <= SAME_MU_DISTANCE:
         a, b = (int(k) for k in np.unravel_index(np.argmin(distances), distances.shape))
         pairs.append((owners[a], others[b]))
         distances[a], distances[:, b] = np.inf, np.inf
@@ -221,8 +221,8 @@ def values_together(
     return [found[i] for i in range(len(blocks))]
 
 
-SAMPLES = 17  # of a segment, at which its depth is measured, and of the neighbourhood of the deepest
-ZOOMS = 2
+DEPTH_SAMPLES = 17  # of a segment, at which its depth is measured, and of the neighbourhood of the deepest
+DEPTH_ZOOMS = 2
 NO_AMPLITUDE = 1e-12  # of S at the end of a piece that begins at rest: rounding of its series
 
 
@@ -288,14 +288,14 @@ def depths(groups: Sequence[Group]) -> tuple[Array, Array]:
     steps, deepest = np.zeros(len(groups)), (np.full(len(groups), -np.inf), np.zeros(len(groups)))
     np.maximum.at(steps, owners, ends - starts)
     near, low, high = np.arange(len(segments)), starts, ends
-    for zoom in range(ZOOMS + 1):
-        at = np.linspace(low[near], high[near], SAMPLES, axis=1)
+    for zoom in range(DEPTH_ZOOMS + 1):
+        at = np.linspace(low[near], high[near], DEPTH_SAMPLES, axis=1)
         blocks = [segments[i].block for i in near.tolist()]
         growth = np.array(values_together(blocks, at, lambda cls, those, places: cls.growths_together(those, places)))
         k = np.argmax(growth, axis=1)[:, None]
         found, where = (np.take_along_axis(each, k, 1)[:, 0] for each in (growth, at))
         deepest = _largest(owners[near], found, where, *deepest)
-        steps *= (2.0 if zoom else 1.0) / (SAMPLES - 1)
+        steps *= (2.0 if zoom else 1.0) / (DEPTH_SAMPLES - 1)
         low, high = np.maximum(starts, (deepest[1] - steps)[owners]), np.minimum(ends, (deepest[1] + steps)[owners])
         near = np.flatnonzero(low <= high)
     return np.maximum(deepest[0], 0.0), deepest[1]

@@ -18,8 +18,8 @@ import numpy as np
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues import chebyshev
 from casadi_skin.stability.tongues.decoupling import (
-    DEGREE,
-    MIDDLE,
+    MIDDLE_NODE,
+    SERIES_DEGREE,
     Booleans,
     Forms,
     Indices,
@@ -30,16 +30,20 @@ from casadi_skin.stability.tongues.decoupling import (
 )
 from casadi_skin.zero.problem import Array
 
-APART = 1.3  # half-lengths of an interval from its middle to where two mu of different blocks would meet, at least
-COUPLED = 0.35  # of the distance of two mu: a coupling that puts them into one block
-RESOLVED = 1e-13  # error of a block that a meeting outside the interval may make, as expected from its distance
-PARALLEL = 0.999  # cosine of two eigenvectors that are replaced by their sum and difference
-CLOSE = 1e-3  # to -1 or 0: a mu there is looked at
-REAL = 1e-13  # imaginary part of a mu, below which rounding may have made it
-REGULAR = 1e8  # condition number of eigenvectors up to which they serve as coordinates
-LARGEST = 6  # mu in a block that is taken out of a larger matrix, or a quarter of that
-PAIRS = 20_000  # of mu at nodes of intervals that are compared at a time: they stay in the cache of a core
-CLEAR = 2.0  # times the shift of a mu by couplings: a distance from -1 and 0 that it does not cross
+MEETING_HALF_LENGTHS = (
+    1.3  # half-lengths of an interval from its middle to where two mu of different blocks would meet, at least
+)
+COUPLING_RATIO = 0.35  # of the distance of two mu: a coupling that puts them into one block
+RESOLVED_BLOCK_ERROR = (
+    1e-13  # error of a block that a meeting outside the interval may make, as expected from its distance
+)
+PARALLEL_COSINE = 0.999  # cosine of two eigenvectors that are replaced by their sum and difference
+CLOSE_TO_END = 1e-3  # to -1 or 0: a mu there is looked at
+REAL_MU_ATOL = 1e-13  # imaginary part of a mu, below which rounding may have made it
+REGULAR_CONDITION = 1e8  # condition number of eigenvectors up to which they serve as coordinates
+LARGEST_BLOCK = 6  # mu in a block that is taken out of a larger matrix, or a quarter of that
+PAIRS_AT_A_TIME = 20_000  # of mu at nodes of intervals that are compared at a time: they stay in the cache of a core
+CLEAR_DISTANCE_FACTOR = 2.0  # times the shift of a mu by couplings: a distance from -1 and 0 that it does not cross
 
 
 @dataclass(frozen=True)
@@ -104,8 +108,8 @@ def blocks_of(matrices: Array, errors: Array) -> list[tuple[Indices, Blocks]]:
         Blocks of mu that cannot meet those of other blocks within the interval; of the intervals with complex mu at the
         middle apart from the others, each with the numbers of its intervals.
     """
-    mu, vectors = np.linalg.eig(matrices[:, MIDDLE, 0])
-    real = np.abs(mu.imag) <= REAL
+    mu, vectors = np.linalg.eig(matrices[:, MIDDLE_NODE, 0])
+    real = np.abs(mu.imag) <= REAL_MU_ATOL
     found = []
     for chosen in (np.flatnonzero(real.all(axis=1)), np.flatnonzero(~real.all(axis=1))):
         if chosen.size:
@@ -122,7 +126,7 @@ def _blocks(
     glued = _separate_parallel(vectors, mu, real)
     K, inverse, fine = _similar(here, vectors)
     diagonal = np.diagonal(K, axis1=2, axis2=3)
-    rates = chebyshev.middle_slope(DEGREE) @ diagonal
+    rates = chebyshev.middle_slope(SERIES_DEGREE) @ diagonal
     same, shifts = _graph(K, glued)
     while (conjugate := ~real & _conjugates_together(mu, same)).any():  # in real coordinates more may be joined
         _make_real(vectors, mu, conjugate)
@@ -158,9 +162,9 @@ def _blocks(
 
 def comes_apart(matrices: Array) -> bool:
     """Whether the blocks on an interval are small: K at its nodes, shape (DEGREE + 1, m, m)."""
-    mu, vectors = np.linalg.eig(matrices[MIDDLE])
+    mu, vectors = np.linalg.eig(matrices[MIDDLE_NODE])
     basis = vectors[None].copy()
-    glued = _separate_parallel(basis, mu[None], np.abs(mu.imag)[None] <= REAL)
+    glued = _separate_parallel(basis, mu[None], np.abs(mu.imag)[None] <= REAL_MU_ATOL)
     K, _, fine = _similar(matrices[None], basis)
     same, _ = _graph(K, glued)
     return bool(fine[0] and np.max(np.sum(same, axis=2)) <= _most(mu.size) and contracts(K, same)[0])
@@ -168,7 +172,7 @@ def comes_apart(matrices: Array) -> bool:
 
 def _most(size: int) -> int:
     """Mu in a block that is taken out of matrices of a size."""
-    return max(2, size - 1) if size <= LARGEST else max(LARGEST, size // 4)
+    return max(2, size - 1) if size <= LARGEST_BLOCK else max(LARGEST_BLOCK, size // 4)
 
 
 # Coordinates --------------------------------------------------------------------------------------------------------
@@ -182,14 +186,14 @@ def _similar(matrices: Array, vectors: Numbers) -> tuple[Numbers, Numbers, Boole
         regular = np.linalg.matrix_rank(vectors) == vectors.shape[-1]
         vectors = np.where(regular[:, None, None], vectors, np.eye(vectors.shape[-1]))
         inverse = np.linalg.inv(vectors)
-    regular = np.linalg.norm(inverse, axis=(1, 2)) < REGULAR
+    regular = np.linalg.norm(inverse, axis=(1, 2)) < REGULAR_CONDITION
     return inverse[:, None] @ applied(matrices, vectors[:, None]), inverse, regular
 
 
 def _separate_parallel(vectors: Numbers, mu: ComplexArray, real: Booleans) -> Booleans:
     """Replace pairs of nearly parallel vectors by sum and difference; who belongs together, (intervals, m, m)."""
     overlaps = vectors.conj().swapaxes(1, 2) @ vectors
-    together = (np.abs(overlaps) > PARALLEL) | np.eye(vectors.shape[-1], dtype=bool)
+    together = (np.abs(overlaps) > PARALLEL_COSINE) | np.eye(vectors.shape[-1], dtype=bool)
     for i, a, b in np.argwhere(np.triu(together, 1)).tolist():
         turned = vectors[i, :, b] * np.conj(overlaps[i, a, b]) / abs(overlaps[i, a, b])
         total, difference = vectors[i, :, a] + turned, vectors[i, :, a] - turned
@@ -226,10 +230,10 @@ def _graph(K: Numbers, glued: Booleans) -> tuple[Booleans, Array]:
     """Which mu have to stay in one block, (intervals, m, m), and what the others move each by, (intervals, m)."""
     diagonal = np.diagonal(K, axis1=2, axis2=3)
     size = diagonal.shape[-1]
-    middle = diagonal[:, MIDDLE, :, None] - diagonal[:, MIDDLE, None, :]
+    middle = diagonal[:, MIDDLE_NODE, :, None] - diagonal[:, MIDDLE_NODE, None, :]
     distance = np.abs(middle)
     nearest, farthest, coupling = distance.copy(), np.zeros(distance.shape), np.zeros(distance.shape)
-    step = max(1, PAIRS // distance.size)
+    step = max(1, PAIRS_AT_A_TIME // distance.size)
     for first in range(0, diagonal.shape[1], step):
         nodes = slice(first, first + step)
         difference = diagonal[:, nodes, :, None] - diagonal[:, nodes, None, :]
@@ -238,8 +242,13 @@ def _graph(K: Numbers, glued: Booleans) -> tuple[Booleans, Array]:
         products = np.abs(K[:, nodes] * K[:, nodes].swapaxes(2, 3))
         np.maximum(coupling, np.max(products, axis=1), out=coupling)
     away = np.clip(distance / np.maximum(farthest, 1e-300), 1.0, 1e3)
-    expected = coupling * away**2 / np.maximum(distance, 1e-300) * (away + np.sqrt(away**2 - 1.0)) ** -DEGREE
-    joined = (distance < APART * farthest) | (coupling > (COUPLED * nearest) ** 2) | (expected > RESOLVED) | glued
+    expected = coupling * away**2 / np.maximum(distance, 1e-300) * (away + np.sqrt(away**2 - 1.0)) ** -SERIES_DEGREE
+    joined = (
+        (distance < MEETING_HALF_LENGTHS * farthest)
+        | (coupling > (COUPLING_RATIO * nearest) ** 2)
+        | (expected > RESOLVED_BLOCK_ERROR)
+        | glued
+    )
     joined |= np.eye(size, dtype=bool)
     for _ in range(int(np.ceil(np.log2(max(size, 2))))):  # whoever is joined through others
         more = (joined.astype(np.float32) @ joined.astype(np.float32)) > 0.5
@@ -255,7 +264,7 @@ def _near_the_ends(diagonal: Array, shifts: Array) -> Booleans:
     """Which mu may come to -1 or 0 within an interval, or are outside; diagonal (intervals, J, m) -> (intervals, m)."""
     low, high = np.min(diagonal, axis=1), np.max(diagonal, axis=1)
     room = np.minimum(low + 1.0, -high)
-    return np.asarray(room <= CLEAR * shifts + 0.25 * (high - low) + CLOSE)
+    return np.asarray(room <= CLEAR_DISTANCE_FACTOR * shifts + 0.25 * (high - low) + CLOSE_TO_END)
 
 
 def _columns(needed: Booleans) -> Indices:

@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 
 from casadi_skin.zero.problem import Array
 
-SLACK = 1e-9  # beyond the ends, in which a zero still counts
+END_SLACK = 1e-9  # beyond the ends, in which a zero still counts
 NEARLY_REAL = 1e-4  # imaginary part of a zero that rounding may have made of two real ones
-NEGLIGIBLE = 1e-14  # of the largest coefficient: smaller ones are left out of the eigenvalue problem of the zeros
-POLISHING = 4  # steps of Newton's method on zeros
-PARTS = 4  # of [-1, 1], on each of which most functions are monotonic or have no zero
-CLEARLY = 0.99  # of a mean: variations that leave no zero, nor one just outside or beside the real axis
-TAIL = 3  # coefficients whose sum shows how far a series is from converged
+NEGLIGIBLE_COEFFICIENT = (
+    1e-14  # of the largest coefficient: smaller ones are left out of the eigenvalue problem of the zeros
+)
+POLISHING_STEPS = 4  # steps of Newton's method on zeros
+INTERVAL_PARTS = 4  # of [-1, 1], on each of which most functions are monotonic or have no zero
+CLEAR_MEAN_RATIO = 0.99  # of a mean: variations that leave no zero, nor one just outside or beside the real axis
+TAIL_COEFFICIENTS = 3  # coefficients whose sum shows how far a series is from converged
 
 
 def _kept(matrix: Array) -> Array:
@@ -77,7 +79,7 @@ def combined(matrix: Array, values: Array) -> Array:
 
 def tail(coefficients: Array) -> Array:
     """Size of the last coefficients, (degree + 1, ...) -> (...): the remainder of the series is no larger."""
-    return np.asarray(np.sum(np.abs(coefficients[-TAIL:]), axis=0))
+    return np.asarray(np.sum(np.abs(coefficients[-TAIL_COEFFICIENTS:]), axis=0))
 
 
 def excludes_zero(coefficients: Array, margin: float = 1.0) -> NDArray[np.bool_]:
@@ -112,15 +114,15 @@ def real_zeros(coefficients: Array) -> tuple[NDArray[np.int64], Array, NDArray[n
     crosses = np.concatenate([np.ones(x.size, dtype=bool), zeros.imag == 0.0])
     of, x = np.concatenate([of, others[those]]), np.concatenate([x, zeros.real])
     x[crosses] = _polished(coefficients, of[crosses], x[crosses])
-    inside = ~crosses | (np.abs(x) <= 1.0 + SLACK)
+    inside = ~crosses | (np.abs(x) <= 1.0 + END_SLACK)
     return of[inside], np.clip(x[inside], -1.0, 1.0), crosses[inside]
 
 
 @cache
 def _parts(degree: int) -> tuple[Array, Array]:
     """Places in equal parts of [-1, 1], the nodes of each, shape (PARTS, degree + 1), and the polynomials there."""
-    starts = np.linspace(-1.0, 1.0, PARTS + 1)[:-1, None]
-    places = starts + (nodes(degree) + 1.0) / PARTS
+    starts = np.linspace(-1.0, 1.0, INTERVAL_PARTS + 1)[:-1, None]
+    places = starts + (nodes(degree) + 1.0) / INTERVAL_PARTS
     return _kept(places), _kept(basis(places, degree))
 
 
@@ -132,10 +134,10 @@ def _simple_zeros(coefficients: Array) -> tuple[NDArray[np.bool_], NDArray[np.in
     simple = np.ones(coefficients.shape[1], dtype=bool)
     slopes = polynomials @ (derivative(degree) @ coefficients)
     for here, slope in zip(values, slopes, strict=True):
-        excluded, monotonic = (excludes_zero(transform(degree) @ each, CLEARLY) for each in (here, slope))
+        excluded, monotonic = (excludes_zero(transform(degree) @ each, CLEAR_MEAN_RATIO) for each in (here, slope))
         simple &= excluded | monotonic
     values, slopes = values[..., simple], slopes[..., simple]
-    values[0, 0], values[-1, -1] = values[0, 0] - SLACK * slopes[0, 0], values[-1, -1] + SLACK * slopes[-1, -1]
+    values[0, 0], values[-1, -1] = values[0, 0] - END_SLACK * slopes[0, 0], values[-1, -1] + END_SLACK * slopes[-1, -1]
     positive = values >= 0.0
     positive[:-1, -1] = positive[1:, 0]  # parts that touch agree
     part, which = np.nonzero(positive[:, 0] != positive[:, -1])
@@ -148,7 +150,7 @@ def _simple_zeros(coefficients: Array) -> tuple[NDArray[np.bool_], NDArray[np.in
 def _by_eigenvalues(coefficients: Array) -> tuple[NDArray[np.int64], NDArray[np.complex128]]:
     """Zeros next to the real axis, not below it, and the function of each."""
     sizes = np.abs(coefficients)
-    significant = sizes > NEGLIGIBLE * np.max(sizes, axis=0)
+    significant = sizes > NEGLIGIBLE_COEFFICIENT * np.max(sizes, axis=0)
     degrees = np.max(np.arange(len(sizes))[:, None] * significant, axis=0, initial=0)
     owners, places = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=complex)]
     for degree in np.unique(degrees[degrees > 0]).tolist():
@@ -180,7 +182,7 @@ def _polished(coefficients: Array, of: NDArray[np.int64], x: Array) -> Array:
     """Zeros after a few steps of Newton's method, each of the function numbered `of`."""
     slopes = derivative(len(coefficients) - 1) @ coefficients
     step, start = np.full(x.shape, np.inf), x
-    for _ in range(POLISHING if x.size else 0):
+    for _ in range(POLISHING_STEPS if x.size else 0):
         here, change = value(coefficients, of, x), value(slopes, of, x)
         new = np.divide(here, change, out=np.zeros_like(here), where=change != 0.0)
         new = np.where(np.abs(new) < np.abs(step), new, 0.0)

@@ -15,8 +15,8 @@ import numpy as np
 
 from casadi_skin.stability.tongues import chebyshev
 from casadi_skin.stability.tongues.blocks import Blocks, blocks_of, comes_apart
-from casadi_skin.stability.tongues.decoupling import DEGREE, MIDDLE, Booleans, Indices, Numbers
-from casadi_skin.stability.tongues.interpolation import FAILURES, Gap, MatrixSeries, in_words
+from casadi_skin.stability.tongues.decoupling import MIDDLE_NODE, SERIES_DEGREE, Booleans, Indices, Numbers
+from casadi_skin.stability.tongues.interpolation import FAILURE_ERRORS, Gap, MatrixSeries, in_words
 from casadi_skin.stability.tongues.pairs import PairBlock, Pairs
 from casadi_skin.stability.tongues.rotation import Spectrum
 from casadi_skin.stability.tongues.small_blocks import (
@@ -30,15 +30,15 @@ from casadi_skin.stability.tongues.small_blocks import (
 )
 from casadi_skin.zero.problem import Array
 
-SHORTEST = 1e-9  # of the series that an interval belongs to: a shorter one is given up
-ENTRIES = 200_000  # of matrices that are taken apart at a time: what stays in the cache of a core
-SHORT = 1e-3  # of the series: an interval shorter than that whose linear algebra fails is given up
-OVERHEAD = 3e4  # of an eigenvalue problem of any size, in units of m^3: measured, about a millisecond
+SHORTEST_INTERVAL = 1e-9  # of the series that an interval belongs to: a shorter one is given up
+ENTRIES_AT_A_TIME = 200_000  # of matrices that are taken apart at a time: what stays in the cache of a core
+SHORT_INTERVAL = 1e-3  # of the series: an interval shorter than that whose linear algebra fails is given up
+EIGENVALUE_OVERHEAD = 3e4  # of an eigenvalue problem of any size, in units of m^3: measured, about a millisecond
 BATCH_WORK = 2e7  # work on intervals that are looked at together, from small coordinates on
-ACCURATE = 1e-9  # of a block's entries: what its series may leave out
-SMALL = 6  # rows: series whose matrices are stacked to be evaluated
-FINE = 2 * DEGREE  # degree of the series of a block that needs more than the others of its interval
-MOST = 4096  # intervals of a series to begin with
+BLOCK_ENTRY_RTOL = 1e-9  # of a block's entries: what its series may leave out
+SMALL_ROWS = 6  # rows: series whose matrices are stacked to be evaluated
+FINE_DEGREE = 2 * SERIES_DEGREE  # degree of the series of a block that needs more than the others of its interval
+MOST_INTERVALS = 4096  # intervals of a series to begin with
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Interval:
     @property
     def places(self) -> Array:
         """Coordinates of the nodes, shape (DEGREE + 1,)."""
-        return self.nodes(DEGREE)
+        return self.nodes(SERIES_DEGREE)
 
     def nodes(self, degree: int) -> Array:
         """Coordinates of the nodes of any degree."""
@@ -67,7 +67,7 @@ class Interval:
     @property
     def is_shortest(self) -> bool:
         """Whether it is given up rather than halved."""
-        return self.end - self.start <= SHORTEST * (self.series.end - self.series.start)
+        return self.end - self.start <= SHORTEST_INTERVAL * (self.series.end - self.series.start)
 
 
 NOT_LOOKED_AT = "not looked at: the limit of work is reached"
@@ -90,7 +90,7 @@ class Crossings:
     @property
     def work(self) -> float:
         """Sum of m^3, and of what small ones cost as well, over the eigenvalue problems."""
-        return float(sum(count * (size**3 + OVERHEAD) for size, count in self.intervals.items()))
+        return float(sum(count * (size**3 + EIGENVALUE_OVERHEAD) for size, count in self.intervals.items()))
 
 
 def find_crossings(
@@ -133,7 +133,7 @@ def _first(series: MatrixSeries, found: Crossings) -> list[Interval]:
     """The intervals to begin with; the whole series is a gap where its linear algebra fails."""
     try:
         return first_intervals(series)
-    except FAILURES as error:
+    except FAILURE_ERRORS as error:
         found.gaps.append(Gap(series.start, series.end, in_words(error)))
         return []
 
@@ -141,8 +141,8 @@ def _first(series: MatrixSeries, found: Crossings) -> list[Interval]:
 def first_intervals(series: MatrixSeries) -> list[Interval]:
     """Equal intervals so short that, at the middle of the series, few mu can meet on each."""
     middle, half, parts = 0.5 * (series.start + series.end), 0.5 * (series.end - series.start), 1
-    while parts < MOST and series.size > 2:
-        places = middle + half / parts * chebyshev.nodes(DEGREE)
+    while parts < MOST_INTERVALS and series.size > 2:
+        places = middle + half / parts * chebyshev.nodes(SERIES_DEGREE)
         if comes_apart(series.at(places)[:, 0]):
             break
         parts *= 2
@@ -189,7 +189,7 @@ def _batches(intervals: Sequence[Interval]) -> Iterator[list[Interval]]:
     for interval in intervals:
         by_size[interval.series.size].append(interval)
     for size, group in by_size.items():
-        most = max(1, ENTRIES // (size * size * (DEGREE + 1)))
+        most = max(1, ENTRIES_AT_A_TIME // (size * size * (SERIES_DEGREE + 1)))
         yield from (group[first : first + most] for first in range(0, len(group), most))
 
 
@@ -197,11 +197,11 @@ def _looked_at(batch: Sequence[Interval], found: Crossings, whole: int) -> list[
     """Blocks of intervals of one size; those whose linear algebra fails are too long, or gaps where they are short."""
     try:
         return list(_take_apart(batch, found, whole))
-    except FAILURES as error:
+    except FAILURE_ERRORS as error:
         if len(batch) > 1:
             return [part for interval in batch for part in _looked_at([interval], found, whole)]
         (interval,) = batch
-        if interval.end - interval.start > SHORT * (interval.series.end - interval.series.start):
+        if interval.end - interval.start > SHORT_INTERVAL * (interval.series.end - interval.series.start):
             return [_Part(interval, True)]
         found.gaps.append(Gap(interval.start, interval.end, in_words(error)))
         return []
@@ -215,7 +215,7 @@ def _take_apart(batch: Sequence[Interval], found: Crossings, whole: int) -> Iter
     for chosen, blocks in blocks_of(matrices, errors):
         intervals = [batch[k] for k in chosen.tolist()]
         if size == whole:
-            found.spectra += _spectra(intervals, matrices[chosen, MIDDLE], blocks)
+            found.spectra += _spectra(intervals, matrices[chosen, MIDDLE_NODE], blocks)
         parts = [_Part(interval, not done) for interval, done in zip(intervals, blocks.done.tolist(), strict=True)]
         _sort(parts, blocks)
         yield from parts
@@ -223,13 +223,13 @@ def _take_apart(batch: Sequence[Interval], found: Crossings, whole: int) -> Iter
 
 def _at_nodes(batch: Sequence[Interval]) -> tuple[Array, Array]:
     """The matrices of intervals, and matrices like their errors, (intervals, J, 3 or 1, m, m) each."""
-    if batch[0].series.size <= SMALL:
+    if batch[0].series.size <= SMALL_ROWS:
         return _of_small_series(batch)
     same: dict[int, list[int]] = defaultdict(list)
     for i, interval in enumerate(batch):
         same[id(interval.series)].append(i)
     first = batch[0].series.coefficients
-    matrices = np.empty((len(batch), DEGREE + 1, *first.shape[1:]))
+    matrices = np.empty((len(batch), SERIES_DEGREE + 1, *first.shape[1:]))
     errors = np.empty_like(matrices)
     for numbers in same.values():
         series, shape = batch[numbers[0]].series, (len(numbers), *matrices.shape[1:])
@@ -244,12 +244,12 @@ def _of_small_series(batch: Sequence[Interval]) -> tuple[Array, Array]:
     kinds: dict[tuple[int, int], list[int]] = defaultdict(list)
     for i, interval in enumerate(batch):
         kinds[len(interval.series.coefficients), len(interval.series.errors)].append(i)
-    shape = len(batch), DEGREE + 1, *batch[0].series.coefficients.shape[1:]
+    shape = len(batch), SERIES_DEGREE + 1, *batch[0].series.coefficients.shape[1:]
     matrices, errors = np.empty(shape), np.empty(shape)
     for numbers in kinds.values():
         series = [batch[i].series for i in numbers]
         bounds = np.array([(batch[i].start, batch[i].end) for i in numbers])
-        places = bounds[:, :1] + 0.5 * np.diff(bounds) * (1.0 + chebyshev.nodes(DEGREE))
+        places = bounds[:, :1] + 0.5 * np.diff(bounds) * (1.0 + chebyshev.nodes(SERIES_DEGREE))
         matrices[numbers], errors[numbers] = MatrixSeries.several_at(series, places)
     return matrices, errors
 
@@ -334,7 +334,7 @@ def _by_size(parts: Sequence[_Part], blocks: Blocks) -> Iterator[tuple[_Matrices
 
 def _singles(parts: Sequence[_Part], those: _Matrices, shortest: Booleans) -> _Matrices:
     """Make blocks of one mu, but for those that are stable on their whole intervals; those that need finer series."""
-    coefficients = chebyshev.transform(DEGREE) @ those.k[..., 0, 0]
+    coefficients = chebyshev.transform(SERIES_DEGREE) @ those.k[..., 0, 0]
     functions = single_functions(coefficients, those.changes[..., 0, 0], those.noise + those.tails)
     loud = np.array([not (f.excludes_zero and g.excludes_zero and f(0.0) * g(0.0) <= 0.0) for f, g in functions])
     again = loud & is_coarse(those.changes, those.noise, those.tails) & those.rough & ~shortest
@@ -358,7 +358,7 @@ def _refine(
     columns = np.full((numbers.size, max(counts)), -1, dtype=np.int64)
     for n, i in enumerate(numbers.tolist()):
         columns[n, : counts[n]] = blocks.columns[i][np.concatenate([entry[1] for entry in by_owner[i]])]
-    matrices = np.stack([parts[i].interval.series.at(parts[i].interval.nodes(FINE)) for i in numbers.tolist()])
+    matrices = np.stack([parts[i].interval.series.at(parts[i].interval.nodes(FINE_DEGREE)) for i in numbers.tolist()])
     found, fine = blocks.finer(numbers, columns, matrices)
     for n, i in enumerate(numbers.tolist()):
         part, first = parts[i], 0
@@ -376,13 +376,13 @@ def _refine(
 
 def _tails(k: Numbers) -> Array:
     """Norms of what the series of the matrices of blocks leave out, (blocks, J, 3 or 1, m, m) -> (blocks, 3 or 1)."""
-    last = chebyshev.transform(k.shape[1] - 1)[-chebyshev.TAIL :]
+    last = chebyshev.transform(k.shape[1] - 1)[-chebyshev.TAIL_COEFFICIENTS :]
     left_out = np.sum(np.abs(chebyshev.combined(last, k)), axis=1)
     return np.asarray(np.sqrt(np.sum(left_out**2, axis=(2, 3))))
 
 
 def _are_rough(k: Numbers, tails: Array) -> Booleans:
-    return np.asarray(np.any(tails > ACCURATE * np.max(np.abs(k), axis=(1, 3, 4)), axis=1))
+    return np.asarray(np.any(tails > BLOCK_ENTRY_RTOL * np.max(np.abs(k), axis=(1, 3, 4)), axis=1))
 
 
 def _halves_of_block(interval: Interval, k: Array, change: Array, noise: Array) -> tuple[Interval, Interval]:
@@ -427,7 +427,7 @@ def are_definite(parts: Array) -> Booleans:
     """For which blocks P and Q are definite, of opposite signs, on all of the interval: their mu stay in (-1, 0)."""
     if parts.shape[2] == 1:
         return np.zeros(len(parts), dtype=bool)
-    coefficients = chebyshev.combined(chebyshev.transform(DEGREE), parts).swapaxes(0, 1)
+    coefficients = chebyshev.combined(chebyshev.transform(SERIES_DEGREE), parts).swapaxes(0, 1)
     found, signs = np.ones(len(parts), dtype=bool), []
     for form in (coefficients[:, :, 1], coefficients[:, :, 2]):
         values, vectors = np.linalg.eigh(_symmetric(form[0]))

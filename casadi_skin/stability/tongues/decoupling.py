@@ -13,16 +13,16 @@ from casadi_skin import native
 from casadi_skin.stability.tongues import chebyshev
 from casadi_skin.zero.problem import Array
 
-DEGREE = 16  # of the series on an interval
-MIDDLE = DEGREE // 2
-ITERATIONS = 60
-CONVERGED = 1e-9  # of a step: blocks are taken between left and right bases, whose errors they have multiplied
-PROBES = np.arange(0, DEGREE + 1, DEGREE // 4)  # nodes at which the separation of all mu is tested
-STEPS = 12  # at most, until all of one are small
-SMALL = 1e-3  # steps below this converge
-LARGEST = 1e3  # step of an iteration that converges
-BETWEEN = 32  # degree of the nodes at which distances are looked at between the probes
-NEARER = 0.25  # of the least square of a distance at the probes: the least one between them
+SERIES_DEGREE = 16  # of the series on an interval
+MIDDLE_NODE = SERIES_DEGREE // 2
+MOST_ITERATIONS = 60
+CONVERGED_STEP = 1e-9  # of a step: blocks are taken between left and right bases, whose errors they have multiplied
+PROBE_NODES = np.arange(0, SERIES_DEGREE + 1, SERIES_DEGREE // 4)  # nodes at which the separation of all mu is tested
+MOST_STEPS = 12  # at most, until all of one are small
+SMALL_STEP = 1e-3  # steps below this converge
+LARGEST_STEP = 1e3  # step of an iteration that converges
+BETWEEN_DEGREE = 32  # degree of the nodes at which distances are looked at between the probes
+NEARER_SQUARE_RATIO = 0.25  # of the least square of a distance at the probes: the least one between them
 
 Booleans = NDArray[np.bool_]
 Indices = NDArray[np.int64]
@@ -50,9 +50,9 @@ def contracts(K: Numbers, same: Booleans) -> Booleans:
     It is tested at five nodes, the middle among them; between these the squares of distances are polynomials.
     """
     if native.kernels():
-        values, fine = native.contracts(K[:, PROBES], same, STEPS, SMALL, LARGEST)
+        values, fine = native.contracts(K[:, PROBE_NODES], same, MOST_STEPS, SMALL_STEP, LARGEST_STEP)
     else:
-        values, fine = _steps_from_identity(K[:, PROBES], same)
+        values, fine = _steps_from_identity(K[:, PROBE_NODES], same)
     fine[fine] = _stay_apart(values[fine], same[fine])
     return fine
 
@@ -64,7 +64,7 @@ def _steps_from_identity(K: Numbers, same: Booleans) -> tuple[Numbers, Booleans]
     T = K * weights
     values = np.empty(K.shape[:3], dtype=K.dtype)
     active = np.arange(len(K))
-    for count in range(STEPS):
+    for count in range(MOST_STEPS):
         with np.errstate(over="ignore", invalid="ignore"):
             product = K[active] + K[active] @ T
             block = np.where(inside[active], product, 0.0)
@@ -72,8 +72,8 @@ def _steps_from_identity(K: Numbers, same: Booleans) -> tuple[Numbers, Booleans]
             T = T + step
             largest = np.max(np.abs(step), axis=(1, 2, 3))
         values[active] = np.diagonal(block, axis1=2, axis2=3)
-        going = (largest > SMALL) | (count == 0)
-        fine[active[~(largest < LARGEST)]] = False
+        going = (largest > SMALL_STEP) | (count == 0)
+        fine[active[~(largest < LARGEST_STEP)]] = False
         active, T = active[going & fine[active]], T[going & fine[active]]
         if not active.size:
             break
@@ -83,11 +83,11 @@ def _steps_from_identity(K: Numbers, same: Booleans) -> tuple[Numbers, Booleans]
 
 def _stay_apart(values: Numbers, same: Booleans) -> Booleans:
     """Whether mu of different blocks, (intervals, probes, m), stay apart between the probes as well."""
-    weights = chebyshev.refinement(len(PROBES) - 1, BETWEEN)
+    weights = chebyshev.refinement(len(PROBE_NODES) - 1, BETWEEN_DEGREE)
     squares = (values[:, :, :, None] - values[:, :, None, :]) ** 2
     least = np.min(np.abs(squares), axis=1)
     between = np.tensordot(weights, squares, (1, 1))
-    return np.asarray(np.all((np.min(np.abs(between), axis=0) >= NEARER * least) | same, axis=(1, 2)))
+    return np.asarray(np.all((np.min(np.abs(between), axis=0) >= NEARER_SQUARE_RATIO * least) | same, axis=(1, 2)))
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def _invariant(K: Numbers, same: Booleans, columns: Indices) -> tuple[Numbers, B
     intervals, count, size = K.shape[:3]
     degree = count - 1
     if native.kernels():
-        return native.invariant(K, same, columns, nested_nodes(degree), ITERATIONS, CONVERGED)
+        return native.invariant(K, same, columns, nested_nodes(degree), MOST_ITERATIONS, CONVERGED_STEP)
     valid = columns >= 0
     places = np.where(valid, columns, 0)
     each = np.arange(intervals)[:, None]
@@ -250,7 +250,7 @@ def _iterated(K: Numbers, T: Numbers, weights: Numbers, places: Indices, inner: 
     here, turn, weights = K.reshape(-1, size, size), T.copy(), weights.reshape(-1, size, width)
     rows, numbers = np.repeat(places, shape[1], axis=0), np.arange(len(T))[:, None]
     inner = np.repeat(inner, shape[1], axis=0).astype(float)
-    for _ in range(ITERATIONS):
+    for _ in range(MOST_ITERATIONS):
         product = here @ turn
         block = product[numbers[: len(rows)], rows]
         block *= inner
@@ -259,7 +259,7 @@ def _iterated(K: Numbers, T: Numbers, weights: Numbers, places: Indices, inner: 
             step = np.multiply(product, weights, out=product)
             turn += step
             largest = np.max(np.abs(step), axis=(1, 2), initial=0.0)
-        enough = largest <= CONVERGED
+        enough = largest <= CONVERGED_STEP
         T[active], converged[active] = turn, enough
         going = ~enough & (largest < 1.0)
         if not going.any():

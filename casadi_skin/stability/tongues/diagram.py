@@ -15,7 +15,7 @@ from casadi_skin.stability.tongues.small_blocks import growth_of
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.unresolved import Unresolved, count_in_words
 
-NOISE = 1e-7  # of log |multiplier|: the effect of rounding on two mu that nearly meet
+LOG_MULTIPLIER_NOISE = 1e-7  # of log |multiplier|: the effect of rounding on two mu that nearly meet
 
 
 @dataclass(frozen=True)
@@ -258,7 +258,7 @@ class StabilityDiagram(Result):
             growth[rows] = self.power * growth_of(
                 np.linalg.eigvals(piece.matrices.at(coordinates[rows], 1)[:, 0]).astype(complex)
             )
-        return np.where(growth > NOISE, growth, 0.0)
+        return np.where(growth > LOG_MULTIPLIER_NOISE, growth, 0.0)
 
     def angles_and_growths(self, coordinates: Array) -> tuple[Array, Array]:
         """Signed rotation angles in (-pi, pi] and `growths` at coordinates, shape (points, m) each.
@@ -269,7 +269,9 @@ class StabilityDiagram(Result):
         mu, signatures = self.spectrum(coordinates)
         angles = np.arccos(np.clip(1.0 + 2.0 * mu.real, -1.0, 1.0))
         growth = np.where(self._inside(coordinates)[:, None], self.power * growth_of(mu), 0.0)
-        return np.where(signatures == 0, np.nan, signatures * angles), np.where(growth > NOISE, growth, 0.0)
+        return np.where(signatures == 0, np.nan, signatures * angles), np.where(
+            growth > LOG_MULTIPLIER_NOISE, growth, 0.0
+        )
 
     def coordinates(self, points: int = 400, in_tongue: int = 17) -> Array:
         """Coordinates to draw curves with: evenly along the branch, and in each tongue, its edges among them."""

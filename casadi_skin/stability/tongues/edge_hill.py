@@ -7,12 +7,12 @@ import numpy as np
 
 from casadi_skin.stability.stepping import OrbitState
 from casadi_skin.stability.tongues.hill import Hill, Layout, Medium, coefficients
-from casadi_skin.stability.tongues.localised_samples import FILLS, NARROW_GAP, Sample, names_of_arcs
+from casadi_skin.stability.tongues.localised_samples import FILLED_GAP, NARROW_GAP, Sample, names_of_arcs
 from casadi_skin.zero.family import Coordinates
 from casadi_skin.zero.problem import Array, Indices, Problem
 
-PHASES = 4  # values over half a period for each odd cosine
-SPARE = 16  # further ones
+PHASES_PER_COSINE = 4  # values over half a period for each odd cosine
+SPARE_PHASES = 16  # further ones
 
 
 class EdgeHill:
@@ -29,7 +29,7 @@ class EdgeHill:
         with np.errstate(all="ignore"):
             hill = self.hill(best.problem, best.z)
             layout = Layout(hill.Omega, localised.bands)
-            if names_of_arcs(layout) in ((FILLS,), (NARROW_GAP,)):
+            if names_of_arcs(layout) in ((FILLED_GAP,), (NARROW_GAP,)):
                 return None
             try:
                 return Sample(0.0, 0.0, hill, layout, lambda: hill).counts.off
@@ -49,7 +49,7 @@ class EdgeHill:
         localised = self.coordinates.localised
         assert localised is not None
         medium = Medium(localised.stiffness, localised.coupling, localised.inlet, localised.outlet)
-        count, p = PHASES * problem.resolution + SPARE, medium.sites
+        count, p = PHASES_PER_COSINE * problem.resolution + SPARE_PHASES, medium.sites
         q = problem.sample(z, np.pi * np.arange(count) / count)
         parameter = np.full((1, count), float(z[problem.parameter_index]))
         forces, rows, columns = self._forces(count)

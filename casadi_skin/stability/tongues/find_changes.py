@@ -24,21 +24,24 @@ from casadi_skin.stability.tongues.interpolation import (
 from casadi_skin.stability.tongues.rotation import TWO_PI, Tracks, follow_angles
 from casadi_skin.zero.unresolved import Unresolved
 
-INTERPOLATION = 1e-11  # tolerance, relative to the largest entries
-WORK = 2e9  # see `Crossings.work`: a minute or two
+INTERPOLATION_TOLERANCE = 1e-11  # tolerance, relative to the largest entries
+WORK_LIMIT = 2e9  # see `Crossings.work`: a minute or two
 SAMPLE_WORK = 0.1  # an orbit with its transition matrix, in such problems
-INTERVALS = 16  # of a piece of the branch, as expected
+EXPECTED_INTERVALS = 16  # of a piece of the branch, as expected
 PIECES_WORK = 1e7  # m^3 over the intervals of pieces that are looked at together
 ONE_PLACE = 1e-9  # of the branch: meetings without instability that are no farther apart are one
-SHARE = 0.05  # of the work that is left, at most, for such pieces
-POWERS = {0.25: 2, 0.5: 1}  # of lambda(M) that give multipliers, by the fraction of the period of transition matrices
+WORK_SHARE = 0.05  # of the work that is left, at most, for such pieces
+POWERS_BY_FRACTION = {
+    0.25: 2,
+    0.5: 1,
+}  # of lambda(M) that give multipliers, by the fraction of the period of transition matrices
 
 
 def find_changes(
     branch: BranchSampler,
     modes: Mapping[int, float] | None = None,
-    tolerance: float = INTERPOLATION,
-    work: float = WORK,
+    tolerance: float = INTERPOLATION_TOLERANCE,
+    work: float = WORK_LIMIT,
     progress: Callable[[float], None] | None = None,
     short: bool = False,
     entries: Sequence[Entry] = (),
@@ -59,7 +62,7 @@ def find_changes(
     Returns:
         Changes of stability and tongues, with undecided and unresolved places.
     """
-    power = POWERS[branch.fraction]
+    power = POWERS_BY_FRACTION[branch.fraction]
     known, found = _looked_at(branch, tolerance, work, progress, short)
     groups, disagreements = groups_of(found.segments, _unknown(known, found))
     found.gaps += disagreements
@@ -92,8 +95,8 @@ def _looked_at(
     for piece in interpolate(branch, tolerance, known, 1.0 if short else FIRST_LENGTH):
         waiting += without_copies(piece.matrices)
         for_orbits = SAMPLE_WORK * known.samples * float(piece.matrices.size) ** 3
-        expected = INTERVALS * len(waiting) * float(piece.matrices.size) ** 3
-        if expected >= min(PIECES_WORK, SHARE * (work - found.work - for_orbits)):
+        expected = EXPECTED_INTERVALS * len(waiting) * float(piece.matrices.size) ** 3
+        if expected >= min(PIECES_WORK, WORK_SHARE * (work - found.work - for_orbits)):
             find_crossings(waiting, found, work - for_orbits, progress, piece.matrices.size)
             waiting = []
             end = branch.sections[-1][1]

@@ -24,7 +24,7 @@ from casadi_skin.zero.problem import Array
 # Waves of a linear medium of alike cells, as its end answers them: decay from cell to cell, and the response there ----
 
 AT_EDGE = 1e-13  # |C| - 1 below which a frequency is at the edge of a band
-STEP = 1e-20  # imaginary, for a derivative
+COMPLEX_STEP = 1e-20  # imaginary, for a derivative
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,15 +103,15 @@ class Medium:
         decays = 1.0 / (C + np.where(C >= 0.0, root, -root))
         if not inside.any():
             return decays
-        slope = np.imag(self.cosine(z + 1j * STEP * np.maximum(np.abs(z), 1.0)))
+        slope = np.imag(self.cosine(z + 1j * COMPLEX_STEP * np.maximum(np.abs(z), 1.0)))
         return np.where(inside, C - 1j * np.sign(slope * frequency) * root, decays)
 
 
 ROUND_OFF = 1e-15
-NEGLIGIBLE = 1e-13  # of the largest coefficient: sidebands that are not coupled
-FEWEST, MOST = 4, 60  # sidebands to either side
-SPARE = 2  # sidebands beyond those that are coupled
-BATCH = 64  # values of sigma at a time
+NEGLIGIBLE_SIDEBAND = 1e-13  # of the largest coefficient: sidebands that are not coupled
+FEWEST_SIDEBANDS, MOST_SIDEBANDS = 4, 60  # sidebands to either side
+SPARE_SIDEBANDS = 2  # sidebands beyond those that are coupled
+SIGMA_BATCH = 64  # values of sigma at a time
 
 Parity = Literal["cosine", "sine"]
 
@@ -136,7 +136,7 @@ class Hill:
     cells: Array
     bonds: Array
     inlet: int
-    negligible: float = NEGLIGIBLE
+    negligible: float = NEGLIGIBLE_SIDEBAND
     further: int = 0
 
     @cached_property
@@ -146,7 +146,7 @@ class Hill:
         if self.bonds.size:
             sizes = np.maximum(sizes, np.max(np.abs(self.bonds), axis=(0, 2, 3)))
         last = int(np.flatnonzero(sizes > self.negligible * sizes[0])[-1])
-        return int(np.clip(last + SPARE, FEWEST, MOST)) + self.further
+        return int(np.clip(last + SPARE_SIDEBANDS, FEWEST_SIDEBANDS, MOST_SIDEBANDS)) + self.further
 
     def with_more(self, sidebands: int) -> Hill:
         """The same with more sidebands, which show the error of leaving them out."""
@@ -170,8 +170,8 @@ class Hill:
         m = np.arange(-self.sidebands - 1, self.sidebands + 1)  # symmetric about sigma = Omega
         blocks = self._blocks
         parts = [
-            self._eliminated(sigma[n : n + BATCH, None] + 2.0 * m * self.Omega, *blocks)
-            for n in range(0, sigma.size, BATCH)
+            self._eliminated(sigma[n : n + SIGMA_BATCH, None] + 2.0 * m * self.Omega, *blocks)
+            for n in range(0, sigma.size, SIGMA_BATCH)
         ]
         logs, phases = zip(*parts, strict=True)
         return np.concatenate(logs), np.concatenate(phases)
@@ -264,8 +264,8 @@ def coefficients(samples: Array) -> Array:
 
 # Arcs of the continuous spectrum and the gaps between them, as exponents sigma from 0 to Omega, with all their ends
 
-SAME = 1e-12  # of Omega: ends that coincide
-START, HALF = "0", "Omega"  # ends of the interval, where multipliers of half a period are 1 and -1
+SAME_END_RTOL = 1e-12  # of Omega: ends that coincide
+START_END, HALF_END = "0", "Omega"  # ends of the interval, where multipliers of half a period are 1 and -1
 
 
 @dataclass(frozen=True)
@@ -302,7 +302,7 @@ class Layout:
         """All arcs, folded into the interval from 0 to Omega."""
         found, Omega = [], self.Omega
         for low, high in self.bands:
-            for turns in range(int(low / Omega + SAME), int(np.ceil(high / Omega - SAME))):
+            for turns in range(int(low / Omega + SAME_END_RTOL), int(np.ceil(high / Omega - SAME_END_RTOL))):
                 first, last = max(low, turns * Omega), min(high, (turns + 1) * Omega)
                 one, other = self._folded(first, turns), self._folded(last, turns)
                 found.append(Piece(min(one, other), max(one, other), 1 if turns % 2 == 0 else -1))
@@ -315,11 +315,11 @@ class Layout:
     @cached_property
     def ends(self) -> tuple[End, ...]:
         """Edges of all bands and the ends of the interval, ascending."""
-        found = [End(START, 0.0), End(HALF, self.Omega)]
+        found = [End(START_END, 0.0), End(HALF_END, self.Omega)]
         for k, frequency in enumerate(np.ravel(self.bands).tolist()):
             turns = int(frequency / self.Omega)
             found.append(End(f"edge {k} {turns}", self._folded(frequency, turns), k, turns))
-        return tuple(sorted(found, key=lambda end: (end.sigma, end.name != START, end.name == HALF)))
+        return tuple(sorted(found, key=lambda end: (end.sigma, end.name != START_END, end.name == HALF_END)))
 
     def covered(self, sigma: float) -> tuple[int, ...]:
         """Signatures of the arcs over an exponent."""
@@ -328,18 +328,18 @@ class Layout:
     @cached_property
     def intervals(self) -> tuple[tuple[End, End, bool], ...]:
         """Between neighbouring ends: both, and whether an arc covers what is between."""
-        width = SAME * self.Omega
+        width = SAME_END_RTOL * self.Omega
         apart = [(a, b) for a, b in pairwise(self._distinct) if b.sigma - a.sigma > width]
         return tuple((a, b, bool(self.covered(0.5 * (a.sigma + b.sigma)))) for a, b in apart)
 
     @cached_property
     def _distinct(self) -> tuple[End, ...]:
         """Ends, of those that coincide one: a multiple of Omega rather than the edge that is pinned to it."""
-        width, found = SAME * self.Omega, list[End]()
+        width, found = SAME_END_RTOL * self.Omega, list[End]()
         for end in self.ends:
             if not found or end.sigma - found[-1].sigma > width:
                 found.append(end)
-            elif end.name == HALF:
+            elif end.name == HALF_END:
                 found[-1] = end
         return tuple(found)
 
@@ -362,7 +362,7 @@ class Layout:
     @property
     def fills(self) -> bool:
         """Whether a harmonic of the orbit is within a band, so that it fills the medium."""
-        return self.pinned and self.off_edge > SAME
+        return self.pinned and self.off_edge > SAME_END_RTOL
 
     @property
     def off_edge(self) -> float:
@@ -374,7 +374,7 @@ class Layout:
     @property
     def pinned(self) -> bool:
         """Whether the orbit's frequency, or an odd multiple of it, is at the edge of a band."""
-        return not any(b.name == HALF for _, b in self.gaps)
+        return not any(b.name == HALF_END for _, b in self.gaps)
 
     def sums(self) -> tuple[tuple[float, bool], ...]:
         """Frequencies Omega at which two ends meet, times 2 m, and whether waves of opposite signatures do."""
@@ -389,6 +389,6 @@ def crossings(first: Layout, last: Layout) -> list[float]:
     found = set()
     for total, _ in first.sums():
         for m in range(int(np.ceil(total / (2.0 * high))), int(total / (2.0 * low)) + 1):
-            if m and low * (1.0 + SAME) < total / (2.0 * m) < high * (1.0 - SAME):
+            if m and low * (1.0 + SAME_END_RTOL) < total / (2.0 * m) < high * (1.0 - SAME_END_RTOL):
                 found.add(total / (2.0 * m))
     return sorted(found, reverse=first.Omega > last.Omega)

@@ -17,20 +17,23 @@ from casadi_skin.stability.stepping import FlowError
 from casadi_skin.stability.tongues import chebyshev
 from casadi_skin.zero.problem import EPSILON, Array
 
-DEGREES = (16, 32)  # of the series: for a short piece, and where longer pieces of higher degree save little more
+SERIES_DEGREES = (16, 32)  # of the series: for a short piece, and where longer pieces of higher degree save little more
 FIRST_LENGTH = 0.25  # of a section, of its first piece
-SHORTEST = 1e-3  # of a section: shorter pieces are given up
-SKIPPED = 0.03  # of a section, at most: the stretch given up at a time in the middle of a gap
-ROUNDING = 1e-14  # relative size of coefficients that say nothing of convergence
-SMALLEST = 1e-300
-LOWER = 1.5  # times shorter than a singularity allows are pieces of lower degrees: these converge later
-SHORTER, LONGER = 0.6, 3.0  # lengths of a piece after one that failed and after one that did not, at most
-MARGIN = 10.0  # of the tolerance over the error that a piece is planned with
-PLATEAU = 3.0  # ratio of coefficients in the third and the last quarter below which they are noise
-LEVEL = 5.0  # the same ratio of their root mean squares, for what noise adds to errors
-DEVIATIONS = 3.0  # of that noise
-NOISIEST = 1e-6  # noise that is still accepted, relative to the largest entry
-FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError)  # of orbits, flows and linear algebra
+SHORTEST_PIECE = 1e-3  # of a section: shorter pieces are given up
+SKIPPED_STRETCH = 0.03  # of a section, at most: the stretch given up at a time in the middle of a gap
+ROUNDING_COEFFICIENT = 1e-14  # relative size of coefficients that say nothing of convergence
+SMALLEST_NUMBER = 1e-300
+LOWER_DEGREE_FACTOR = 1.5  # times shorter than a singularity allows are pieces of lower degrees: these converge later
+SHORTER_PIECE_FACTOR, LONGER_PIECE_FACTOR = (
+    0.6,
+    3.0,
+)  # lengths of a piece after one that failed and after one that did not, at most
+TOLERANCE_MARGIN = 10.0  # of the tolerance over the error that a piece is planned with
+PLATEAU_RATIO = 3.0  # ratio of coefficients in the third and the last quarter below which they are noise
+NOISE_LEVEL_RATIO = 5.0  # the same ratio of their root mean squares, for what noise adds to errors
+NOISE_DEVIATIONS = 3.0  # of that noise
+NOISIEST_ACCEPTED = 1e-6  # noise that is still accepted, relative to the largest entry
+FAILURE_ERRORS = (ArithmeticError, np.linalg.LinAlgError, RuntimeError)  # of orbits, flows and linear algebra
 
 
 class OrbitNotFoundError(ArithmeticError):
@@ -193,38 +196,38 @@ class _Plan:
     tolerance: float
     radius: float = np.inf
     longest: float = np.inf
-    lowest: int = DEGREES[0]
+    lowest: int = SERIES_DEGREES[0]
     first: float = FIRST_LENGTH
 
     def next(self, remaining: float) -> tuple[float, int]:
         """Length and degree of the next piece: the rest of the section in equal pieces of the lowest degree."""
         if self.radius == np.inf and self.longest == np.inf:
             return self.first * remaining, self.lowest
-        for degree in DEGREES:
-            needed = remaining if degree == DEGREES[-1] else LOWER * remaining
+        for degree in SERIES_DEGREES:
+            needed = remaining if degree == SERIES_DEGREES[-1] else LOWER_DEGREE_FACTOR * remaining
             if degree >= self.lowest and self._length(degree) >= needed:
                 return remaining, degree
-        return float(remaining / np.ceil(remaining / self._length(DEGREES[-1]))), DEGREES[-1]
+        return float(remaining / np.ceil(remaining / self._length(SERIES_DEGREES[-1]))), SERIES_DEGREES[-1]
 
     def _length(self, degree: int) -> float:
-        rate = (MARGIN / self.tolerance) ** (1.0 / degree)
+        rate = (TOLERANCE_MARGIN / self.tolerance) ** (1.0 / degree)
         return float(min(4.0 * self.radius / (rate - 1.0 / rate), self.longest))
 
     def learn(self, length: float, sizes: Array) -> None:
         """Update from the relative sizes of the coefficients, as far as these are not rounding."""
         envelope = np.maximum.accumulate(sizes[::-1])[::-1]
-        last = max(int(np.count_nonzero(envelope > ROUNDING)) - 1, 1)
-        rate = max(float(envelope[0] / max(envelope[last], ROUNDING)) ** (1.0 / last), 1.0 + 1e-3)
+        last = max(int(np.count_nonzero(envelope > ROUNDING_COEFFICIENT)) - 1, 1)
+        rate = max(float(envelope[0] / max(envelope[last], ROUNDING_COEFFICIENT)) ** (1.0 / last), 1.0 + 1e-3)
         self.radius = 0.25 * length * (rate - 1.0 / rate)
 
     def limit(self, length: float, degree: int, failed: bool) -> None:
         """Limit the next piece by the outcome of this one: the same length in a higher degree, or a shorter one."""
         if not failed:
-            self.longest, self.lowest = LONGER * length, DEGREES[0]
-        elif degree < DEGREES[-1]:
-            self.longest, self.lowest = length, DEGREES[-1]
+            self.longest, self.lowest = LONGER_PIECE_FACTOR * length, SERIES_DEGREES[0]
+        elif degree < SERIES_DEGREES[-1]:
+            self.longest, self.lowest = length, SERIES_DEGREES[-1]
         else:
-            self.longest = SHORTER * length
+            self.longest = SHORTER_PIECE_FACTOR * length
 
 
 def interpolate(
@@ -243,7 +246,7 @@ def interpolate(
     """
     plan = _Plan(tolerance, first=first)
     for start, end in branch.sections:
-        at, shortest = start, SHORTEST * (end - start)
+        at, shortest = start, SHORTEST_PIECE * (end - start)
         while at < end:
             length, degree = plan.next(end - at)
             stop = end if length >= (1.0 - 1e-9) * (end - at) else at + length
@@ -252,17 +255,18 @@ def interpolate(
                 piece, sizes = _piece(branch, at, stop, degree, tolerance)
                 known.samples += degree + 1
                 plan.learn(stop - at, sizes)
-                reason = f"multipliers do not converge along the branch: {np.max(sizes[-chebyshev.TAIL :]):.1e} is left"
-            except FAILURES as error:
-                reason, degree = in_words(error), DEGREES[-1]  # a higher degree would not help
+                rest = np.max(sizes[-chebyshev.TAIL_COEFFICIENTS :])
+                reason = f"multipliers do not converge along the branch: {rest:.1e} is left"
+            except FAILURE_ERRORS as error:
+                reason, degree = in_words(error), SERIES_DEGREES[-1]  # a higher degree would not help
             plan.limit(length, degree, piece is None)
             if piece is not None:
                 known.pieces.append(piece)
-                at, shortest = stop, SHORTEST * (end - start)
+                at, shortest = stop, SHORTEST_PIECE * (end - start)
                 yield piece
             elif stop - at <= shortest:
                 known.gaps.append(Gap(at, stop, reason))
-                at, shortest = stop, min(2.0 * shortest, SKIPPED * (end - start))
+                at, shortest = stop, min(2.0 * shortest, SKIPPED_STRETCH * (end - start))
                 plan = _Plan(tolerance, longest=shortest)  # one try each until the branch goes on
 
 
@@ -296,10 +300,10 @@ def _piece(
         to_coefficients @ np.stack([samples.S, samples.Omega], axis=1),
     )
     sizes = np.concatenate([np.max(np.abs(coefficients), axis=(2, 3), initial=0.0), np.abs(scalars)], axis=1)
-    sizes = np.max(sizes / np.maximum(np.max(sizes, axis=0), SMALLEST), axis=1)
-    missed = float(np.max(sizes[-chebyshev.TAIL :]))
+    sizes = np.max(sizes / np.maximum(np.max(sizes, axis=0), SMALLEST_NUMBER), axis=1)
+    missed = float(np.max(sizes[-chebyshev.TAIL_COEFFICIENTS :]))
     quarter = degree // 4
-    noisy = missed <= NOISIEST and float(np.max(sizes[2 * quarter : 3 * quarter])) <= PLATEAU * missed
+    noisy = missed <= NOISIEST_ACCEPTED and float(np.max(sizes[2 * quarter : 3 * quarter])) <= PLATEAU_RATIO * missed
     if missed > tolerance and not noisy:
         return None, sizes
     noise = np.sqrt(np.sum(chebyshev.tail(coefficients) ** 2, axis=(1, 2)))
@@ -317,4 +321,4 @@ def _of_plateau(coefficients: Array) -> Array:
     degree = len(coefficients) - 1
     squares = np.sum(coefficients**2, axis=(2, 3))
     third, last = (np.sqrt(np.mean(part, axis=0)) for part in np.split(squares[-2 * (degree // 4) :], 2))
-    return np.where(third <= LEVEL * last, DEVIATIONS * np.sqrt(0.5 * degree) * last, 0.0)
+    return np.where(third <= NOISE_LEVEL_RATIO * last, NOISE_DEVIATIONS * np.sqrt(0.5 * degree) * last, 0.0)

@@ -22,12 +22,12 @@ from casadi_skin.stability.tongues.diagram import (
     LocalisedChange,
     LocalisedDiagram,
 )
-from casadi_skin.stability.tongues.hill import HALF, START, Layout
+from casadi_skin.stability.tongues.hill import HALF_END, START_END, Layout
 from casadi_skin.stability.tongues.localised_counts import CountError, Counts
 from casadi_skin.stability.tongues.localised_samples import EdgeBranch
 from casadi_skin.stability.tongues.localised_search import (
-    FAILURES,
-    FINEST,
+    FAILURE_ERRORS,
+    FINEST_STRETCH,
     MeetingError,
     Search,
     Zero,
@@ -39,7 +39,7 @@ from casadi_skin.stability.tongues.localised_search import (
 )
 from casadi_skin.zero.unresolved import Unresolved
 
-NEAR = 0.1  # of an interval between points: from where on two that meet are sought by Newton's method
+NEAR_MEETING_FRACTION = 0.1  # of an interval between points: from where on two that meet are sought by Newton's method
 
 
 def find_localised_changes(branch: EdgeBranch) -> LocalisedDiagram:
@@ -58,7 +58,7 @@ def find_localised_changes(branch: EdgeBranch) -> LocalisedDiagram:
         looked.append(_Stretch(search, start, end))
         try:
             looked[-1].look()
-        except FAILURES as error:
+        except FAILURE_ERRORS as error:
             search.gaps.append((start, end, str(error)))
     for before, after in pairwise(looked):
         missing = (before.end, after.start)
@@ -66,7 +66,7 @@ def find_localised_changes(branch: EdgeBranch) -> LocalisedDiagram:
             continue
         try:
             _across(search, before, after)
-        except FAILURES as error:
+        except FAILURE_ERRORS as error:
             search.gaps.append((*missing, str(error)))
     ordered = sorted(search.found, key=lambda change: change.place.coordinate)
     unresolved = tuple(
@@ -146,10 +146,10 @@ class _Stretch:
         if len(zeros) == 1 and self._explains(zeros[0], moved, inside):
             self._add(zeros[0], before.off, after.off)
             return
-        two = not zeros and b - a <= NEAR and abs(moved) == 2 and sum(map(abs, inside)) in (0, 2)
+        two = not zeros and b - a <= NEAR_MEETING_FRACTION and abs(moved) == 2 and sum(map(abs, inside)) in (0, 2)
         if two and self._meeting(a, before, b, after, inside):
             return
-        if b - a <= FINEST:
+        if b - a <= FINEST_STRETCH:
             words = f"localised multipliers off the circle change from {before.off} to {after.off}"
             self.search.gaps.append((a, b, f"{words}, in gaps by {sum(inside)}"))
             for zero in zeros:
@@ -173,17 +173,17 @@ class _Stretch:
         """Whether a zero changes the numbers by what they change."""
         layout = self.search.at(zero.coordinate).layout
         changed = [number for number, change in enumerate(inside) if change]
-        if zero.name.startswith((START, HALF)):
-            gap = 0 if zero.name.startswith(START) else len(layout.gaps) - 1
-            if zero.name == START or (zero.name.startswith(HALF) and layout.pinned):
+        if zero.name.startswith((START_END, HALF_END)):
+            gap = 0 if zero.name.startswith(START_END) else len(layout.gaps) - 1
+            if zero.name == START_END or (zero.name.startswith(HALF_END) and layout.pinned):
                 return abs(moved) == 1 and not changed
             return abs(moved) == 1 and changed == [gap] and inside[gap] == -moved
         return moved == 0 and len(changed) == 1 and abs(inside[changed[0]]) == 1
 
     def _add(self, zero: Zero, before: int, after: int) -> None:
         layout = self.search.at(zero.coordinate).layout
-        if zero.name.startswith((START, HALF)):
-            mu, kind, signs = (0.0 if zero.name.startswith(START) else -1.0), REAL, tuple[int, ...]()
+        if zero.name.startswith((START_END, HALF_END)):
+            mu, kind, signs = (0.0 if zero.name.startswith(START_END) else -1.0), REAL, tuple[int, ...]()
         else:
             (end,) = (end for end in layout.ends if end.name == zero.name)
             mu, kind = mu_of(end.sigma, layout.Omega), BAND_EDGE

@@ -12,20 +12,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadi_skin.stability.tongues import chebyshev
-from casadi_skin.stability.tongues.hill import HALF, START, End, Hill, Layout
+from casadi_skin.stability.tongues.hill import HALF_END, START_END, End, Hill, Layout
 from casadi_skin.zero.problem import Array
 
-FIRST = 12  # values of sigma under each part of an arc, at first
-TURN = 0.6  # of the argument from one value to the next, at most
-MOST = 4000  # values of sigma under arcs
-DEGREES = (16, 32, 64, 128)  # of the series in a gap
-CONVERGED = 1e-6
-ROUGH = 1e-8  # of the stiffness: what the argument does without
-WHOLE = 0.02  # distance of a count from a whole number, at most
-COSINE_START, SINE_START = f"{START} cosine", f"{START} sine"
-COSINE_HALF, VELOCITY = f"{HALF} cosine", f"{HALF} velocity"
-NEAR = 0.25  # of the gap: radius of the circle about sigma = Omega on which its double zero is divided out
-QUARTER = 6  # values on a quarter of it: those of all of it leave out the 24th order
+FIRST_SIGMA_VALUES = 12  # values of sigma under each part of an arc, at first
+LARGEST_ARGUMENT_TURN = 0.6  # of the argument from one value to the next, at most
+MOST_SIGMA_VALUES = 4000  # values of sigma under arcs
+SERIES_DEGREES = (16, 32, 64, 128)  # of the series in a gap
+CONVERGED_RTOL = 1e-6
+ROUGH_STIFFNESS_RATIO = 1e-8  # of the stiffness: what the argument does without
+WHOLE_NUMBER_DISTANCE = 0.02  # distance of a count from a whole number, at most
+COSINE_START, SINE_START = f"{START_END} cosine", f"{START_END} sine"
+COSINE_HALF, HALF_VELOCITY = f"{HALF_END} cosine", f"{HALF_END} velocity"
+DOUBLE_ZERO_RADIUS = (
+    0.25  # of the gap: radius of the circle about sigma = Omega on which its double zero is divided out
+)
+QUARTER_CIRCLE_VALUES = 6  # values on a quarter of it: those of all of it leave out the 24th order
 
 
 class CountError(ArithmeticError):
@@ -51,17 +53,17 @@ class Counts:
 def count(hill: Hill, layout: Layout) -> Counts:
     """Count localised multipliers; raises CountError where the argument does not turn by whole half turns."""
     zeros = tuple(zeros_in(hill, start, end) for start, end in layout.gaps)
-    rough = hill.coarser(ROUGH)
+    rough = hill.coarser(ROUGH_STIFFNESS_RATIO)
     turned = sum(_turned(rough, a.sigma, b.sigma) for a, b, covered in layout.intervals if covered) / np.pi
     total = turned - sum(map(len, zeros)) - (0 if layout.pinned else 1) + hill.medium.bound.size
-    if abs(total - round(total)) > WHOLE or round(total) < 0:
+    if abs(total - round(total)) > WHOLE_NUMBER_DISTANCE or round(total) < 0:
         raise CountError(f"the argument of Hill's determinant turns by {total:.3f} half turns")
     return Counts(zeros, round(total))
 
 
 def _turned(hill: Hill, start: float, end: float) -> float:
     """The change of the argument of D under an arc, from one end to the other."""
-    angles = np.pi * np.arange(FIRST + 1) / FIRST
+    angles = np.pi * np.arange(FIRST_SIGMA_VALUES + 1) / FIRST_SIGMA_VALUES
 
     def phases(angle: Array) -> Array:
         sigma = 0.5 * (start + end) - 0.5 * (end - start) * np.cos(angle)
@@ -71,10 +73,10 @@ def _turned(hill: Hill, start: float, end: float) -> float:
     known = phases(angles)
     while True:
         turns = np.angle(known[1:] / known[:-1])
-        wide = np.flatnonzero(np.abs(turns) > TURN)
+        wide = np.flatnonzero(np.abs(turns) > LARGEST_ARGUMENT_TURN)
         if not wide.size:
             return float(np.sum(turns))
-        if known.size > MOST or np.min(np.diff(angles)[wide]) < 1e-9:
+        if known.size > MOST_SIGMA_VALUES or np.min(np.diff(angles)[wide]) < 1e-9:
             raise CountError("a localised multiplier is on an arc of the continuous spectrum")
         middle = 0.5 * (angles[wide] + angles[wide + 1])
         angles = np.insert(angles, wide + 1, middle)
@@ -91,7 +93,7 @@ class Gap:
     @property
     def mirrored(self) -> bool:
         """Whether it ends at Omega, where the velocity of the flow makes a double zero."""
-        return self.end.name == HALF
+        return self.end.name == HALF_END
 
     @property
     def half(self) -> float:
@@ -121,7 +123,7 @@ def zeros_in(hill: Hill, start: End, end: End) -> tuple[float, ...]:
     gap = Gap(start, end)
     values = np.empty(0)
     middle = [by_velocity(hill, gap.half)] if gap.mirrored else []
-    for degree in DEGREES:
+    for degree in SERIES_DEGREES:
         x = chebyshev.nodes(degree)
         x, known = (x[x < 0.0] if gap.mirrored else x), values
         values = np.empty(x.size)
@@ -130,7 +132,7 @@ def zeros_in(hill: Hill, start: End, end: End) -> tuple[float, ...]:
         values[~new], values[new] = known, gap.values(hill, x[new])
         everywhere = np.concatenate([values, middle, values[::-1]]) if gap.mirrored else values
         series = chebyshev.transform(degree) @ everywhere
-        if np.sum(np.abs(series[-chebyshev.TAIL :])) <= CONVERGED * np.max(np.abs(series)):
+        if np.sum(np.abs(series[-chebyshev.TAIL_COEFFICIENTS :])) <= CONVERGED_RTOL * np.max(np.abs(series)):
             break
     else:
         raise CountError("Hill's determinant does not converge in a gap")
@@ -144,7 +146,9 @@ def by_velocity(hill: Hill, gap: float) -> float:
 
     It is the mean over a circle, and even about Omega and real: a quarter of the circle has all of it.
     """
-    turns = NEAR * np.exp(0.5j * np.pi * (1.0 + (np.arange(QUARTER) + 0.5) / QUARTER))
+    turns = DOUBLE_ZERO_RADIUS * np.exp(
+        0.5j * np.pi * (1.0 + (np.arange(QUARTER_CIRCLE_VALUES) + 0.5) / QUARTER_CIRCLE_VALUES)
+    )
     logs, phases = hill.determinant(hill.Omega + gap * turns)
     return float(np.mean(np.real(np.exp(logs) * phases / turns**2)))
 
@@ -152,12 +156,12 @@ def by_velocity(hill: Hill, gap: float) -> float:
 def names_of(layout: Layout) -> tuple[str, ...]:
     """Names of the real functions of an orbit that vanish where a localised multiplier passes an end of a gap."""
     found = dict.fromkeys(end.name for gap in layout.gaps for end in gap)
-    if START in found:
+    if START_END in found:
         found |= dict.fromkeys((COSINE_START, SINE_START))
-    if HALF in found:
-        found |= dict.fromkeys((COSINE_HALF, VELOCITY))
-    at_ends = [name for name in found if name not in (START, HALF)]
-    covered = [START] if layout.covers_start else []  # real multipliers, whose determinant is real, leave the arcs
+    if HALF_END in found:
+        found |= dict.fromkeys((COSINE_HALF, HALF_VELOCITY))
+    at_ends = [name for name in found if name not in (START_END, HALF_END)]
+    covered = [START_END] if layout.covers_start else []  # real multipliers, whose determinant is real, leave the arcs
     pinned = [COSINE_HALF] if layout.pinned else []  # that of sines falls to 0 where the gap opens
     return (*at_ends, *covered, *pinned)
 
@@ -168,7 +172,7 @@ def function_of(hill: Hill, layout: Layout, name: str) -> float:
         return hill.at_end(0.0, "cosine" if name == COSINE_START else "sine")
     if name == COSINE_HALF:
         return hill.at_end(hill.Omega, "cosine")
-    if name == VELOCITY:
+    if name == HALF_VELOCITY:
         return by_velocity(hill, Gap(*layout.gaps[-1]).half)
     sigma = next((end.sigma for end in layout.ends if end.name == name), 0.0)
     logs, signs = hill.determinant(np.array([sigma]))

@@ -11,9 +11,9 @@ from casadi_skin.stability.tongues.hill import Hill, Layout
 from casadi_skin.stability.tongues.localised_counts import Counts, count, function_of
 from casadi_skin.zero.problem import Array
 
-NARROW_GAP, FILLS = "narrow", "fills"
-EXACT = 1e-14  # relative distance from the edge of a band that rounding leaves
-NARROW = 1e-6  # of Omega: a gap beside a harmonic of the orbit in which rounding decides
+NARROW_GAP, FILLED_GAP = "narrow", "fills"
+BAND_EDGE_RTOL = 1e-14  # relative distance from the edge of a band that rounding leaves
+NARROW_GAP_RATIO = 1e-6  # of Omega: a gap beside a harmonic of the orbit in which rounding decides
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +47,11 @@ class Sample:
 def names_of_arcs(layout: Layout) -> tuple[str, ...]:
     """Names of a layout; with a mark where a gap beside a harmonic of the orbit is too narrow."""
     if layout.fills:
-        return (FILLS,)
+        return (FILLED_GAP,)
     if layout.pinned:
-        return layout.names if layout.off_edge <= EXACT else (NARROW_GAP,)
+        return layout.names if layout.off_edge <= BAND_EDGE_RTOL else (NARROW_GAP,)
     start, end = layout.gaps[-1]
-    return layout.names if end.sigma - start.sigma > NARROW * layout.Omega else (NARROW_GAP,)
+    return layout.names if end.sigma - start.sigma > NARROW_GAP_RATIO * layout.Omega else (NARROW_GAP,)
 
 
 class EdgeBranch(Protocol):

@@ -14,15 +14,15 @@ from casadi_skin.stability.tongues import chebyshev
 from casadi_skin.stability.tongues.diagram import LocalisedChange, Place
 from casadi_skin.stability.tongues.hill import Hill, Layout, crossings
 from casadi_skin.stability.tongues.localised_counts import Counts, Gap, function_of, names_of
-from casadi_skin.stability.tongues.localised_samples import FILLS, NARROW_GAP, EdgeBranch, Sample, names_of_arcs
+from casadi_skin.stability.tongues.localised_samples import FILLED_GAP, NARROW_GAP, EdgeBranch, Sample, names_of_arcs
 from casadi_skin.zero.problem import Array
 
-PRECISE = 1e-12  # of an interval between points: where a zero is
-FINEST = 1e-7  # of such an interval: stretches that are halved no further
-SAFETY = 2.0
-ROUNDING = 1e-13  # of a determinant relative to its size
-MORE = 4  # sidebands that show the error of those left out
-FAILURES = (ArithmeticError, np.linalg.LinAlgError, FlowError, RuntimeError)  # of orbits and linear algebra
+ZERO_XTOL = 1e-12  # of an interval between points: where a zero is
+FINEST_STRETCH = 1e-7  # of such an interval: stretches that are halved no further
+ERROR_SAFETY = 2.0
+DETERMINANT_ROUNDING = 1e-13  # of a determinant relative to its size
+MORE_SIDEBANDS = 4  # sidebands that show the error of those left out
+FAILURE_ERRORS = (ArithmeticError, np.linalg.LinAlgError, FlowError, RuntimeError)  # of orbits and linear algebra
 
 
 @dataclass
@@ -66,7 +66,7 @@ class Search:
 
 def others(sample: Sample) -> tuple[Hill, Hill]:
     """Equations that show the errors of an orbit's: those of the better orbit, and those with more sidebands."""
-    return sample.better(), sample.hill.with_more(MORE)
+    return sample.better(), sample.hill.with_more(MORE_SIDEBANDS)
 
 
 def layout_like(hill: Hill, sample: Sample) -> Layout:
@@ -81,12 +81,12 @@ def mu_of(sigma: float, Omega: float) -> float:
 
 # Places on a branch where two localised multipliers meet, or one leaves the arcs: two equations, solved by Newton -----
 
-STEPS = 12
-REACH = 0.1  # to either side of a pair: where D is a series
-DEGREE = 16
-PARTS = 8  # of an interval, by which a pair is followed
-DIFFERENCE = 1e-6  # of Omega, for derivatives
-ARC = 100  # values under an arc among which the smallest determinant is sought
+NEWTON_STEPS = 12
+PAIR_REACH = 0.1  # to either side of a pair: where D is a series
+PAIR_DEGREE = 16
+INTERVAL_PARTS = 8  # of an interval, by which a pair is followed
+SIGMA_DIFFERENCE = 1e-6  # of Omega, for derivatives
+ARC_VALUES = 100  # values under an arc among which the smallest determinant is sought
 
 
 class MeetingError(ArithmeticError):
@@ -109,19 +109,19 @@ def _values(hill: Hill, sigma: Array, scale: float) -> Array:
 
 def _pair_near(hill: Hill, gap: Gap, pair: Pair) -> Pair:
     """The pair of zeros near another, real or conjugate; raises MeetingError."""
-    for _ in range(STEPS):
-        reach = max(REACH, 2.0 * float(np.sqrt(abs(pair.square))))
+    for _ in range(NEWTON_STEPS):
+        reach = max(PAIR_REACH, 2.0 * float(np.sqrt(abs(pair.square))))
         first, last = max(pair.mean - reach, -1.0), min(pair.mean + reach, 0.0 if gap.mirrored else 1.0)
         if first >= last:
             break
         if gap.mirrored:
-            last = min(last, -0.05 * REACH)
+            last = min(last, -0.05 * PAIR_REACH)
         middle, half = 0.5 * (first + last), 0.5 * (last - first)
-        series = chebyshev.transform(DEGREE) @ gap.values(hill, middle + half * chebyshev.nodes(DEGREE))
+        series = chebyshev.transform(PAIR_DEGREE) @ gap.values(hill, middle + half * chebyshev.nodes(PAIR_DEGREE))
         roots = middle + half * chebroots(series)
         one, other = roots[np.argsort(np.abs(roots - pair.mean))[:2]]
         found = Pair(float(np.real(0.5 * (one + other))), float(np.real(0.25 * (one - other) ** 2)))
-        if abs(np.imag(one + other)) > PRECISE:
+        if abs(np.imag(one + other)) > ZERO_XTOL:
             break
         if abs(found.mean - pair.mean) <= 0.5 * reach:
             return found
@@ -133,7 +133,7 @@ def _least_under_arcs(hill: Hill, intervals: list[tuple[float, float]]) -> float
     """The exponent under arcs at which a zero of the determinant is nearest, by |D / D'|."""
     best, where = np.inf, 0.0
     for start, end in intervals:
-        sigma = 0.5 * (start + end) - 0.5 * (end - start) * np.cos(np.pi * (np.arange(ARC) + 0.5) / ARC)
+        sigma = 0.5 * (start + end) - 0.5 * (end - start) * np.cos(np.pi * (np.arange(ARC_VALUES) + 0.5) / ARC_VALUES)
         logs, phases = hill.determinant(sigma)
         D = np.asarray(phases) * np.exp(logs - np.max(logs))
         slope = np.gradient(D, sigma)
@@ -148,13 +148,13 @@ def _zero_under_arc(
 ) -> tuple[float, float, Array]:
     """Exponent and coordinate where the determinant has a zero under an arc, with the Jacobian; raises MeetingError."""
     start, scale = coordinate, float(hill_at(coordinate).determinant(np.array([sigma]))[0][0])
-    step, off = DIFFERENCE * hill_at(coordinate).Omega, 1e-3 * width
+    step, off = SIGMA_DIFFERENCE * hill_at(coordinate).Omega, 1e-3 * width
 
     def f(sigma: float, coordinate: float) -> Array:
         value = _values(hill_at(coordinate), np.array([sigma]), scale)[0]
         return np.array([value.real, np.imag(value)])
 
-    for _ in range(STEPS):
+    for _ in range(NEWTON_STEPS):
         here = f(sigma, coordinate)
         jacobian = np.column_stack(
             [
@@ -166,7 +166,7 @@ def _zero_under_arc(
         sigma, coordinate = sigma - float(change[0]), coordinate - float(change[1])
         if abs(coordinate - start) > 4.0 * width:
             break
-        if abs(change[1]) <= 1e-9 * width or np.max(np.abs(change)) <= PRECISE:
+        if abs(change[1]) <= 1e-9 * width or np.max(np.abs(change)) <= ZERO_XTOL:
             return sigma, coordinate, jacobian
     raise MeetingError("a multiplier that comes out of an arc is not found")
 
@@ -187,13 +187,13 @@ def collision(
         pairs[c] = _pair_near(search.at(c).hill, _gap(search, c, gap), pairs[near])
         return pairs[c].square
 
-    for part in np.linspace(0.0, 1.0, PARTS + 1)[1:]:  # the pair, followed to the other end
+    for part in np.linspace(0.0, 1.0, INTERVAL_PARTS + 1)[1:]:  # the pair, followed to the other end
         if square(start + float(part) * (other - start)) < 0.0:
             break
     else:
         raise MeetingError("two multipliers of a gap do not meet")
     end = start + float(part) * (other - start)
-    at = float(brentq(lambda c: square(float(c)), start, end, xtol=PRECISE * abs(b - a), rtol=1e-15))
+    at = float(brentq(lambda c: square(float(c)), start, end, xtol=ZERO_XTOL * abs(b - a), rtol=1e-15))
     here = pairs[min(pairs, key=lambda known: abs(known - at))]
     step = 1e-3 * (b - a)
     slope = abs(square(at + step) - square(at - step)) / (2.0 * step)
@@ -201,7 +201,7 @@ def collision(
     compared = [(hill, Gap(*layout_like(hill, sample).gaps[gap])) for hill in others(sample)]
     errors = [abs(_pair_near(hill, there, here).square - here.square) for hill, there in compared]
     sigma = float(_gap(search, at, gap).sigma(np.array([here.mean]))[0])
-    return at, float((SAFETY * sum(errors) + ROUNDING) / slope) + PRECISE * (b - a), sigma
+    return at, float((ERROR_SAFETY * sum(errors) + DETERMINANT_ROUNDING) / slope) + ZERO_XTOL * (b - a), sigma
 
 
 def _gap(search: Search, coordinate: float, number: int) -> Gap:
@@ -222,16 +222,16 @@ def resonance(search: Search, a: float, b: float) -> tuple[float, float, float]:
     slope = _values(reference, np.array([sigma * (1.0 + 1e-6)]), log)[0] - off[0]
     per_sigma = abs(slope) / (sigma * 1e-6)
     ratio = float(np.linalg.norm(jacobian[:, 0])) / per_sigma  # of the two scales
-    moved = sum(abs(one - off[0]) for one in off[1:]) * ratio * SAFETY + ROUNDING * size
+    moved = sum(abs(one - off[0]) for one in off[1:]) * ratio * ERROR_SAFETY + DETERMINANT_ROUNDING * size
     error = float(np.linalg.norm(np.linalg.inv(jacobian)[1])) * moved
-    return at, error + PRECISE * (b - a), sigma
+    return at, error + ZERO_XTOL * (b - a), sigma
 
 
 # Stretches of a branch on which ends of the arcs of its continuous spectrum keep their order --------------------------
 
-APART = 1e-3  # of an interval between points: where the frequency leaves a band, between two stretches
-INSIDE = 1e-6  # of an interval between points: how far from a meeting of arcs the ends of a stretch are
-FILLED = "the orbit fills the tail, so that its changes depend on the length"
+BAND_STRETCH_DISTANCE = 1e-3  # of an interval between points: where the frequency leaves a band, between two stretches
+INSIDE_MEETING = 1e-6  # of an interval between points: how far from a meeting of arcs the ends of a stretch are
+FILLED_TAIL_WORDS = "the orbit fills the tail, so that its changes depend on the length"
 
 
 def stretches(search: Search) -> list[tuple[float, float]]:
@@ -241,7 +241,7 @@ def stretches(search: Search) -> list[tuple[float, float]]:
     for start, end in pairwise(places):
         try:
             found = _breaks(search, start, end)
-        except FAILURES as error:
+        except FAILURE_ERRORS as error:
             found = [(start, end)]
             search.gaps.append((start, end, str(error)))
         for before, after in found:
@@ -255,12 +255,12 @@ def _sought(search: Search, start: float, end: float) -> bool:
     """Whether changes are sought on a stretch; one that is filled, or whose arcs are not found, is a gap."""
     try:
         names = names_of_arcs(search.layout(start))
-    except FAILURES as error:
+    except FAILURE_ERRORS as error:
         search.gaps.append((start, end, str(error)))
         return False
-    if names == (FILLS,):
-        search.gaps.append((start, end, FILLED))
-    return names not in ((FILLS,), (NARROW_GAP,))
+    if names == (FILLED_GAP,):
+        search.gaps.append((start, end, FILLED_TAIL_WORDS))
+    return names not in ((FILLED_GAP,), (NARROW_GAP,))
 
 
 def _breaks(search: Search, start: float, end: float) -> list[tuple[float, float]]:
@@ -269,7 +269,7 @@ def _breaks(search: Search, start: float, end: float) -> list[tuple[float, float
     if names_of_arcs(first) == names_of_arcs(last) and not crossings(first, last):
         return []
     meetings = [start, *(_at_Omega(search, start, end, Omega) for Omega in crossings(first, last)), end]
-    apart, found = INSIDE * (end - start), list[tuple[float, float]]()
+    apart, found = INSIDE_MEETING * (end - start), list[tuple[float, float]]()
     for number, (a, b) in enumerate(pairwise(meetings)):
         if number:
             found.append((a - apart, a + apart))
@@ -290,7 +290,7 @@ def _by_halving(search: Search, start: float, end: float) -> list[tuple[float, f
     """Places at which the orbit's frequency leaves a band, or the gap beside it becomes wide enough."""
     if names_of_arcs(search.layout(start)) == names_of_arcs(search.layout(end)):
         return []
-    if end - start <= APART:
+    if end - start <= BAND_STRETCH_DISTANCE:
         return [(start, end)]
     middle = 0.5 * (start + end)
     return [*_by_halving(search, start, middle), *_by_halving(search, middle, end)]
@@ -298,7 +298,7 @@ def _by_halving(search: Search, start: float, end: float) -> list[tuple[float, f
 
 # Zeros, along a branch, of the functions that vanish where a localised multiplier passes an end of a gap --------------
 
-BEND = 0.3  # of the smaller end: what a function may do in between without being looked at
+LARGEST_BEND = 0.3  # of the smaller end: what a function may do in between without being looked at
 
 
 @dataclass(frozen=True)
@@ -324,11 +324,11 @@ def _brackets(search: Search, name: str, a: float, b: float) -> list[tuple[float
     first, last = (search.at(c).function(name) for c in (a, b))
     if first * last < 0.0:
         return [(a, b)]
-    if b - a <= FINEST or min(abs(first), abs(last)) > 0.5 * max(abs(first), abs(last)) > 0.0:
+    if b - a <= FINEST_STRETCH or min(abs(first), abs(last)) > 0.5 * max(abs(first), abs(last)) > 0.0:
         return []
     middle = 0.5 * (a + b)
     bend = abs(first + last - 2.0 * search.at(middle).function(name))
-    if bend <= BEND * min(abs(first), abs(last)):
+    if bend <= LARGEST_BEND * min(abs(first), abs(last)):
         return []
     return [*_brackets(search, name, a, middle), *_brackets(search, name, middle, b)]
 
@@ -341,10 +341,10 @@ def _zero(search: Search, name: str, a: float, b: float) -> Zero:
         return search.at(c).function(name)
 
     ends = [value(a), value(b)]
-    at = float(brentq(lambda c: value(float(c)), a, b, xtol=PRECISE * (b - a), rtol=4e-16 * 4))
+    at = float(brentq(lambda c: value(float(c)), a, b, xtol=ZERO_XTOL * (b - a), rtol=4e-16 * 4))
     sample, step = search.at(at), 1e-3 * (b - a)
     low, high = np.clip([at - step, at + step], a, b).tolist()
     slope = abs(value(high) - value(low)) / (high - low)
     away = sum(abs(function_of(hill, layout_like(hill, sample), name) - value(at)) for hill in others(sample))
-    error = SAFETY * away + abs(value(at)) + ROUNDING * max(map(abs, ends))
-    return Zero(at, float(error / slope) + PRECISE * (b - a), name)
+    error = ERROR_SAFETY * away + abs(value(at)) + DETERMINANT_ROUNDING * max(map(abs, ends))
+    return Zero(at, float(error / slope) + ZERO_XTOL * (b - a), name)

@@ -16,13 +16,13 @@ import numpy as np
 
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues import chebyshev
-from casadi_skin.stability.tongues.decoupling import DEGREE, Booleans, Indices
-from casadi_skin.stability.tongues.small_blocks import SAFETY, Block, Edge, growth_of, local_places, real_growth
+from casadi_skin.stability.tongues.decoupling import SERIES_DEGREE, Booleans, Indices
+from casadi_skin.stability.tongues.small_blocks import ERROR_SAFETY, Block, Edge, growth_of, local_places, real_growth
 from casadi_skin.stability.tongues.zeros import Function
 from casadi_skin.zero.problem import Array
 
-FINE = 2 * DEGREE  # degree of functions that are products
-ROUNDED = 1e-7  # distance of two mu that rounding makes of none
+FINE_DEGREE = 2 * SERIES_DEGREE  # degree of functions that are products
+ROUNDED_MU_DISTANCE = 1e-7  # distance of two mu that rounding makes of none
 
 
 class PairBlock(Block):
@@ -65,7 +65,7 @@ class PairBlock(Block):
 
         At places of each of several blocks that are alike, (blocks, points).
         """
-        values = chebyshev.basis(x, FINE) @ np.stack([block._series for block in blocks])
+        values = chebyshev.basis(x, FINE_DEGREE) @ np.stack([block._series for block in blocks])
         mean, rho, meetings = values[..., 0], values[..., 1], values[..., 2:-2]
         if meetings.shape[-1] == 2:
             square = meetings[..., 0] * meetings[..., 1] / rho**2
@@ -73,7 +73,7 @@ class PairBlock(Block):
             square = 0.25 * meetings[..., 0]
         else:
             k = np.stack([block.coefficients[:, 0].reshape(-1, 4) for block in blocks])
-            k = (chebyshev.basis(x, DEGREE) @ k).reshape(*x.shape, 2, 2)
+            k = (chebyshev.basis(x, SERIES_DEGREE) @ k).reshape(*x.shape, 2, 2)
             square = np.maximum(0.25 * discriminants(k), 0.0)
         product = values[..., -2] * values[..., -1]
         conserved = np.array([any(function.is_nothing for function in block.ends) for block in blocks])
@@ -85,7 +85,7 @@ class PairBlock(Block):
         found = []
         for function in self.meetings:
             for x, width, crosses in function.zeros:
-                mu = float((chebyshev.basis(x, FINE) @ self._series)[0])
+                mu = float((chebyshev.basis(x, FINE_DEGREE) @ self._series)[0])
                 met = (1, -1) if self.noise.size == 3 and -1.0 < mu < 0.0 else ()
                 found.append((self._edge(x, width, "complex", mu, met), crosses))
         for which, function in enumerate(self.ends):
@@ -134,15 +134,15 @@ class PairBlock(Block):
 
     def meetings_without_instability(self) -> list[tuple[float, float, float]]:
         """(coordinate, mu, distance) where the two mu of a definite pair meet within errors."""
-        k = self.at(chebyshev.nodes(FINE))[:, 0]
-        slope = chebyshev.derivative(FINE) @ chebyshev.transform(FINE) @ discriminants(k)
-        allowed = SAFETY * float(np.max(np.abs(self.errors[:, 0]))) + float(self.noise[0])
+        k = self.at(chebyshev.nodes(FINE_DEGREE))[:, 0]
+        slope = chebyshev.derivative(FINE_DEGREE) @ chebyshev.transform(FINE_DEGREE) @ discriminants(k)
+        allowed = ERROR_SAFETY * float(np.max(np.abs(self.errors[:, 0]))) + float(self.noise[0])
         found = []
         _, zeros, crosses = chebyshev.real_zeros(slope[:, None])
         for x in np.sort(zeros[crosses]).tolist():
             here = self.at(np.array([x]))[:, 0]
             distance = float(np.sqrt(max(discriminants(here)[0], 0.0)))
-            if distance <= max(allowed, ROUNDED):
+            if distance <= max(allowed, ROUNDED_MU_DISTANCE):
                 found.append((self.coordinate(x), 0.5 * float(np.trace(here[0])), distance))
         return found
 
@@ -186,7 +186,7 @@ def _determinant_errors(matrices: Array, errors: Array, noise: Array) -> Array:
     m, e = matrices, errors
     first = m[..., 1, 1] * e[..., 0, 0] + m[..., 0, 0] * e[..., 1, 1]
     first = first - m[..., 0, 1] * e[..., 1, 0] - m[..., 1, 0] * e[..., 0, 1]
-    return np.asarray(SAFETY * np.abs(first) + noise * np.linalg.norm(matrices, axis=(-2, -1)))
+    return np.asarray(ERROR_SAFETY * np.abs(first) + noise * np.linalg.norm(matrices, axis=(-2, -1)))
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ class Pairs:
 
     def blocks(self) -> list[PairBlock | None]:
         """A block of each pair, None where its interval is too long for either form."""
-        fine = chebyshev.combined(chebyshev.refinement(DEGREE, FINE), self.parts)
+        fine = chebyshev.combined(chebyshev.refinement(SERIES_DEGREE, FINE_DEGREE), self.parts)
         ends = self._ends(fine)
         usable, rho = np.ones(len(self.parts), dtype=bool), np.ones(fine.shape[:2])
         if self.parts.shape[2] == 3:
@@ -213,7 +213,7 @@ class Pairs:
         else:
             meetings = [self._discriminant(fine)]
         mean = 0.5 * (fine[:, :, 0, 0, 0] + fine[:, :, 0, 1, 1])
-        series = (chebyshev.transform(FINE) @ np.stack([mean, rho], axis=2)).swapaxes(0, 1)
+        series = (chebyshev.transform(FINE_DEGREE) @ np.stack([mean, rho], axis=2)).swapaxes(0, 1)
         first, last = (Function.several(*each) for each in ends)
         all_met = list(zip(*(Function.several(*each) for each in meetings), strict=True))
         found: list[PairBlock | None] = []
@@ -240,7 +240,7 @@ class Pairs:
 
     def _discriminant(self, fine: Array) -> tuple[Array, Array]:
         """(mu_1 - mu_2)^2 of maps that are not symplectic."""
-        k, change, noise = self.parts[:, :, 0], SAFETY * self.errors[:, :, 0], (self.noise + self.tails)[:, [0]]
+        k, change, noise = self.parts[:, :, 0], ERROR_SAFETY * self.errors[:, :, 0], (self.noise + self.tails)[:, [0]]
         by_flow = np.abs(discriminants(k + change) - discriminants(k)) + np.abs(discriminants(change))
         by_noise = 4.0 * noise * (np.linalg.norm(k, axis=(2, 3)) + noise)
         return _series(discriminants(fine[:, :, 0]), by_flow + by_noise)
@@ -252,14 +252,14 @@ class Pairs:
         """
         count = len(self.parts)
         usable = np.zeros(count, dtype=bool)
-        coefficients, rho = np.full((2, FINE + 1, count), np.nan), np.ones(fine.shape[:2])
-        errors = np.zeros((2, count, DEGREE + 1))
+        coefficients, rho = np.full((2, FINE_DEGREE + 1, count), np.nan), np.ones(fine.shape[:2])
+        errors = np.zeros((2, count, SERIES_DEGREE + 1))
         for index in (1, 2):
-            turn = np.linalg.eigh(_symmetric(fine[:, FINE // 2, index]))[1]
+            turn = np.linalg.eigh(_symmetric(fine[:, FINE_DEGREE // 2, index]))[1]
             form, _, s, *vectors = null_vectors(fine, index, turn)
             regular = chebyshev.excludes_zero(ends[index - 1]) & ~usable
             definite = regular & (ends[index - 1][0] > 0.0)
-            corner = chebyshev.transform(FINE) @ form[..., 0, 0].T
+            corner = chebyshev.transform(FINE_DEGREE) @ form[..., 0, 0].T
             split = regular & ~definite & chebyshev.excludes_zero(corner)
             coarse = null_vectors(self.parts[split], index, turn[split])
             for which, n in enumerate(vectors):
@@ -280,10 +280,12 @@ class Pairs:
         )
         left = np.sum(form * n[..., None, :], axis=-1)
         size = np.linalg.norm(left, axis=-1) * np.linalg.norm(n, axis=-1)
-        return np.asarray(SAFETY * np.abs(_value(change, left, n)) + (self.noise + self.tails)[chosen][:, [0]] * size)
+        return np.asarray(
+            ERROR_SAFETY * np.abs(_value(change, left, n)) + (self.noise + self.tails)[chosen][:, [0]] * size
+        )
 
 
 def _series(values: Array, errors: Array) -> tuple[Array, Array]:
     """Coefficients (FINE + 1, pairs) of values (pairs, FINE + 1), and errors (pairs, J) with those of truncation."""
-    coefficients = chebyshev.transform(FINE) @ values.T
+    coefficients = chebyshev.transform(FINE_DEGREE) @ values.T
     return coefficients, errors + chebyshev.tail(coefficients)[:, None]

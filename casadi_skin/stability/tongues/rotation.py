@@ -18,8 +18,8 @@ from casadi_skin.zero.problem import Array
 
 Booleans = NDArray[np.bool_]
 TWO_PI = 2.0 * np.pi
-FASTEST = 4.0  # times the median rate: faster angles are those of mu about to meet, whose rates say little
-CERTAIN = 0.5  # of the distance to the next angle: how far one may be from where it is expected
+FASTEST_RATE_FACTOR = 4.0  # times the median rate: faster angles are those of mu about to meet, whose rates say little
+CERTAIN_ANGLE_FRACTION = 0.5  # of the distance to the next angle: how far one may be from where it is expected
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Spectrum:
         sign = np.where(on_circle, self.signatures, np.where(self.mu.imag < 0.0, -1, 1))
         with np.errstate(divide="ignore", invalid="ignore"):
             rates = np.where(on_circle, -2.0 * self.rates.real / np.sqrt(1.0 - cosine**2), 0.0) * sign
-        limit = FASTEST * float(np.median(np.abs(rates[on_circle]))) if on_circle.any() else 0.0
+        limit = FASTEST_RATE_FACTOR * float(np.median(np.abs(rates[on_circle]))) if on_circle.any() else 0.0
         return sign * size, np.where(np.abs(rates) <= limit, rates, 0.0)
 
 
@@ -85,7 +85,7 @@ def _nearest(angles: Array, wanted: Array) -> tuple[NDArray[np.int64], Booleans]
     if angles.shape[2] == 1:
         return first, np.ones(first.shape, dtype=bool)
     least = np.partition(distance, 1, axis=2)
-    return first, least[..., 0] <= CERTAIN * least[..., 1]
+    return first, least[..., 0] <= CERTAIN_ANGLE_FRACTION * least[..., 1]
 
 
 def follow_angles(

@@ -16,11 +16,11 @@ import numpy as np
 
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues import chebyshev
-from casadi_skin.stability.tongues.decoupling import DEGREE, Booleans, Indices, Numbers
+from casadi_skin.stability.tongues.decoupling import SERIES_DEGREE, Booleans, Indices, Numbers
 from casadi_skin.stability.tongues.zeros import Function
 from casadi_skin.zero.problem import Array
 
-SAFETY = 2.0  # of estimated errors of the matrices
+ERROR_SAFETY = 2.0  # of estimated errors of the matrices
 
 
 @dataclass(frozen=True)
@@ -113,11 +113,11 @@ class Block:
     @cached_property
     def coefficients(self) -> Numbers:
         """Of the matrices, shape (DEGREE + 1, 3 or 1, m, m)."""
-        return np.asarray(chebyshev.combined(chebyshev.transform(DEGREE), self.parts[None])[0])
+        return np.asarray(chebyshev.combined(chebyshev.transform(SERIES_DEGREE), self.parts[None])[0])
 
     def at(self, x: Array) -> Numbers:
         """The matrices at places in [-1, 1], shape (places, 3 or 1, m, m)."""
-        return np.asarray(chebyshev.combined(chebyshev.basis(x, DEGREE), self.coefficients[None])[0])
+        return np.asarray(chebyshev.combined(chebyshev.basis(x, SERIES_DEGREE), self.coefficients[None])[0])
 
     def local(self, coordinates: Array | float) -> Array:
         """Places in [-1, 1] of coordinates."""
@@ -143,8 +143,8 @@ class Block:
     def mu_together(cls, blocks: Sequence[Any], coordinates: Array) -> ComplexArray:
         """All mu of blocks that are alike, each at coordinates of its own, (blocks, points) -> (blocks, points, m)."""
         K, size = np.stack([block.parts[:, 0] for block in blocks]), blocks[0].parts.shape[-1]
-        coefficients = chebyshev.transform(DEGREE) @ K.reshape(len(K), DEGREE + 1, -1)
-        found = chebyshev.basis(local_places(blocks, coordinates), DEGREE) @ coefficients
+        coefficients = chebyshev.transform(SERIES_DEGREE) @ K.reshape(len(K), SERIES_DEGREE + 1, -1)
+        found = chebyshev.basis(local_places(blocks, coordinates), SERIES_DEGREE) @ coefficients
         if size == 1:
             return np.asarray(found, dtype=complex)
         return np.asarray(np.linalg.eigvals(found.reshape(*coordinates.shape, size, size)), dtype=complex)
@@ -170,7 +170,7 @@ class Block:
     def edge_width(self, coordinate: float) -> float | None:
         """How far from an end of the interval an edge may be, in half-lengths; None where errors allow none there."""
         x = -1.0 if coordinate == self.start else 1.0
-        near = [f for f in self.functions if not f.is_nothing and abs(float(f(x))) <= SAFETY * f.error(x)]
+        near = [f for f in self.functions if not f.is_nothing and abs(float(f(x))) <= ERROR_SAFETY * f.error(x)]
         return max((f.width(x) for f in near), default=None)
 
     def unstable_mu(self, segment: Segment, coordinate: float) -> ComplexArray:
@@ -318,7 +318,7 @@ class SingleBlock(Block):
     def _products(cls, blocks: Sequence[SingleBlock], x: Array) -> Array:
         """mu (1 + mu) at places in [-1, 1] of each, (blocks, points)."""
         series = np.stack([[function.coefficients for function in block.functions] for block in blocks])
-        values = chebyshev.basis(x, DEGREE) @ series.swapaxes(1, 2)
+        values = chebyshev.basis(x, SERIES_DEGREE) @ series.swapaxes(1, 2)
         return np.asarray(values[..., 0] * values[..., 1])
 
     @classmethod
@@ -337,7 +337,7 @@ def single_functions(coefficients: Array, errors: Array, noise: Array) -> list[t
 
     Coefficients and errors at the nodes have shape (blocks, J, 3 or 1), `noise` (blocks, 3 or 1).
     """
-    c, error = coefficients.swapaxes(0, 1), SAFETY * np.abs(errors) + noise[:, None]
+    c, error = coefficients.swapaxes(0, 1), ERROR_SAFETY * np.abs(errors) + noise[:, None]
     if noise.shape[1] == 3:
         return list(zip(*(Function.several(c[..., i], error[..., i]) for i in (1, 2)), strict=True))
     shifted = c[..., 0].copy()

@@ -8,11 +8,11 @@ from itertools import groupby
 import numpy as np
 
 from casadi_skin.stability.tongues import chebyshev
-from casadi_skin.stability.tongues.decoupling import DEGREE, Indices
+from casadi_skin.stability.tongues.decoupling import SERIES_DEGREE, Indices
 from casadi_skin.zero.problem import Array
 
-FINEST = 1e-14  # of an interval: no place in it is known better
-REACH = 2  # nodes to either side of a place whose errors count there
+FINEST_PLACE = 1e-14  # of an interval: no place in it is known better
+ERROR_REACH_NODES = 2  # nodes to either side of a place whose errors count there
 
 Zeros = list[tuple[float, float, bool]]
 
@@ -85,8 +85,10 @@ class Function:
 
 def _errors(errors: Array, of: Indices, x: Array) -> Array:
     """Errors near places x of the functions numbered `of`, whose errors at the nodes are (functions, nodes)."""
-    near = np.searchsorted(chebyshev.nodes(DEGREE), x)[:, None] + np.arange(-REACH, REACH)
-    return np.asarray(np.max(errors[of[:, None], np.clip(near, 0, DEGREE)], axis=1))
+    near = np.searchsorted(chebyshev.nodes(SERIES_DEGREE), x)[:, None] + np.arange(
+        -ERROR_REACH_NODES, ERROR_REACH_NODES
+    )
+    return np.asarray(np.max(errors[of[:, None], np.clip(near, 0, SERIES_DEGREE)], axis=1))
 
 
 def _widths(coefficients: Array, errors: Array, of: Indices, x: Array) -> Array:
@@ -97,5 +99,5 @@ def _widths(coefficients: Array, errors: Array, of: Indices, x: Array) -> Array:
     error = _errors(errors, of, x)
     by_slope = slope**2 > 2.0 * curvature * error
     with np.errstate(divide="ignore", invalid="ignore"):
-        width = np.where(by_slope, error / slope, np.sqrt(2.0 * error / curvature)) + FINEST
+        width = np.where(by_slope, error / slope, np.sqrt(2.0 * error / curvature)) + FINEST_PLACE
     return np.where(by_slope | (curvature > 0.0), width, 2.0)
