@@ -1,4 +1,4 @@
-"""Writes docs/paper_claims.md: every claim of the paper beside what this program computes.
+"""Writes the claims in docs/paper_checked.md: every claim of the paper beside what this program computes.
 
 Run: python docs/generate_claims.py
 """
@@ -16,23 +16,19 @@ from claim import COLUMNS, Claim, Verdict
 from paper_data import PaperData
 from reproduce import all_claims
 
-PAGE = Path(__file__).with_name("paper_claims.md")
+PAGE = Path(__file__).with_name("paper_checked.md")
+HEADING = "## The claims\n\n"
 HEADINGS = {"number": "", "ours": "computed"}
 
 
 def page(claims: Sequence[Claim]) -> str:
-    """The page: a count of verdicts, then what does not agree and what agrees, each in the order of the paper."""
+    """The claims: a count of verdicts, then what does not agree and what agrees, each in the order of the paper."""
     counts = Counter(claim.verdict for claim in claims)
-    parts = [
-        "# Claims of the paper",
-        f"Written by `python docs/generate_claims.py` from {len(claims)} claims, in the order of the paper. "
-        "How the check is done, and what the verdicts mean: [the paper checked](paper_checked.md).",
-        "| verdict | claims |\n| --- | --- |\n"
-        + "\n".join(f"| {verdict.value} | {counts[verdict.value]} |" for verdict in Verdict),
-    ]
+    verdicts = [f"| {verdict.value} | {counts[verdict.value]} |" for verdict in Verdict]
     agreed = [claim for claim in claims if claim.verdict == Verdict.AGREES.value]
     others = [claim for claim in claims if claim.verdict != Verdict.AGREES.value]
-    parts += ["## What does not simply agree", _table(others), "## What agrees", _table(agreed)]
+    parts = ["\n".join(["| verdict | claims |", "| --- | --- |", *verdicts])]
+    parts += ["### What does not simply agree", _table(others), "### What agrees", _table(agreed)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -50,4 +46,6 @@ def _cell(text: str) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(all_claims(PaperData(lambda words: print(words, file=sys.stderr)))), encoding="utf-8")
+    before = PAGE.read_text(encoding="utf-8").partition(HEADING)[0]
+    claims = all_claims(PaperData(lambda words: print(words, file=sys.stderr)))
+    PAGE.write_text(before + HEADING + page(claims), encoding="utf-8")

@@ -27,7 +27,7 @@ REFERENCES = (  # tables and formulas to look things up in, partly generated
     "accuracy_and_speed",
     "boundary_speed",
     "examples",
-    "paper_claims",
+    "paper_checked",
     "peers",
     "proofs",
     "python_reference",
