@@ -1,10 +1,16 @@
-"""Every class of results prints, draws, becomes tables, is saved and leads on from its file to the same bits."""
+"""Every class of results prints, draws, becomes tables, is saved and leads on from its file to the same bits.
+
+What single ones say, draw and tabulate stands below, with what is refused.
+"""
 
 from __future__ import annotations
 
+import builtins
 import functools
 import inspect
 import pkgutil
+import subprocess
+import sys
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -35,8 +41,9 @@ from casadi_skin.dynamics.starts import spreading
 from casadi_skin.lattice.linear import bands, lattice_modes
 from casadi_skin.model.result import Result
 from casadi_skin.optimise.search_orbit import pareto_front
+from casadi_skin.optimise.search_problem import solve_start
+from casadi_skin.results.solutions import SAMPLES
 
-pytestmark = pytest.mark.slow
 X, Y, MU = (ca.SX.sym(name) for name in ("x", "y", "mu"))
 HOPF = OdeModel(
     "Hopf", ca.vertcat(X, Y), ca.vertcat(MU * X - Y - X * (X**2 + Y**2), X + MU * Y - Y * (X**2 + Y**2)), MU
@@ -102,6 +109,20 @@ def search() -> Any:
     return search_orbit(Chain(2, 1.0, 0.25, -1.0), mode=1, S=0.1, objective="Omega", **stated)
 
 
+def search_of_an_orbit() -> Any:
+    omega, t = ca.SX.sym("omega"), ca.SX.sym("t")
+    field = ca.vertcat(Y, -X - X**3 - 0.2 * Y + 0.1 * ca.cos(omega * t))
+    duffing = OdeModel(
+        "Duffing", ca.vertcat(X, Y), field, omega, time=t, forcing_period=2 * ca.pi / omega, nominal=(1.0,)
+    )
+    stated: dict[str, Any] = {"free": ["omega"], "bounds": {"omega": (0.3, 2.0)}, "starts": 1}
+    return search_orbit(duffing, guess=[0.0, 0.0], running=-(X**2), **stated)
+
+
+def search_goes_on(found: Any) -> Any:
+    return solve_start(found.problem, found.problem.starts(1, 0)[0]).free
+
+
 def front() -> Any:
     stated: dict[str, Any] = {"free": ["gamma"], "bounds": {"gamma": (0.1, 0.3)}, "starts": 1}
     return pareto_front(Chain(2, 1.0, 0.25, -1.0), "Omega", "gamma", points=3, mode=1, S=0.1, **stated)
@@ -125,6 +146,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "ProvedStretch": lambda: family().certify(0.1, 0.2),
     "ReversibleFloquet": lambda: member().floquet(),
     "SearchResult": search,
+    "SearchResult of an orbit": search_of_an_orbit,
     "SmallestKick": kick,
     "Solution": solution,
     "SpecialPoint": lambda: rest().follow("mu", 0.1).special_points[0],
@@ -139,6 +161,8 @@ LEADING_ON: dict[str, Callable[[Any], Any]] = {  # computed from a result, as it
     "Equilibrium": lambda equilibrium: equilibrium.follow("mu", 0.1).values,
     "Orbit": lambda orbit: orbit.follow("mu", 0.3, max_points=3).values,
     "LocalisedDiagram": lambda diagram: np.array([change.S for change in diagram.all]),
+    "SearchResult": search_goes_on,
+    "SearchResult of an orbit": search_goes_on,
     "SmallestKick": lambda found: found.orbit.floquet().multipliers,
     "Solution": lambda found: found.follow("mu", 1.2, max_points=3).solutions[-1].point.z,
     "SpecialPoint": lambda point: point.follow("mu", 0.05, max_points=3).values,
@@ -147,13 +171,22 @@ LEADING_ON: dict[str, Callable[[Any], Any]] = {  # computed from a result, as it
 }
 
 
+QUICK = ("Bands", "Branch", "Equilibrium", "Evolution", "FullPeriodFloquet", "LatticeModes", "Orbit", "Spectrum")
+SLOWER = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in MAKERS]
+
+
 @functools.cache
 def made(name: str) -> Any:
     result = MAKERS[name]()
-    assert type(result).__name__ == name
+    assert type(result).__name__ == name.partition(" ")[0]
     return result
 
 
+def axes() -> Any:
+    return Figure().add_subplot()
+
+
+@pytest.mark.slow
 def test_every_class_is_here() -> None:
     for module in pkgutil.walk_packages(casadi_skin.__path__, "casadi_skin."):
         if not module.name.endswith("__main__"):
@@ -162,11 +195,12 @@ def test_every_class_is_here() -> None:
     while left:
         left += (below := left.pop().__subclasses__())
         found |= {kind.__name__ for kind in below if not inspect.isabstract(kind)}
-    assert found == set(MAKERS)
+    assert found == {name.partition(" ")[0] for name in MAKERS}
 
 
-@pytest.mark.parametrize("name", MAKERS)
-def test_a_result_is_shown(name: str) -> None:
+@pytest.mark.parametrize("name", SLOWER)
+def test_a_result_conforms(name: str, tmp_path: Path) -> None:
+    """Lines, a page with a picture, a drawing, tables, and a file from which the same bits lead on."""
     result = made(name)
     assert "\n" not in repr(result)
     assert len(repr(result)) < 300
@@ -176,33 +210,117 @@ def test_a_result_is_shown(name: str) -> None:
     page = result._repr_html_()
     assert "<table><caption>" in page
     assert "data:image/png;base64," in page
-    given = Figure().add_subplot()
+    given = axes()
     assert result.plot(given) is given
     assert given.lines or given.collections or given.patches
-
-
-@pytest.mark.parametrize("name", MAKERS)
-def test_a_result_becomes_tables(name: str) -> None:
-    result = made(name)
     frame = result.to_dataframe()
     assert len(frame) > 0
     if name == "Diagram":
         with pytest.raises(ValueError, match="accepted: one branch"):
             result.to_xarray()
-        return
-    dataset = result.to_xarray()
-    assert dataset.attrs
-    assert set(dataset.sizes.values()) != {0}
-
-
-@pytest.mark.parametrize("name", MAKERS)
-def test_a_result_comes_back_from_its_file(name: str, tmp_path: Path) -> None:
-    result = made(name)
+    else:
+        dataset = result.to_xarray()
+        assert dataset.attrs
+        assert set(dataset.sizes.values()) != {0}
     path = result.save(tmp_path / "one.skin")
     read = read_result(path)
     assert type(read) is type(result)
     assert str(read) == str(result)
     assert read.save(tmp_path / "two.skin").read_bytes() == path.read_bytes()
-    assert read.to_dataframe().equals(result.to_dataframe())
+    assert read.to_dataframe().equals(frame)
     if name in LEADING_ON:
         assert np.asarray(LEADING_ON[name](read)).tobytes() == np.asarray(LEADING_ON[name](result)).tobytes()
+
+
+# What single results say, draw and tabulate ---------------------------------------------------------------------------
+
+
+@functools.cache
+def small_family(**options: Any) -> Any:
+    return follow_family(Chain(2, 1.0, 0.25, 1.0), 1, 0.1, tolerance=1e-4, **options)
+
+
+def test_print_tells_the_numbers() -> None:
+    orbit = small_family(stability=True).orbits[-1]
+    assert f"Omega       {orbit.Omega:.12g} +- " in str(orbit)
+    branch = str(made("Branch"))
+    assert "hopf at 0" in branch or "hopf at -" in branch
+    assert "Branch of equilibria of Hopf" in branch
+    assert "-0.25+1i, -0.25-1i" in str(made("Spectrum"))
+    assert "stable" in str(made("FullPeriodFloquet"))
+    assert "not computed; stability=True" in str(small_family())
+    assert not any("not computed" in str(result) for result in (small_family(stability=True), made("Branch")))
+
+
+@pytest.mark.parametrize("branch", [small_family, lambda: made("Branch")])
+def test_a_branch_is_iterated_over_its_solutions(branch: Callable[[], Any]) -> None:
+    assert list(branch()) == list(branch().solutions)
+    assert len(list(branch())) == len(branch()) > 1
+
+
+def test_printing_computes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    family = follow_family(Chain(2, 1.0, 0.25, 1.0), 1, 0.05, stability=True, tolerance=1e-4)
+    monkeypatch.setattr(type(family.space), "floquets", None)
+    assert "changes of stability" not in f"{family}{family!r}"
+    assert "stability_diagram" not in vars(family)
+
+
+def test_results_are_drawn_as_asked() -> None:
+    assert made("Branch").plot(axes(), y="x").get_ylabel() == "x"
+    drawn = small_family().plot(axes(), x="Omega", y="period").lines[0].get_xydata()
+    np.testing.assert_allclose(drawn[:, 0] * drawn[:, 1], 2 * np.pi)
+    assert [line.get_label() for line in cycle().plot(axes(), states=["y"]).lines] == ["y"]
+
+
+@pytest.mark.parametrize(
+    ("make", "options", "words"),
+    [
+        (lambda: made("Branch"), {"y": "z"}, "did you mean|accepted: "),
+        (cycle, {"states": ["z"]}, "accepted: x, y"),
+        (cycle, {"states": "x"}, "accepted: a list of names"),
+        (cycle, {"axes": 3}, "accepted: axes of matplotlib"),
+        (cycle, {"sites": ["y_1"]}, "plot: given the option 'sites'; did you mean states. accepted: states"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(make: Callable[[], Any], options: dict[str, Any], words: str) -> None:
+    with pytest.raises((ValueError, TypeError), match=words):
+        make().plot(**({"axes": axes()} | options))
+
+
+def test_tables_have_the_numbers() -> None:
+    found, orbit = small_family(), cycle()
+    assert found.to_dataframe()["Omega"].tolist() == found.Omega.tolist()
+    assert found.to_xarray()["Omega"].values.tolist() == found.Omega.tolist()
+    frame = orbit.to_dataframe()
+    assert frame.columns.tolist() == ["t", "x", "y"]
+    assert len(frame) == SAMPLES
+    np.testing.assert_allclose(np.hypot(frame["x"], frame["y"]), 0.5, atol=1e-3)
+    assert orbit.to_xarray()["x"].dims == ("t",)
+    assert orbit.floquet().to_dataframe()["trivial"].tolist() == [True, False]
+    assert rest().spectrum.to_dataframe()["real"].tolist() == [-0.25, -0.25]
+    assert made("Branch").to_dataframe()["special"].tolist().count("hopf") == 1
+    assert rest().to_dataframe()["stable"].tolist() == [True]
+
+
+@pytest.mark.parametrize(("package", "verb"), [("pandas", "to_dataframe"), ("xarray", "to_xarray")])
+def test_a_missing_extra_is_named(package: str, verb: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = builtins.__import__
+
+    def importing(name: str, *rest: Any, **more: Any) -> Any:
+        if name == package:
+            raise ImportError(name)
+        return real(name, *rest, **more)
+
+    monkeypatch.setattr(builtins, "__import__", importing)
+    with pytest.raises(ImportError, match=rf"casadi-skin\[{package}\]"):
+        getattr(small_family(), verb)()
+
+
+@pytest.mark.slow
+def test_nothing_that_draws_or_tabulates_is_imported_before_it_is_asked_for() -> None:
+    code = (
+        "import sys; from casadi_skin import *; "
+        "print([m for m in ('matplotlib.pyplot', 'matplotlib.figure', 'pandas', 'xarray') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

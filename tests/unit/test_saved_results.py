@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -29,13 +28,10 @@ from casadi_skin import (
     follow_family,
     read_result,
     save_result,
-    search_orbit,
     simulate,
-    smallest_kick,
 )
 from casadi_skin.certify.certificate import ProvedStability
 from casadi_skin.model.ode import OdeModel as Model
-from casadi_skin.optimise.search_problem import solve_start
 from casadi_skin.results.journal import framed
 from casadi_skin.results.saving import FORMAT
 
@@ -89,48 +85,6 @@ def test_an_orbit_is_followed_from_a_file_as_if_it_had_not_been_saved(tmp_path: 
     one, two = (orbit.follow("mu", 0.4, max_points=4) for orbit in (cycle(), read))
     same(one, two)
     same(one, again(one, tmp_path))
-
-
-def forced() -> OdeModel:
-    """Duffing's equation with damping and forcing."""
-    omega, t = ca.SX.sym("omega"), ca.SX.sym("t")
-    field = ca.vertcat(Y, -X - X**3 - 0.2 * Y + 0.1 * ca.cos(omega * t))
-    return OdeModel("Duffing", ca.vertcat(X, Y), field, omega, time=t, forcing_period=2 * ca.pi / omega, nominal=(1.0,))
-
-
-def searched_orbit() -> Any:
-    return search_orbit(forced(), guess=[0.0, 0.0], free=["omega"], running=-(X**2), bounds={"omega": (0.3, 2.0)},
-                        starts=1)  # fmt: skip
-
-
-def searched_family() -> Any:
-    asked: dict[str, Any] = {"free": ["gamma"], "bounds": {"gamma": (0.1, 0.3)}, "starts": 1}
-    return search_orbit(Chain(2, 1.0, 0.25, -1.0), mode=1, S=0.1, objective="Omega", **asked)
-
-
-def kicked() -> Any:
-    orbit = follow_family(Chain(1, 1.0, 0.25, 1.0), 1, 0.5, at=[0.5], tolerance=1e-10, corrector="newton").at(S=0.5)
-    return smallest_kick(orbit, 1.2 * orbit.period, distance=0.3, starts=1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("make", [searched_orbit, searched_family, kicked])
-def test_searches_and_kicks_come_back_bit_for_bit(make: Callable[[], Any], tmp_path: Path) -> None:
-    result = make()
-    path = result.save(tmp_path / "one.skin")
-    read = read_result(path)
-    assert read.save(tmp_path / "two.skin").read_bytes() == path.read_bytes()
-    assert (type(read), repr(read)) == (type(result), repr(result))
-    one, two = result.best, read.best
-    if make is kicked:
-        assert two.kick.tobytes() == one.kick.tobytes()
-        assert read.orbit.floquet().multipliers.tobytes() == result.orbit.floquet().multipliers.tobytes()
-    else:
-        assert (two.parameters, two.kkt, two.errors, two.starts) == (one.parameters, one.kkt, one.errors, one.starts)
-        start = read.problem.starts(1, 0)[0]
-        assert start == result.problem.starts(1, 0)[0]
-        ends = [solve_start(problem, start) for problem in (result.problem, read.problem)]  # the search goes on
-        assert ends[0].free.tobytes() == ends[1].free.tobytes()
 
 
 def test_a_file_is_a_file_in_a_directory(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,14 +20,15 @@ if TYPE_CHECKING:
 
     from casadi_skin.follow.branch import Branch
     from casadi_skin.follow.orbit import Orbit
-    from casadi_skin.stability.tongues.diagram import StabilityDiagram, Tongue
+    from casadi_skin.stability.tongues.diagram import StabilityDiagram
     from casadi_skin.zero.unresolved import Unresolved
 
 
 # Stability along a family as its diagram has it: the frequency curve, multipliers through tongues, their angles -------
 
 FAMILY_POINTS = 300  # along a family, evenly
-IN_TONGUE, FEW_IN_TONGUE = 17, 7  # in a tongue that a picture shows the shape of, and in a short one beside even places
+IN_TONGUE, FEW_IN_TONGUE = 17, 7  # in a tongue, and in one of as many as these
+MANY_TONGUES = 40
 CLOSE_ANGLES = 0.1  # of pi: angles farther apart at neighbouring places are not joined
 SIGNATURE_LOOKS = {1: ("#c05000", "-", "signature $+$"), -1: ("#2060b0", (0, (4.0, 1.2)), "signature $-$")}
 SHADED_AREA: dict[str, Any] = {"fc": "0.88", "ec": "0.6", "hatch": "////", "lw": 0.0, "zorder": 0}
@@ -80,76 +80,15 @@ def shade_unresolved(axes: Axes, unresolved: Sequence[Unresolved]) -> None:
         axes.axvspan(stretch.S_start, stretch.S_end, label="changes of stability not resolved", **SHADED_AREA)
 
 
-@dataclass(frozen=True)
-class Sampled:
-    """A family at places along it, even ones and its changes: angles over pi, NaN off the circle, and largest growths.
-
-    `S` and `growths` have shape (places,), `angles` (places, m); they are None where multipliers have no signatures.
-    """
-
-    at: Array
-    S: Array
-    growths: Array
-    angles: Array | None
+def moduli(diagram: StabilityDiagram) -> Array:
+    """S and the largest |multiplier| along a family, through every tongue; shape (points, 2)."""
+    at = diagram.coordinates(FAMILY_POINTS, IN_TONGUE if len(diagram.tongues) < MANY_TONGUES else FEW_IN_TONGUE)
+    return np.column_stack([diagram.S(at), diagram.max_abs_multiplier(at)])
 
 
-def sampled(diagram: StabilityDiagram) -> Sampled:
-    """The multipliers that a picture of a family shows, computed once."""
-    at = np.append(
-        np.linspace(diagram.start, diagram.end, FAMILY_POINTS), [c.place.coordinate for c in diagram.changes]
-    )
-    at, angles = np.unique(at), None
-    if diagram.symplectic:
-        angles, growths = diagram.angles_and_growths(at)
-        angles /= np.pi
-    else:
-        growths = diagram.growths(at)
-    return Sampled(at, diagram.S(at), np.max(growths, axis=1, initial=0.0), angles)
-
-
-def moduli(diagram: StabilityDiagram, known: Sampled | None = None) -> Array:
-    """S and the largest |multiplier| along a family, through the deepest place of every tongue; shape (points, 2).
-
-    Tongues that lie below others are left out: the largest multiplier is not theirs.
-    """
-    known = known or sampled(diagram)
-    step = (diagram.end - diagram.start) / FAMILY_POINTS
-    shown = [t for t in diagram.tongues if t.growth > _lowest(t, known)]
-    inner = [t.start.coordinate + _bent(_length(t) / step) * _length(t) for t in shown if _length(t) > step]
-    at = np.concatenate([known.at, *inner])
-    inside = np.max(diagram.growths(at[known.at.size :]), axis=1, initial=0.0)
-    at, first = np.unique(at, return_index=True)
-    values = np.append(known.growths, inside)[first]
-    narrow = [t for t in shown if _length(t) <= step]
-    edges = np.array([(t.start.coordinate, t.end.coordinate) for t in narrow]).reshape(-1, 2)
-    bottoms = np.array([t.growth for t in narrow])
-    c = np.concatenate([at, edges.ravel(), edges.mean(axis=1)])
-    heights = np.interp(c, at, values)
-    heights[at.size + edges.size :] = np.maximum(heights[at.size + edges.size :], bottoms)
-    order = np.argsort(c, kind="stable")
-    return np.column_stack([diagram.S(c[order]), np.exp(heights[order])])
-
-
-def _bent(steps: float) -> Array:
-    """Places in [0, 1], closer towards its ends, for a tongue as long as some steps between even places."""
-    count = IN_TONGUE if steps > IN_TONGUE else FEW_IN_TONGUE
-    return 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, count))
-
-
-def _lowest(tongue: Tongue, known: Sampled) -> float:
-    """The least growth at places in a tongue, and beside it."""
-    start, end = np.searchsorted(known.at, (tongue.start.coordinate, tongue.end.coordinate))
-    return float(np.min(known.growths[max(start - 1, 0) : end + 1]))
-
-
-def _length(tongue: Tongue) -> float:
-    return tongue.end.coordinate - tongue.start.coordinate
-
-
-def draw_moduli(axes: Axes, diagram: StabilityDiagram, colour: Array, label: str, known: Sampled | None = None) -> None:
+def draw_moduli(axes: Axes, diagram: StabilityDiagram, colour: Array, label: str) -> None:
     """The largest |multiplier| against S through all tongues, with a tick below where stability changes."""
-    line = moduli(diagram, known)
-    axes.plot(*line.T, color=colour, lw=1.2, label=label, zorder=2)
+    axes.plot(*moduli(diagram).T, color=colour, lw=1.2, label=label, zorder=2)
     for kind, length, width in (("real", 0.06, 1.6), ("complex", 0.035, 0.6)):
         S = [change.S for change in diagram.changes if change.kind == kind]
         if S:
@@ -158,17 +97,18 @@ def draw_moduli(axes: Axes, diagram: StabilityDiagram, colour: Array, label: str
     shade_unresolved(axes, diagram.unresolved)
 
 
-def draw_angles(axes: Axes, diagram: StabilityDiagram, known: Sampled) -> None:
+def draw_angles(axes: Axes, diagram: StabilityDiagram) -> None:
     """Angles of the multipliers on the unit circle against S by Krein signature, with the places where two leave it.
 
     Where lines of both signatures cross, multipliers collide; lines that end have left the circle.
     """
     from matplotlib.collections import LineCollection
 
-    angles = known.angles
-    assert angles is not None
+    even = np.linspace(diagram.start, diagram.end, FAMILY_POINTS)
+    at = np.unique(np.append(even, [change.place.coordinate for change in diagram.changes]))
+    S, angles = diagram.S(at), diagram.angles_and_growths(at)[0] / np.pi
     for sign, (colour, dashes, label) in SIGNATURE_LOOKS.items():
-        lines = _followed(known.S, np.where(np.sign(angles) == sign, np.abs(angles), np.nan))
+        lines = _followed(S, np.where(np.sign(angles) == sign, np.abs(angles), np.nan))
         looks: dict[str, Any] = {"colors": colour, "linewidths": 0.7, "linestyles": dashes, "zorder": 2}
         axes.add_collection(LineCollection(lines, label=label, **looks))
     for kind, marker, words in (("complex", "D", "collision"), ("real", "s", "real pair")):
@@ -217,17 +157,17 @@ MODULUS_LABEL = r"$\left|\lambda\right|$"
 TRIVIAL_LEFT_OUT = ("", " (trivial one left out)", " (trivial pair left out)")
 
 
-def _draw_moduli(axes: Axes, branch: Branch, known: Sampled | None) -> None:
+def _draw_moduli(axes: Axes, branch: Branch, diagram: StabilityDiagram | None) -> None:
     """|lambda| of all multipliers off the circle, the largest as a line, against the quantity followed."""
-    values, diagram = branch.values, branch.stability_diagram
+    values = branch.values
     found = [orbit.floquet() for orbit in branch.orbits]
     off = [np.abs(floquet.others[~floquet.on_circle]) for floquet in found]
     at = np.repeat(values, [moduli.size for moduli in off])
     if at.size:
         axes.plot(at, np.concatenate(off), ".", ms=3, color="0.25", zorder=3)
     axes.axhline(1.0, color="0.6", lw=0.8, zorder=1)
-    if diagram is not None and known is not None:
-        draw_moduli(axes, diagram, colours(1)[0], f"largest {MODULUS_LABEL}", known)
+    if diagram is not None:
+        draw_moduli(axes, diagram, colours(1)[0], f"largest {MODULUS_LABEL}")
     else:
         _draw_between_points(axes, branch)
     largest = branch.max_abs_multiplier.max()
@@ -341,14 +281,15 @@ def multiplier_figure(branch: Branch, title: str = "") -> Figure | None:
         return None
     chosen = requested(branch, 3) or {(float(branch.values[-1]), 0): branch.orbits[-1]}
     diagram = branch.stability_diagram
-    known = sampled(diagram) if diagram is not None and diagram.pieces else None
-    with_angles = known is not None and known.angles is not None
+    if diagram is not None and not diagram.pieces:
+        diagram = None
+    with_angles = diagram is not None and diagram.symplectic
     with style():
         figure, panels = _panels(len(chosen), with_angles)
-        _draw_moduli(panels["a"], branch, known)
+        _draw_moduli(panels["a"], branch, diagram)
         panels["a"].set_title("(a)", loc="left", y=1.0)
-        if diagram is not None and known is not None and with_angles:
-            draw_angles(panels["b"], diagram, known)
+        if diagram is not None and with_angles:
+            draw_angles(panels["b"], diagram)
             panels["b"].set(xlim=panels["a"].get_xlim(), xlabel=panels["a"].get_xlabel())
             panels["b"].set_title("(b)", loc="left", y=1.0)
         for letter, ((value, passage), orbit) in zip("cde" if with_angles else "bcd", chosen.items(), strict=False):
