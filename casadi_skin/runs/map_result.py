@@ -19,7 +19,7 @@ from casadi_skin.model.arguments import check_name, cut, file_path, short_repr
 from casadi_skin.model.files import TemporaryFolder, replacing
 from casadi_skin.model.result import WithVerbs
 from casadi_skin.results.dataset import NETCDF_FILL_VALUE, characters, new_file, put_attributes, stored_name, write_csv
-from casadi_skin.results.figures.map import MapAxis, Panel, draw_map, map_figure, panel_title
+from casadi_skin.results.figures.map import MapAxis, Panel, draw_maps, map_figure, panel_title
 from casadi_skin.results.figures.style import save
 from casadi_skin.results.quantities import Cell
 from casadi_skin.results.words import listed
@@ -484,7 +484,9 @@ def plot(found: Map, name: str, axes: Axes | None = None, at: Mapping[str, Any] 
     if not isinstance(axes, Axes):
         raise TypeError(f"axes: given {short_repr(axes)}; accepted: axes of matplotlib, or None")
     drawn = [MapAxis(ranges[i].name, numbers(ranges[i]), ranges[i].log) for i in along]
-    draw_map(axes, name, drawn, _panel(found, name, along, chosen))
+    draw_maps([axes], name, drawn, [_panel(found, name, along, chosen)])
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend()
     return axes
 
 

@@ -7,7 +7,7 @@ few states of a small model of first order are drawn as lines.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,8 +117,7 @@ def _draw_states(axes: Axes, evolution: Evolution) -> None:
     names, t = evolution.names, evolution.t
     for x, name, colour, dashes in zip(evolution.states.T, names, colours(len(names)), LINE_DASHES, strict=False):
         if _is_long(evolution):
-            edges, low, high = _extent(t, x[:, None])
-            axes.stairs(high[:, 0], edges, baseline=low[:, 0], fill=True, color=colour, alpha=0.5, label=plain(name))
+            _draw_range(axes, t, x, color=colour, alpha=0.5, label=plain(name))
         else:
             axes.plot(t, x, color=colour, ls=dashes, lw=1.2, label=plain(name))
     words = f"range of states in windows of {_window(evolution):.3g}" if _is_long(evolution) else "states"
@@ -190,9 +189,7 @@ def _draw_energy(axes: Axes, evolution: Evolution) -> None:
     t, drift = evolution.t, evolution.energy_drift
     axes.axhline(0.0, color="0.6", lw=0.6)
     if _is_long(evolution):
-        edges, low, high = _extent(t, drift[:, None])
-        axes.stairs(high[:, 0], edges, baseline=low[:, 0], fill=True, color="0.75")
-        starts = _starts(t)
+        edges, starts = _draw_range(axes, t, drift, color="0.75"), _starts(t)
         drift = np.add.reduceat(drift, starts) / np.diff(np.append(starts, t.size))
         t = 0.5 * (edges[:-1] + edges[1:])
     axes.plot(t, drift, lw=0.8, color="black")
@@ -233,6 +230,13 @@ def _extent(t: Array, values: Array) -> tuple[Array, Array, Array]:
     return edges, np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
 
 
+def _draw_range(axes: Axes, t: Array, values: Array, **look: Any) -> Array:
+    """The range of values (time,) in each window, whose edges are returned."""
+    edges, low, high = _extent(t, values[:, None])
+    axes.stairs(high[:, 0], edges, baseline=low[:, 0], fill=True, **look)
+    return edges
+
+
 def _edges(t: Array) -> Array:
     """Edges of the cells around times, shape (len(t) + 1,)."""
     if t.size == 1:
@@ -271,31 +275,24 @@ def spreading_figure(found: Spreading, lattice: Lattice) -> Figure:
     with style():
         figure = blank(6.2, 6.0)
         panels = figure.subplot_mosaic([["a"], ["a"], ["b"], ["c"]], sharex=True)
-        numbers = np.arange(1, len(energies) + 1)
-        least = largest * 10.0**-SPREADING_DECADES
+        numbers, norm = np.arange(1, len(energies) + 1), LogNorm(largest * 10.0**-SPREADING_DECADES, largest)
+        look: dict[str, Any] = {"cmap": COLOUR_MAP, "norm": norm, "shading": "nearest", "rasterized": True}
         drawn = panels["a"].pcolormesh(
-            found.t[::step], numbers, np.maximum(energies, least), cmap="cividis", norm=LogNorm(least, largest),
-            shading="nearest", rasterized=True,
-        )  # fmt: skip
+            found.t[::step], numbers, np.maximum(energies, largest * 10.0**-SPREADING_DECADES), **look
+        )
         panels["a"].set_ylabel("site" if len(lattice.declaration.cells) == 1 else "site, along rows")
         figure.colorbar(drawn, ax=panels["a"], label="energy of the site", use_gridspec=False)
-        for k, dash in zip(range(found.centre.shape[1]), LINE_DASHES, strict=False):
-            label = f"along direction {k + 1}" if found.centre.shape[1] > 1 else None
-            panels["b"].plot(found.t, found.centre[:, k], color="black", ls=dash, lw=0.9, label=label)
+        several = found.centre.shape[1] > 1
+        lines = [("b", f"along direction {k}" if several else None, x) for k, x in enumerate(found.centre.T, start=1)]
+        lines += [("c", "participation number (sites)", found.participation)]
+        lines += [("c", "second moment (cells squared)", found.second_moment)]
+        for place, label, values in lines:
+            dashes = LINE_DASHES[len(panels[place].lines)]
+            panels[place].plot(found.t, values, color="black", ls=dashes, lw=0.9, label=label)
         panels["b"].set_ylabel("centre (cell)")
-        if found.centre.shape[1] > 1:
-            panels["b"].legend(loc="best")
-        panels["c"].plot(found.t, found.participation, color="black", lw=0.9, label="participation number (sites)")
-        panels["c"].plot(
-            found.t,
-            found.second_moment,
-            color="black",
-            lw=0.9,
-            ls=LINE_DASHES[1],
-            label="second moment (cells squared)",
-        )
+        for place in ("b", "c") if several else ("c",):
+            panels[place].legend(loc="best")
         panels["c"].set_ylim(bottom=0.0)
-        panels["c"].legend(loc="best")
         panels["c"].set_xlabel("time $t$")
         figure.suptitle(model_title(lattice))
         return finished(figure, (), 1)

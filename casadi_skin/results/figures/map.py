@@ -69,44 +69,35 @@ def map_figure(name: str, title: str, axes: Sequence[MapAxis], panels: Sequence[
     shown = panels[:MOST_PANELS]
     columns = min(len(shown), PANEL_COLUMNS)
     rows = math.ceil(len(shown) / columns)
-    known = np.concatenate([panel.values[np.isfinite(panel.values)] for panel in shown])
     with style():
         figure = blank(1.2 + 3.6 * columns, 0.7 + 3.1 * rows)
-        grid = figure.subplots(rows, columns, squeeze=False, sharey=len(axes) == 1).ravel()
+        grid = figure.subplots(rows, columns, squeeze=False, sharey=len(axes) == 1).ravel().tolist()
         for spare in grid[len(shown) :]:
             spare.set_visible(False)
-        if len(axes) == 2:
-            norm, colours, ticks = _scale(known)
-            for place, panel in zip(grid, shown, strict=False):
-                _draw_plane(place, axes, panel, norm, colours, ticks is not None)
-            _draw_bar(list(grid[: len(shown)]), name, ticks)
-        else:
-            for place, panel in zip(grid, shown, strict=False):
-                _draw_line(place, axes[0], panel, name)
+        draw_maps(grid[: len(shown)], name, axes, shown)
         more = f" (the first {MOST_PANELS} of {len(panels)})" if len(panels) > MOST_PANELS else ""
         figure.suptitle(f"{plain(title)}{more}")
         return finished(figure, grid[: len(shown)], 4)
 
 
-def draw_map(place: Axes, name: str, axes: Sequence[MapAxis], panel: Panel) -> None:
-    """One panel drawn into axes, a plane with its colour bar beside it; failed cells are crossed out."""
-    if len(axes) == 2:
-        norm, colours, ticks = _scale(panel.values[np.isfinite(panel.values)])
-        _draw_plane(place, axes, panel, norm, colours, ticks is not None)
-        _draw_bar([place], name, ticks)
-    else:
-        _draw_line(place, axes[0], panel, name)
-    if place.get_legend_handles_labels()[0]:
-        place.legend()
-
-
-def _draw_bar(places: list[Axes], name: str, ticks: list[float] | None) -> None:
-    """The bar of the colours of some axes, which share them."""
-    bar = places[0].figure.colorbar(
-        places[0].collections[0], ax=places, label=plain(name).replace("_", " "), ticks=ticks
-    )
+def draw_maps(places: Sequence[Axes], name: str, axes: Sequence[MapAxis], panels: Sequence[Panel]) -> None:
+    """Panels drawn into axes, planes with one bar of colours beside them; failed cells are crossed out."""
+    in_plane = len(axes) == 2
+    norm, colours, ticks = _scale(np.concatenate([panel.values[np.isfinite(panel.values)] for panel in panels]))
+    for place, panel in zip(places, panels, strict=True):
+        if in_plane:
+            _draw_plane(place, axes, panel, norm, colours, ticks is not None)
+        else:
+            _draw_line(place, axes[0], panel)
+        place.set(xlabel=plain(axes[0].name), ylabel=plain(axes[1].name if in_plane else name))
+        if panel.title:
+            place.set_title(panel.title)
+    if not in_plane:
+        return
+    label = plain(name).replace("_", " ")
+    bar = places[0].figure.colorbar(places[0].collections[0], ax=places, label=label, ticks=ticks)
     bar.ax.minorticks_off()
-    words = FLAG_WORDS.get(tuple(ticks)) if ticks is not None else None
+    words = FLAG_WORDS.get(tuple(ticks or ()))
     if words is not None:
         bar.ax.set_yticklabels(list(words))
 
@@ -142,13 +133,7 @@ def _draw_plane(place: Axes, axes: Sequence[MapAxis], panel: Panel, norm: Normal
     x, y = axes
     masked = np.ma.masked_invalid(panel.values.T)
     place.pcolormesh(edges_of(x), edges_of(y), masked, norm=norm, cmap=colours, rasterized=True)
-    place.set(xlabel=plain(x.name), ylabel=plain(y.name), facecolor="white")
-    if x.log:
-        place.set_xscale("log")
-    if y.log:
-        place.set_yscale("log")
-    if panel.title:
-        place.set_title(panel.title)
+    place.set(facecolor="white", xscale="log" if x.log else "linear", yscale="log" if y.log else "linear")
     finite = panel.values[np.isfinite(panel.values)]
     if not few and finite.size > 3 and finite.min() < finite.max() and min(panel.values.shape) > 1:
         _draw_contours(place, axes, panel)
@@ -188,14 +173,10 @@ def _draw_contours(place: Axes, axes: Sequence[MapAxis], panel: Panel) -> None:
     place.clabel(lines, fontsize=7, fmt="%.3g")
 
 
-def _draw_line(place: Axes, axis: MapAxis, panel: Panel, name: str) -> None:
+def _draw_line(place: Axes, axis: MapAxis, panel: Panel) -> None:
     known = np.isfinite(panel.values)
     place.plot(axis.values[known], panel.values[known], "o-", ms=3.0, lw=0.9, color="black")
-    place.set(xlabel=plain(axis.name), ylabel=plain(name))
-    if axis.log:
-        place.set_xscale("log")
-    if panel.title:
-        place.set_title(panel.title)
+    place.set_xscale("log" if axis.log else "linear")
     if np.any(panel.failed):
         at = axis.values[panel.failed]
         span: dict[str, Any] = {"transform": place.get_xaxis_transform(), "color": "#c02020"}
