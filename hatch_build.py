@@ -45,8 +45,8 @@ def compile_kernels(target: Path) -> None:
         if platform.machine() in ("x86_64", "AMD64"):
             _run([*compiler, *FLAGS, "-mavx2", "-c", *sources], folder)
             objects = sorted(str(path) for path in Path(folder).glob("*.o"))
-        _run([*compiler, *FLAGS, "-shared", *sources, *objects, "-o", "kernels.so", "-lm"], folder)
-        Path(folder, "kernels.so").replace(target)
+        _run([*compiler, *FLAGS, "-shared", *sources, *objects, "-o", "kernels.library", "-lm"], folder)
+        Path(folder, "kernels.library").replace(target)
 
 
 def _run(command: list[str], folder: str) -> None:
@@ -62,7 +62,7 @@ class KernelsHook(BuildHookInterface):  # type: ignore[misc, valid-type]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         self._folder = tempfile.TemporaryDirectory()
-        target = (NATIVE if version == "editable" else Path(self._folder.name)) / "kernels.so"
+        target = (NATIVE if version == "editable" else Path(self._folder.name)) / "kernels.library"
         try:
             compile_kernels(target)
         except BuildError as error:
@@ -70,7 +70,7 @@ class KernelsHook(BuildHookInterface):  # type: ignore[misc, valid-type]
             self.app.display_warning(f"casadi_skin without compiled kernels, numpy does their work: {error}")
             return
         if version != "editable":
-            build_data["force_include"][str(target)] = "casadi_skin/native/kernels.so"
+            build_data["force_include"][str(target)] = "casadi_skin/native/kernels.library"
         system = sysconfig.get_platform().replace("universal2", platform.machine()).translate(str.maketrans("-.", "__"))
         build_data["pure_python"], build_data["tag"] = False, f"py3-none-{system}"
 
@@ -80,6 +80,6 @@ class KernelsHook(BuildHookInterface):  # type: ignore[misc, valid-type]
 
 if __name__ == "__main__":
     try:
-        compile_kernels(NATIVE / "kernels.so")
+        compile_kernels(NATIVE / "kernels.library")
     except BuildError as problem:
         sys.exit(f"no kernels: {problem}")

@@ -1,18 +1,15 @@
 """Kernels in C, built with the package where there is a compiler; without one numpy takes the same steps.
 
-`kernels.so` beside this file has all of them, on x86-64 twice: for any processor, and for AVX2. hatch_build.py compiles
-it when the package is built; nothing is compiled or cached at run time. Products are rounded before they are added:
-numbers are those of numpy but for the order of sums. The library knows nothing of Python. The tables below say how
-the arguments of its functions and the fields of its structures follow one another.
-
-| source | what it computes | the same by numpy |
-| --- | --- | --- |
-| bordered.c | factors and solutions of bands with borders | `solve.bordered` |
-| splitting.c | Jacobians along orbits, transition matrices | `stability.jacobian`, `stability.splitting` |
-| decoupling.c | bases that make matrices block diagonal | `stability.tongues.decoupling` |
-| elimination.c | cells of a row eliminated from its free end on | `stability.tongues.hill` |
-| equations.c | equations of collocation in odd cosines, from instructions of CasADi | CasADi itself |
-| taylor.c | power series of branches, and those with a linear tail | `zero.recursion`, `lattice.tail_series` |
+`kernels.library` beside this file has all of them, on x86-64 twice: for any processor, and for AVX2. hatch_build.py
+compiles it when the package is built; nothing is compiled or cached at run time. Products are rounded before they are
+added: numbers are those of numpy but for the order of sums. The library knows nothing of Python. The tables below say
+how the arguments of its functions and the fields of its structures follow one another.  | source | what it computes |
+the same by numpy | | --- | --- | --- | | bordered.c | factors and solutions of bands with borders | `solve.bordered`
+| | splitting.c | Jacobians along orbits, transition matrices | `stability.jacobian`, `stability.splitting` | |
+decoupling.c | bases that make matrices block diagonal | `stability.tongues.decoupling` | | elimination.c | cells of a
+row eliminated from its free end on | `stability.tongues.hill` | | equations.c | equations of collocation in odd
+cosines, from instructions of CasADi | CasADi itself | | taylor.c | power series of branches, and those with a linear
+tail | `zero.recursion`, `lattice.tail_series` |
 """
 
 from __future__ import annotations
@@ -38,7 +35,7 @@ Pattern = tuple[NDArray[np.int32], NDArray[np.int32]]  # indptr and indices of t
 Levels = Sequence[tuple[Indices, Indices, Array]]  # nodes known, nodes wanted, weights of these in those
 Sequences = tuple[Indices, Array, Array]  # numbers of kicks, all kicks and drifts, one after the other
 
-LIBRARY = Path(__file__).with_name("kernels.so")
+LIBRARY = Path(__file__).with_name("kernels.library")
 # By the kinds of arguments or of fields: i an integer, r a real number, a an array or a structure.
 FUNCTIONS = {
     "bordered_solve": "aaia",

@@ -240,8 +240,8 @@ def test_a_build_without_a_compiler_says_so(compiler: str, words: str, tmp_path:
 
 
 def test_a_library_of_another_system_is_no_fault(tmp_path: Path) -> None:
-    (tmp_path / "kernels.so").write_bytes(b"of another system")
-    with numpy_alone(tmp_path / "kernels.so"):
+    (tmp_path / "kernels.library").write_bytes(b"of another system")
+    with numpy_alone(tmp_path / "kernels.library"):
         assert native.kernels() == {}
         assert native.kernels_in_words() == "numpy"
 
