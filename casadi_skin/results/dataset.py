@@ -244,6 +244,12 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Ce
         writer.writerows(_line(row, columns, place) for place, row in enumerate(rows, start=1))
 
 
+def write_columns(path: Path, columns: Mapping[str, Any]) -> None:
+    """Write columns of numbers, each an array of one length, as `write_csv` does."""
+    rows = np.column_stack(list(columns.values())).tolist()
+    write_csv(path, list(columns), (dict(zip(columns, row, strict=True)) for row in rows))
+
+
 def _line(row: Mapping[str, Cell], columns: Sequence[str], place: int) -> list[str]:
     """Cells of a row in text; raises ArithmeticError naming row and column of a value that is not finite."""
     for column in columns:

@@ -24,7 +24,7 @@ from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.results.dataset import Dataset, write_csv, write_netcdf
+from casadi_skin.results.dataset import Dataset, write_columns, write_netcdf
 from casadi_skin.results.figures.style import number
 from casadi_skin.runs.branches import Branches
 from casadi_skin.runs.directory import EXPORT_FOLDER, JOURNAL_FILE
@@ -185,10 +185,10 @@ class Dynamics(Task):
         """dynamics.csv, dynamics.nc and the space-time picture; of a lattice also where its energy is."""
         from casadi_skin.dynamics.starts import spreading
         from casadi_skin.results.figures.evolutions import spacetime_figure
-        from casadi_skin.results.tables import evolution_columns, evolution_rows, evolution_variables
+        from casadi_skin.results.tables import evolution_columns, evolution_variables
 
         asked, request = self.asked, self.request
-        write_csv(directory / "dynamics.csv", evolution_columns(evolution), evolution_rows(evolution))
+        write_columns(directory / "dynamics.csv", evolution_columns(evolution))
         start, title = _origin_of(orbit, asked)
         how = {"method": evolution.method, "tolerance": evolution.tolerance, "coordinates": evolution.coordinates}
         attributes = {**origin(request, scene_text), **how, "step": evolution.step or 0.0, **start}
@@ -247,13 +247,12 @@ def _write_spreading(scene: Scene, found: Spreading, lattice: Lattice, directory
     from casadi_skin.lattice.declaration import CELL_INDICES
     from casadi_skin.results.figures.evolutions import spreading_figure
 
-    centres = [f"centre_{name}" for name in CELL_INDICES[: found.centre.shape[1]]]
-    columns = ["t", "energy", *centres, "participation", "second_moment"]
-    table = np.column_stack([found.t, found.total, found.centre, found.participation, found.second_moment])
-    write_csv(directory / "spreading.csv", columns, (dict(zip(columns, row, strict=True)) for row in table.tolist()))
+    centres = {f"centre_{name}": values for name, values in zip(CELL_INDICES, found.centre.T, strict=False)}
+    numbers = {"participation": found.participation, "second_moment": found.second_moment}
+    write_columns(directory / "spreading.csv", {"t": found.t, "energy": found.total, **centres, **numbers})
     sites = [f"energy_{name.partition('_')[2]}" for name in lattice.state_names[: lattice.declaration.size]]
-    rows = np.column_stack([found.t, found.energies]).tolist()
-    write_csv(directory / "energies.csv", ["t", *sites], (dict(zip(["t", *sites], row, strict=True)) for row in rows))
+    energies = dict(zip(sites, found.energies.T, strict=True))
+    write_columns(directory / "energies.csv", {"t": found.t, **energies})
     picture(scene, directory / "spreading", spreading_figure, found, lattice)
 
 
