@@ -3,13 +3,16 @@
 `kernels.library` beside this file has all of them, on x86-64 twice: for any processor, and for AVX2. hatch_build.py
 compiles it when the package is built; nothing is compiled or cached at run time. Products are rounded before they are
 added: numbers are those of numpy but for the order of sums. The library knows nothing of Python. The tables below say
-how the arguments of its functions and the fields of its structures follow one another.  | source | what it computes |
-the same by numpy | | --- | --- | --- | | bordered.c | factors and solutions of bands with borders | `solve.bordered`
-| | splitting.c | Jacobians along orbits, transition matrices | `stability.jacobian`, `stability.splitting` | |
-decoupling.c | bases that make matrices block diagonal | `stability.tongues.decoupling` | | elimination.c | cells of a
-row eliminated from its free end on | `stability.tongues.hill` | | equations.c | equations of collocation in odd
-cosines, from instructions of CasADi | CasADi itself | | taylor.c | power series of branches, and those with a linear
-tail | `zero.recursion`, `lattice.tail_series` |
+how the arguments of its functions and the fields of its structures follow one another.
+
+| source | what it computes | the same by numpy |
+| --- | --- | --- |
+| bordered.c | factors and solutions of bands with borders | `solve.bordered` |
+| splitting.c | Jacobians along orbits, transition matrices | `stability.jacobian`, `stability.splitting` |
+| decoupling.c | bases that make matrices block diagonal | `stability.tongues.decoupling` |
+| elimination.c | cells of a row eliminated from its free end on | `stability.tongues.hill` |
+| equations.c | equations of collocation in odd cosines, from instructions of CasADi | CasADi itself |
+| taylor.c | power series of branches, and those with a linear tail | `zero.recursion`, `lattice.tail_series` |
 """
 
 from __future__ import annotations
