@@ -64,7 +64,7 @@ TAIL = "iiiiiii" + "aaaaaaaaaa" + "r"
 
 LANES = 8  # right-hand sides that bordered.c takes together, and components that splitting.c does, at least
 MOST = 7  # unknowns beside the band that bordered.c has room for
-WIDEST = 64  # half bandwidth beyond which LAPACK's blocks are faster
+WIDEST = 64  # half bandwidth beyond which LAPACK takes blocks, which are faster
 OPERATIONS = (  # in the order of those of equations.c
     "INPUT", "OUTPUT", "CONST", "ASSIGN", "ADD", "SUB", "MUL", "DIV", "NEG", "SQ", "TWICE", "INV", "SQRT", "SIN", "COS",
     "TAN", "EXP", "LOG", "TANH", "POW", "EQ", "LE", "NOT", "IF_ELSE_ZERO",
@@ -99,11 +99,11 @@ def kernels() -> Mapping[str, Any]:
     """The functions by name; none where the package was built without a C compiler, or for another system."""
     try:
         library = ctypes.CDLL(str(LIBRARY))
-    except OSError:
+        ending = "_avx2" if library.has_avx2() else ""
+        found: Mapping[str, Any] = {name: getattr(library, name + ending) for name in FUNCTIONS}
+    except (OSError, AttributeError):  # AttributeError: built from older sources
         return {}
-    ending, found = "_avx2" if library.has_avx2() else "", {}
     for name, kinds in FUNCTIONS.items():
-        found[name] = getattr(library, name + ending)
         found[name].argtypes = [TYPES[kind] for kind in kinds]
     return found
 

@@ -1,12 +1,11 @@
 """Linear solves with the Jacobian of an orbit problem, closed by one more row (a held unknown or an arclength row).
 
-Banded problems are solved by band LU with the dense columns and rows in a border, compiled. The band alone is
-singular at a linear mode (its null vector is the mode), so its diagonal entry at the largest entry of the state is
-raised, and an unknown more in the border takes that back; Schur complement of a bordered matrix, Keller (1977),
-Govaerts (2000) chapter 3. Everything else goes to SuperLU, and bands do where the kernel is missing, in their own
-order: of collocation the unknowns within the intervals first, in an order that the model's own pattern determines, so
-that dense blocks are left between ends of intervals alone (the condensation of Ascher, Mattheij and Russell 1995,
-section 7.2).
+Banded problems are solved by band LU with the dense columns and rows in a border, by the compiled kernel or by LAPACK.
+The band alone is singular at a linear mode (its null vector is the mode), so its diagonal entry at the largest entry of
+the state is raised, and an unknown more in the border takes that back; Schur complement of a bordered matrix, Keller
+(1977), Govaerts (2000) chapter 3. Everything else goes to SuperLU: of collocation the unknowns within the intervals
+first, in an order that the model's own pattern determines, so that dense blocks are left between ends of intervals
+alone (the condensation of Ascher, Mattheij and Russell 1995, section 7.2).
 """
 
 from __future__ import annotations
@@ -25,19 +24,19 @@ if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU
 
 
-# Solves with a factorised matrix: a band with its border by the compiled kernel, or a sparse one by SuperLU -----------
+# Solves with a factorised matrix: a band with its border, or a sparse one by SuperLU ---------------------------------
 
 
-class CompiledFactors:
-    """Solves with a band and its border by the compiled kernel; `orientation` is the sign of the determinant."""
+class BandFactors:
+    """Solves with a band and its border; `orientation` is the sign of the determinant."""
 
-    def __init__(self, kernel: BorderedKernel, memory: Array, orientation: float) -> None:
+    def __init__(self, kernel: BorderedKernel | LapackBand, memory: Any, orientation: float) -> None:
         self.kernel, self.memory, self.orientation = kernel, memory, orientation
 
     @property
-    def compiled(self) -> tuple[Structure, Array]:
-        """The layout and the factors, for kernels that solve by themselves."""
-        return self.kernel.layout, self.memory
+    def compiled(self) -> tuple[Structure, Array] | None:
+        """The layout and the factors, for compiled kernels that solve by themselves; None without these."""
+        return None if self.kernel.layout is None else (self.kernel.layout, self.memory)
 
     def __call__(self, b: Array) -> Array:
         x = np.array(b.reshape(b.shape[0], -1).T, order="C")
@@ -122,15 +121,89 @@ class BandLayout:
             entries((rows >= n) & (columns >= n), (rows - n + 1) * edge + columns - n + 1),
         )
 
-    def kernel(self, problem: Problem) -> BorderedKernel | None:
-        """The compiled kernel of this layout; None where there is none, and where border or band are wide."""
+    def kernel(self, problem: Problem) -> BorderedKernel | LapackBand:
+        """The compiled kernel of this layout; LAPACK where there is none, and where border or band are wide."""
         if not kernels() or problem.size - problem.states > MOST or self.width > WIDEST:
-            return None
+            return LapackBand(self, problem)
         parts = self.inside, self.right, self.below, self.corner
         places = [(part.source, part.target) for part in parts]
         return BorderedKernel(
             (problem.states, problem.size, self.width), places, problem.pattern, (SINGULAR_GROWTH, ACCURATE_RESIDUAL)
         )
+
+
+class LapackBand:
+    """The same as a `BorderedKernel`, by LAPACK; the memory of a matrix is a list of its factors."""
+
+    layout = None
+
+    def __init__(self, places: BandLayout, problem: Problem) -> None:
+        self._places, self._pattern = places, problem.pattern
+        self._states, self._edge = problem.states, problem.size - problem.states + 1
+
+    def memory(self) -> Any:
+        """Room for one factorised matrix."""
+        return []
+
+    def steps(self, z: Array, nonzeros: Array, rows: Array, x: Array, memory: Any = None) -> Array | None:
+        """Signs of determinants at states; right-hand sides x, (states, each, size), are overwritten by solutions."""
+        memory, signs = [] if memory is None else memory, np.empty(len(z))
+        for k in range(len(z)):
+            signs[k], memory[:] = self._factors(z[k], nonzeros[k], rows[k])
+            if not signs[k]:
+                return None
+            self.solve(memory, x[k])
+            if not self._reliable(nonzeros[k], rows[k], *x[k, -2:]):
+                return None
+        return signs
+
+    def _factors(self, z: Array, nonzeros: Array, row: Array) -> tuple[float, list[Any]]:
+        """The sign of the determinant, 0 where elimination meets a zero, and the factors."""
+        from scipy.linalg.lapack import dgbtrf, dgbtrs, dgetrf
+
+        n, edge, width, places = self._states, self._edge, self._places.width, self._places
+        storage, right = np.zeros((n, 3 * width + 1)), np.zeros((edge, n))
+        below, corner = np.zeros((edge, n)), np.zeros((edge, edge))
+        parts = (places.inside, storage), (places.right, right), (places.below, below), (places.corner, corner)
+        for entries, array in parts:
+            array.reshape(-1)[entries.target] = nonzeros[entries.source]
+        below[-1], corner[-1, 1:] = row[:n], row[n:]
+        pin = int(np.argmax(np.abs(z[:n])))
+        raised = np.max(np.abs(storage[pin]))
+        storage[pin, 2 * width] += raised
+        right[0, pin], below[0, pin], corner[0, 0] = -raised, -1.0, 1.0
+
+        lu, pivots, failed = dgbtrf(storage.T, width, width, overwrite_ab=True)
+        spread, _ = dgbtrs(lu, width, width, right.T, pivots, overwrite_b=True)
+        schur, order, singular = dgetrf(corner - below @ spread)
+        odd = np.count_nonzero(lu[2 * width] < 0.0) + np.count_nonzero(schur.diagonal() < 0.0)
+        odd += np.count_nonzero(pivots != np.arange(n)) + np.count_nonzero(order != np.arange(edge))
+        sign = 0.0 if failed or singular else 1.0 - 2.0 * (odd % 2)
+        return sign, [lu, pivots, spread, below, schur, order]
+
+    def solve(self, memory: Any, x: Array) -> None:
+        """Overwrite right-hand sides, (count, size), by solutions with the factors in `memory`."""
+        from scipy.linalg.lapack import dgbtrs, dgetrs
+
+        lu, pivots, spread, below, schur, order = memory
+        n, width = self._states, self._places.width
+        inner, _ = dgbtrs(lu, width, width, x[:, :n].T, pivots)
+        right = np.zeros((self._edge, len(x)))
+        right[1:] = x[:, n:].T
+        outer, _ = dgetrs(schur, order, right - below @ inner)
+        x[:, :n], x[:, n:] = (inner - spread @ outer).T, outer[1:].T
+
+    def _reliable(self, nonzeros: Array, row: Array, response: Array, along: Array) -> bool:
+        """Whether solutions for residuals in general position and for the closing row are those of a regular matrix.
+
+        A NaN fails every comparison.
+        """
+        if not np.max(np.abs(response)) < SINGULAR_GROWTH:
+            return False
+        rows, columns = self._pattern
+        defect = np.max(np.abs(np.bincount(rows, nonzeros * along[columns])))
+        most = np.max(np.abs(along)) * np.max(np.abs(nonzeros))
+        return bool(defect <= ACCURATE_RESIDUAL * most and abs(row @ along - 1.0) <= ACCURATE_RESIDUAL)
 
 
 @dataclass(frozen=True)
@@ -169,8 +242,8 @@ class BorderedSolver:
 
         self.problem, size = problem, problem.size
         self._last: tuple[Array, Array, Solve] | None = None
-        self._band = BandLayout.of(problem)
-        self._kernel = None if self._band is None else self._band.kernel(problem)
+        band = BandLayout.of(problem)
+        self._kernel = None if band is None else band.kernel(problem)
         self._probes = np.zeros((size, 2))
         self._probes[-1, 0], self._probes[:-1, 1] = 1.0, problem.residual_size * problem.probe
         places = problem.kept("closed", lambda: _Places.of(problem))
@@ -223,10 +296,11 @@ class BorderedSolver:
 
     def _factored(self, z: Array, nonzeros: Array, row: Array) -> Solve:
         if self._kernel is not None:
-            x, memory = np.array(self._probes.T[None, ::-1], order="C"), self._kernel.memory()
+            x = np.array(self._probes.T[None, ::-1], order="C")
+            memory: Any = self._kernel.memory()
             orientation = self._kernel.steps(z[None], nonzeros[None], row[None], x, memory)
             if orientation is not None:
-                return CompiledFactors(self._kernel, memory, float(orientation[0]))
+                return BandFactors(self._kernel, memory, float(orientation[0]))
         solve = self._factor_sparse(nonzeros, row)
         if not self._accurate(solve(self._probes), nonzeros, row):
             raise SingularError(
@@ -268,9 +342,7 @@ class BorderedSolver:
         self._close(nonzeros, row)
         try:
             if not self.problem.in_order:
-                # A band is solved most accurately as it stands.
-                factors = splu(self._closed, permc_spec="COLAMD" if self._band is None else "NATURAL")
-                return SparseFactors(factors, self._order, None)
+                return SparseFactors(splu(self._closed), self._order, None)
             self._closed.data *= self._scales
             return SparseFactors(splu(self._closed, permc_spec="NATURAL"), self._order, self._scale)
         except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
@@ -304,7 +376,7 @@ class Steps:
 
 
 class StackedSolver:
-    """Solves for states of one problem at once, by the compiled kernel, else one after the other."""
+    """Solves for states of one problem at once."""
 
     def __init__(self, problem: Problem, layout: BandLayout) -> None:
         self._problem, self._kernel = problem, layout.kernel(problem)
@@ -323,18 +395,6 @@ class StackedSolver:
         """Solutions at states z, by residuals (states, unknowns); None where a matrix is singular but for rounding."""
         x = np.zeros((len(z), 3, z.shape[1]))
         x[:, 0], x[:, 1, :-1], x[:, 2, -1] = residuals, self._problem.probe, 1.0
-        steps = self._one_by_one if self._kernel is None else self._kernel.steps
-        signs = steps(z, nonzeros, rows, x)
+        signs = self._kernel.steps(z, nonzeros, rows, x)
         newton, response, along = x.swapaxes(0, 1)
         return None if signs is None else Steps(newton, along, response, signs)
-
-    def _one_by_one(self, z: Array, nonzeros: Array, rows: Array, x: Array) -> Array | None:
-        """As the kernel's steps: right-hand sides x are overwritten by solutions."""
-        solver, signs = BorderedSolver.of(self._problem), np.empty(len(z))
-        for k in range(len(z)):
-            try:
-                solve = solver.factor(z[k], nonzeros[k], rows[k])
-            except SingularError:
-                return None
-            x[k], signs[k] = solve(x[k].T).T, solve.orientation
-        return signs

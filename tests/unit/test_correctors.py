@@ -8,7 +8,6 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from kernels import needs_kernels
 from numpy.typing import NDArray
 from orbit_problems import gauss_problem
 
@@ -19,7 +18,7 @@ from casadi_skin.lattice.tail_parameter import TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.arbiter import ConfirmedCorrector
-from casadi_skin.solve.bordered import BandLayout, BorderedSolver
+from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.solve.ipopt import IpoptCorrector
 from casadi_skin.solve.newton import Corrector, NewtonCorrector, Status
 from casadi_skin.zero.problem import OrbitProblem, SingularError
@@ -227,12 +226,9 @@ def test_ipopts_own_words_are_kept() -> None:
 # Linear algebra -----------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(params=[pytest.param("band", marks=needs_kernels), "sparse"])
-def factors(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The compiled band with its border, without a way out to SuperLU; and SuperLU, where the kernel is missing."""
-    if request.param == "sparse":
-        monkeypatch.setattr(BandLayout, "kernel", lambda *arguments: None)
-        return
+@pytest.fixture
+def only_the_band(way: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No way out to SuperLU: what follows is the band with the border, compiled and by LAPACK."""
 
     def refuse(*_: object) -> None:
         raise AssertionError("the band was not enough")
@@ -240,7 +236,7 @@ def factors(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(BorderedSolver, "_factor_sparse", refuse)
 
 
-@pytest.mark.usefixtures("factors")
+@pytest.mark.usefixtures("only_the_band")
 @pytest.mark.parametrize("sites", [4, 5, 24, 60])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_band_agrees_with_dense_elimination_at_random_points(sites: int, seed: int) -> None:
@@ -259,7 +255,7 @@ def test_the_band_agrees_with_dense_elimination_at_random_points(sites: int, see
     assert solve(b[:, 0]).shape == (problem.size,)
 
 
-@pytest.mark.usefixtures("factors")
+@pytest.mark.usefixtures("only_the_band")
 @pytest.mark.parametrize("sites", [4, 24, 60])
 @pytest.mark.parametrize("position", [0.0, 0.5, 1.0])
 def test_the_largest_entry_may_be_anywhere(sites: int, position: float) -> None:
@@ -275,7 +271,7 @@ def test_the_largest_entry_may_be_anywhere(sites: int, position: float) -> None:
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
-@pytest.mark.usefixtures("factors")
+@pytest.mark.usefixtures("only_the_band")
 @pytest.mark.parametrize(("sites", "mode"), [(4, 1), (5, 3), (23, 12), (24, 13), (24, 24), (60, 2)])
 def test_the_band_is_solved_at_the_linear_mode_where_alone_it_is_singular(sites: int, mode: int) -> None:
     chain = Chain(sites, 1.0, 0.25, 1.0)
@@ -293,7 +289,7 @@ def test_the_band_is_solved_at_the_linear_mode_where_alone_it_is_singular(sites:
     np.testing.assert_allclose(matrix @ found, b, rtol=0, atol=1e-10 * np.abs(matrix).max() * np.abs(found).max())
 
 
-@pytest.mark.usefixtures("factors")
+@pytest.mark.usefixtures("only_the_band")
 def test_the_band_of_a_model_whose_couplings_are_not_symmetric_is_not_transposed() -> None:
     model = Chain(6, 1.0, 0.5, 1.0).physical_model()
     problem = TrigonometricProblem(replace(model, normalisation=ca.dot(model.state, model.state) - 1), 4)
@@ -306,7 +302,7 @@ def test_the_band_of_a_model_whose_couplings_are_not_symmetric_is_not_transposed
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
-@pytest.mark.usefixtures("factors")
+@pytest.mark.usefixtures("only_the_band")
 @pytest.mark.parametrize("attached", [0, 18, 37])
 def test_the_band_is_wider_next_to_a_tail(attached: int) -> None:
     """Rows of the site at a tail are those of its harmonics: entries of its neighbours are farther off than others."""

@@ -22,7 +22,7 @@ from small_models import pendulums
 from casadi_skin import Branch, Chain, follow_family, native
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import Monomials
-from casadi_skin.solve.bordered import BorderedSolver, CompiledFactors
+from casadi_skin.solve.bordered import BandFactors, BorderedSolver
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
 from casadi_skin.stability.stepping import OrbitState, SteppedFlow
@@ -156,7 +156,7 @@ def test_orders_solved_by_the_kernel_are_those_solved_one_by_one(sites: int) -> 
     z, row, slope = np.random.default_rng(sites).normal(size=(3, problem.size))
     z[problem.Omega_index] = 1.4
     solve = BorderedSolver(problem).factor(z, problem.evaluate(z)[1], row)
-    assert isinstance(solve, CompiledFactors)
+    assert isinstance(solve, BandFactors)
     series = TaylorRecursion(problem, PolynomialForm.of(chain.gauge_model()), 12).series
     found, plain = series(z, slope, solve), series(z, slope, lambda right: solve(right))
     sizes = np.max(np.abs(plain), axis=1, keepdims=True)
