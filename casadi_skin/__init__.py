@@ -93,7 +93,7 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
         "family_coordinates": "lattice.chain_coordinates:chain_coordinates",
         "threshold": "dynamics.resonances:threshold",
     },
-    "LongLattice": {"family_coordinates": "lattice.cell_core:long_lattice_coordinates"},
+    "LongLattice": {"family_coordinates": "lattice.core_with_tail:long_lattice_coordinates"},
     "Map": {
         "_repr_html_": "runs.map_result:html",
         "figure": "runs.map_result:picture",

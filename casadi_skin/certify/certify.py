@@ -16,7 +16,7 @@ from casadi_skin.certify.system import CosineSeries, CosineSystem, Terms, energy
 from casadi_skin.certify.tailed import tailed_system
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.lattice.core_with_tail import CoreWithTail
+from casadi_skin.lattice.core_with_tail import LongChain
 from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.watch import one_thread
@@ -234,7 +234,7 @@ def provable(family: Family, decimals: bool | None = None) -> Family:
     decimals = family.request.decimals if decimals is None else decimals
     if family.symmetry is SymmetryClass.FULL:
         raise ValueError(f"certify: given a family of {coordinates.model.name}; accepted: {ACCEPTED_ORBITS}")
-    if isinstance(coordinates, CoreWithTail) and coordinates.chain.sites > MOST_SITES:
+    if isinstance(coordinates, LongChain) and coordinates.chain.sites > MOST_SITES:
         with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
             tailed_system(coordinates, family.request.amplitude_max, decimals)
         return family
@@ -249,7 +249,7 @@ def provable(family: Family, decimals: bool | None = None) -> Family:
 
 
 def _system(family: Family, S: float, decimals: bool) -> CosineSystem:
-    if isinstance(family.coordinates, CoreWithTail):
+    if isinstance(family.coordinates, LongChain):
         return tailed_system(family.coordinates, S, decimals)
     return system_of(family.coordinates, S, step_of(family), decimals)
 

@@ -41,7 +41,7 @@ from casadi_skin.certify.system import CosineSeries, CosineSystem, system_of
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.lattice.core_with_tail import CoreWithTail
+from casadi_skin.lattice.core_with_tail import LongChain
 from casadi_skin.model.arguments import number
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.problem import Array
@@ -396,7 +396,7 @@ def certify_branch(branch: Branch, start: float, end: float) -> ProvedStretch:
     if np.any(np.diff(branch.S) * np.diff(branch.S)[:1] <= 0.0):
         raise ValueError(f"certify: given a branch that turns back in S; accepted: {ACCEPTED_FAMILIES}")
     family = provable(branch.space)
-    if isinstance(family.coordinates, CoreWithTail):
+    if isinstance(family.coordinates, LongChain):
         raise ValueError("certify: given a chain with a tail that is no unknown; accepted: up to 500 sites")
     with flint.ctx.workprec(balls.BALL_PRECISION_BITS), one_thread():
         system = system_of(family.coordinates, 1.0, step_of(family), family.request.decimals)

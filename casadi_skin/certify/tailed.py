@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from casadi_skin.certify.balls import ball
 from casadi_skin.certify.system import CosineSeries, CosineSystem, system_of
 from casadi_skin.certify.tail import LinearTail
-from casadi_skin.lattice.core_with_tail import CoreWithTail
+from casadi_skin.lattice.core_with_tail import LongChain
 from casadi_skin.lattice.full_chain import FullChain
 from casadi_skin.zero.problem import Array
 
@@ -77,9 +77,9 @@ class TailSize:
 # The equations of a chain's core with the linear tail that it is coupled to -------------------------------------------
 
 
-def tailed_system(coordinates: CoreWithTail, S: float, decimals: bool) -> CosineSystem:
+def tailed_system(coordinates: LongChain, S: float, decimals: bool) -> CosineSystem:
     """The equations of the core, in the order of its sites, with the tail that they are coupled to."""
-    chain, sites = coordinates.chain, coordinates.core.sites
+    chain, sites = coordinates.chain, coordinates.core.cells
     alone = FullChain(replace(chain, sites=sites), 1)
     if coordinates.declared is not None:
         lattice, values = coordinates.declared

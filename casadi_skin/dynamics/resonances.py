@@ -23,11 +23,10 @@ from casadi_skin.follow.find import find_orbit
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
-from casadi_skin.lattice.core_with_tail import CoreWithTail
+from casadi_skin.lattice.core_with_tail import LongChain
 from casadi_skin.lattice.declaration import Array
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import ComplexArray
-from casadi_skin.lattice.tail import EDGE_ANGLE
 from casadi_skin.model.arguments import check_name
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.request import family_request
@@ -249,24 +248,25 @@ def _threshold_to(chain: Chain, amplitude_max: float) -> float | None:
     mode = infinite.mode_number(LAST if chain.g > 0 else FIRST)
     family = Family(family_request(infinite, mode, amplitude_max, tolerance=BALANCE_TOLERANCE, corrector="newton"))
     coordinates, last = family.coordinates, family.start
-    assert isinstance(coordinates, CoreWithTail)
-    born = coordinates.parameter(2).at(EDGE_ANGLE)
+    assert isinstance(coordinates, LongChain)
+    edge = replace(coordinates.edge_mode.place, off=0.0)
+    born = coordinates.parameter(2).at(coordinates.tail.angle(edge))
     with one_thread():
         for point in family.continuation((family.start,)):
-            if point.walked and point.z[point.problem.Omega_index] < born:
-                return _held(family, last, point, born) / chain.g
+            if point.walked and (point.z[point.problem.Omega_index] - born) * (coordinates.start_unknown - born) < 0.0:
+                return coordinates.S_of(_held(family, last, point, born))
             last = point if point.walked else last
     return None
 
 
 def _held(family: Family, before: Point, after: Point, u: float) -> float:
-    """kappa where the tail's parameter is u, between two points; raises ArithmeticError where it is not found."""
+    """The free parameter where that of the tail is u, between two points; ArithmeticError where it is not found."""
     problem, point_solver = after.problem, family.point_solver
     curve, length = point_solver.curve(before, after)
     (place,) = curve.crossings(problem.Omega_index, u, length)
     row = np.zeros(problem.size)
-    row[problem.Omega_index] = -1.0  # u falls along the family
-    correction = point_solver.correct(problem, curve.at(place), row, -u, length)
+    row[problem.Omega_index] = sense = 1.0 if after.z[problem.Omega_index] > u else -1.0  # in which u changes
+    correction = point_solver.correct(problem, curve.at(place), row, sense * u, length)
     point = None if correction is None else point_solver.refined(problem, correction, row, held=None)
     if point is None:
         raise ArithmeticError("threshold: no orbit is found where the frequency leaves the band")

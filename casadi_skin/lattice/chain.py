@@ -78,6 +78,11 @@ class Chain(WithVerbs):
             raise ValueError(f"mode: given {short_repr(mode)}; accepted: 1..{self.sites}, {FIRST}, {LAST}")
         return int(mode)
 
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Values of its parameters by name."""
+        return {"alpha": self.alpha, "gamma": self.gamma, "g": self.g}
+
     # The gauge ------------------------------------------------------------------------------------------------------
 
     @property

@@ -6,12 +6,12 @@ import math
 from typing import TYPE_CHECKING
 
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
-from casadi_skin.lattice.full_chain import ChainCoordinates, EdgeSite, FullChain
+from casadi_skin.lattice.full_chain import EdgeSite, FullChain
 from casadi_skin.model.methods import PAYS_FROM, TRIGONOMETRIC
 from casadi_skin.zero.model_coordinates import check_harmonics
 
 if TYPE_CHECKING:
-    from casadi_skin.zero.family import Method
+    from casadi_skin.zero.family import Coordinates, Method
 
 NARROWEST_BAND = 1e-10  # of its squared frequency, in which doubles distinguish modes; measured
 NEGLIGIBLE_CUBIC_RATIO = 1e-16  # of the cubic term: the part that the tail may leave out
@@ -19,7 +19,7 @@ TAIL_PAYS_FACTOR = 8  # times the core's sites from which on the elimination of 
 LONGEST_CORE = 5000
 
 
-def chain_coordinates(chain: Chain, mode: int | str, amplitude_max: float, method: Method) -> ChainCoordinates:
+def chain_coordinates(chain: Chain, mode: int | str, amplitude_max: float, method: Method) -> Coordinates:
     """Coordinates of the family that grows from a linear mode to S = `amplitude_max`.
 
     Every site is an unknown; at |gamma| = 1 the edge site alone; and of a long chain the nonlinear core at its edge
@@ -51,9 +51,9 @@ def chain_coordinates(chain: Chain, mode: int | str, amplitude_max: float, metho
     if not eliminated:
         check_harmonics(chain.linear_spectrum().squares, number, repr(chain), odd=True)
         return FullChain(chain, number)
-    from casadi_skin.lattice.core_with_tail import CoreWithTail  # here: short chains do not need it
+    from casadi_skin.lattice.core_with_tail import LongChain  # here: short chains do not need it
 
-    return CoreWithTail(chain, sites, number, cut)
+    return LongChain(chain, sites, number, amplitude_max, cut)
 
 
 def core_sites(chain: Chain, amplitude_max: float) -> int:

@@ -1,78 +1,430 @@
-"""Coordinates of a long chain's edge mode: the nonlinear core at its edge, and the linear tail in closed form."""
+"""Coordinates of an edge mode of a long lattice: the nonlinear cells at its edge, and the linear tail eliminated.
+
+Forces of order 3 and more on displacements that fall by exp(-lean) a cell are below round-off from some cell on. The
+cells up to there are a core, whose positions are unknowns; the others answer its last site harmonic by harmonic, which
+`Tail` has in closed form. So the number of unknowns does not depend on the length, which may be infinite.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.lattice import closed_forms as multiple_scales
-from casadi_skin.lattice.chain import FIRST, LAST, Chain
-from casadi_skin.lattice.full_chain import ChainCoordinates, continued_logarithms
-from casadi_skin.lattice.tail import Tail
+from casadi_skin.lattice import closed_forms
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.declaration import FIXED, Bond, Site
+from casadi_skin.lattice.long_lattice import FIRST, LAST, Core, EdgeMode, LongLattice, core_model, core_of
+from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
-from casadi_skin.zero.family import Localised, normalised
+from casadi_skin.model.methods import TRIGONOMETRIC
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.zero.cosines import cosine_matrix, quarter_phases
+from casadi_skin.zero.family import Localised, Method, normalised
+from casadi_skin.zero.model_coordinates import DEEPEST_LOG_SCALE, ModelCoordinates, check_alone
 from casadi_skin.zero.problem import Array, Indices, Problem
 from casadi_skin.zero.settings import Point
 
-FARTHEST_LOG_SCALE = 745.0  # of -log rho: beyond it displacements are below the smallest double
-LONGEST_WHOLE = 5000  # sites of a chain all of which are unknowns where they are asked for
+if TYPE_CHECKING:
+    from casadi_skin.lattice.lattice import Lattice
+
 BESIDE_CORE = 100  # sites beside the core on which stability is computed at first
-SITE_DOUBLINGS = 2  # of the sites, where multipliers that decay into the tail are not decided
+SITE_DOUBLINGS = 2  # of the cells, where multipliers that decay into the tail are not decided
+WITHIN_SCALES = 0.95  # of the span of scales that positions may have
+CLOSE = 1e-5  # difference of two angles below which that of their tangents is a slope
+LONGEST_WHOLE = 5000  # sites of a chain all of which are unknowns where they are asked for
 
 
-class CoreWithTail(ChainCoordinates):
-    """A core of nonlinear sites at the edge that the modes lean to; the rest is linear and eliminated.
+class CoreWithTail(ModelCoordinates):
+    """The cells at the edge are unknown; the rest is linear and eliminated."""
 
-    Unknowns are those of the chain seen from its other end where gamma < 0. Sites are numbered from 1; those of an
-    infinite chain with gamma >= 0 end with site 0. `edge` is that of the band: +1 for the lowest mode, -1 for the
-    highest.
-    """
+    def __init__(
+        self,
+        lattice: LongLattice,
+        core: Core,
+        edge_mode: EdgeMode,
+        number: int,
+        amplitude_max: float,
+        stability_sites: int | None = None,
+    ) -> None:
+        self.lattice, self.core, self.edge_mode = lattice, core, edge_mode
+        whole, p = lattice.of_cells(core.cells + 1), len(lattice.sites)
+        weights = whole.structure.log_weights
+        at_edge = slice(-p, None) if lattice.at_last else slice(p)
+        self._edge_weight = 1.0 if weights is None else float(np.exp(-np.min(weights[at_edge])))
+        super().__init__(core_model(lattice, whole), 1, None, amplitude_max)
+        self.mode_number, self._amplitude_max, self._stability_sites = number, amplitude_max, stability_sites
+        self._cuts: dict[int, CellsAtEdge] = {}
 
-    def __init__(self, chain: Chain, core_sites: int, mode: int, stability_sites: int | None = None) -> None:
-        super().__init__(chain, replace(chain, sites=core_sites, gamma=abs(chain.gamma)), mode)
-        self.edge = -1 if chain.g > 0 else 1
-        self._stability_sites = stability_sites
+    def _check_mode(self) -> None:
+        """Among modes of this edge alone: the core's cut may have one of the same frequency, which the tail has not."""
+        modes = self.lattice.modes
+        squares = np.array([mode.square for mode in modes])
+        check_alone(squares, modes.index(self.edge_mode) + 1, self._model.name, self._model.half_period is not None)
+
+    def _check_amplitude(self) -> None:
+        """S is the sum of squares of positions."""
+
+    @cached_property
+    def tail(self) -> Tail:
+        """The tail, up to the core."""
+        return self.lattice.tail(self.core.cells)
 
     @property
-    def tail(self) -> Tail:
-        """The tail, up to the first site of the core."""
-        return Tail(self.chain.sites - self.core.sites + 1, self.chain.alpha, self.chain.coupling)
+    def attached(self) -> int:
+        """Index of the core's site that is joined to the tail."""
+        last = 0 if self.lattice.at_last else (self.core.cells - 1) * len(self.lattice.sites)
+        return last + self.lattice.inlet
 
     def parameter(self, harmonics: int) -> TailParameter:
         """The unknown in place of Omega."""
-        return TailParameter(self.tail, self.edge, harmonics)
+        return TailParameter(self.tail, self.edge_mode.place, harmonics, self.core.slowest, self.lattice.lean)
 
     def transcription(self, resolution: int) -> Problem:
-        return CoreWithTailProblem(self.scaled, resolution, self.parameter(resolution))
+        return CoreWithTailProblem(self.scaled, resolution, self.parameter(resolution), self.attached)
 
     @property
     def is_whole(self) -> bool:
         return False
 
+    def check_whole(self, purpose: str = "what is asked for") -> None:
+        words = f"{purpose} is that of all sites, accepted: a Lattice of fewer cells"
+        raise ValueError(f"cells: given {self.lattice.cells} with a linear tail; {words}")
+
     @property
+    def description(self) -> str:
+        kind = "cells" if len(self.lattice.sites) > 1 else "sites"
+        cells = f"{self.core.cells} {kind} at the edge, where nonlinear forces are felt"
+        return f"the gauge; unknown are {cells}, and the linear tail is eliminated exactly"
+
+    def regime(self, point: Point) -> Regime:
+        """Whether Omega, or three times it, is pinned to a band."""
+        assert isinstance(point.problem, CoreWithTailProblem)
+        return point.problem.regime(point.z)
+
+    def band(self) -> tuple[float, float]:
+        edges = self.tail.edges
+        return edges[0].square, edges[-1].square
+
+    # Stability of localised perturbations --------------------------------------------------------------------------
+
+    @cached_property
     def localised(self) -> Localised | None:
-        if self._stability_sites is None and self.chain.sites <= LONGEST_WHOLE:
+        if not self.symplectic:
             return None
-        sites = (self._stability_sites,) if self._stability_sites is not None else self._as_many_as_decide
-        low, high = self.chain.band()
-        bands, stiffness = ((math.sqrt(low), math.sqrt(high)),), np.array([[2.0 + self.chain.alpha]])
-        return Localised(sites, bands, self.chain.gamma >= 0, stiffness, self.chain.coupling)
+        lattice, p, most = self.lattice, len(self.lattice.sites), self.lattice.cells - 1
+        if lattice.lean != 0.0:  # scales of positions are doubles
+            most = min(most, WITHIN_SCALES * DEEPEST_LOG_SCALE / -abs(lattice.lean))
+        first = self.core.cells + math.ceil(BESIDE_CORE / p)
+        tried = [first * 2**k for k in range(SITE_DOUBLINGS + 1)]
+        if self._stability_sites is not None:
+            tried = [math.ceil(self._stability_sites / p)]
+        sites = tuple(dict.fromkeys(p * int(min(cells, most)) for cells in tried))
+        ends = [math.sqrt(max(edge.square, 0.0)) for edge in self.tail.edges]
+        bands = tuple(zip(ends[::2], ends[1::2], strict=True))
+        return Localised(sites, bands, lattice.at_last, lattice.cell, lattice.coupling, lattice.inlet, lattice.outlet)
 
-    @property
-    def _as_many_as_decide(self) -> tuple[int, ...]:
-        first = self.core.sites + BESIDE_CORE
-        return tuple(int(min(first * 2**k, self.chain.sites)) for k in range(SITE_DOUBLINGS + 1))
+    def cut(self, sites: int) -> tuple[EdgeCells, int]:
+        return EdgeCells(self._cells_at_edge(sites)), self.mode_number
 
-    def cut(self, sites: int) -> tuple[Chain, str]:
-        return replace(self.chain, sites=sites), LAST if self.chain.g > 0 else FIRST
+    def _cells_at_edge(self, sites: int) -> CellsAtEdge:
+        if sites not in self._cuts:
+            core = Core(sites // len(self.lattice.sites), self.core.slowest)
+            self._cuts[sites] = CellsAtEdge(self.lattice, core, self.edge_mode, self.mode_number, self._amplitude_max)
+        return self._cuts[sites]
 
     def on_cut_sites(self, problem: Problem, z: Array, sites: int) -> Array:
-        m = np.arange(sites)
-        return self._unknowns(problem, z, m[::-1] if self.chain.gamma >= 0 else m)
+        cut, cells = self._cells_at_edge(sites), sites // len(self.lattice.sites)
+        at_edge = -1 if self.lattice.at_last else 0
+        unit = self.scale[at_edge] / cut.scale[at_edge]  # of the two gauges
+        both = self._on_cells(problem, z, cells)
+        return np.concatenate([unit * both.ravel(), [problem.frequency(z), z[problem.parameter_index]]])
+
+    def _on_cells(self, problem: Problem, z: Array, cells: int) -> Array:
+        """Scaled positions at the nodes on so many cells at the edge, shape (sites, nodes)."""
+        H = problem.resolution
+        logs, parts = self._in_tail(problem, z, np.arange(1, cells - self.core.cells + 1))
+        coefficients = np.exp(logs)[:, :, None] * parts
+        order = slice(None, None, -1) if self.lattice.at_last else slice(None)
+        tail, core = coefficients[:, order].reshape(H, -1).T @ cosine_matrix(H), z[: problem.states].reshape(-1, H)
+        return np.concatenate([tail, core] if self.lattice.at_last else [core, tail])
+
+    # The linear mode --------------------------------------------------------------------------------------------------
+
+    @property
+    def frequency(self) -> float:
+        return float(np.sqrt(self.edge_mode.square))
+
+    @cached_property
+    def _motion(self) -> Array:
+        """Amplitudes of the linear mode in the core, and in the cell beyond, from the edge on; (cells, sites)."""
+        lattice, mode, p = self.lattice, self.edge_mode, len(self.lattice.sites)
+        numbers, unit = np.arange(1, self.core.cells + 1), np.eye(p)[[lattice.inlet]]
+        logs, parts = lattice.tail(1).motion(mode.place, mode.angle, numbers)
+        across, down = math.sin(mode.angle), math.cos(mode.angle)
+        held, bond = lattice.edge_cell - mode.square * np.eye(p), -lattice.coupling * across * unit.T
+        *first, size = np.linalg.svd(np.block([[held, bond], [unit, -down * np.eye(1)]]))[2][-1]
+        return np.concatenate([[first], size * (lattice.bond_sign**numbers * np.exp(logs))[:, None] * parts])
+
+    @cached_property
+    def start_unknown(self) -> float:
+        mode = self.edge_mode
+        if not mode.pinned or np.isfinite(self.lattice.cells):
+            return self.parameter(2).at(self.tail.angle(mode.place))
+        edge = self.tail.angle(Place(mode.place.gap, mode.place.edge, 0.0))
+        across = self._motion[-1, self.lattice.outlet] * self.lattice.bond_sign
+        direction = math.atan2(across, self._motion[-2, self.lattice.inlet])
+        outwards = -self.tail.side(mode.place)
+        return self.parameter(2).at(edge + outwards * (outwards * (direction - edge) % math.pi))
+
+    @cached_property
+    def mode(self) -> Array:
+        motion = self._motion[:-1]
+        return normalised((motion[::-1] if self.lattice.at_last else motion).ravel(), self.scale)
+
+    # Sites of the core and of the tail --------------------------------------------------------------------------------
+
+    @property
+    def output_sites(self) -> Indices:
+        count, whole = self.mode.size, self.lattice.cells * len(self.lattice.sites)
+        first = (whole - count if np.isfinite(whole) else -count) if self.lattice.at_last else 0
+        return np.arange(1, count + 1) + int(first)
+
+    @property
+    def position_names(self) -> tuple[str, ...]:
+        names, p = [site.name for site in self.lattice.sites], len(self.lattice.sites)
+        cells = [(int(n) - 1) // p + 1 for n in self.output_sites]
+        prefix = [f"{name}_" if p > 1 else "" for name in names]
+        return tuple(f"y_{prefix[i % p]}{cell}" for i, cell in enumerate(cells))
+
+    def _where(self, sites: Indices | None) -> tuple[Indices, Indices]:
+        """Numbers of the cells of sites from the edge, from 0, and places in these; ValueError for none that is there.
+
+        Sites are numbered from 1; those of an infinite lattice whose edge is its last cell end with site 0.
+        """
+        p, whole = len(self.lattice.sites), self.lattice.cells * len(self.lattice.sites)
+        sites, last = self.output_sites if sites is None else sites, whole if np.isfinite(whole) else 0
+        cells, places = np.divmod(sites - 1, p)
+        cells = int(last) // p - 1 - cells if self.lattice.at_last else cells
+        if cells.size and (cells.min() < 0 or cells.max() >= self.lattice.cells):
+            endless = "whole numbers up to 0" if self.lattice.at_last else "whole numbers from 1"
+            known = f"1 to {whole}" if np.isfinite(whole) else endless
+            raise ValueError(f"sites: given {sites.min()} to {sites.max()}; accepted: {known}")
+        return cells, places
+
+    def _in_core(self, cells: Indices, places: Indices) -> Indices:
+        """Indices of sites among the unknown positions."""
+        return (self.core.cells - 1 - cells if self.lattice.at_last else cells) * len(self.lattice.sites) + places
+
+    def _log_scale_at(self, cells: Indices, places: Indices) -> Array:
+        """Logarithms of the factors D of sites, of the core's outermost cell and beyond."""
+        outermost = self._in_core(np.full_like(places, self.core.cells - 1), places)
+        return np.asarray(self.log_scale[outermost] - self.lattice.lean * (cells - self.core.cells + 1))
+
+    def _in_tail(self, problem: Problem, z: Array, numbers: Indices) -> tuple[Array, Array]:
+        """Coefficients of the odd cosines in cells of the tail, numbered from 1 beside the core.
+
+        Returns:
+            Logarithms of a factor, shape (harmonics, cells), and the coefficients over it, (harmonics, cells, sites).
+        """
+        assert isinstance(problem, CoreWithTailProblem)
+        places, values = self.parameter(problem.resolution).places(float(z[problem.Omega_index])), problem.values(z)
+        found = [self.tail.motion(place, phi, numbers) for place, phi in zip(places, values.phi, strict=True)]
+        signs = self.lattice.bond_sign ** np.asarray(numbers, dtype=float)
+        sizes = problem.coefficients(z)[self.attached] / values.down
+        parts = sizes[:, None, None] * signs[:, None] * np.stack([part for _, part in found])
+        return np.stack([logs for logs, _ in found]), parts
+
+    def displacements(self, problem: Problem, z: Array, theta: Array, sites: Indices | None) -> Array:
+        cells, places = self._where(sites)
+        inside, y = cells < self.core.cells, np.empty((theta.size, cells.size))
+        y[:, inside] = super().displacements(problem, z, theta, self._in_core(cells[inside], places[inside]) + 1)
+        if not inside.all():
+            beyond, at = cells[~inside], places[~inside]
+            logs, parts = self._in_tail(problem, z, beyond - self.core.cells + 1)
+            logs = logs + self._log_scale_at(beyond, at)
+            coefficients = np.exp(logs) * parts[:, np.arange(at.size), at]
+            y[:, ~inside] = np.cos(np.outer(theta, 2 * np.arange(problem.resolution) + 1)) @ coefficients
+        return y
+
+    def log_displacements(
+        self, point: Point, solved: tuple[Array, Array], sites: Indices | None
+    ) -> tuple[Array, Array]:
+        cells, places = self._where(sites)
+        inside, logs, signs = cells < self.core.cells, np.empty(cells.size), np.empty(cells.size)
+        chosen = self._in_core(cells[inside], places[inside])
+        logs[inside], signs[inside] = (solved[0] + self.log_scale)[chosen], solved[1][chosen]
+        if not inside.all():
+            beyond, at = cells[~inside], places[~inside]
+            factors, parts = self._in_tail(point.problem, point.z, beyond - self.core.cells + 1)
+            largest = np.max(factors, axis=0)
+            total = np.sum(np.exp(factors - largest) * parts[:, np.arange(at.size), at], axis=0)
+            with np.errstate(divide="ignore"):
+                logs[~inside] = largest + np.log(np.abs(total)) + self._log_scale_at(beyond, at)
+            signs[~inside] = np.sign(total)
+        return logs, signs
+
+    # Quantities -------------------------------------------------------------------------------------------------------
+
+    def energy(self, problem: Problem, z: Array) -> float:
+        """Infinite where an infinite tail moves along; weights are 1 at the edge.
+
+        Products of two harmonics add up to a term at the end of the tail (Green's identity).
+        """
+        assert isinstance(problem, CoreWithTailProblem)
+        core = super().energy(problem, z)
+        parameter, values = self.parameter(problem.resolution), problem.values(z)
+        places, s = parameter.places(float(z[problem.Omega_index])), self.tail.coupling
+        site = problem.coefficients(z)[self.attached]
+        size = site / values.down
+        beside, squares = size * values.across, ((2.0 * np.arange(problem.resolution) + 1.0) * values.Omega) ** 2
+        apart = squares[None, :] - squares[:, None]
+        np.fill_diagonal(apart, 1.0)
+        products = -s * (np.outer(beside, site) - np.outer(site, beside)) / apart
+        np.fill_diagonal(products, [a**2 * self.tail.squares(place) for a, place in zip(size, places, strict=True)])
+        tail = 0.5 * float(np.sum(products @ squares)) - 0.5 * s * float(np.sum(site) * np.sum(beside))
+        rest, moving = np.zeros(self.mode.size), np.eye(self.mode.size)[self.attached]
+        parameter_value = float(z[problem.parameter_index])
+        energies = [float(self._hamiltonian(rest, v, parameter_value)) for v in (moving, rest)]
+        return (core + 2.0 * (energies[0] - energies[1]) * tail) * self._edge_weight
+
+    def Omega_shift(self, problem: Problem, z: Array) -> float:
+        """From the distance to the edge of the band beside it, else by projection on the mode."""
+        assert isinstance(problem, CoreWithTailProblem)
+        place = self.parameter(problem.resolution).places(float(z[problem.Omega_index]))[0]
+        Omega, mode = problem.frequency(z), self.edge_mode.place
+        outside = not self.tail.in_band(place) or not np.isfinite(self.lattice.cells)
+        if mode.edge == place.edge and self.edge_mode.pinned and outside:
+            return (place.off - mode.off) / (Omega + self.frequency)
+        by_core = self._projections(problem, z)
+        coefficient = problem.coefficients(z)[self.attached, 0] * self.mode[self.attached]
+        overlap = by_core[1] + coefficient * self._tail_overlap(place, problem.values(z).phi[0])
+        by_projection = by_core[0] / overlap / (Omega + self.frequency)
+        subtraction_is_better = 100.0 * by_core[2] / abs(overlap) * abs(by_projection) > self.frequency
+        return Omega - self.frequency if subtraction_is_better else float(by_projection)
+
+    def _projections(self, problem: CoreWithTailProblem, z: Array) -> tuple[float, float, float]:
+        """Nonlinear forces and positions of the fundamental projected on the mode's part in the core, and a bound."""
+        theta = quarter_phases(2 * max(32, problem.resolution))
+        q, cosine = problem.sample(z, theta), 2.0 / theta.size * np.cos(theta)
+        parameter = np.full((1, theta.size), float(z[problem.parameter_index]))
+        forces, fundamental = np.array(self._nonlinear.map(theta.size)(q.T, parameter)).T, cosine @ q
+        size = float(np.linalg.norm(fundamental) * np.linalg.norm(self.mode))
+        return -float(cosine @ forces @ self.mode), float(fundamental @ self.mode), size
+
+    def _tail_overlap(self, place: Place, phi: float) -> float:
+        """Sum of products of two waves' amplitudes over the tail, relative to that at the core's site."""
+        tail, mode = self.tail, self.edge_mode.place
+        other = tail.angle(mode)
+        if mode.edge != place.edge or abs(phi - other) > CLOSE:
+            apart = tail.square(place) - tail.square(mode) if mode.edge != place.edge else place.off - mode.off
+            return float(tail.coupling * math.sin(phi - other) / (math.cos(phi) * math.cos(other) * apart))
+        middle = Place(place.gap, place.edge, 0.5 * (place.off + mode.off))
+        return float(tail.squares(middle) / math.cos(tail.angle(middle)) ** 2)
+
+
+class CellsAtEdge(CoreWithTail):
+    """So many cells at the edge by themselves, without the bond to those beyond: all positions are unknowns."""
+
+    localised = None
+
+    def transcription(self, resolution: int) -> None:  # type: ignore[override]
+        return None
+
+    @property
+    def is_whole(self) -> bool:
+        return True
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeCells:
+    """Cells at the edge of a long lattice as a model that has coordinates for its families."""
+
+    coordinates: CellsAtEdge
+
+    def family_coordinates(self, mode: int | str, amplitude_max: float, method: Method) -> CellsAtEdge:
+        """Those given, whatever the mode and the method."""
+        return self.coordinates
+
+
+def long_lattice_coordinates(
+    lattice: LongLattice, mode: int | str, amplitude_max: float, method: Method
+) -> CoreWithTail:
+    """Coordinates of the family that grows from an edge mode of a long lattice to S = `amplitude_max`.
+
+    Raises ValueError, naming the argument, for a mode or a method without such a family.
+    """
+    number = lattice.mode_number(mode)
+    if method.transcription not in (None, TRIGONOMETRIC):
+        raise ValueError("method: accepted with a linear tail: transcription trigonometric")
+    if method.tail == "full":
+        raise ValueError('tail: given "full" with a LongLattice; accepted: eliminated')
+    core = core_of(lattice, lattice.modes[number - 1], amplitude_max)
+    sites, p = method.stability_sites, len(lattice.sites)
+    if sites is not None and not core.cells < sites / p < lattice.cells:
+        accepted = f"more sites than those of {core.cells} cells, where forces are nonlinear, and fewer than all"
+        raise ValueError(f"stability_sites: given {sites}; accepted: {accepted}")
+    return CoreWithTail(lattice, core, lattice.modes[number - 1], number, amplitude_max, sites)
+
+
+def as_long_lattice(chain: Chain) -> LongLattice:
+    """A long or infinite chain as the lattice that it is."""
+    site, bond = Site("a", "alpha*y + g*y^3"), Bond("a", "a", (1,), gain=("1 - gamma", "1 + gamma"))
+    edge = LAST if chain.gamma >= 0 else FIRST
+    return LongLattice(chain.sites, [site], [bond], FIXED, chain.parameters, edge, "chain")
+
+
+class LongChain(CoreWithTail):
+    """The edge mode of a long chain; `declared` is the lattice that declares it, with values of its parameters."""
+
+    symplectic = True
+
+    def __init__(
+        self, chain: Chain, core_sites: int, mode: int, amplitude_max: float, stability_sites: int | None = None
+    ) -> None:
+        self.chain, self.declared = chain, None
+        lattice, core = as_long_lattice(chain), Core(core_sites, 0.0)
+        edge_mode = lattice.modes[-1 if chain.g > 0 else 0]
+        super().__init__(lattice, core, edge_mode, mode, amplitude_max, stability_sites)
+
+    declared: tuple[Lattice, Mapping[str, float]] | None
+
+    @property
+    def model(self) -> OdeModel:
+        return self.chain.tunable_model() if self.declared is None else self.declared[0]
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        return self.chain.parameters if self.declared is None else self.declared[1]
+
+    @property
+    def attributes(self) -> Mapping[str, float]:
+        return {"sites": self.chain.sites, **self.parameters} if self.declared is None else self.parameters
+
+    @property
+    def frequency(self) -> float:
+        return self.chain.linear_frequency(self.mode_number)
+
+    def first_order_frequency(self, S: Array) -> Array | None:
+        chain = self.chain
+        if chain.infinite:
+            return None
+        return closed_forms.frequency(chain.sites, chain.alpha, chain.gamma, chain.g, self.mode_number, S)
+
+    @cached_property
+    def threshold(self) -> float:
+        """S at which the end breather of the infinite chain is born."""
+        return float(self.chain.threshold())
+
+    @cached_property
+    def localised(self) -> Localised | None:
+        whole = self._stability_sites is None and self.chain.sites <= LONGEST_WHOLE
+        return None if whole else super().localised
 
     def check_whole(self, purpose: str = "what is asked for") -> None:
         """Raises ValueError where the sites are too many to be unknowns."""
@@ -83,209 +435,11 @@ class CoreWithTail(ChainCoordinates):
 
     def on_all_sites(self, problem: Problem, z: Array) -> Array:
         """The unknowns of the same orbit with odd cosines at every site of a finite chain."""
-        return self._unknowns(problem, z, self.distances(None))
+        unit = self.scale[-1 if self.lattice.at_last else 0]
+        positions, S = self._on_cells(problem, z, self.chain.sites), self.S_of(float(z[problem.parameter_index]))
+        return np.concatenate([unit * positions.ravel(), [problem.frequency(z), self.chain.g * S]])
 
-    def _unknowns(self, problem: Problem, z: Array, distances: Indices) -> Array:
-        theta = (np.arange(problem.resolution) + 0.5) * np.pi / (2 * problem.resolution)
-        positions = self._positions(problem, z, theta, distances)
-        return np.concatenate([positions.T.ravel(), [problem.frequency(z), z[problem.parameter_index]]])
-
-    @property
-    def description(self) -> str:
-        sites = f"{self.core.sites} sites at the edge, where the cubic term is felt"
-        return f"the gauge; unknown are {sites}, and the linear tail is eliminated exactly"
-
-    def regime(self, point: Point) -> Regime:
-        """Whether Omega, or three times it, is pinned to the band."""
-        assert isinstance(point.problem, CoreWithTailProblem)
-        return point.problem.regime(point.z)
-
-    @cached_property
-    def threshold(self) -> float:
-        """S at which the end breather of the infinite chain is born."""
-        return float(self.chain.threshold())
-
-    @cached_property
-    def _signs(self) -> Array:
-        """Of the band edge's mode: e^m at distance m from the edge, first site of the core first."""
-        return np.where(np.arange(self.core.sites)[::-1] % 2 == 0, 1.0, float(self.edge))
-
-    @cached_property
-    def mode(self) -> Array:
-        m = np.arange(self.core.sites, 0, -1)
-        finite = np.isfinite(self.chain.sites)
-        q = np.sin(m * np.pi / (self.chain.sites + 1)) if finite else m.astype(float)
-        return normalised(self._signs * q, self.core.rho)
-
-    @property
-    def linear_profile(self) -> tuple[Array, Array]:
-        u = self.core.rho * self.mode
-        u = u if self.chain.gamma >= 0 else u[::-1]
-        u = u * np.sign(u[np.argmax(np.abs(u))])
-        return np.log10(np.abs(u) / np.linalg.norm(u)), np.sign(u)
-
-    @property
-    def frequency(self) -> float:
-        return self.chain.linear_frequency(self.mode_number)
-
-    @property
-    def start_unknown(self) -> float:
-        m = float(self.core.sites)
-        if not np.isfinite(self.chain.sites):
-            return self.parameter(2).at(float(np.arctan2(m + 1.0, m)))
-        theta = np.pi / (self.chain.sites + 1)
-        return self.parameter(2).at(float(np.arctan2(np.sin((m + 1.0) * theta), np.sin(m * theta))))
-
-    def first_order_frequency(self, S: Array) -> Array | None:
-        chain = self.chain
-        if chain.infinite:
-            return None
-        parameters = (chain.sites, chain.alpha, chain.gamma, chain.g, self.mode_number)
-        return np.asarray(multiple_scales.frequency(*parameters, S))
-
-    @property
-    def output_sites(self) -> Indices:
-        core, N = np.arange(1, self.core.sites + 1), self.chain.sites
-        if self.chain.gamma < 0:
-            return core
-        return np.asarray(core - self.core.sites + (N if np.isfinite(N) else 0), dtype=np.int64)
-
-    @property
-    def position_names(self) -> tuple[str, ...]:
-        return tuple(f"y_{n}" for n in self.output_sites)
-
-    # Sites ----------------------------------------------------------------------------------------------------------
-
-    def distances(self, sites: Indices | None) -> Indices:
-        """Distances of sites from the edge that the modes lean to; raises ValueError for sites that are not there."""
-        N, towards_last = self.chain.sites, self.chain.gamma >= 0
-        if sites is None:
-            sites = np.arange(1, N + 1) if np.isfinite(N) else self.output_sites
-        last = N if np.isfinite(N) else 0
-        distances = np.asarray(last - sites if towards_last else sites - 1, dtype=np.int64)
-        if distances.size and (distances.min() < 0 or distances.max() >= N):
-            known = (
-                f"1 to {N}" if np.isfinite(N) else "whole numbers up to 0" if towards_last else "whole numbers from 1"
-            )
-            raise ValueError(f"sites: given {sites.min()} to {sites.max()}; accepted: {known}")
-        return distances
-
-    def displacements(self, problem: Problem, z: Array, theta: Array, sites: Indices | None) -> Array:
-        m = self.distances(sites)
-        decay = m * np.arctanh(abs(self.chain.gamma))
-        seen = decay < FARTHEST_LOG_SCALE
-        y = np.zeros((theta.size, m.size))
-        y[:, seen] = self._positions(problem, z, theta, m[seen]) * np.exp(-decay[seen])
-        return y
-
-    def positions(self, problem: Problem, z: Array, theta: Array) -> Array:
-        """Gauge positions of all sites of a finite chain, shape (len(theta), sites)."""
-        return self._positions(problem, z, theta, self.distances(None))
-
-    def _positions(self, problem: Problem, z: Array, theta: Array, m: Indices) -> Array:
-        q = np.empty((theta.size, m.size))
-        inside = m < self.core.sites
-        q[:, inside] = problem.sample(z, theta)[:, self.core.sites - 1 - m[inside]]
-        harmonics = np.cos(np.outer(theta, 2 * np.arange(problem.resolution) + 1))
-        q[:, ~inside] = harmonics @ self.tail_coefficients(problem, z, m[~inside] - self.core.sites + 1)
-        return q
-
-    def _log_tail(self, problem: Problem, z: Array, m: Indices) -> tuple[Array, Array]:
-        """Natural logarithms of |q_n| at phase zero at distances m from the edge, and signs; -inf and 0 in the core."""
-        steps = m[m >= self.core.sites] - self.core.sites + 1
-        logs, signs = np.full(m.size, -np.inf), np.zeros(m.size)
-        if steps.size:
-            by_harmonic, their_signs = self._tail_logs(problem, z, steps)
-            largest = np.max(by_harmonic, axis=0)
-            total = np.sum(their_signs * np.exp(by_harmonic - largest), axis=0)
-            with np.errstate(divide="ignore"):
-                logs[m >= self.core.sites] = largest + np.log(np.abs(total))
-            signs[m >= self.core.sites] = np.sign(total)
-        return logs, signs
-
-    def log_solved(self, point: Point, z: Array, smallest: float) -> tuple[Array, Array]:
-        return continued_logarithms(self.core, point, z, smallest)
-
-    def log_displacements(
-        self, point: Point, solved: tuple[Array, Array], sites: Indices | None
-    ) -> tuple[Array, Array]:
-        m = self.distances(sites)
-        inside, place = m < self.core.sites, self.core.sites - 1 - m
-        logs, signs = self._log_tail(point.problem, point.z, m)
-        logs[inside], signs[inside] = solved[0][place[inside]], solved[1][place[inside]]
-        return logs - np.arctanh(abs(self.chain.gamma)) * m, signs
-
-    def tail_coefficients(self, problem: Problem, z: Array, steps: Indices) -> Array:
-        """Coefficients of cos((2 h + 1) theta), `steps` sites beyond the core's first, shape (harmonics, steps)."""
-        logs, signs = self._tail_logs(problem, z, steps)
-        return signs * np.exp(logs)
-
-    def _tail_logs(self, problem: Problem, z: Array, steps: Indices) -> tuple[Array, Array]:
-        """Natural logarithms and signs of `tail_coefficients`."""
-        assert isinstance(problem, CoreWithTailProblem)
-        values, first = problem.values(z), problem.coefficients(z)[0]
-        c, d = self.tail.sites, np.asarray(steps, dtype=float)
-        logs, signs = np.empty((problem.resolution, d.size)), np.empty((problem.resolution, d.size))
-        for h, psi in enumerate(values.psi):
-            wave, sign = self.tail.wave(float(psi)), self.edge if h == 0 else -1
-            decay, ratio = -wave.kappa * d, np.ones(d.size)
-            if wave.kappa > 0.0:
-                if np.isfinite(c):
-                    ratio = np.expm1(-2.0 * (c - d) * wave.kappa) / np.expm1(-2.0 * c * wave.kappa)
-            elif wave.theta > 0.0:
-                ratio = np.sin((c - d) * wave.theta) / np.sin(c * wave.theta)
-            else:  # at the edge of the band of an infinite chain
-                ratio = 1.0 + d * (np.tan(psi) - 1.0)
-            ratio = first[h] * ratio * np.where(d % 2 == 0, 1.0, sign)
-            with np.errstate(divide="ignore"):
-                logs[h], signs[h] = decay + np.log(np.abs(ratio)), np.sign(ratio)
-        return logs, signs
-
-    # Sums over all sites --------------------------------------------------------------------------------------------
-
-    def energy(self, problem: Problem, z: Array) -> float:
-        """Infinite where an infinite tail moves along, as below the threshold.
-
-        In the tail L a_k = (k Omega)^2 a_k: products of two harmonics add up to a term at its end (Green's identity).
-        """
-        assert isinstance(problem, CoreWithTailProblem)
-        q, values = problem.sample(z, np.zeros(1))[0], problem.values(z)
-        core = float(self._hamiltonian(q, np.zeros(q.size), z[problem.parameter_index]))
-        s, first = self.chain.coupling, problem.coefficients(z)[0]
-        beside = first * values.across / values.down
-        squares = ((2.0 * np.arange(problem.resolution) + 1.0) * values.Omega) ** 2
-        apart = squares[None, :] - squares[:, None]
-        np.fill_diagonal(apart, 1.0)
-        products = -s * (np.outer(beside, first) - np.outer(first, beside)) / apart
-        waves = (self.tail.wave(float(psi)) for psi in values.psi)
-        np.fill_diagonal(products, [f**2 * self.tail.squares(wave) for f, wave in zip(first, waves, strict=True)])
-        return core - 0.5 * s * float(q[0] * np.sum(beside)) + 0.5 * float(np.sum(products @ squares))
-
-    def Omega_shift(self, problem: Problem, z: Array) -> float:
-        """Beside the band from its edge; in the band by projection, as for a chain of unknown sites alone."""
-        assert isinstance(problem, CoreWithTailProblem)
-        values = problem.values(z)
-        wave, s, N = self.tail.wave(float(values.psi[0])), self.chain.coupling, self.chain.sites
-        finite = bool(np.isfinite(N))
-        theta = float(np.pi / (N + 1)) if finite else 0.0
-        omega = float(np.sqrt(self.tail.edge_squared(self.edge) + 4.0 * self.edge * s * np.sin(0.5 * theta) ** 2))
-        if wave.kappa > 0.0:
-            below = self.tail.outside(wave) + np.sin(0.5 * theta) ** 2
-            return float(-4.0 * self.edge * s * below / (values.Omega + omega))
-        if not finite:
-            return 0.0
-        m = np.arange(self.core.sites, 0, -1)
-        phi = self._signs * np.sin(m * theta)
-        cubic, overlap, _ = self.projected(problem, z, phi)
-        first = problem.coefficients(z)[0, 0] * self._signs[0] / np.sin(self.tail.sites * wave.theta)
-        overlap += float(first) * _product_sum(int(self.tail.sites) - 1, wave.theta, theta)
-        return float(float(z[problem.parameter_index]) * cubic / overlap / (values.Omega + omega))
-
-
-def _product_sum(count: int, a: float, b: float) -> float:
-    """sum over n = 1 .. count of sin(n a) sin(n b)."""
-
-    def kernel(x: float) -> float:
-        return float(np.sin((count + 0.5) * x) / (2.0 * np.sin(0.5 * x))) if abs(x) * count > 1e-8 else count + 0.5
-
-    return 0.5 * (kernel(a - b) - kernel(a + b))
+    def _where(self, sites: Indices | None) -> tuple[Indices, Indices]:
+        """Of a finite chain all sites unless they are given."""
+        every = None if self.chain.infinite else np.arange(1, self.chain.sites + 1)
+        return super()._where(every if sites is None else sites)

@@ -7,11 +7,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import standing_wave
+from casadi_skin.lattice.tail import Tail
 from casadi_skin.model.methods import EVERY_SITE
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.cosines import cosine_matrix, quarter_phases
@@ -60,31 +60,19 @@ def continued_logarithms(core: Chain, point: Point, z: Array, smallest: float) -
     return logs, signs
 
 
-def _continued(coefficients: Array, Omega: float, alpha: float, coupling: float, tail: int) -> tuple[Array, Array]:
-    """Logarithms and signs of the sum of harmonics at sites 1..tail, from their coefficients at site tail + 1."""
-    harmonics = np.flatnonzero(np.abs(coefficients) > KEPT_HARMONIC_RATIO * np.max(np.abs(coefficients)))
-    parts = [
-        _log_wave(np.arange(1, tail + 2, dtype=np.int64), 2 * k + 1, Omega, alpha, coupling) for k in harmonics.tolist()
-    ]
-    logs = np.stack([log[:-1] - log[-1] for log, _ in parts]) + np.log(np.abs(coefficients[harmonics]))[:, None]
-    signs = np.stack([s[:-1] * s[-1] for _, s in parts]) * np.sign(coefficients[harmonics])[:, None]
+def _continued(coefficients: Array, Omega: float, alpha: float, coupling: float, count: int) -> tuple[Array, Array]:
+    """Logarithms and signs of the sum of harmonics at sites 1..count, from their coefficients at site count + 1."""
+    tail, logs, parts = Tail(count, np.array([[2.0 + alpha]]), coupling), list[Array](), list[Array]()
+    for k in np.flatnonzero(np.abs(coefficients) > KEPT_HARMONIC_RATIO * np.max(np.abs(coefficients))).tolist():
+        place = tail.anywhere(((2 * k + 1) * Omega) ** 2)
+        phi = tail.angle(place)
+        factor, part = tail.motion(place, phi, np.arange(count, 0, -1))
+        logs.append(factor)
+        parts.append(part[:, 0] * coefficients[k] / np.cos(phi))
     largest = np.max(logs, axis=0)
-    total = np.sum(signs * np.exp(logs - largest), axis=0)
+    total = np.sum(np.array(parts) * np.exp(np.array(logs) - largest), axis=0)
     with np.errstate(divide="ignore"):
         return largest + np.log(np.abs(total)), np.sign(total)
-
-
-def _log_wave(d: NDArray[np.int64], k: int, Omega: float, alpha: float, coupling: float) -> tuple[Array, Array]:
-    """Logarithm and sign of the wave of harmonic k at distances d from the fixed end."""
-    low = (2.0 + alpha - 2.0 * coupling - (k * Omega) ** 2) / (4.0 * coupling)  # > 0 below the band
-    if -1.0 <= low <= 0.0:
-        wave = np.sin(2.0 * d * np.arcsin(np.sqrt(-low)))
-        with np.errstate(divide="ignore"):
-            return np.log(np.abs(wave)), np.sign(wave)
-    beyond = low if low > 0.0 else -1.0 - low
-    kappa = 2.0 * np.arcsinh(np.sqrt(beyond))
-    signs = np.ones(d.size) if low > 0.0 else np.where(d % 2 == 0, 1.0, -1.0)
-    return d * kappa + np.log1p(-np.exp(-2.0 * d * kappa)), signs
 
 
 class ChainCoordinates(Coordinates):
@@ -117,8 +105,7 @@ class ChainCoordinates(Coordinates):
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        chain = self.chain
-        return {"alpha": chain.alpha, "gamma": chain.gamma, "g": chain.g} if self.declared is None else self.declared[1]
+        return self.chain.parameters if self.declared is None else self.declared[1]
 
     @property
     def description(self) -> str:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, ClassVar
 import casadi as ca
 import numpy as np
 
-from casadi_skin.lattice.cell_tail import CellTail, Place
 from casadi_skin.lattice.declaration import FIXED, PERIODIC, Array, Bond, Site
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.spectrum import LinearSpectrum
+from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.model.arguments import check_name, short_repr
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import WithVerbs
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 FIRST, LAST = "first", "last"
 SAMPLE_CELLS = 6  # cells of a lattice from which the properties of one cell are read
-FEWEST_LONG_CELLS = 20  # cells of a lattice that is long
+FEWEST = 8  # cells of a lattice that is long
 ROUND_OFF = 1e-12
 
 
@@ -49,7 +49,7 @@ class LongLattice(WithVerbs):
     """A lattice of so many alike cells that all but those at one edge are linear; one direction; dimensionless.
 
     Attributes:
-        cells: number of cells, 20 or more, or `math.inf`.
+        cells: number of cells, 8 or more, or `math.inf`.
         sites, bonds: of one cell, as of a `Lattice`; one bond, or several between the same two sites, joins
             neighbouring cells.
         boundary: "fixed" or "free".
@@ -71,8 +71,8 @@ class LongLattice(WithVerbs):
     def __post_init__(self) -> None:
         whole = isinstance(self.cells, int) and not isinstance(self.cells, bool)
         endless = isinstance(self.cells, float) and self.cells == math.inf
-        if not (endless or (whole and self.cells >= FEWEST_LONG_CELLS)):
-            accepted = f"a whole number >= {FEWEST_LONG_CELLS}, or inf (with fewer a Lattice)"
+        if not (endless or (whole and self.cells >= FEWEST)):
+            accepted = f"a whole number >= {FEWEST}, or inf (with fewer a Lattice)"
             raise ValueError(f"cells: given {short_repr(self.cells)}; accepted: {accepted}")
         lattice = self.sample
         if self.boundary == PERIODIC:
@@ -179,11 +179,11 @@ class LongLattice(WithVerbs):
         """Strength of the bonds between cells in the gauge."""
         return abs(float(self._block(2, 3)[self.joined]))
 
-    def tail(self, core: int) -> CellTail:
+    def tail(self, core: int) -> Tail:
         """The tail of all cells but `core` of them at the edge."""
         strength, far = self.coupling, 0 if self.at_last else SAMPLE_CELLS - 1
         wall = float(self.cell[self.inlet, self.inlet] - self._block(far, far)[self.inlet, self.inlet]) / strength
-        return CellTail(self.cells - core, self.cell, strength, self.inlet, self.outlet, wall)
+        return Tail(self.cells - core, self.cell, strength, self.inlet, self.outlet, wall)
 
     # Linear modes -----------------------------------------------------------------------------------------------------
 
@@ -206,7 +206,7 @@ class LongLattice(WithVerbs):
             response = float(np.sum(weights[seen] / (values[seen] - square)))
         return float(np.arctan2(1.0, self.coupling * response) - np.pi * np.sum(values[seen] < square))
 
-    def _bound(self, tail: CellTail, gap: int) -> list[EdgeMode]:
+    def _bound(self, tail: Tail, gap: int) -> list[EdgeMode]:
         from scipy.optimize import brentq
 
         below, above = tail.sides(gap)
@@ -231,7 +231,7 @@ class LongLattice(WithVerbs):
             found.append(EdgeMode(gap, place, square, tail.angle(place), False))
         return found
 
-    def _pinned(self, tail: CellTail, gap: int) -> list[EdgeMode]:
+    def _pinned(self, tail: Tail, gap: int) -> list[EdgeMode]:
         from scipy.optimize import brentq
 
         found = []
@@ -245,8 +245,7 @@ class LongLattice(WithVerbs):
 
             here = together(start) / np.pi
             turns = math.ceil(here) if direction > 0.0 else math.floor(here)
-            lobe = tail.end_of_lobe(Place(gap, edge, 0.0), direction)
-            end = tail.angle(lobe) if lobe.off else start + direction * np.pi
+            end = start + direction * (tail.first_turn(edge) if np.isfinite(tail.cells) else np.pi)
             if (together(end) / np.pi - turns) * direction <= 0.0:
                 continue
             low, high = min(start, end), max(start, end)

@@ -1,8 +1,13 @@
-"""The unknown in place of Omega where a long chain's tail is eliminated: smooth and well resolved at every length."""
+"""The unknown u in place of Omega where the tail of a long lattice is eliminated: well resolved at every length.
+
+Where the fundamental or the third harmonic is pinned to an edge of a band, as both are in turn along a softening family
+of a leaning lattice, its angle phi changes and Omega does not. So u = phi_1, and u = phi_1 + phi_3 where the third
+harmonic comes to a band before the fundamental does: Omega(u) is monotone in gaps and, for a tail of finite length,
+smooth and monotone in bands.
+"""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -10,14 +15,13 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from casadi_skin.lattice.cell_tail import CellTail, Place
-from casadi_skin.lattice.tail import Tail, Wave
+from casadi_skin.lattice.tail import FARTHEST_FREQUENCY, Place, Tail
 from casadi_skin.lattice.tail_series import Harmonics, TailSeries
 from casadi_skin.zero.problem import Array
 
 KEPT_VALUES = 256  # values that are used again: those of all places of a series at several steps
-NEWTON_STEPS = 10  # for an angle, before it is bracketed
-RESOLVED_ANGLE_STEP = 1e-11  # of an angle: a step that ends them
+NEWTON_STEPS = 20  # for an angle in a band
+RESOLVED = 4e-16  # of u: a difference that ends them
 
 
 class Regime(Enum):
@@ -32,7 +36,8 @@ class Regime(Enum):
 class TailValues:
     """Values at one u of the parameter that the core needs, and derivatives by u.
 
-    Harmonic k = 2 h + 1 has a_(c-1) = across[h] b and a_c = down[h] b: across = e sin(psi_k), down = cos(psi_k).
+    Harmonic k = 2 h + 1 has the amplitudes across[h] b beyond the bond to the tail and down[h] b before it: the sine
+    and the cosine of its angle phi[h].
     """
 
     Omega: float
@@ -41,142 +46,157 @@ class TailValues:
     across_slope: Array
     down: Array
     down_slope: Array
-    psi: Array
+    phi: Array
 
 
 @dataclass(frozen=True)
-class TailParameter:
-    """A parameter u of the family of an edge mode that resolves Omega where it is pinned to an edge of the band.
+class _End:
+    """An end of the frequencies of which all harmonics are bound: the harmonic that meets an edge of a band there."""
 
-    At the upper edge u = psi_1. At the lower one, from which a softening mode falls into the gap, u = psi_1 - psi_3:
-    with N infinite Omega does not change below the threshold, where psi_1 does, nor when 3 Omega has come down to the
-    upper edge, where psi_3 does. Omega(u) is smooth and monotone for finite N, whatever its length.
+    harmonic: int
+    edge: Place
+    u: float
+    phi: float  # of the other harmonic in u, if there is one
+
+
+@dataclass(frozen=True, eq=False)
+class TailParameter:
+    """u as a function of Omega, for the family of one linear mode.
+
+    Attributes:
+        tail: the tail.
+        mode: where the fundamental of the linear mode is.
+        harmonics: number of odd harmonics.
+        slowest: decay a cell of the fundamental in the gauge below which the core would be too short.
+        lean: logarithm by which displacements fall from cell to cell beside the gauge's, away from the core.
     """
 
     tail: Tail
-    edge: int  # +1 for the lower edge of the band, -1 for the upper one
+    mode: Place
     harmonics: int
-
-    def __post_init__(self) -> None:
-        if self.edge > 0 and 9.0 * self.tail.edge_squared(1) <= self.tail.edge_squared(-1):
-            raise ValueError("three times the lowest frequency lies in the band: nothing of the tail is bound")
+    slowest: float = 0.0
+    lean: float = np.inf
 
     @property
     def coupling(self) -> float:
-        """Coupling of neighbouring sites in the gauge."""
+        """Coupling of neighbouring cells in the gauge."""
         return self.tail.coupling
 
-    def passed(self, values: TailValues) -> int:
-        """Modes of the tail by itself that harmonics lie above, counted from those above which they lie in gaps."""
-        return int(np.sum(np.floor(self._edges * values.psi / np.pi + 0.5)))
-
-    def regime(self, values: TailValues) -> Regime:
-        """Whether Omega, or three times it, is pinned to the band."""
-        edge = self.tail.edge_angle
-        if values.psi[0] > edge:
-            return Regime.PINNED
-        return Regime.THIRD if values.psi[1] > edge else Regime.BOUND
+    # The harmonics that bound Omega -----------------------------------------------------------------------------------
 
     @cached_property
-    def _turn(self) -> tuple[float, float]:
-        """psi_1 and psi_3 in the middle of the gap: below it psi_3 is solved for, above it psi_1."""
-        squared = 0.5 * (self.tail.edge_squared(1) + self.tail.edge_squared(-1) / 9.0)
-        return self._psi(1, squared), self._psi(3, squared)
+    def _gaps(self) -> dict[int, int]:
+        """Gaps of the fundamental and, where it may be pinned, of the third harmonic."""
+        found = {1: self.mode.gap}
+        if self.slowest <= 0.0 < self.lean:
+            found[3] = self.tail.place(9.0 * self.tail.square(self.mode)).gap
+        return found
 
-    def _beyond(self, k: int, Omega_squared: float) -> float:
-        """How far (k Omega)^2 is outside its edge, in units of 4 s."""
-        edge = self.edge if k == 1 else -1
-        return edge * (self.tail.edge_squared(edge) - k**2 * Omega_squared) / (4.0 * self.tail.coupling)
+    @cached_property
+    def _ends(self) -> tuple[_End | None, _End | None]:
+        """The lower and the upper end; None where no harmonic meets a band."""
+        found: list[_End | None] = []
+        for side, nearest in ((0, max), (1, min)):
+            met = [(k, self.tail.sides(gap)[side]) for k, gap in self._gaps.items()]
+            squares = {k: (self.tail.edges[edge].square / k**2, edge) for k, edge in met if edge is not None}
+            if not squares:
+                found.append(None)
+                continue
+            k = nearest(squares, key=lambda k: squares[k][0])
+            edge = Place(self._gaps[k], squares[k][1], 0.0)
+            found.append(_End(k, edge, self.tail.angle(edge), 0.0))
+        if any(end is not None and end.harmonic == 3 for end in found):
+            for side, end in enumerate(found):
+                if end is not None:
+                    phi = self.tail.angle(self._other(end.harmonic, end.edge))
+                    found[side] = _End(end.harmonic, end.edge, end.u + phi, phi)
+        return found[0], found[1]
 
-    def _beside(self, k: int, Omega_squared: float) -> Wave:
-        return self.tail.wave_at(self._beyond(k, Omega_squared))
+    @cached_property
+    def _third(self) -> bool:
+        """Whether the third harmonic comes to a band before the fundamental does."""
+        return any(end is not None and end.harmonic == 3 for end in self._ends)
 
-    def _psi(self, k: int, Omega_squared: float) -> float:
-        return self._beside(k, Omega_squared).psi
+    def _other(self, k: int, place: Place) -> Place:
+        """Where the other harmonic in u is, 3 or 1; raises ArithmeticError in a band."""
+        return self.tail.place(self.tail.square(place) * (9.0 if k == 1 else 1.0 / 9.0))
 
-    def _squared(self, k: int, wave: Wave) -> float:
-        """Omega^2 of a wave of harmonic k."""
-        edge = self.edge if k == 1 else -1
-        return (self.tail.edge_squared(edge) - 4.0 * edge * self.tail.coupling * self.tail.outside(wave)) / k**2
+    def _angle(self, k: int, place: Place) -> float:
+        """u where harmonic k is at a place."""
+        return self.tail.angle(place) + (self.tail.angle(self._other(k, place)) if self._third else 0.0)
+
+    def _resolved(self, u: float) -> tuple[int, Place, float]:
+        """The harmonic that resolves Omega at u, where it is and its angle; raises ArithmeticError for none."""
+        lower, upper = self._ends
+        end, middle = (lower or upper), self._middle
+        if middle is not None and u > middle[1]:
+            end = upper
+        assert end is not None
+        k, inwards, edge = end.harmonic, 1.0 if end is lower else -1.0, self.tail.edges[end.edge.edge].square
+        if inwards * (u - end.u) <= 0.0:
+            return k, *self._pinned(end, u)
+        width = FARTHEST_FREQUENCY * edge if inwards > 0.0 else -edge
+        if middle is not None:
+            width = k**2 * middle[0] - edge
+        place = self.tail.solved(end.edge, width, lambda place: self._angle(k, place), u)
+        return k, place, u - (self.tail.angle(self._other(k, place)) if self._third else 0.0)
+
+    @cached_property
+    def _middle(self) -> tuple[float, float] | None:
+        """Omega^2 in the middle between both ends, and u there; None without one of them."""
+        lower, upper = self._ends
+        if lower is None or upper is None:
+            return None
+        squared = 0.5 * sum(self.tail.edges[end.edge.edge].square / end.harmonic**2 for end in (lower, upper))
+        return squared, self._angle(1, self.tail.place(squared))
+
+    def _pinned(self, end: _End, u: float) -> tuple[Place, float]:
+        """Where the harmonic of an end is, in the band, and its angle."""
+        phi = u - end.phi
+        for _ in range(NEWTON_STEPS):
+            place = self.tail.at_angle(end.edge.gap, phi)
+            if not self._third or place.off == 0.0:
+                return place, phi
+            other = self._other(end.harmonic, place)
+            left = phi + self.tail.angle(other) - u
+            if abs(left) <= RESOLVED * max(1.0, abs(u)):
+                return place, phi
+            rate = self.tail.slope(other) * (9.0 if end.harmonic == 1 else 1.0 / 9.0) / self.tail.slope(place)
+            phi -= left / (1.0 + rate)
+        return place, phi
+
+    # Values -----------------------------------------------------------------------------------------------------------
+
+    def at(self, phi: float) -> float:
+        """u where the angle of the fundamental is `phi`."""
+        return phi + (self.tail.angle(self._other(1, self.tail.at_angle(self.mode.gap, phi))) if self._third else 0.0)
 
     def of_frequency(self, Omega: float) -> float:
-        """u where the frequency is `Omega`, bound beside the band; NaN where it is pinned or not there."""
-        bound = [1] if self.edge < 0 else [1, 3]
-        if min(self._beyond(k, Omega**2) for k in bound) <= 0.0:
+        """u where the frequency is `Omega`, bound in the gap; NaN where it is not there."""
+        try:
+            place = self.tail.place(Omega**2)
+            return self._angle(1, place) if place.gap == self.mode.gap else float("nan")
+        except ArithmeticError:
             return float("nan")
-        return self._psi(1, Omega**2) - (0.0 if self.edge < 0 else self._psi(3, Omega**2))
 
-    def at(self, psi: float) -> float:
-        """u where psi_1 is `psi`."""
-        if self.edge < 0:
-            return psi
-        return psi - self._psi(3, self._squared(1, self.tail.wave(psi)))
+    def places(self, u: float) -> list[Place]:
+        """Where all harmonics are; raises ArithmeticError where one that should be bound is not."""
+        return self._places(*self._resolved(u)[:2])
 
-    def _resolved(self, u: float) -> tuple[int, Wave]:
-        """The harmonic that resolves Omega at u, and its wave."""
-        if self.edge < 0:
-            return 1, self.tail.wave(u)
-        psi_1, psi_3 = self._turn
-        at_1, at_3 = self._at_edges
-        turn, edge = psi_1 - psi_3, self.tail.edge_angle
-        if u >= turn:  # Omega, and so psi_3, changes with the square of the distance from the edge, nearly
-            guess = at_3 + (psi_3 - at_3) * max((edge - at_3 - u) / (edge - at_3 - turn), 0.0) ** 2
-            return 1, self._wave_beside(1, u, max(u, psi_1), u + psi_3, u + guess)
-        guess = at_1 + (psi_1 - at_1) * max((u - at_1 + edge) / (turn - at_1 + edge), 0.0) ** 2
-        return 3, self._wave_beside(3, -u, max(-u, psi_3), psi_1 - u, guess - u)
-
-    @cached_property
-    def _at_edges(self) -> tuple[float, float]:
-        """psi_1 where the third harmonic is at its edge of the band, and psi_3 where the fundamental is."""
-        return self._psi(1, self.tail.edge_squared(-1) / 9.0), self._psi(3, self.tail.edge_squared(1))
-
-    def _wave_beside(self, k: int, apart: float, low: float, high: float, guess: float) -> Wave:
-        """The wave of harmonic k, 1 or 3, whose angle is `apart` above that of the other one, between two angles."""
-        from scipy.optimize import brentq
-
-        def above(psi: float) -> tuple[float, float]:
-            wave = self.tail.wave(psi)
-            other = self._beside(4 - k, self._squared(k, wave))
-            return psi - other.psi - apart, 1.0 - self._slope(4 - k, other) * self._slope_by_psi(k, wave)
-
-        psi = min(max(guess, low), high)
-        for _ in range(NEWTON_STEPS):
-            value, slope = above(psi)
-            step = value / slope
-            psi = min(max(psi - step, low), high)
-            if abs(step) <= RESOLVED_ANGLE_STEP * psi:  # the next one is its square
-                return self.tail.wave(psi)
-        return self.tail.wave(float(brentq(lambda psi: above(psi)[0], low, high, xtol=1e-300, rtol=1e-15)))
-
-    def _slope(self, k: int, wave: Wave) -> float:
-        """d psi_k / d Omega^2 of a wave beside the band."""
-        edge = self.edge if k == 1 else -1
-        return -edge * k**2 * wave.slope / (2.0 * self.tail.coupling * math.sinh(wave.kappa))
-
-    def _slope_by_psi(self, k: int, wave: Wave) -> float:
-        """d Omega^2 / d psi_k."""
-        edge = self.edge if k == 1 else -1
-        return -4.0 * edge * self.tail.coupling * self.tail.outside_slope(wave) / k**2
-
-    @cached_property
-    def _as_cells(self) -> CellTail:
-        """The same tail as one of cells of one site."""
-        tail = self.tail
-        return CellTail(tail.sites - 1.0, np.array([[2.0 + tail.alpha]]), tail.coupling, 0, 0)
-
-    def series(self, u: float, orders: int) -> TailSeries:
-        """Power series of the same by changes of u; raises ArithmeticError as well where none is found."""
-        k0, wave = _place(self.tail, self.edge, u)
-        resolved, in_u = (k0 - 1) // 2, np.zeros(self.harmonics)
-        offs = self._odd**2 * self._squared(k0, wave) - self._edge_squares
-        offs[resolved] = -4.0 * self._edges[resolved] * self.tail.coupling * self.tail.outside(wave)
-        numbers = [0 if edge > 0.0 else 1 for edge in self._edges]  # of edges, and of the gaps beside them
-        places = [Place(number, number, off) for number, off in zip(numbers, offs.tolist(), strict=True)]
-        in_u[:2] = (-1.0, 0.0) if self.edge < 0 else (1.0, 1.0)  # phi is -psi beside the upper edge
-        return Harmonics(self._as_cells, places, self._edges * self.values(u).psi, resolved, in_u).series(orders)
+    def _places(self, resolved: int, place: Place) -> list[Place]:
+        squared, found = self.tail.square(place) / resolved**2, list[Place]()
+        if not squared > 0.0:
+            raise ArithmeticError("the frequency is not real")
+        for k in range(1, 2 * self.harmonics, 2):
+            found.append(place if k == resolved else self.tail.place(k**2 * squared))
+            if k == 1 and self.tail.decay(found[0]) < self.slowest:
+                raise ArithmeticError("the fundamental decays too slowly for the core")
+            if k > 1 and self.tail.decay(found[-1]) + self.lean <= 0.0:
+                raise ArithmeticError(f"harmonic {k} grows along the lattice")
+        return found
 
     def values(self, u: float) -> TailValues:
-        """All that the core needs at u; raises ArithmeticError where a harmonic that should be bound is in the band."""
+        """All that the core needs at u; raises ArithmeticError where a harmonic that should be bound is not."""
         return self._kept(u)
 
     @cached_property
@@ -184,45 +204,37 @@ class TailParameter:
         return lru_cache(KEPT_VALUES)(self._values)
 
     def _values(self, u: float) -> TailValues:
-        k0, wave = _place(self.tail, self.edge, u)
-        squared, by_psi = self._squared(k0, wave), self._slope_by_psi(k0, wave)
-        k, edges = self._odd, self._edges
-        beyond = edges * (self._edge_squares - k**2 * squared) / (4.0 * self.tail.coupling)
-        h0 = (k0 - 1) // 2
-        beyond[h0] = 1.0  # anything: known already
-        kappa, psi, slopes = self.tail.waves_at(beyond)
-        by_squared = -edges * k**2 * slopes / (2.0 * self.tail.coupling * np.sinh(kappa))  # d psi / d Omega^2
-        sign = 1.0 if k0 == 1 else -1.0
-        partner = 0.0 if self.edge < 0 else float(by_squared[1 if k0 == 1 else 0]) * by_psi
-        psi_slope = sign / (1.0 - partner)  # d psi_k0 / d u, with u = psi_1 - psi_3
-        squared_slope = by_psi * psi_slope
-        psi[h0] = wave.psi
-        by_u = by_squared * squared_slope
-        by_u[h0] = psi_slope
-        Omega, across, down = math.sqrt(squared), np.sin(psi), np.cos(psi)
-        Omega_slope = float(squared_slope / (2.0 * Omega))
-        return TailValues(Omega, Omega_slope, edges * across, edges * down * by_u, down, -across * by_u, psi)
+        resolved, place, angle = self._resolved(u)
+        places, h = self._places(resolved, place), (resolved - 1) // 2
+        squares = (2.0 * np.arange(self.harmonics) + 1.0) ** 2
+        phi = np.array([angle if n == h else self.tail.angle(one) for n, one in enumerate(places)])
+        by_square = squares * np.array([self.tail.slope(one) for one in places])  # of the angles by Omega^2
+        apart = [1 - h] if self._third else []
+        squared_slope = 0.0 if np.isinf(by_square[h]) else 1.0 / (by_square[h] + np.sum(by_square[apart]))
+        by_u = np.where(np.isinf(by_square), 0.0, by_square) * squared_slope
+        by_u[h] = 1.0 - np.sum(by_u[apart])
+        Omega = float(np.sqrt(self.tail.square(place))) / resolved
+        across, down = np.sin(phi), np.cos(phi)
+        return TailValues(Omega, squared_slope / (2.0 * Omega), across, down * by_u, down, -across * by_u, phi)
 
-    @cached_property
-    def _odd(self) -> Array:
-        return np.asarray(2.0 * np.arange(self.harmonics) + 1.0, dtype=np.float64)
+    def series(self, u: float, orders: int) -> TailSeries:
+        """Power series of the same by changes of u; raises ArithmeticError as well where none is found."""
+        resolved, place, _ = self._resolved(u)
+        in_u = np.zeros(self.harmonics)
+        in_u[: 2 if self._third else 1] = 1.0
+        places = self._places(resolved, place)
+        return Harmonics(self.tail, places, self.values(u).phi, (resolved - 1) // 2, in_u).series(orders)
 
-    @cached_property
-    def _edges(self) -> Array:
-        """The edge of the band that each harmonic is beside."""
-        return np.where(self._odd == 1.0, float(self.edge), -1.0)
+    def passed(self, values: TailValues) -> int:
+        """Modes of the tail by itself that harmonics lie above, counted from those above which they lie in gaps."""
+        return int(np.sum(np.floor(values.phi / np.pi + 0.5)))
 
-    @cached_property
-    def _edge_squares(self) -> Array:
-        return np.where(self._edges > 0.0, self.tail.edge_squared(1), self.tail.edge_squared(-1))
-
-
-@lru_cache(maxsize=2)
-def _two_harmonics(tail: Tail, edge: int) -> TailParameter:
-    return TailParameter(tail, edge, 2)
-
-
-@lru_cache(maxsize=KEPT_VALUES)
-def _place(tail: Tail, edge: int, u: float) -> tuple[int, Wave]:
-    """The harmonic that resolves Omega at u, and its wave, for any number of harmonics."""
-    return _two_harmonics(tail, edge)._resolved(u)
+    def regime(self, values: TailValues) -> Regime:
+        """Whether Omega, or three times it, is pinned to a band."""
+        for k, regime in ((1, Regime.PINNED), (3, Regime.THIRD)):
+            below, above = self.tail.sides(self._gaps.get(k, 0)) if k in self._gaps else (None, None)
+            phi = values.phi[(k - 1) // 2]
+            for edge, outwards in ((below, -1.0), (above, 1.0)):
+                if edge is not None and outwards * (phi - self.tail.angle(Place(self._gaps[k], edge, 0.0))) > 0.0:
+                    return regime
+        return Regime.BOUND

@@ -1,55 +1,21 @@
-"""Odd cosines on the nonlinear core of a long chain, whose linear tail is eliminated exactly."""
+"""Odd cosines on the nonlinear core of a long lattice, whose linear tail is eliminated exactly."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import casadi as ca
 import numpy as np
 
-from casadi_skin.lattice.tail_parameter import Regime, TailValues
-from casadi_skin.lattice.tail_series import TailRecursion, TailSeries
+from casadi_skin.lattice.tail_parameter import Regime, TailParameter, TailValues
+from casadi_skin.lattice.tail_series import TailRecursion
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.cosines import cosine_matrix
 from casadi_skin.zero.problem import FREQUENCY_WEIGHT, Array, Evaluate, Indices, Problem, Scalar
 from casadi_skin.zero.recursion import PolynomialForm
 from casadi_skin.zero.trigonometric import TrigonometricProblem
-
-
-class TailUnknown(Protocol):
-    """The unknown u in place of Omega, of a chain's tail or of that of a lattice."""
-
-    @property
-    def harmonics(self) -> int:
-        """Number of odd harmonics."""
-        ...
-
-    @property
-    def coupling(self) -> float:
-        """Strength of the bond between core and tail, in the gauge."""
-        ...
-
-    def values(self, u: float) -> TailValues:
-        """All that the core needs at u; raises ArithmeticError where a harmonic that should be bound is in the band."""
-        ...
-
-    def of_frequency(self, Omega: float) -> float:
-        """u where the frequency is `Omega`; NaN where there is none."""
-        ...
-
-    def series(self, u: float, orders: int) -> TailSeries:
-        """Power series of the same at u; raises ArithmeticError where none is found."""
-        ...
-
-    def passed(self, values: TailValues) -> int:
-        """Modes of the tail by itself that harmonics lie above, counted from those above which they lie in gaps."""
-        ...
-
-    def regime(self, values: TailValues) -> Regime:
-        """Regime of the tail."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -96,7 +62,7 @@ class CoreWithTailProblem(TrigonometricProblem):
     Equations of that site are those of its harmonics, times cos(psi): regular where the tail resonates.
     """
 
-    def __init__(self, model: OdeModel, harmonics: int, tail: TailUnknown, attached: int = 0) -> None:
+    def __init__(self, model: OdeModel, harmonics: int, tail: TailParameter, attached: int = 0) -> None:
         super().__init__(model, harmonics)
         self.tail, self.attached = tail, attached
         if model.size > 1:

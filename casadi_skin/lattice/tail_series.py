@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from casadi_skin.lattice.cell_tail import CellTail, ComplexArray, Place
+from casadi_skin.lattice.tail import ComplexArray, Place, Tail
 from casadi_skin.native import TAIL, Structure
 from casadi_skin.zero.cosines import cosine_matrix
 from casadi_skin.zero.problem import Array, Indices, SingularError, Solve
@@ -50,7 +50,7 @@ class Harmonics:
     u grows by the sum of the changes of the angles times `in_u`.
     """
 
-    tail: CellTail
+    tail: Tail
     places: Sequence[Place]
     phi: Array
     resolved: int
@@ -142,7 +142,7 @@ class Harmonics:
 # Power series of a branch of a nonlinear core whose linear tail is eliminated, order by order -------------------------
 
 
-class Tail(Protocol):
+class Series(Protocol):
     """A tail, as a power series of the unknown u in place of Omega."""
 
     @property
@@ -160,7 +160,7 @@ class TailedCore(CosineUnknowns, Protocol):
     def core(self) -> CosineUnknowns: ...
 
     @property
-    def tail(self) -> Tail: ...
+    def tail(self) -> Series: ...
 
     @property
     def touched(self) -> Indices: ...

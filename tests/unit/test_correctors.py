@@ -13,7 +13,7 @@ from orbit_problems import gauss_problem
 
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import duffing_frequency
-from casadi_skin.lattice.tail import Tail
+from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.lattice.tail_parameter import TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.model.conserved import SymmetryClass
@@ -307,7 +307,7 @@ def test_the_band_of_a_model_whose_couplings_are_not_symmetric_is_not_transposed
 def test_the_band_is_wider_next_to_a_tail(attached: int) -> None:
     """Rows of the site at a tail are those of its harmonics: entries of its neighbours are farther off than others."""
     chain = Chain(38, 1.0, 0.4, -1.0)
-    tail = TailParameter(Tail(400.0, 1.0, chain.coupling), 1, 6)
+    tail = TailParameter(Tail(399.0, np.array([[3.0]]), chain.coupling), Place(0, 0, 0.0), 6)
     problem = CoreWithTailProblem(chain.gauge_model(), 6, tail, attached)
     assert problem.half_bandwidth == 11
     random = np.random.default_rng(attached)

@@ -202,7 +202,7 @@ def test_a_chain_without_its_tail_is_drawn_at_its_core() -> None:
     branch = follow_family(Chain(1000, 1.0, 0.25, 1.0), "last", 1e-3, at=[1e-3], tolerance=1e-2)
     figure = profile_figure([branch])
     assert figure is not None
-    core = branch.space.coordinates.core.sites
+    core = branch.space.coordinates.core.cells
     assert figure.axes[1].get_xlim() == (1000.5 - core, 1000.5)
 
 

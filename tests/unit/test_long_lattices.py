@@ -11,7 +11,6 @@ import pytest
 from lattices import GAINS
 
 from casadi_skin import Bond, Chain, Lattice, LongLattice, Site, follow_family, read_result, save_result
-from casadi_skin.lattice.cell_tail import CellTail
 from casadi_skin.lattice.linear import lattice_modes
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import Regime
@@ -32,40 +31,35 @@ PUSHING: tuple[list[Site], list[Bond]] = (
 # One harmonic -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("wall", [0.0, 0.3])
 @pytest.mark.parametrize(("sites", "inlet", "outlet"), [(1, 0, 0), (2, 0, 1), (3, 1, 1), (4, 3, 1)])
-def test_the_angle_is_that_of_the_whole_tails_response(sites: int, inlet: int, outlet: int) -> None:
-    generator, cells, s, wall = np.random.default_rng(0), 9, 0.7, 0.3
+def test_the_tail_moves_as_all_its_sites_do(sites: int, inlet: int, outlet: int, wall: float) -> None:
+    """Angle, slope, frequency of an angle and motion, in gaps and in bands, by matrices of the whole tail."""
+    generator, cells, s = np.random.default_rng(0), 9, 0.7
     A = generator.normal(size=(sites, sites))
     A = A + A.T + 8.0 * np.eye(sites)
     K = np.kron(np.eye(cells), A)
-    for j in range(cells - 1):
-        a, b = j * sites + outlet, (j + 1) * sites + inlet
+    for j in range(cells - 1):  # the first cell is beside the core
+        a, b = j * sites + inlet, (j + 1) * sites + outlet
         K[a, b] = K[b, a] = -s
-    K[inlet, inlet] -= s * wall
-    tail, end = CellTail(cells, A, s, inlet, outlet, wall), (cells - 1) * sites + outlet
-    for square in np.linspace(0.1, tail.edges[-1].square + 3.0, 23):
+    far = (cells - 1) * sites + inlet
+    K[far, far] -= s * wall
+    tail = Tail(cells, A, s, inlet, outlet, wall)
+    for square in np.linspace(0.1, tail.edges[-1].square + 3.0, 83):
+        place = tail.anywhere(square)
         if np.sum([edge.square < square for edge in tail.edges]) % 2:
+            assert tail.in_band(place)
             with pytest.raises(ArithmeticError, match="in a band"):
                 tail.place(square)
-            continue
-        place = tail.place(square)
         G = np.linalg.inv(K - square * np.eye(len(K)))
-        ratio, growth = s * G[end, end], s * (G @ G)[end, end]
+        ratio, growth = s * G[outlet, outlet], s * (G @ G)[outlet, outlet]
         angle = tail.angle(place)
         assert np.sin(angle - np.arctan(ratio)) == pytest.approx(0.0, abs=1e-11)
         assert tail.slope(place) == pytest.approx(growth / (1.0 + ratio**2), rel=1e-9)
         assert tail.square(tail.at_angle(place.gap, angle)) == pytest.approx(square, rel=1e-9)
-
-
-@pytest.mark.parametrize("sites", [120, 10**6, math.inf])
-@pytest.mark.parametrize("psi", [0.7, 0.78, 0.79, 1.57, 2.5])
-def test_the_chain_is_the_cell_of_one_site(sites: float, psi: float) -> None:
-    s = math.sqrt(1.0 - 0.25**2)
-    closed, cell = Tail(sites, 1.0, s), CellTail(sites - 1, np.array([[3.0]]), s, 0, 0)
-    wave, place = closed.wave(psi), cell.at_angle(0, psi)
-    assert place.off == pytest.approx(-4.0 * s * closed.outside(wave), rel=1e-12)
-    known = -4.0 * s * closed.outside_slope(wave)
-    assert (1.0 / cell.slope(place) if np.isfinite(sites) or place.off else 0.0) == pytest.approx(known, rel=1e-9)
+        logs, parts = tail.motion(place, angle, np.arange(1, cells + 1))
+        known = s * G[:, outlet].reshape(cells, sites) * np.cos(angle)
+        np.testing.assert_allclose(np.exp(logs)[:, None] * parts, known, rtol=1e-9, atol=1e-11)
 
 
 # Families -----------------------------------------------------------------------------------------------------------
@@ -244,7 +238,7 @@ def test_modes_at_an_edge_are_those_of_a_long_lattice_there() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"cells": 5}, "cells: given 5; accepted: a whole number >= 20, or inf"),
+        ({"cells": 5}, "cells: given 5; accepted: a whole number >= 8, or inf"),
         ({"boundary": "periodic"}, "boundary: given periodic, which has no edge"),
         ({"edge": "left"}, "edge: given 'left'; accepted: first, last"),
         ({"bonds": [*DIMER[1], Bond("a", "a", (1,), "d", GAINS)]}, "bonds: given cells joined otherwise"),

@@ -10,7 +10,7 @@ import pytest
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow.corners import PassedResonance, _Blocks, _counted, passed_resonances
 from casadi_skin.follow.family import Family
-from casadi_skin.lattice.core_with_tail import CoreWithTail
+from casadi_skin.lattice.core_with_tail import LongChain
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.runs.program import main
 from casadi_skin.zero.request import family_request
@@ -30,7 +30,7 @@ def test_a_family_outside_the_band_passes_none() -> None:
 
 @pytest.mark.parametrize(
     ("sites", "gamma", "g", "us"),
-    [(120, 0.4, 1.0, (0.5, 0.75, 1.2, 2.0, 4.5)), (70, 0.7, -1.0, (0.6, 0.3, -0.8, -1.4, -2.5, -4.0))],
+    [(120, 0.4, 1.0, (-0.5, -0.75, -1.2, -2.0, -4.5)), (70, 0.7, -1.0, (0.6, 0.3, -0.8, -1.4, -2.5, -4.0))],
 )
 def test_eigenvalues_with_an_eliminated_tail_are_counted_as_those_of_all_sites(
     sites: int, gamma: float, g: float, us: tuple[float, ...]
@@ -40,7 +40,7 @@ def test_eigenvalues_with_an_eliminated_tail_are_counted_as_those_of_all_sites(
     tailed, whole = (Family(family_request(chain, mode, 2.0, tail=tail)) for tail in ("eliminated", "full"))
     problem, full, z = tailed.levels.problem(6), whole.levels.problem(6), tailed.start.z
     assert isinstance(problem, CoreWithTailProblem)
-    assert isinstance(tailed.coordinates, CoreWithTail)
+    assert isinstance(tailed.coordinates, LongChain)
     counts = []
     for u in us:
         for parameter in (0.0, 3.0 * g, -50.0 * g):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.lattice.core_with_tail import CoreWithTail
+from casadi_skin.lattice.core_with_tail import LongChain
 from casadi_skin.lattice.full_chain import FullChain
 
 flint = pytest.importorskip("flint")
@@ -58,7 +58,7 @@ def test_stability_and_stretches_of_tails_are_named_as_missing():
 def tailed(sites, core, S, harmonics, nu):
     """Bounds of a core, and the equations of all sites in the same scale."""
     chain = Chain(sites, 1.0, -0.3, -1.0)
-    system = tailed_system(CoreWithTail(chain, core, 1), S, False)
+    system = tailed_system(LongChain(chain, core, 1, S), S, False)
     orbit = follow_family(chain, mode=1, amplitude_max=S, tolerance=1e-10).at(S=S)
     columns = orbit.coefficients(40, np.arange(1, core + 1))[:harmonics].T.tolist()
     rows = [[(flint.arb(c) / d).mid() for c in column] for column, d in zip(columns, system.scale, strict=True)]
