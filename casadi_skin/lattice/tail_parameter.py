@@ -226,8 +226,12 @@ class TailParameter:
         return Harmonics(self.tail, places, self.values(u).phi, (resolved - 1) // 2, in_u).series(orders)
 
     def passed(self, values: TailValues) -> int:
-        """Modes of the tail by itself that harmonics lie above, counted from those above which they lie in gaps."""
-        return int(np.sum(np.floor(values.phi / np.pi + 0.5)))
+        """Modes of the tail by itself that harmonics lie above, of high harmonics as counted from infinity."""
+        last = len(self.tail.edges) - 1
+        above_all = Place((last + 1) // 2, last, FARTHEST_FREQUENCY * self.tail.edges[last].square)
+        passed = np.floor(values.phi / np.pi + 0.5)
+        passed[max(self._gaps) // 2 + 1 :] -= np.floor(self.tail.angle(above_all) / np.pi + 0.5)
+        return int(np.sum(passed))
 
     def regime(self, values: TailValues) -> Regime:
         """Whether Omega, or three times it, is pinned to a band."""
