@@ -25,10 +25,10 @@ from casadi_skin.solve.arbiter import ArbitratedCorrector
 from casadi_skin.solve.ipopt import CORRECTORS
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import Corrector, RoundedCorrector
+from casadi_skin.stability.flows import FlowError
 from casadi_skin.stability.full_period import FULL_PERIOD_FLOWS, Closed
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
-from casadi_skin.stability.stepping import FlowError
 from casadi_skin.zero import mesh
 from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.closure import Closure, closure_of

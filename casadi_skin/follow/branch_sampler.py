@@ -18,7 +18,7 @@ from casadi_skin.follow.polynomials import interpolant
 from casadi_skin.follow.section_orbits import SectionOrbit, find_all, find_one
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.watch import heed
-from casadi_skin.stability.stepping import FlowMap, OrbitState, Transition
+from casadi_skin.stability.flows import FlowMap, OrbitState, Transition
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError, Samples
 from casadi_skin.zero.problem import Array, Problem
 from casadi_skin.zero.settings import Point

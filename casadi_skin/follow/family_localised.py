@@ -10,12 +10,11 @@ import numpy as np
 
 from casadi_skin.follow.family import Family
 from casadi_skin.solve.watch import heed, one_thread
+from casadi_skin.stability.tongues.counts import EdgeHill, Sample
 from casadi_skin.stability.tongues.diagram import LocalisedDiagram
-from casadi_skin.stability.tongues.edge_hill import EdgeHill
 from casadi_skin.stability.tongues.hill import Hill, Layout
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
-from casadi_skin.stability.tongues.localised_changes import find_localised_changes
-from casadi_skin.stability.tongues.localised_samples import Sample
+from casadi_skin.stability.tongues.localised import find_localised_changes
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point, Refinement
 

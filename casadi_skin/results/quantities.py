@@ -21,8 +21,7 @@ from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS
 from casadi_skin.model.arguments import accepted_names
-from casadi_skin.stability.localised import LocalisedFloquet
-from casadi_skin.stability.result import ReversibleFloquet
+from casadi_skin.stability.result import LocalisedFloquet, ReversibleFloquet
 from casadi_skin.zero.kinds import FOLD
 from casadi_skin.zero.problem import Array
 

@@ -66,8 +66,7 @@ SAVED_CLASSES = {  # that a file may name, by module: "other=own" where the name
     "points.diagram": "Diagram",
     "points.edges": "EdgeCurve EdgePoint",
     "stability.growth": "TransientGrowth",
-    "stability.localised": "LocalisedFloquet",
-    "stability.result": "ContinuousSpectrum FullPeriodFloquet ReversibleFloquet",
+    "stability.result": "ContinuousSpectrum FullPeriodFloquet LocalisedFloquet ReversibleFloquet",
     "stability.tongues.diagram": "LocalisedChange LocalisedDiagram Passage Place StabilityDiagram StabilityEdge "
     "StableWindow Tongue",
     "stability.tongues.interpolation": "MatrixSeries Piece",

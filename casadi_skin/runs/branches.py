@@ -34,7 +34,7 @@ from casadi_skin.runs.parts import Offshoots
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.solve.watch import watched
-from casadi_skin.stability.stepping import FlowError
+from casadi_skin.stability.flows import FlowError
 from casadi_skin.zero.settings import End, Point
 
 BUILTIN_ERRORS = (ZeroDivisionError, OverflowError, FloatingPointError)

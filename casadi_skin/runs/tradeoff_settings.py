@@ -30,9 +30,9 @@ from casadi_skin.follow.following import Following, run_following
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.model.methods import CONTINUATIONS, CORRECTORS, FLOWS, SHOOTING, TRANSCRIPTIONS, TRIGONOMETRIC
 from casadi_skin.runs.scene import PRESET_TOLERANCES
+from casadi_skin.stability.flows import OrbitState
 from casadi_skin.stability.multipliers import floquets
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.stepping import OrbitState
 from casadi_skin.zero.request import FamilyRequest
 
 Result = TypeVar("Result")

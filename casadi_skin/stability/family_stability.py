@@ -16,21 +16,19 @@ from casadi_skin.model.arguments import check_name
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.watch import one_thread
-from casadi_skin.stability.cvodes import CvodesFlow
+from casadi_skin.stability.flows import CvodesFlow, FlowMap, OrbitState, RelativeFlow, Transition, complement
 from casadi_skin.stability.multipliers import floquet_vectors, floquets, vectors_of_map
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.relative import RelativeFlow, complement
 from casadi_skin.stability.result import Floquet, ReversibleFloquet
 from casadi_skin.stability.splitting import SplittingFlow
-from casadi_skin.stability.stepping import FlowMap, OrbitState, Transition
 from casadi_skin.zero.family import Coordinates
 from casadi_skin.zero.problem import Array, Buffers, Problem
 from casadi_skin.zero.request import FamilyRequest
 from casadi_skin.zero.settings import Point, Refinement
 
 if TYPE_CHECKING:
-    from casadi_skin.stability.localised import LocalisedFloquet
-    from casadi_skin.stability.tongues.edge_hill import EdgeHill
+    from casadi_skin.stability.result import LocalisedFloquet
+    from casadi_skin.stability.tongues.counts import EdgeHill
     from casadi_skin.zero.family import Localised
 
 STABILITY_BATCH = 32  # points whose stability is computed at a time: an interruption writes none that wait for it
@@ -154,7 +152,7 @@ class FamilyStability(ABC):
 
     def _localised(self, localised: Localised, point: Point, by: str | None) -> LocalisedFloquet:
         """Stability of localised perturbations, on as many sites as decide it."""
-        from casadi_skin.stability.localised import localised_floquet
+        from casadi_skin.stability.multipliers import localised_floquet
 
         assert self.coordinates.symplectic
         for sites in localised.sites:
@@ -175,7 +173,7 @@ class FamilyStability(ABC):
     @cached_property
     def _edge(self) -> EdgeHill:
         """Hill's equations of orbits at the edge of the tail."""
-        from casadi_skin.stability.tongues.edge_hill import EdgeHill
+        from casadi_skin.stability.tongues.counts import EdgeHill
 
         return EdgeHill(self.coordinates)
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadi_skin.model.result import Result
+from casadi_skin.stability.flows import Transition
 from casadi_skin.stability.multipliers import trivial_pair
-from casadi_skin.stability.stepping import Transition
 from casadi_skin.zero.problem import Array
 
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.stability.flows import FlowMap, OrbitState, Transition, complement
 from casadi_skin.stability.reduction import (
     ComplexArray,
     Eigensystems,
@@ -30,12 +31,8 @@ from casadi_skin.stability.reduction import (
     half_cosines,
     stacked,
 )
-from casadi_skin.stability.relative import complement
-from casadi_skin.stability.result import ReversibleFloquet
-from casadi_skin.stability.stepping import FlowMap, OrbitState, Transition
+from casadi_skin.stability.result import ContinuousSpectrum, LocalisedFloquet, ReversibleFloquet
 from casadi_skin.zero.problem import Array
-
-# Errors of eigenvalues from estimated errors of their matrix: first order, and pairs that nearly meet -----------------
 
 Booleans = NDArray[np.bool_]
 LARGE_EIGENVALUE_COUNT = 128  # eigenvalues from which on only those that are close are coupled
@@ -376,3 +373,84 @@ def orthogonal_complements(directions: Array) -> Array:
     u = unit + middle
     u = u / np.linalg.norm(u, axis=1, keepdims=True)
     return np.asarray(fixed - 2.0 * u[:, :, None] * (u @ fixed)[:, None, :])
+
+
+# Localised multipliers of an orbit at the edge of a long linear tail, from a variational problem that is cut ----------
+
+CORNER_CELLS = (
+    4  # cells at the cut, from which B^T C differs from that of a longer chain: farther in by less than their size
+)
+ERROR_SAFETY = 2.0
+WAVE_CHANGE = 1e-3  # what the cut may change of a mu that belongs to a wave: measured 0.03 to 0.5, falling as 1/sites
+
+
+def localised_floquet(
+    transition: Transition,
+    accelerations: tuple[Array, Array],
+    tolerance: float,
+    bands: tuple[tuple[float, float], ...],
+    Omega: float,
+    cut_first: bool,
+    cell: int = 1,
+) -> LocalisedFloquet:
+    """Localised multipliers of a symplectic transition matrix of a cut variational problem.
+
+    Arguments:
+        transition: over a quarter or half of the period, of n sites at the edge.
+        accelerations: q'' at phase zero of the orbit and of the better one that shows its error, each (n,).
+        tolerance: largest change of a localised mu by the cut, relative to max(1, |mu|).
+        bands: lowest and highest frequency of each band of the tail.
+        Omega: frequency of the orbit.
+        cut_first: whether the cut is at the first site; else it is at the last.
+        cell: sites of a cell of the tail.
+
+    Returns:
+        The multipliers, with errors of flow, orbit, rounding and cut.
+    """
+    power = power_of(transition)
+    trivial = -1.0 if power == 2 else 0.0
+    matrix = transition.matrix[None]
+    K, n = half_cosines(matrix), matrix.shape[1] // 2
+    reflections = [Reflections.of(a[None]) for a in accelerations]
+    similar = reflections[0].similar(K)
+    similar[:, 0, 0] -= trivial
+    deviation = float(np.max(np.abs(similar[0, 0])))
+    bound = deviation <= tolerance  # else the velocity of the flow fills the tail: the cut problem has no such vector
+    reduced = similar[:, 1:, 1:] if bound else K
+    systems = eigensystems(reduced)
+    parts = [
+        flow_part_of([transition], matrix, reflections[0] if bound else None),
+        orbit_part_of([transition], reflections[0] if bound else None, reflections[1] if bound else None),
+    ]
+    norms = np.array([sum(np.linalg.norm(part) for part in parts)])
+    errors = eigenvalue_errors(systems, parts, norms, round_off_of([transition], matrix))[0][0]
+    if bound:
+        errors = errors + _by_deviation(systems, similar[0], trivial)
+    corner = slice(0, CORNER_CELLS * cell) if cut_first else slice(-CORNER_CELLS * cell, n)
+    cut = _by_cut(systems, reflections[0].u[0] if bound else None, corner)
+    mu, local = systems.values[0], cut <= tolerance * np.maximum(1.0, np.abs(systems.values[0]))
+    if not bound:  # the velocity of the flow may decay enough to be localised all the same
+        local &= np.abs(mu - trivial) > errors + cut
+    off = ~ReversibleFloquet(mu, errors, deviation, power).is_inside & ~local
+    continuous = ContinuousSpectrum(Omega, bands, power)
+    return LocalisedFloquet(
+        mu[local], (errors + cut)[local], deviation if bound else 0.0, power,
+        continuous, n, mu[off & (cut > WAVE_CHANGE)], mu[off & (cut <= WAVE_CHANGE)],
+    )  # fmt: skip
+
+
+def _by_deviation(systems: Eigensystems, similar: Array, trivial: float) -> Array:
+    """The shift of each mu by the rest of the trivial direction's row, by way of the trivial one."""
+    along = np.abs(systems.left[0] @ similar[1:, 0]) * np.abs(similar[0, 1:] @ systems.right[0])
+    distance = np.maximum(np.abs(systems.values[0] - trivial), np.finfo(float).eps)
+    return np.asarray(np.minimum(along / distance, np.sqrt(along)))
+
+
+def _by_cut(systems: Eigensystems, u: Array | None, corner: slice) -> Array:
+    """The shift of each mu by the sites beyond the cut: its right vector there times its left one."""
+    right, left = systems.right[0], systems.left[0]
+    if u is not None:
+        right = np.vstack([np.zeros(right.shape[1]), right]) - 2.0 * np.outer(u, u[1:] @ right)
+        left = np.column_stack([np.zeros(left.shape[0]), left]) - 2.0 * np.outer(left @ u[1:], u)
+    sizes = np.linalg.norm(right[corner], axis=0) * np.linalg.norm(left[:, corner], axis=1)
+    return np.asarray(ERROR_SAFETY * np.maximum(1.0, np.abs(systems.values[0])) * sizes)

@@ -388,3 +388,58 @@ def _interval(low: float, high: float) -> tuple[float, float]:
     between = np.where(turns % 2.0 == 0.0, 0.0, -1.0)
     values = np.concatenate([ends, between])
     return float(np.min(values)), float(np.max(values))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LocalisedFloquet(ReversibleFloquet):
+    """Stability of an orbit at the edge of a long linear tail: its localised multipliers, and the continuous spectrum.
+
+    `mu`, and the multipliers, are those of localised vectors alone; `mu_error` holds what the cut makes.
+
+    Attributes:
+        continuous: the multipliers of waves in closed form.
+        sites: number of sites of the cut variational problem.
+        finite_size: mu of this problem off the circle that are not localised: they depend on the number of sites, and
+            say nothing about an infinite tail.
+        unresolved: mu of this problem off the circle that decay into the tail, but not by as much as the tolerance
+            asks for: more sites decide.
+        counted: number of localised multipliers outside the circle of an infinite tail, by Hill's determinant, which
+            nothing cuts: it decides `stable`, and how many are unstable. None where they cannot be counted; then the
+            cut problem decides.
+    """
+
+    continuous: ContinuousSpectrum
+    sites: int
+    finite_size: ComplexArray
+    unresolved: ComplexArray
+    counted: int | None = None
+
+    @property
+    def stable(self) -> bool:
+        return super().stable if self.counted is None else self.counted == 0
+
+    @property
+    def listed(self) -> int:
+        """Number of multipliers outside the circle in the list of the cut problem."""
+        return super().unstable_real + super().unstable_complex
+
+    @property
+    def unstable_real(self) -> int:
+        """Number of real multipliers outside the unit circle: nearest to the list's, as complex ones come in twos."""
+        real = super().unstable_real
+        return real if self.counted is None else min(real + (self.counted - real) % 2, self.counted)
+
+    @property
+    def unstable_complex(self) -> int:
+        """Number of the other multipliers outside the unit circle; a complex pair counts two."""
+        return super().unstable_complex if self.counted is None else self.counted - self.unstable_real
+
+    @property
+    def finite_size_modulus(self) -> float:
+        """Largest modulus of a multiplier of `finite_size`; 1 without any."""
+        return self.of_finite_size.max_abs_multiplier
+
+    @property
+    def of_finite_size(self) -> ReversibleFloquet:
+        """The multipliers of `finite_size`, beside the trivial pair."""
+        return ReversibleFloquet(self.finite_size, np.zeros(self.finite_size.size), 0.0, self.power)

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.native import LANES, Sequences, flows, kernels, transitions
+from casadi_skin.stability.flows import OrbitState, SteppedFlow
 from casadi_skin.stability.jacobian import JacobianAlong, repeated
-from casadi_skin.stability.stepping import OrbitState, SteppedFlow
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:

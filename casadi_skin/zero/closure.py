@@ -20,8 +20,7 @@ from casadi_skin.stability.closed_maps import (
     units_of,
     vectors_along,
 )
-from casadi_skin.stability.full_period import Parts, contraction, interval_maps, stage_jacobians
-from casadi_skin.stability.judging import judged
+from casadi_skin.stability.full_period import Parts, contraction, interval_maps, judged, stage_jacobians
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.formulation import Formulation
 from casadi_skin.zero.problem import Array

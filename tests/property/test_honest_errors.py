@@ -11,7 +11,7 @@ import pytest
 from outputs import read_rows
 
 from casadi_skin import Chain, Orbit, follow_family
-from casadi_skin.stability.stepping import FlowError
+from casadi_skin.stability.flows import FlowError
 from tests.studies import honesty as study_module
 from tests.studies.exact import LONG_DOUBLES, exact_orbit
 from tests.studies.exact_multipliers import exact_mu, paired

@@ -47,7 +47,7 @@ from casadi_skin import (
 )
 from casadi_skin.follow.refined import BoundaryError
 from casadi_skin.optimise.kick import KickError
-from casadi_skin.stability.stepping import FlowError
+from casadi_skin.stability.flows import FlowError
 
 LONGEST = 20  # seconds that a call may take; what takes longer has started work, and is stopped
 DOCUMENTED = (ValueError, TypeError, BoundaryError, FlowError, KickError, ArithmeticError, OSError)

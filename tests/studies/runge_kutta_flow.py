@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from casadi_skin.stability.flows import StepMap, SteppedFlow
 from casadi_skin.stability.jacobian import JacobianAlong
-from casadi_skin.stability.stepping import StepMap, SteppedFlow
 from casadi_skin.zero.problem import Array
 
 STEPS = (6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536, 2048, 3072, 4096)

@@ -7,9 +7,8 @@ import pytest
 
 from casadi_skin.stability.tongues import chebyshev
 from casadi_skin.stability.tongues.assembly import DISAGREEMENT_WORDS, groups_of
-from casadi_skin.stability.tongues.blocks import blocks_of, comes_apart
-from casadi_skin.stability.tongues.decoupling import PROBE_NODES, SERIES_DEGREE, contracts
-from casadi_skin.stability.tongues.small_blocks import Segment, SingleBlock, single_functions
+from casadi_skin.stability.tongues.blocks import PROBE_NODES, SERIES_DEGREE, blocks_of, comes_apart, contracts
+from casadi_skin.stability.tongues.pairs import Segment, SingleBlock, single_functions
 
 Array = np.ndarray
 ALONE = np.eye(3, dtype=bool)[None]

@@ -9,8 +9,9 @@ from numpy.polynomial import chebyshev as chebyshev_polynomial
 from numpy.polynomial.chebyshev import chebroots
 
 from casadi_skin import native
-from casadi_skin.stability.tongues import chebyshev, decoupling
-from casadi_skin.stability.tongues.decoupling import SERIES_DEGREE
+from casadi_skin.stability.tongues import blocks as decoupling
+from casadi_skin.stability.tongues import chebyshev
+from casadi_skin.stability.tongues.blocks import SERIES_DEGREE
 
 Array = np.ndarray
 
@@ -97,14 +98,14 @@ def test_steps_from_the_identity_give_all_mu(dtype: type) -> None:
     """Within the square of the last step, which is small but not zero, and as numpy's do."""
     K, same, _ = random_intervals(6, dtype)
     K = K[2:, decoupling.PROBE_NODES]
-    values, fine = native.contracts(K, same[2:], decoupling.MOST_STEPS, 1e-9, decoupling.LARGEST_STEP)
+    values, fine = native.contracts(K, same[2:], decoupling.MOST_STEPS, 1e-9, decoupling.LARGEST_BLOCK)
     assert fine.tolist() == [True] * 3 + [False]
     for here, matrices in zip(values[:3], K[:3], strict=True):
         exact = np.linalg.eigvals(matrices)
         assert np.sort_complex(here) == pytest.approx(np.sort_complex(exact), abs=1e-9)
     plain, _ = decoupling._steps_from_identity(K[:3], same[2:5])
     compiled, _ = native.contracts(
-        K[:3], same[2:5], decoupling.MOST_STEPS, decoupling.SMALL_STEP, decoupling.LARGEST_STEP
+        K[:3], same[2:5], decoupling.MOST_STEPS, decoupling.SMALL_STEP, decoupling.LARGEST_BLOCK
     )
     np.testing.assert_allclose(compiled, plain, rtol=0, atol=1e-12)
 

@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit, read_result, save_result
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Solution
+from casadi_skin.stability.flows import FlowError
 from casadi_skin.stability.product_spectrum import spectrum_of
 from casadi_skin.stability.result import HugeMultiplierWarning, LostMultiplierWarning
-from casadi_skin.stability.stepping import FlowError
 
 
 def turning(exponents: list[float]) -> Solution:

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from symplectic_families import Entries, ReversibleFamily, SymplecticFamily, cluster, collision, cubic, passage, real
 
-from casadi_skin.stability.judging import Entry
-from casadi_skin.stability.stepping import FlowError
+from casadi_skin.stability.flows import FlowError
 from casadi_skin.stability.tongues import crossings
+from casadi_skin.stability.tongues.assembly import Entry, find_changes
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
-from casadi_skin.stability.tongues.find_changes import find_changes
 from casadi_skin.stability.tongues.interpolation import Interpolated, MatrixSeries, Samples, interpolate
 
 Array = np.ndarray

@@ -21,13 +21,12 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability import family_stability, splitting
-from casadi_skin.stability.cvodes import CvodesFlow
+from casadi_skin.stability.flows import CvodesFlow, FlowError, OrbitState, SteppedFlow, Transition, extrapolation
 from casadi_skin.stability.jacobian import JacobianAlong, rows_of
 from casadi_skin.stability.multipliers import LARGE_EIGENVALUE_COUNT, couplings, eigenvalue_errors, floquet
 from casadi_skin.stability.reduction import Eigensystems, Reflections, eigensystems, half_cosine_errors, half_cosines
 from casadi_skin.stability.result import Floquet, ReversibleFloquet
 from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
-from casadi_skin.stability.stepping import FlowError, OrbitState, SteppedFlow, Transition, extrapolation
 from casadi_skin.zero.request import family_request
 from casadi_skin.zero.settings import End, Point
 from tests.studies.gauss_flow import GaussFlow, GaussMap

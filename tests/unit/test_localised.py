@@ -14,8 +14,7 @@ from scipy.sparse import block_diag, csc_array, diags_array
 from scipy.sparse.linalg import splu
 
 from casadi_skin import Branch, Chain, Orbit, follow_family, read_result
-from casadi_skin.stability.localised import LocalisedFloquet
-from casadi_skin.stability.result import ContinuousSpectrum
+from casadi_skin.stability.result import ContinuousSpectrum, LocalisedFloquet
 
 Array = NDArray[np.float64]
 

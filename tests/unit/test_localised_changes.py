@@ -19,13 +19,12 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.family_localised import EdgeOrbits, localised_changes
 from casadi_skin.native import eliminated
 from casadi_skin.runs.program import main
-from casadi_skin.stability.localised import LocalisedFloquet
-from casadi_skin.stability.result import ContinuousSpectrum
+from casadi_skin.stability.result import ContinuousSpectrum, LocalisedFloquet
+from casadi_skin.stability.tongues.counts import count, zeros_in
 from casadi_skin.stability.tongues.diagram import LocalisedDiagram
 from casadi_skin.stability.tongues.hill import Hill, Layout, Medium, Parity, crossings
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
-from casadi_skin.stability.tongues.localised_changes import find_localised_changes
-from casadi_skin.stability.tongues.localised_counts import count, zeros_in
+from casadi_skin.stability.tongues.localised import find_localised_changes
 
 Array = NDArray[np.float64]
 

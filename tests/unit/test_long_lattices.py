@@ -14,7 +14,7 @@ from casadi_skin import Bond, Chain, Lattice, LongLattice, Site, follow_family, 
 from casadi_skin.lattice.linear import lattice_modes
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import Regime
-from casadi_skin.stability.localised import LocalisedFloquet
+from casadi_skin.stability.result import LocalisedFloquet
 
 DIMER = ([Site("a", "y + g*y^3"), Site("b", "y + g*y^3")], [Bond("a", "b", (0,), "u*d", GAINS), Bond("b", "a", (1,))])
 VALUES = {"u": 0.4, "gamma": 0.4, "g": 1.0}

@@ -23,9 +23,9 @@ from casadi_skin import Branch, Chain, follow_family, native
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import Monomials
 from casadi_skin.solve.bordered import BandFactors, BorderedSolver
+from casadi_skin.stability.flows import OrbitState, SteppedFlow
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
-from casadi_skin.stability.stepping import OrbitState, SteppedFlow
 from casadi_skin.zero.recursion import PolynomialForm, TaylorRecursion
 from casadi_skin.zero.request import family_request
 from casadi_skin.zero.trigonometric import TrigonometricProblem

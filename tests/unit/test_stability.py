@@ -16,12 +16,11 @@ from scipy.optimize import linear_sum_assignment
 from casadi_skin import Branch, Chain, OdeModel, Orbit, SymmetryClass, follow_family
 from casadi_skin.follow.family import Family
 from casadi_skin.solve.newton import NewtonCorrector
-from casadi_skin.stability.cvodes import CvodesFlow
+from casadi_skin.stability.flows import CvodesFlow, FlowError, FlowMap, OrbitState, Transition
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.multipliers import floquet
 from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.stability.splitting import SplittingFlow, SplittingMap, srkn_coefficients
-from casadi_skin.stability.stepping import FlowError, FlowMap, OrbitState, Transition
 from casadi_skin.zero.request import family_request
 from casadi_skin.zero.settings import End
 from casadi_skin.zero.trigonometric import TrigonometricProblem

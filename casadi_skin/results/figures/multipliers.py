@@ -11,7 +11,7 @@ import numpy as np
 from casadi_skin.follow.family import Family
 from casadi_skin.results.figures.style import amplitude_label, blank, colours, finished, number, plain, style
 from casadi_skin.results.figures.style import title as model_title
-from casadi_skin.stability.localised import LocalisedFloquet
+from casadi_skin.stability.result import LocalisedFloquet
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:

@@ -1,4 +1,8 @@
-"""From groups of unstable segments to tongues, and from tongues to changes of stability."""
+"""Every change of stability along a branch: matrices interpolated, segments found, groups, tongues and changes.
+
+Unstable segments of intervals that touch are joined to groups; a group is a tongue, named by the linear modes whose
+rotation angles meet where it begins; the edges of tongues are the changes of stability.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +13,172 @@ from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from casadi_skin.stability.closed_maps import without_copies
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.tongues.decoupling import Indices
-from casadi_skin.stability.tongues.diagram import Place, StabilityEdge, StableWindow, Tongue, places
-from casadi_skin.stability.tongues.interpolation import Gap, Piece
-from casadi_skin.stability.tongues.rotation import Tracks
-from casadi_skin.stability.tongues.small_blocks import Block, Edge, Segment
+from casadi_skin.stability.tongues.blocks import Indices
+from casadi_skin.stability.tongues.crossings import NOT_LOOKED_AT, Crossings, find_crossings
+from casadi_skin.stability.tongues.diagram import (
+    Passage,
+    Place,
+    StabilityDiagram,
+    StabilityEdge,
+    StableWindow,
+    Tongue,
+    places,
+)
+from casadi_skin.stability.tongues.interpolation import (
+    FIRST_LENGTH,
+    BranchSampler,
+    Gap,
+    Interpolated,
+    MatrixSeries,
+    Piece,
+    interpolate,
+    joined,
+)
+from casadi_skin.stability.tongues.pairs import Block, Edge, Segment
 from casadi_skin.zero.problem import Array
+from casadi_skin.zero.unresolved import Unresolved
 
-# Unstable segments of neighbouring intervals that continue one another, joined to groups ------------------------------
+# Signed rotation angles of multipliers, followed along a branch from the linear modes that they begin as --------------
+
+Booleans = NDArray[np.bool_]
+TWO_PI = 2.0 * np.pi
+FASTEST_RATE_FACTOR = 4.0  # times the median rate: faster angles are those of mu about to meet, whose rates say little
+CERTAIN_ANGLE_FRACTION = 0.5  # of the distance to the next angle: how far one may be from where it is expected
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """All mu at a coordinate, shape (m,), with d mu/d coordinate and Krein signatures (0 off the circle)."""
+
+    coordinate: float
+    mu: ComplexArray
+    rates: ComplexArray
+    signatures: NDArray[np.int64]
+
+    def angles(self) -> tuple[Array, Array]:
+        """Signed angles and their rates, (m,) each; two complex mu have the angles that they met with."""
+        on_circle = self.signatures != 0
+        cosine = np.clip(1.0 + 2.0 * self.mu.real, -1.0, 1.0)
+        lambdas = (np.sqrt(self.mu) + np.sqrt(1.0 + self.mu)) ** 2
+        size = np.where(on_circle, np.arccos(cosine), np.abs(np.angle(lambdas)))
+        sign = np.where(on_circle, self.signatures, np.where(self.mu.imag < 0.0, -1, 1))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rates = np.where(on_circle, -2.0 * self.rates.real / np.sqrt(1.0 - cosine**2), 0.0) * sign
+        limit = FASTEST_RATE_FACTOR * float(np.median(np.abs(rates[on_circle]))) if on_circle.any() else 0.0
+        return sign * size, np.where(np.abs(rates) <= limit, rates, 0.0)
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Rotation angles along a branch, continuous, one column a linear mode, followed in two ways.
+
+    `angles` (2, places, m) at `coordinates`: each angle goes to the nearest one, or all keep their order around the
+    circle. Where two angles of one signature meet, they pass or avoid each other: what differs then is not certain.
+    """
+
+    modes: tuple[int, ...]
+    coordinates: Array
+    angles: Array
+
+    def meetings(self, coordinates: Array, angles: Array, alone: Booleans) -> list[tuple[int, int, int] | None]:
+        """Modes (k, n) and the order of each meeting at an angle in [0, pi]; one mode twice where it is `alone`.
+
+        None where it is not certain which angles meet.
+        """
+        right = np.clip(np.searchsorted(self.coordinates, coordinates), 1, self.coordinates.size - 1)
+        low, high = self.coordinates[right - 1], self.coordinates[right]
+        weight = np.clip((coordinates - low) / (high - low), 0.0, 1.0)[:, None]
+        here = (1.0 - weight) * self.angles[:, right - 1] + weight * self.angles[:, right]
+        (first, sure), (second, sure_too) = _nearest(here, angles), _nearest(here, -angles)
+        second, sure_too = np.where(alone, first, second), sure_too | alone
+        sure &= sure_too & (alone | (first != second))
+        each = np.take_along_axis(here, np.stack([first, second], axis=2), 2)
+        orders = np.round(np.sum(each, axis=2) / TWO_PI).astype(np.int64)
+        modes = np.sort(np.array(self.modes)[np.stack([first, second], axis=2)], axis=2)
+        known = np.concatenate([modes, orders[..., None]], axis=2)
+        certain = np.all(sure, axis=0) & np.all(known[0] == known[1], axis=1)
+        return [
+            (k, n, m) if sure else None for (k, n, m), sure in zip(known[0].tolist(), certain.tolist(), strict=True)
+        ]
+
+
+def _nearest(angles: Array, wanted: Array) -> tuple[NDArray[np.int64], Booleans]:
+    """The angle nearest to each one, modulo 2 pi, and whether no other is nearly as near; angles (2, wanted, m)."""
+    distance = np.abs((angles - wanted[:, None] + np.pi) % TWO_PI - np.pi)
+    first = np.argmin(distance, axis=2)
+    if angles.shape[2] == 1:
+        return first, np.ones(first.shape, dtype=bool)
+    least = np.partition(distance, 1, axis=2)
+    return first, least[..., 0] <= CERTAIN_ANGLE_FRACTION * least[..., 1]
+
+
+def follow_angles(
+    spectra: Sequence[Spectrum], frequencies: Mapping[int, float], start: float, duration: float
+) -> Tracks | None:
+    """Rotation angles of linear modes along a branch.
+
+    Arguments:
+        spectra: at coordinates in ascending order.
+        frequencies: of the linear modes by number, without the one that the branch begins as.
+        start: coordinate of the linear modes, where the branch has zero amplitude.
+        duration: time that M takes there.
+
+    Returns:
+        The angles, or None where the numbers of modes and of mu differ.
+    """
+    modes = tuple(frequencies)
+    if not spectra or len(modes) != spectra[0].mu.size:
+        return None
+    first = duration * np.array([frequencies[k] for k in modes])
+    places = [(spectrum.coordinate, *spectrum.angles()) for spectrum in spectra]
+    courses = [_course(first, places, start, assign) for assign in (_to_the_nearest, _in_cyclic_order)]
+    return Tracks(modes, np.array([start, *(spectrum.coordinate for spectrum in spectra)]), np.array(courses))
+
+
+Assignment = Callable[[Array, Array, Array], NDArray[np.int64]]
+
+
+def _course(first: Array, places: Sequence[tuple[float, Array, Array]], start: float, assign: Assignment) -> Array:
+    """Angles from the first ones on, shape (1 + places, m), by coordinates with the angles and their rates there."""
+    course, before, rates = [first], start, np.zeros(first.size)
+    for coordinate, angles, slopes in places:
+        step = coordinate - before
+        share = 0.5 if len(course) > 1 else 0.0  # of the step by the rates before it, which linear modes have none of
+        ahead, back = course[-1] + share * step * rates, angles - (1.0 - share) * step * slopes
+        distance = (back[None, :] - ahead[:, None] + np.pi) % TWO_PI - np.pi
+        chosen = assign(course[-1], angles, distance)
+        course.append(ahead + distance[np.arange(first.size), chosen] + (angles - back)[chosen])
+        before, rates = coordinate, slopes[chosen]
+    return np.array(course)
+
+
+def _to_the_nearest(before: Array, after: Array, distance: Array) -> NDArray[np.int64]:
+    """Which angle each one goes to where the sum of distances from what rates predict is smallest."""
+    moves = np.abs(distance)
+    nearest = np.argmin(moves, axis=1)
+    if np.unique(nearest).size == nearest.size:  # then no other sum is smaller
+        return np.asarray(nearest, dtype=np.int64)
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import min_weight_full_bipartite_matching  # scipy.optimize takes long to load
+
+    costs = csr_array(1.0 + moves)  # with no entry zero, which would be none
+    return np.asarray(min_weight_full_bipartite_matching(costs)[1], dtype=np.int64)
+
+
+def _in_cyclic_order(before: Array, after: Array, distance: Array) -> NDArray[np.int64]:
+    """The same among assignments that keep the order around the circle."""
+    first, second = np.argsort(before % TWO_PI), np.argsort(after % TWO_PI)
+    each = np.arange(first.size)
+    turned = (each - each[:, None]) % first.size  # row by row by one place more
+    moves = np.sum(np.abs(distance[first, second[turned]]), axis=1)
+    chosen = np.empty(first.size, dtype=np.int64)
+    chosen[first] = second[turned[np.argmin(moves)]]
+    return chosen
+
 
 SAME_MU_DISTANCE = 0.05  # distance of two mu at the end of an interval that may be one
 SAME_MU = 1e-6  # difference of mu of edges that coincide
@@ -395,3 +555,201 @@ def _unions(groups: Sequence[Group], tongues: Sequence[Tongue]) -> tuple[list[li
 def place_at(pieces: Sequence[Piece], coordinate: float) -> Place:
     """The place at a coordinate that is known exactly."""
     return places(pieces, np.array([coordinate]), np.zeros(1))[0]
+
+
+# The account of a family: multipliers outside the unit circle at its orbits, each beside the tongue that it is in -----
+
+CLEARLY_OUTSIDE_ERRORS = 4.0  # errors of a mu that it is outside by, to be in the account
+LEAST_DISTANCE = 1e-9  # of such a distance: rounding of two mu that nearly meet
+SAME_PLACE = 1e-13  # of a coordinate: rounding of sums
+NEAR_TONGUE_DISTANCE = 1e-3  # distance of a mu at an orbit from that of its tongue there, beside ten errors
+UNBALANCED_WORDS = (
+    "the account does not balance: multipliers outside the unit circle at an orbit are not those of its tongues"
+)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """All mu at an orbit, with their errors, and the coordinate of the orbit along the branch."""
+
+    coordinate: float
+    mu: ComplexArray
+    errors: Array
+
+
+def unbalanced(entries: Sequence[Entry], groups: Sequence[Group], gaps: Sequence[Gap]) -> list[Gap]:
+    """Stretches around orbits whose unstable mu are not those of the groups of segments there.
+
+    Each reaches from the last orbit before to the next one behind at which the account balances. Orbits in `gaps` are
+    in no account, and neither are mu that are outside by no more than errors.
+    """
+    segments = [segment for group in groups for segment in group.segments]
+    starts, ends = (np.array([getattr(segment, name) for segment in segments]) for name in ("start", "end"))
+    found: list[Gap] = []
+    balanced = True
+    last = entries[0].coordinate if entries else 0.0
+    for entry in entries:
+        if any(gap.start <= entry.coordinate <= gap.end for gap in gaps):
+            continue
+        slack = SAME_PLACE * abs(entry.coordinate)
+        here = np.flatnonzero((starts <= entry.coordinate + slack) & (entry.coordinate - slack <= ends))
+        parts = [segments[i].block.unstable_mu(segments[i], entry.coordinate) for i in here.tolist()]
+        fits = _fits(entry, np.concatenate([np.empty(0, complex), *parts]))
+        if not fits and balanced:
+            found.append(Gap(last, entry.coordinate, UNBALANCED_WORDS))
+        elif not balanced:
+            found[-1] = Gap(found[-1].start, entry.coordinate, UNBALANCED_WORDS)
+        balanced, last = fits, entry.coordinate
+    return found
+
+
+def _fits(entry: Entry, unstable: ComplexArray) -> bool:
+    """Whether all mu that are clearly outside at an orbit are near one of a tongue, and the other way round."""
+    if entry.mu.size == 0:
+        return True
+    own, theirs = (mu.real + 1j * np.abs(mu.imag) for mu in (entry.mu, unstable))
+    far = _outside(own) > CLEARLY_OUTSIDE_ERRORS * entry.errors + LEAST_DISTANCE
+    if np.any(far) and unstable.size == 0:
+        return False
+    apart = np.abs(own[:, None] - theirs)
+    if np.any(np.min(apart[far], axis=1, initial=np.inf) > NEAR_TONGUE_DISTANCE + 10.0 * entry.errors[far]):
+        return False
+    nearest = np.argmin(apart, axis=0)
+    clear = _outside(theirs) > CLEARLY_OUTSIDE_ERRORS * entry.errors[nearest] + LEAST_DISTANCE
+    return bool(np.all(_outside(own[nearest[clear]]) > 0.0))
+
+
+def _outside(mu: ComplexArray) -> Array:
+    """Distances from [-1, 0]; 0 inside."""
+    return np.asarray(np.abs(mu - np.clip(mu.real, -1.0, 0.0)))
+
+
+# Every change of stability along a branch, for certain: the whole way from transition matrices to tongues -------------
+
+INTERPOLATION_TOLERANCE = 1e-11  # tolerance, relative to the largest entries
+WORK_LIMIT = 2e9  # see `Crossings.work`: a minute or two
+SAMPLE_WORK = 0.1  # an orbit with its transition matrix, in such problems
+EXPECTED_INTERVALS = 16  # of a piece of the branch, as expected
+PIECES_WORK = 1e7  # m^3 over the intervals of pieces that are looked at together
+ONE_PLACE = 1e-9  # of the branch: meetings without instability that are no farther apart are one
+WORK_SHARE = 0.05  # of the work that is left, at most, for such pieces
+POWERS_BY_FRACTION = {
+    0.25: 2,
+    0.5: 1,
+}  # of lambda(M) that give multipliers, by the fraction of the period of transition matrices
+
+
+def find_changes(
+    branch: BranchSampler,
+    modes: Mapping[int, float] | None = None,
+    tolerance: float = INTERPOLATION_TOLERANCE,
+    work: float = WORK_LIMIT,
+    progress: Callable[[float], None] | None = None,
+    short: bool = False,
+    entries: Sequence[Entry] = (),
+) -> StabilityDiagram:
+    """Find every change of stability along a branch of periodic orbits of a reversible model.
+
+    Arguments:
+        branch: the source of transition matrices at any coordinate along it.
+        modes: frequencies of the linear modes, by number, at its start of zero amplitude, but for that mode which it
+            begins as; tongues are named by them.
+        tolerance: of the interpolation of the matrices along the branch, relative to their largest entries.
+        work: limit of `Crossings.work`, the sum of m^3 and more over the problems of m multipliers; the rest of the
+            branch is then unresolved. The default is a minute or two.
+        progress: called with the coordinate up to which everything is looked at.
+        short: whether one piece of the lowest degree is tried on each section of the branch first.
+        entries: all mu at orbits of the branch, in order: where those outside are not those of tongues is unresolved.
+
+    Returns:
+        Changes of stability and tongues, with undecided and unresolved places.
+    """
+    power = POWERS_BY_FRACTION[branch.fraction]
+    known, found = _looked_at(branch, tolerance, work, progress, short)
+    groups, disagreements = groups_of(found.segments, _unknown(known, found))
+    found.gaps += disagreements
+    found.gaps += unbalanced(entries, groups, [*known.gaps, *found.gaps])
+    tracks = None if modes is None else _tracks(known, found, modes, branch.fraction)
+    tongues = tongues_of(groups, known.pieces, power, tracks)
+    decided = [i for i, tongue in enumerate(tongues) if tongue.decided]
+    edges = edges_of([groups[i] for i in decided], [tongues[i] for i in decided], known.pieces, power)
+    return StabilityDiagram(
+        changes=edges.changes,
+        further=edges.further,
+        tongues=tuple(tongues[i] for i in decided),
+        undecided=tuple(tongue for tongue in tongues if not tongue.decided),
+        windows=edges.windows,
+        passages=tuple(_passages(known, found)),
+        unresolved=tuple(_unresolved(branch, known, found)),
+        symplectic=branch.symplectic,
+        power=power,
+        samples=known.samples,
+        pieces=tuple(known.pieces),
+    )
+
+
+def _looked_at(
+    branch: BranchSampler, tolerance: float, work: float, progress: Callable[[float], None] | None, short: bool
+) -> tuple[Interpolated, Crossings]:
+    """Pieces of the branch one after the other, and the events on them, as far as the work allows."""
+    known, found = Interpolated(), Crossings()
+    waiting: list[MatrixSeries] = []
+    for piece in interpolate(branch, tolerance, known, 1.0 if short else FIRST_LENGTH):
+        waiting += without_copies(piece.matrices)
+        for_orbits = SAMPLE_WORK * known.samples * float(piece.matrices.size) ** 3
+        expected = EXPECTED_INTERVALS * len(waiting) * float(piece.matrices.size) ** 3
+        if expected >= min(PIECES_WORK, WORK_SHARE * (work - found.work - for_orbits)):
+            find_crossings(waiting, found, work - for_orbits, progress, piece.matrices.size)
+            waiting = []
+            end = branch.sections[-1][1]
+            if found.work + for_orbits >= work and piece.matrices.end < end:
+                found.gaps.append(Gap(piece.matrices.end, end, NOT_LOOKED_AT))
+                break
+    if waiting:
+        for_orbits = SAMPLE_WORK * known.samples * float(piece.matrices.size) ** 3
+        find_crossings(waiting, found, work - for_orbits, progress, piece.matrices.size)
+    found.spectra.sort(key=lambda spectrum: spectrum.coordinate)
+    return known, found
+
+
+def _passages(known: Interpolated, found: Crossings) -> Iterator[Passage]:
+    """Meetings without instability in order, those that two intervals see at their common end once."""
+    last, near = (-np.inf, 0.0), 0.0
+    for coordinate, mu, distance in sorted(found.passages):
+        near = near or ONE_PLACE * (known.pieces[-1].matrices.end - known.pieces[0].matrices.start)
+        if coordinate - last[0] > near or abs(mu - last[1]) > SAME_MU:
+            yield Passage(place_at(known.pieces, coordinate), mu, distance)
+        last = coordinate, mu
+
+
+def _unknown(known: Interpolated, found: Crossings) -> set[float]:
+    """Coordinates where the computed part of the branch, or of its multipliers, ends."""
+    starts = {piece.matrices.start for piece in known.pieces}
+    ends = {piece.matrices.end for piece in known.pieces}
+    return (starts ^ ends) | {coordinate for gap in (*known.gaps, *found.gaps) for coordinate in (gap.start, gap.end)}
+
+
+def _tracks(known: Interpolated, found: Crossings, modes: Mapping[int, float], fraction: float) -> Tracks | None:
+    """Rotation angles of the linear modes along the branch."""
+    if not known.pieces:
+        return None
+    start = place_at(known.pieces, known.pieces[0].matrices.start)
+    return follow_angles(found.spectra, modes, start.coordinate, 2.0 * TWO_PI * fraction / start.Omega)
+
+
+def _unresolved(branch: BranchSampler, known: Interpolated, found: Crossings) -> Iterator[Unresolved]:
+    """Stretches that are not known, with the amplitudes at their ends."""
+    rest = [gap for gap in found.gaps if gap.reason == NOT_LOOKED_AT]
+    if rest:  # as one, though in between some blocks may have been looked at
+        rest = [Gap(min(gap.start for gap in rest), max(gap.end for gap in rest), NOT_LOOKED_AT)]
+    others = [gap for gap in (*known.gaps, *found.gaps) if gap.reason != NOT_LOOKED_AT]
+    for gap in sorted([*joined(others), *rest], key=lambda gap: gap.start):
+        S_start, S_end = (_amplitude(branch, known.pieces, at) for at in (gap.start, gap.end))
+        yield Unresolved(S_start, S_end, gap.reason, coordinates=(gap.start, gap.end))
+
+
+def _amplitude(branch: BranchSampler, pieces: Sequence[Piece], coordinate: float) -> float:
+    """S at a coordinate, from the pieces where these hold it."""
+    if any(piece.matrices.start <= coordinate <= piece.matrices.end for piece in pieces):
+        return place_at(pieces, coordinate).S
+    return branch.amplitude(coordinate)

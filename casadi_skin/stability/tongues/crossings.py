@@ -14,14 +14,23 @@ from itertools import pairwise
 import numpy as np
 
 from casadi_skin.stability.tongues import chebyshev
-from casadi_skin.stability.tongues.blocks import Blocks, blocks_of, comes_apart
-from casadi_skin.stability.tongues.decoupling import MIDDLE_NODE, SERIES_DEGREE, Booleans, Indices, Numbers
+from casadi_skin.stability.tongues.assembly import Spectrum
+from casadi_skin.stability.tongues.blocks import (
+    MIDDLE_NODE,
+    SERIES_DEGREE,
+    Blocks,
+    Booleans,
+    Indices,
+    Numbers,
+    blocks_of,
+    comes_apart,
+)
 from casadi_skin.stability.tongues.interpolation import FAILURE_ERRORS, Gap, MatrixSeries, in_words
-from casadi_skin.stability.tongues.pairs import PairBlock, Pairs
-from casadi_skin.stability.tongues.rotation import Spectrum
-from casadi_skin.stability.tongues.small_blocks import (
+from casadi_skin.stability.tongues.pairs import (
     Block,
     ComplexBlock,
+    PairBlock,
+    Pairs,
     Segment,
     SingleBlock,
     find_segments,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from casadi_skin.model.result import Result
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues.interpolation import Piece
-from casadi_skin.stability.tongues.small_blocks import growth_of
+from casadi_skin.stability.tongues.pairs import growth_of
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.unresolved import Unresolved, count_in_words
 

@@ -12,8 +12,8 @@ from typing import Protocol
 
 import numpy as np
 
+from casadi_skin.stability.flows import FlowError
 from casadi_skin.stability.multipliers import reduced_matrices
-from casadi_skin.stability.stepping import FlowError
 from casadi_skin.stability.tongues import chebyshev
 from casadi_skin.zero.problem import EPSILON, Array
 

@@ -7,13 +7,19 @@ and the one of the velocity of the flow, are passed above, by half a turn each.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
 
+import casadi as ca
 import numpy as np
 
+from casadi_skin.stability.flows import OrbitState
 from casadi_skin.stability.tongues import chebyshev
-from casadi_skin.stability.tongues.hill import HALF_END, START_END, End, Hill, Layout
-from casadi_skin.zero.problem import Array
+from casadi_skin.stability.tongues.hill import HALF_END, START_END, End, Hill, Layout, Medium, coefficients
+from casadi_skin.zero.family import Coordinates
+from casadi_skin.zero.problem import Array, Indices, Problem
 
 FIRST_SIGMA_VALUES = 12  # values of sigma under each part of an arc, at first
 LARGEST_ARGUMENT_TURN = 0.6  # of the argument from one value to the next, at most
@@ -177,3 +183,128 @@ def function_of(hill: Hill, layout: Layout, name: str) -> float:
     sigma = next((end.sigma for end in layout.ends if end.name == name), 0.0)
     logs, signs = hill.determinant(np.array([sigma]))
     return float(np.real(signs[0]) * np.exp(logs[0]))
+
+
+# Orbits along a branch at the edge of a linear medium as the search for changes takes them: equations, and errors -----
+
+NARROW_GAP, FILLED_GAP = "narrow", "fills"
+BAND_EDGE_RTOL = 1e-14  # relative distance from the edge of a band that rounding leaves
+NARROW_GAP_RATIO = 1e-6  # of Omega: a gap beside a harmonic of the orbit in which rounding decides
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One orbit: its coordinate, amplitude and Hill's equations, and those of the better orbit that shows its error."""
+
+    coordinate: float
+    S: float
+    hill: Hill
+    layout: Layout
+    better: Callable[[], Hill] = field(repr=False)
+    _functions: dict[str, float] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def Omega(self) -> float:
+        """Frequency."""
+        return self.hill.Omega
+
+    def function(self, name: str) -> float:
+        """A function of the orbit; each is zero where a multiplier passes an end of a gap."""
+        if name not in self._functions:
+            self._functions[name] = function_of(self.hill, self.layout, name)
+        return self._functions[name]
+
+    @cached_property
+    def counts(self) -> Counts:
+        """Localised multipliers; raises CountError."""
+        return count(self.hill, self.layout)
+
+
+def names_of_arcs(layout: Layout) -> tuple[str, ...]:
+    """Names of a layout; with a mark where a gap beside a harmonic of the orbit is too narrow."""
+    if layout.fills:
+        return (FILLED_GAP,)
+    if layout.pinned:
+        return layout.names if layout.off_edge <= BAND_EDGE_RTOL else (NARROW_GAP,)
+    start, end = layout.gaps[-1]
+    return layout.names if end.sigma - start.sigma > NARROW_GAP_RATIO * layout.Omega else (NARROW_GAP,)
+
+
+class EdgeBranch(Protocol):
+    """A branch of orbits at the edge of a linear medium."""
+
+    @property
+    def coordinates(self) -> Array:
+        """Coordinates of its points, ascending."""
+        ...
+
+    def sample(self, coordinate: float) -> Sample:
+        """The orbit there; raises OrbitNotFoundError."""
+        ...
+
+    def layout(self, coordinate: float) -> Layout:
+        """Its arcs and gaps, from a frequency that is nearly that of the sample; raises OrbitNotFoundError."""
+        ...
+
+    def amplitude(self, coordinate: float) -> float:
+        """S near a coordinate, to a few digits and without an orbit: it names places that are not known."""
+        ...
+
+
+# Hill's equations of orbits at the edge of an endless tail, and the number of their multipliers off the circle --------
+
+PHASES_PER_COSINE = 4  # values over half a period for each odd cosine
+SPARE_PHASES = 16  # further ones
+
+
+class EdgeHill:
+    """Hill's equations of the orbits of a family at the edge of a medium without an end."""
+
+    def __init__(self, coordinates: Coordinates) -> None:
+        self.coordinates = coordinates
+        self._mapped: dict[int, tuple[ca.Function, Indices, Indices]] = {}
+
+    def off_circle(self, state: OrbitState) -> int | None:
+        """Number of localised multipliers outside the circle, of the better orbit; None where they are not counted."""
+        best, localised = state.better or state, self.coordinates.localised
+        assert localised is not None
+        with np.errstate(all="ignore"):
+            hill = self.hill(best.problem, best.z)
+            layout = Layout(hill.Omega, localised.bands)
+            if names_of_arcs(layout) in ((FILLED_GAP,), (NARROW_GAP,)):
+                return None
+            try:
+                return Sample(0.0, 0.0, hill, layout, lambda: hill).counts.off
+            except (ArithmeticError, np.linalg.LinAlgError):
+                return None
+
+    def _forces(self, count: int) -> tuple[ca.Function, Indices, Indices]:
+        """Accelerations and their derivatives at so many phases, and the rows and columns of the second."""
+        if count not in self._mapped:
+            forces = self.coordinates.solved.rhs_and_jacobian().map(count)
+            rows, columns = (np.asarray(part) for part in forces.sparsity_out(1).get_triplet())
+            self._mapped[count] = forces, rows, columns
+        return self._mapped[count]
+
+    def hill(self, problem: Problem, z: Array) -> Hill:
+        """Hill's equations of an orbit."""
+        localised = self.coordinates.localised
+        assert localised is not None
+        medium = Medium(localised.stiffness, localised.coupling, localised.inlet, localised.outlet)
+        count, p = PHASES_PER_COSINE * problem.resolution + SPARE_PHASES, medium.sites
+        q = problem.sample(z, np.pi * np.arange(count) / count)
+        parameter = np.full((1, count), float(z[problem.parameter_index]))
+        forces, rows, columns = self._forces(count)
+        slopes = forces(q.T, parameter)[1]
+        phases, columns = np.divmod(columns, q.shape[1])
+        cells = q.shape[1] // p
+        own, beside = np.zeros((count, cells, p, p)), np.zeros((count, cells - 1, p, p))
+        cell, next_cell = rows // p, columns // p
+        if localised.attached >= p:  # the medium is behind the last cell
+            cell, next_cell = cells - 1 - cell, cells - 1 - next_cell
+        entries = -np.asarray(slopes.nonzeros())
+        for target, apart in ((own, 0), (beside, 1)):
+            here = next_cell - cell == apart
+            target[phases[here], cell[here], rows[here] % p, columns[here] % p] = entries[here]
+        parts = [coefficients(part).transpose(1, 0, 2, 3) for part in (own, beside)]
+        return Hill(problem.frequency(z), medium, parts[0], parts[1], medium.inlet).without_tail()

@@ -1,24 +1,28 @@
-"""Flow maps in equal steps: step numbers, extrapolation, an estimate of the error, and the choice of the steps."""
+"""Flow maps of the variational system Phi' = J(q(t)) Phi along orbits: an orbit in, its transition matrix out.
+
+Maps in equal steps: step numbers, extrapolation, an estimate of the error, and the choice of the steps. Beside them the
+sensitivities of CVODES, which share nothing with these. Matrices have shape (orbits, m, m), m components of the state.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import groupby
 from typing import Protocol
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.model.conserved import symmetry_class
+from casadi_skin.model.integrators import CvodesError, CvodesOptions, run_cvodes
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.stability.jacobian import JacobianAlong
 from casadi_skin.stability.reduction import frobenius_norms
 from casadi_skin.zero.problem import Array, Problem
-
-# Flow maps of the variational system: an orbit in, its transition matrix over a part of the period out ----------------
 
 
 @dataclass(frozen=True)
@@ -350,3 +354,122 @@ def _place(orbit: OrbitState, errors: Array, size: int) -> str:
     components = np.linalg.norm(errors, axis=1)
     component = int(np.argmax(np.nan_to_num(components, nan=np.inf))) % size + 1
     return f"at site {component} of the orbit of Omega = {orbit.Omega:.10g}, parameter = {orbit.parameter:.10g}"
+
+
+# Transition matrices by SUNDIALS CVODES with forward sensitivities (Hindmarsh et al. 2005), for any model -------------
+
+TIGHTEST_LOCAL_TOLERANCE = 1e-13
+MAX_STEPS = 100_000
+LOCAL_TOLERANCE_RATIO = (
+    1e-3  # local tolerance per global tolerance: measured, the global error is up to several hundred local ones
+)
+
+
+class CvodesFlow:
+    """Transition matrix as the sensitivity of the flow of the nonlinear equations to its start; Adams, functional.
+
+    The error is estimated by a second run with local tolerances ten times as large: the global error is about
+    proportional to them. Raises FlowError where CVODES fails.
+    """
+
+    batch = 1
+
+    def __init__(self, model: OdeModel, tolerance: float) -> None:
+        self.model, self.tolerance = model.first_order(), tolerance
+        self.fraction = symmetry_class(model).value
+        self._functions: dict[float, ca.Function] = {}
+
+    def _function(self, local: float) -> ca.Function:
+        """Sensitivity of the flow at a local tolerance, built when first needed."""
+        if local not in self._functions:
+            self._functions[local] = self._build(local)
+        return self._functions[local]
+
+    def _build(self, local: float) -> ca.Function:
+        model, time = self.model, ca.SX.sym("time")
+        dae = {"x": model.state, "p": ca.vertcat(model.parameters, time), "ode": time * model.rhs}
+        return CvodesOptions(local, local, MAX_STEPS, sensitivity_errors=True).transition("flow", dae)
+
+    def _matrix(self, orbit: OrbitState, local: float) -> Array:
+        """Transition matrix; velocities of a brake orbit vanish at phase zero."""
+        positions = orbit.problem.sample(orbit.z, np.zeros(1))[0]
+        start = np.concatenate([positions, np.zeros(self.model.size - positions.size)])
+        parameters = np.array([orbit.parameter, duration(orbit, self.fraction)])
+        try:
+            return np.array(run_cvodes(self._function(local), start, parameters)["jac_xf_x0"])
+        except CvodesError as error:
+            place = f"the orbit of Omega = {orbit.Omega:.10g}, parameter = {orbit.parameter:.10g}"
+            raise FlowError(
+                f"cvodes fails with a local tolerance of {local:.0e} along {place}: {error}; try a larger "
+                "tolerance or flow splitting"
+            ) from error
+
+    def transition(self, problem: Problem, z: Array) -> Transition:
+        """Transition matrix of the full state along the orbit."""
+        return self.transitions([OrbitState(problem, z)])[0]
+
+    def transitions(
+        self,
+        orbits: Sequence[OrbitState],
+        tolerance: float | None = None,
+        banded: bool = False,
+        alike: bool = False,
+    ) -> list[Transition]:
+        """Transition matrices along several orbits; local tolerances follow `tolerance` down, by powers of ten."""
+        local = LOCAL_TOLERANCE_RATIO * self.tolerance
+        if tolerance is not None and tolerance < self.tolerance:
+            local = LOCAL_TOLERANCE_RATIO * 10.0 ** np.floor(np.log10(tolerance))
+        local = max(float(local), TIGHTEST_LOCAL_TOLERANCE)
+        return [self._estimated(orbit, local) for orbit in orbits]
+
+    def _estimated(self, orbit: OrbitState, local: float) -> Transition:
+        fine, coarse = self._matrix(orbit, local), self._matrix(orbit, 10.0 * local)
+        pair = None if orbit.better is None else (fine, self._matrix(orbit.better, local))
+        difference = EXTRAPOLATION_SAFETY * (fine - coarse)
+        return Transition(fine, self.fraction, float(np.linalg.norm(difference)), difference, pair)
+
+
+# Flow maps across the free motions of a model: what a conserved momentum makes trivial is taken out of every map ------
+
+
+def complement(directions: Array) -> Array:
+    """Orthonormal columns that span what is orthogonal to the columns of (n, m), m < n."""
+    return np.asarray(np.linalg.qr(directions, mode="complete")[0][:, directions.shape[1] :])
+
+
+def relative(transition: Transition, frame: Array) -> Transition:
+    """A transition matrix with all that estimates its errors, across what the columns of a frame leave out."""
+
+    def across(matrix: Array) -> Array:
+        n, size = frame.shape
+        blocks = matrix.reshape(2, n, 2, n).swapaxes(1, 2)
+        return np.asarray((frame.T @ blocks @ frame).swapaxes(1, 2).reshape(2 * size, 2 * size))
+
+    pair, truncation = transition.pair, transition.truncation
+    return replace(
+        transition,
+        matrix=across(transition.matrix),
+        truncation=None if truncation is None else across(truncation),
+        pair=None if pair is None else (across(pair[0]), across(pair[1])),
+    )
+
+
+@dataclass(frozen=True)
+class RelativeFlow:
+    """A flow map of relative positions, the `frame` of which has orthonormal columns; see `FlowMap`."""
+
+    flow: FlowMap
+    frame: Array
+
+    @property
+    def batch(self) -> int:
+        return self.flow.batch
+
+    def transition(self, problem: Problem, z: Array) -> Transition:
+        return relative(self.flow.transition(problem, z), self.frame)
+
+    def transitions(
+        self, orbits: Sequence[OrbitState], tolerance: float | None = None, banded: bool = False, alike: bool = False
+    ) -> list[Transition]:
+        found = self.flow.transitions(orbits, tolerance, alike=alike)
+        return [relative(transition, self.frame) for transition in found]
