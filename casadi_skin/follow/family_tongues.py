@@ -13,8 +13,8 @@ from casadi_skin.follow.family import Family
 from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.stability.result import Floquet, ReversibleFloquet
-from casadi_skin.stability.tongues.assembly import Entry, find_changes
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
+from casadi_skin.stability.tongues.find_changes import Entry, find_changes
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
 from casadi_skin.zero.settings import Point
 

@@ -33,8 +33,8 @@ from casadi_skin.stability.family_stability import orbit_state
 from casadi_skin.stability.flows import FlowError
 from casadi_skin.stability.multipliers import reduced_matrices
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.tongues.assembly import POWERS_BY_FRACTION
 from casadi_skin.stability.tongues.diagram import LocalisedDiagram, Place, StabilityDiagram, StabilityEdge
+from casadi_skin.stability.tongues.find_changes import POWERS_BY_FRACTION
 from casadi_skin.zero.family import Targets
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE
 from casadi_skin.zero.orbit import FirstOrderProblem

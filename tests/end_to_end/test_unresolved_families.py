@@ -11,7 +11,7 @@ from outputs import read_rows
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow import family_tongues
 from casadi_skin.runs.program import main
-from casadi_skin.stability.tongues.assembly import find_changes
+from casadi_skin.stability.tongues.find_changes import find_changes
 
 SCENE = """[chain]
 sites = 24

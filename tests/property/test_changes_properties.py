@@ -17,8 +17,8 @@ from symplectic_families import Entries, SymplecticFamily, cluster, cubic
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.family_tongues import family_tongues
-from casadi_skin.stability.tongues.assembly import find_changes
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
+from casadi_skin.stability.tongues.find_changes import find_changes
 
 tenths, hundredths = (st.integers(1, most).map(lambda k, size=size: k / size) for most, size in ((15, 10), (50, 100)))
 chains = st.builds(Chain, st.integers(3, 10), tenths, hundredths, st.sampled_from([-1.0, 1.0]))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
 from symplectic_families import SymplecticFamily, collision, cubic
 
-from casadi_skin.stability.tongues.assembly import find_changes
+from casadi_skin.stability.tongues.find_changes import find_changes
 
 window = st.tuples(st.floats(0.05, 0.95), st.floats(-9.0, -1.5), st.floats(0.2, 1.0), st.sampled_from([-1.0, 1.0]))
 

@@ -12,9 +12,9 @@ from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.section_orbits import SectionOrbit, find_all, find_one
 from casadi_skin.stability.flows import OrbitState
 from casadi_skin.stability.tongues import chebyshev
-from casadi_skin.stability.tongues.assembly import _to_the_nearest
 from casadi_skin.stability.tongues.blocks import SERIES_DEGREE
 from casadi_skin.stability.tongues.chebyshev import Function
+from casadi_skin.stability.tongues.rotation import _to_the_nearest
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,8 @@ from casadi_skin import Branch, Chain, OdeModel, follow_family
 from casadi_skin.follow import family_tongues
 from casadi_skin.follow.family import Family
 from casadi_skin.stability.tongues import interpolation
-from casadi_skin.stability.tongues.assembly import find_changes
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
+from casadi_skin.stability.tongues.find_changes import find_changes
 
 
 def slow(*values: Any) -> Any:

@@ -11,8 +11,8 @@ from symplectic_families import Entries, ReversibleFamily, SymplecticFamily, clu
 
 from casadi_skin.stability.flows import FlowError
 from casadi_skin.stability.tongues import crossings
-from casadi_skin.stability.tongues.assembly import Entry, find_changes
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
+from casadi_skin.stability.tongues.find_changes import Entry, find_changes
 from casadi_skin.stability.tongues.interpolation import Interpolated, MatrixSeries, Samples, interpolate
 
 Array = np.ndarray

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from casadi_skin import native
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues import chebyshev
+from casadi_skin.stability.tongues.chebyshev import SERIES_DEGREE
 from casadi_skin.zero.problem import Array
 
 # Matrices between bases that make them block diagonal at each node of an interval, from their eigenvectors ------------
 
-SERIES_DEGREE = 16  # of the series on an interval
 MIDDLE_NODE = SERIES_DEGREE // 2
 MOST_ITERATIONS = 60
 CONVERGED_STEP = 1e-9  # of a step: blocks are taken between left and right bases, whose errors they have multiplied

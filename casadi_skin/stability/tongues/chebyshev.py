@@ -13,9 +13,9 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebder
 from numpy.typing import NDArray
 
-from casadi_skin.stability.tongues.blocks import SERIES_DEGREE, Indices
-from casadi_skin.zero.problem import Array
+from casadi_skin.zero.problem import Array, Indices
 
+SERIES_DEGREE = 16  # of the series on an interval of a branch
 END_SLACK = 1e-9  # beyond the ends, in which a zero still counts
 NEARLY_REAL = 1e-4  # imaginary part of a zero that rounding may have made of two real ones
 NEGLIGIBLE_COEFFICIENT = (

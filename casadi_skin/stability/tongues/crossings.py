@@ -14,10 +14,8 @@ from itertools import pairwise
 import numpy as np
 
 from casadi_skin.stability.tongues import chebyshev
-from casadi_skin.stability.tongues.assembly import Spectrum
 from casadi_skin.stability.tongues.blocks import (
     MIDDLE_NODE,
-    SERIES_DEGREE,
     Blocks,
     Booleans,
     Indices,
@@ -25,6 +23,7 @@ from casadi_skin.stability.tongues.blocks import (
     blocks_of,
     comes_apart,
 )
+from casadi_skin.stability.tongues.chebyshev import SERIES_DEGREE
 from casadi_skin.stability.tongues.interpolation import FAILURE_ERRORS, Gap, MatrixSeries, in_words
 from casadi_skin.stability.tongues.pairs import (
     Block,
@@ -37,6 +36,7 @@ from casadi_skin.stability.tongues.pairs import (
     is_coarse,
     single_functions,
 )
+from casadi_skin.stability.tongues.rotation import Spectrum
 from casadi_skin.zero.problem import Array
 
 SHORTEST_INTERVAL = 1e-9  # of the series that an interval belongs to: a shorter one is given up

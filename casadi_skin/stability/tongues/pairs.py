@@ -18,8 +18,8 @@ import numpy as np
 
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues import chebyshev
-from casadi_skin.stability.tongues.blocks import SERIES_DEGREE, Booleans, Indices, Numbers
-from casadi_skin.stability.tongues.chebyshev import Function
+from casadi_skin.stability.tongues.blocks import Booleans, Indices, Numbers
+from casadi_skin.stability.tongues.chebyshev import SERIES_DEGREE, Function
 from casadi_skin.zero.problem import Array
 
 # Blocks of mu on an interval, and their instabilities between edges; the block of one mu, and complex ones ------------
