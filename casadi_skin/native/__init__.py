@@ -9,7 +9,7 @@ how the arguments of its functions and the fields of its structures follow one a
 | --- | --- | --- |
 | bordered.c | factors and solutions of bands with borders | `solve.bordered` |
 | splitting.c | Jacobians along orbits, transition matrices | `stability.jacobian`, `stability.splitting` |
-| decoupling.c | bases that make matrices block diagonal | `stability.tongues.decoupling` |
+| decoupling.c | bases that make matrices block diagonal | `stability.tongues.blocks` |
 | elimination.c | cells of a row eliminated from its free end on | `stability.tongues.hill` |
 | equations.c | equations of collocation in odd cosines, from instructions of CasADi | CasADi itself |
 | taylor.c | power series of branches, and those with a linear tail | `zero.recursion`, `lattice.tail_series` |
@@ -292,7 +292,7 @@ def invariant(
 ) -> tuple[Numbers, Booleans]:
     """T at the nodes, in steps until one is no larger than `enough`, and for which intervals these are few.
 
-    Arguments are those of `stability.tongues.decoupling`: K (intervals, nodes, size, size), `same` (intervals, size,
+    Arguments are those of `stability.tongues.blocks`: K (intervals, nodes, size, size), `same` (intervals, size,
     size), `columns` (intervals, columns).
     """
     intervals, nodes, size, _ = K.shape

@@ -38,9 +38,8 @@ from casadi_skin.results.words import (
     special_points,
     with_error,
 )
-from casadi_skin.stability.localised import LocalisedFloquet
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.result import Floquet
+from casadi_skin.stability.result import Floquet, LocalisedFloquet
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.statics import Spectrum
 
