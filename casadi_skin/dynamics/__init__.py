@@ -1,8 +1,7 @@
 """Time evolution of any model, from any start or near an orbit."""
 
-from casadi_skin.dynamics.evolution import Evolution, EvolutionError
+from casadi_skin.dynamics.evolution import EquationsOfMotion, Evolution, EvolutionError, equations_of_motion
 from casadi_skin.dynamics.evolve import distance_from_orbit, evolve, perturbed, simulate_orbit
-from casadi_skin.dynamics.motion import EquationsOfMotion, equations_of_motion
 
 __all__ = [
     "EquationsOfMotion",

@@ -10,9 +10,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.dynamics.evolution import Evolution
+from casadi_skin.dynamics.evolution import Evolution, equations_of_motion
 from casadi_skin.dynamics.evolve import checked_vector
-from casadi_skin.dynamics.motion import equations_of_motion
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.declaration import PERIODIC, Array
 from casadi_skin.lattice.lattice import Bond, Lattice, Site

@@ -12,7 +12,7 @@ import casadi as ca
 import msgspec
 
 from casadi_skin._version import __version__
-from casadi_skin.dynamics.motion import EquationsOfMotion, equations_of_motion
+from casadi_skin.dynamics.evolution import EquationsOfMotion, equations_of_motion
 from casadi_skin.fmu.model import FmuModel, OtherModelError, at_symbols, checked, identity, noises
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.family import Family

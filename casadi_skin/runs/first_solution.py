@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.dynamics.evolution import Cycle, Evolution
+from casadi_skin.dynamics.evolution import PHYSICAL, Cycle, EquationsOfMotion, Evolution
 from casadi_skin.dynamics.evolve import simulate
-from casadi_skin.dynamics.motion import PHYSICAL, EquationsOfMotion
 from casadi_skin.dynamics.starts import initial_state
 from casadi_skin.follow.find import find_equilibrium, find_orbit
 from casadi_skin.follow.orbit import Orbit

@@ -164,7 +164,7 @@ class Dynamics(Task):
         Sampled by the period of the fastest linear mode, where there are such modes.
         """
         from casadi_skin.dynamics import evolve
-        from casadi_skin.dynamics.motion import equations_of_motion
+        from casadi_skin.dynamics.evolution import equations_of_motion
         from casadi_skin.lattice.linear import lattice_modes
         from casadi_skin.runs.first_solution import start_near_rest
 

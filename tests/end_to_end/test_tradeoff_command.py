@@ -9,7 +9,7 @@ from outputs import read_rows
 
 from casadi_skin.runs import tradeoff
 from casadi_skin.runs.program import main
-from casadi_skin.runs.tradeoff_settings import Kind, Measured
+from casadi_skin.runs.tradeoff import Kind, Measured
 
 TINY = """
 [chain]

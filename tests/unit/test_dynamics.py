@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from casadi_skin import Chain, Orbit, follow_family
 from casadi_skin.dynamics import EvolutionError, distance_from_orbit, evolve, perturbed, simulate_orbit
-from casadi_skin.dynamics.motion import LONGEST_ENVELOPE
+from casadi_skin.dynamics.evolution import LONGEST_ENVELOPE
 from casadi_skin.lattice.closed_forms import Array, duffing_displacement
 from casadi_skin.model.methods import INTEGRATORS
 from casadi_skin.runs import rules as task_checks

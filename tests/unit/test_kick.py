@@ -20,9 +20,18 @@ from scipy.optimize import brentq
 from casadi_skin import Chain, Orbit, follow_family, smallest_kick
 from casadi_skin.dynamics import distance_from_orbit, evolve
 from casadi_skin.lattice.closed_forms import Array
-from casadi_skin.optimise.kick import KickSearch, KickStart, SmallestKick, distinct, kick_norm, size_to_escape, verified
+from casadi_skin.optimise.kick import (
+    Escape,
+    KickSearch,
+    KickStart,
+    SmallestKick,
+    distinct,
+    escape,
+    kick_norm,
+    size_to_escape,
+    verified,
+)
 from casadi_skin.optimise.kick_nlp import KickedFlow, Loop
-from casadi_skin.optimise.kick_verify import Escape, escape
 from casadi_skin.optimise.optimum import CosineOrbit
 from casadi_skin.solve.processes import SearchProgress, unpickled
 

@@ -12,19 +12,6 @@ from outputs import read_rows
 
 from casadi_skin import Chain
 from casadi_skin.runs.tradeoff import (
-    WorkPrecision,
-    advice,
-    advices,
-    broken_promises,
-    busy,
-    front_of,
-    front_words,
-    pareto_front,
-    preset_words,
-    recommendations,
-    work_precision_figure,
-)
-from casadi_skin.runs.tradeoff_settings import (
     COLUMNS,
     MEASURED_TOLERANCES,
     QUICK_TOLERANCES,
@@ -34,12 +21,23 @@ from casadi_skin.runs.tradeoff_settings import (
     Measured,
     Reference,
     Setting,
+    WorkPrecision,
+    advice,
+    advices,
+    broken_promises,
+    busy,
+    front_of,
+    front_words,
     measure,
     memory_of,
     paired,
+    pareto_front,
     peak_memory,
+    preset_words,
+    recommendations,
     settings_of,
     timed,
+    work_precision_figure,
 )
 from casadi_skin.zero.request import family_request
 
