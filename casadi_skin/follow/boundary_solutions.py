@@ -26,7 +26,7 @@ from casadi_skin.solve.ipopt import CORRECTORS
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import Corrector, RoundedCorrector
 from casadi_skin.stability.flows import FlowError
-from casadi_skin.stability.full_period import FULL_PERIOD_FLOWS, Closed
+from casadi_skin.stability.full_period import FULL_PERIOD_FLOWS, Closed, Returned
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
 from casadi_skin.zero import mesh
@@ -306,7 +306,7 @@ class BoundarySolutions(SolutionSpace):
         """Whether a solution that closes does so from any phase: its velocity has the multiplier 1."""
         assert isinstance(point.problem, BoundaryProblem)
         if self.closure is not None:
-            return self.closure.moves_freely(point.problem, point.z)
+            return Returned(point.problem, point.z, self.closure).moves_freely
         return PERIOD in self.statement.free
 
     def _better(self, point: Point) -> Refinement | None:
@@ -326,20 +326,16 @@ class BoundarySolutions(SolutionSpace):
 
     def _floquet(self, point: Point, by: str, with_errors: bool = True) -> Floquet:
         better = self._better(point) if with_errors else None
-        if self.closure is not None:
-            assert isinstance(point.problem, BoundaryProblem)
-            return self.closure.multipliers(point.problem, point.z, better, self.tolerance)
-        periodic = self._orbit_of()
-        compute = FULL_PERIOD_FLOWS[by]
 
-        def closed(problem: Problem, z: Array) -> Closed:
+        def closed(problem: Problem, z: Array) -> Closed | Returned:
             assert isinstance(problem, BoundaryProblem)
-            period = self.interval(replace(point, problem=problem, z=z))[1]
+            if self.closure is not None:
+                return Returned(problem, z, self.closure)
+            periodic, period = self._orbit_of(), self.interval(replace(point, problem=problem, z=z))[1]
             return Closed(problem, z, periodic.model, periodic.symmetry, period)
 
-        found: Floquet = compute(
-            closed(point.problem, point.z), None if better is None else closed(better.problem, better.z), self.tolerance
-        )
+        finer = None if better is None else closed(better.problem, better.z)
+        found: Floquet = FULL_PERIOD_FLOWS[by](closed(point.problem, point.z), finer, self.tolerance)
         return found
 
     def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -24,12 +25,16 @@ from casadi_skin.stability.closed_maps import (
     Multipliers,
     Trivial,
     multipliers_along,
+    no_trivial,
     trivial_along,
+    trivial_of,
     units_of,
+    vectors_along,
 )
 from casadi_skin.stability.product_spectrum import Spectrum
 from casadi_skin.stability.result import LARGEST_LOGARITHM, FullPeriodFloquet
 from casadi_skin.zero.butcher import CollocationTable
+from casadi_skin.zero.closure import TURNED_FIELD_RTOL, Closure
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.stated_problem import BoundaryProblem
 
@@ -179,6 +184,8 @@ TIGHTER_RATIO = 0.1  # times the local tolerance of CVODES, for the multipliers 
 LEFT_ERROR_RATIO = 0.75  # of the error that the tighter tolerance may leave: measured, up to 0.7 of single multipliers
 LEAST_ERROR_RATIO = 0.1  # of the largest error: that of a single multiplier may vanish at both tolerances
 MAX_STEPS = 200_000
+STILL_VARIATION = 1e-6  # of the largest value: the variation of a solution that rests
+CLOSED_VALUE_RTOL = 1e-5  # relative: values that close as the solution does
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,12 +208,20 @@ class Closed:
         return np.array([values[name] for name in self.model.parameter_names])
 
     @property
+    def size(self) -> int:
+        """Number n of components of the state of the model."""
+        return self.model.full_size
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the whole period is solved for."""
+        return self.symmetry is SymmetryClass.FULL
+
+    @property
     def ends(self) -> Array:
         """States at the ends of the intervals of the whole period, shape (ends, n)."""
-        rows = self.problem.table.ends.size
-        values = self.z[: self.problem.states]
-        part = values.reshape(self.problem.columns, -1)[::rows, : self.model.full_size]
-        if self.symmetry is SymmetryClass.FULL:
+        part = _ends_of(self.problem, self.z, self.size)
+        if self.is_whole:
             return part
         mirror, half = self._signs
         there = np.concatenate([part, (part * mirror)[-2::-1]])
@@ -214,11 +229,15 @@ class Closed:
 
     def over_the_period(self, maps: Array) -> Array:
         """Maps over the full period from those over the part that the symmetry leaves: reversed and repeated."""
-        if self.symmetry is SymmetryClass.FULL:
+        if self.is_whole:
             return maps
         mirror, half = self._signs
         there = np.concatenate([maps, mirror[:, None] * np.linalg.inv(maps[::-1]) * mirror])
         return there if half is None else np.concatenate([there, half[:, None] * there * half])
+
+    def contraction(self, part: float) -> float:
+        """The logarithm of the determinant of all maps, from that over the part that is solved for."""
+        return part / self.symmetry.value
 
     @property
     def _signs(self) -> tuple[Array, Array | None]:
@@ -235,7 +254,66 @@ class Closed:
         return trivial_along(self.model, self.symmetry, states, self.parameters, self.period, tolerance)
 
 
-def by_collocation(orbit: Closed, better: Closed | None, tolerance: float) -> FullPeriodFloquet:
+@dataclass(frozen=True, eq=False)
+class Returned:
+    """A solution that the conditions of a statement take back to S times its start: of S^-1 times the flow.
+
+    The state of the problem may have others beside it: those of the statement come first, as its parameters.
+    """
+
+    problem: BoundaryProblem
+    z: Array
+    closure: Closure
+    is_whole: ClassVar[bool] = True
+
+    @property
+    def size(self) -> int:
+        """Number n of components of the state."""
+        return int(self.closure.matrix.shape[0])
+
+    @property
+    def ends(self) -> Array:
+        """States at the ends of the intervals, shape (ends, n)."""
+        return _ends_of(self.problem, self.z, self.size)
+
+    def over_the_period(self, maps: Array) -> Array:
+        """Maps over the intervals, and that back to the start."""
+        return np.concatenate([maps, np.linalg.inv(self.closure.matrix)[None]])
+
+    def contraction(self, part: float) -> float:
+        """The logarithm of the determinant of all maps, from that over the interval."""
+        return part - float(np.linalg.slogdet(self.closure.matrix)[1])
+
+    def trivial(self, tolerance: float, ends: Array | None = None) -> Trivial:
+        """Trivial multipliers: directions and gradients that S maps as it maps the solution."""
+        model, S, states = self.closure.statement.model, self.closure.matrix, self.ends if ends is None else ends
+        problem, n = self.problem, self.size
+        values = self.z[: problem.states].reshape(problem.columns, -1)[:, :n]
+        size = max(float(np.max(np.abs(values))), float(np.max(problem.floors[:n])))
+        if model.forced or np.max(np.ptp(values, axis=0)) <= STILL_VARIATION * size:  # at rest
+            return no_trivial(n)
+        states = np.vstack([states, states[0]])  # to which S^-1 takes that at the end
+        right, left = vectors_along(model, states, problem.parameters(self.z)[: model.parameters.numel()])
+        right = right[:, [_same(S @ v[0], v[-2]) for v in right.swapaxes(0, 1)]]
+        left = left[:, [_same(S.T @ v[-2], v[0]) for v in left.swapaxes(0, 1)]]
+        return trivial_of(right, left, units_of(states), tolerance)
+
+    @property
+    def moves_freely(self) -> bool:
+        """Whether a solution may start at any of its phases: S maps its velocity as it maps the solution."""
+        return bool(self.trivial(TURNED_FIELD_RTOL, self.ends[[0, -1]]).right.shape[1])
+
+
+def _same(one: Array, other: Array) -> bool:
+    return bool(np.max(np.abs(one - other)) <= CLOSED_VALUE_RTOL * np.max(np.abs(other)))
+
+
+def _ends_of(problem: BoundaryProblem, z: Array, size: int) -> Array:
+    """The first components of the states at the ends of the intervals, shape (ends, size)."""
+    return z[: problem.states].reshape(problem.columns, -1)[:: problem.table.ends.size, :size]
+
+
+def by_collocation(orbit: Closed | Returned, better: Closed | Returned | None, tolerance: float) -> FullPeriodFloquet:
     """Multipliers from the interval maps of the linearised equations; `better` is the orbit on a finer mesh."""
     found = _multipliers(orbit, tolerance)
     if better is None:
@@ -243,13 +321,14 @@ def by_collocation(orbit: Closed, better: Closed | None, tolerance: float) -> Fu
     return judged(found, _multipliers(better, tolerance), tolerance, orbit.problem.left_by(better.problem))
 
 
-def _multipliers(orbit: Closed, tolerance: float) -> Multipliers:
-    problem, z, n = orbit.problem, orbit.z, orbit.model.full_size
+def _multipliers(orbit: Closed | Returned, tolerance: float) -> Multipliers:
+    problem, z, n = orbit.problem, orbit.z, orbit.size
     jacobians = stage_jacobians(problem, z)[:, :n, :n]
-    maps = interval_maps(jacobians, problem.constants, problem.table)
-    growth = contraction(problem, jacobians) / orbit.symmetry.value
-    along = MapsAlong(orbit.over_the_period(maps), orbit.trivial(tolerance), units_of(orbit.ends), growth)
-    if orbit.symmetry is not SymmetryClass.FULL:
+    maps, growth = interval_maps(jacobians, problem.constants, problem.table), contraction(problem, jacobians)
+    along = MapsAlong(
+        orbit.over_the_period(maps), orbit.trivial(tolerance), units_of(orbit.ends), orbit.contraction(growth)
+    )
+    if not orbit.is_whole:
         return multipliers_along(along)
 
     def resolved() -> MapsAlong | None:
@@ -257,7 +336,9 @@ def _multipliers(orbit: Closed, tolerance: float) -> Multipliers:
         if not parts.needed:
             return along
         finer = parts.maps()
-        return None if finer is None else replace(along, maps=finer[0], trivial=orbit.trivial(tolerance, finer[1]))
+        if finer is None:
+            return None
+        return replace(along, maps=orbit.over_the_period(finer[0]), trivial=orbit.trivial(tolerance, finer[1]))
 
     return multipliers_along(along, resolved)
 
@@ -303,7 +384,7 @@ def _by_sensitivities(orbit: Closed, local: float, tolerance: float) -> Multipli
     return multipliers_along(MapsAlong((matrix * units[:, None] / units)[None], closed, units))
 
 
-FULL_PERIOD_FLOWS: Mapping[str, Callable[[Closed, Closed | None, float], FullPeriodFloquet]] = {
+FULL_PERIOD_FLOWS: Mapping[str, Callable[[Any, Any, float], FullPeriodFloquet]] = {
     "collocation": by_collocation,
     "cvodes": by_cvodes,
 }

@@ -10,21 +10,8 @@ import numpy as np
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.stability.closed_maps import (
-    MapsAlong,
-    Multipliers,
-    Trivial,
-    multipliers_along,
-    no_trivial,
-    trivial_of,
-    units_of,
-    vectors_along,
-)
-from casadi_skin.stability.full_period import Parts, contraction, interval_maps, judged, stage_jacobians
-from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.formulation import Formulation
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.settings import Refinement
 from casadi_skin.zero.stated_problem import BoundaryProblem
 from casadi_skin.zero.statement import Statement
 
@@ -33,8 +20,6 @@ CONDITION_TRIALS, SAME_DERIVATIVE_ATOL = (
     1e-12,
 )  # random points at which derivatives of conditions are compared, and their difference
 TURNED_FIELD_RTOL = 1e-9  # relative: a field that is the same after a turn
-STILL_VARIATION = 1e-6  # of the largest value: the variation of a solution that rests
-CLOSED_VALUE_RTOL = 1e-5  # relative: values that close as the solution does
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,58 +73,6 @@ class Closure:
                 return False
         return True
 
-    def multipliers(self, problem: BoundaryProblem, z: Array, better: Refinement | None, tolerance: float) -> Floquet:
-        """Multipliers of a solution: those of S^-1 times the flow over the interval; `better` is on a finer mesh."""
-        found = self._multipliers(problem, z, tolerance)
-        if better is None:
-            return judged(found, None, tolerance)
-        assert isinstance(better.problem, BoundaryProblem)
-        reference = self._multipliers(better.problem, better.z, tolerance)
-        return judged(found, reference, tolerance, problem.left_by(better.problem))
-
-    def _multipliers(self, problem: BoundaryProblem, z: Array, tolerance: float) -> Multipliers:
-        """The state of the problem may have others beside it: those of the statement come first, as its parameters."""
-        n = self.matrix.shape[0]
-        jacobians, back = stage_jacobians(problem, z)[:, :n, :n], np.linalg.inv(self.matrix)
-        ends = z[: problem.states].reshape(problem.columns, -1)[:: problem.table.ends.size, :n]
-
-        def along(maps: Array, states: Array) -> MapsAlong:
-            trivial = self._trivial(problem, z, np.vstack([states, states[0]]), tolerance)
-            growth = contraction(problem, jacobians) + float(np.linalg.slogdet(back)[1])
-            return MapsAlong(np.concatenate([maps, back[None]]), trivial, units_of(states), growth)
-
-        first = along(interval_maps(jacobians, problem.constants, problem.table), ends)
-
-        def resolved() -> MapsAlong | None:
-            parts = Parts(problem, z, jacobians)
-            if not parts.needed:
-                return first
-            finer = parts.maps()
-            return None if finer is None else along(*finer)
-
-        return multipliers_along(first, resolved)
-
-    def moves_freely(self, problem: BoundaryProblem, z: Array) -> bool:
-        """Whether a solution may start at any of its phases: S maps its velocity as it maps the solution."""
-        n = self.matrix.shape[0]
-        values = z[: problem.states].reshape(problem.columns, -1)[:, :n]
-        return bool(self._trivial(problem, z, values[[0, -1, 0]], TURNED_FIELD_RTOL).right.shape[1])
-
-    def _trivial(self, problem: BoundaryProblem, z: Array, states: Array, tolerance: float) -> Trivial:
-        """Trivial multipliers: directions and gradients that S maps as it maps the solution.
-
-        `states` at the ends of intervals, then that at the start once more, to which S^-1 takes that at the end.
-        """
-        model, n = self.statement.model, self.matrix.shape[0]
-        values = z[: problem.states].reshape(problem.columns, -1)[:, :n]
-        size = max(float(np.max(np.abs(values))), float(np.max(problem.floors[:n])))
-        if model.forced or np.max(np.ptp(values, axis=0)) <= STILL_VARIATION * size:  # at rest
-            return no_trivial(n)
-        right, left = vectors_along(model, states, problem.parameters(z)[: model.parameters.numel()])
-        right = right[:, [_same(self.matrix @ v[0], v[-2]) for v in right.swapaxes(0, 1)]]
-        left = left[:, [_same(self.matrix.T @ v[-2], v[0]) for v in left.swapaxes(0, 1)]]
-        return trivial_of(right, left, units_of(states), tolerance)
-
 
 def closure_of(statement: Statement) -> Closure | None:
     """How the conditions of a statement close its solutions; None where they do not.
@@ -170,10 +103,6 @@ def closure_of(statement: Statement) -> Closure | None:
 def _rows(statement: Statement) -> Expression:
     """The conditions at the ends, one below the other."""
     return ca.vertcat(*(ca.vec(condition) for condition in statement.conditions))
-
-
-def _same(one: Array, other: Array) -> bool:
-    return bool(np.max(np.abs(one - other)) <= CLOSED_VALUE_RTOL * np.max(np.abs(other)))
 
 
 # Orbits of a family as boundary-value problems: the unfolded field, conditions of symmetry or of periodicity ----------
