@@ -185,19 +185,29 @@ def _tests(space: Followed, start: Point) -> Iterator[tuple[str, Test]]:
 
 
 def _quadratic(space: Followed, reference: Point) -> Test:
-    """The quadratic coefficient of a fold, with the left null vector turned as at a reference."""
+    """The quadratic coefficient of a fold; its sign goes on from a reference by the normal of the curve of parameters.
+
+    The left null vector itself may turn by more than a right angle within a step, in units in which its largest
+    component passes through zero.
+    """
     statics, sizes, n = space.equations.statics, space.equations.sizes, space.equations.statics.size
+    system, names = cast(ExtendedSystem, reference.problem), list(statics.values)
+    courses = [course for course in (*system.free, system.walking) if course is not None]
+    ranges = np.array([course.to - course.start for course in courses])
+    columns = [names.index(course.name) for course in courses]
 
-    def left(point: Point) -> Array:
-        psi = _null_space(point).left[:, -1]
-        return np.asarray(psi / np.linalg.norm(psi))
+    def left(point: Point) -> tuple[Array, Array]:
+        psi, problem = _null_space(point).left[:, -1], cast(ExtendedSystem, point.problem)
+        psi = psi / np.linalg.norm(psi)
+        by_parameters = statics.by_parameters(problem.state(point.z), problem.parameters(point.z))[:, columns]
+        return np.asarray(psi), np.asarray((psi / sizes) @ by_parameters * ranges)
 
-    first = left(reference)
+    first = left(reference)[1]
 
     def test(point: Point) -> float:
-        problem, psi, v = cast(ExtendedSystem, point.problem), left(point), sizes * point.z[n : 2 * n]
+        problem, (psi, normal), v = cast(ExtendedSystem, point.problem), left(point), sizes * point.z[n : 2 * n]
         curved = statics.second(problem.state(point.z), problem.parameters(point.z), v, v).real / sizes
-        return float(psi @ curved) * float(np.sign(psi @ first))
+        return float(np.copysign(1.0, normal @ first) * (psi @ curved))
 
     return test
 
