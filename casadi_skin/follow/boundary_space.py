@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_skin.follow.boundary_solutions import BoundarySolutions
-from casadi_skin.follow.branch_points import branch_points_between
-from casadi_skin.follow.crossings import ONE_PLACE
+from casadi_skin.follow.branch_points import ONE_PLACE, branch_points_between
 from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.location import Located, locate_rest, special_orbit
 from casadi_skin.follow.period_limit import joined_words, unbounded
@@ -21,14 +20,13 @@ from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.special_points import TEST_ZERO_XTOL, NotLocatedError, fold_between, turning
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.family import TWO_PI
-from casadi_skin.zero.kinds import BOUND, BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF
+from casadi_skin.zero.kinds import BOUND, BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, Unresolved
 from casadi_skin.zero.orbit import Sizes
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import AlgebraicProblem, sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.zero.statics import Statics
-from casadi_skin.zero.unresolved import Unresolved
 
 if TYPE_CHECKING:
     from casadi_skin.follow.boundary_solutions import BoundarySolutions

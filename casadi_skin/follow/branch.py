@@ -18,8 +18,7 @@ from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.passages import held_passage, passage
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, SolutionSpace
-from casadi_skin.follow.special_of_families import folds_of_family, special_point
-from casadi_skin.follow.special_points import SpecialPoint
+from casadi_skin.follow.special_points import SpecialPoint, folds_of_family, special_point
 from casadi_skin.model.arguments import cut, number, whole
 from casadi_skin.model.result import Result
 from casadi_skin.solve.watch import Budget, TimeLimitError
@@ -30,10 +29,9 @@ from casadi_skin.stability.tongues.diagram import (
     StabilityDiagram,
     StabilityEdge,
 )
-from casadi_skin.zero.kinds import EDGE, FOLD
+from casadi_skin.zero.kinds import EDGE, FOLD, STABILITY, Unresolved, count_in_words
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import End, Point
-from casadi_skin.zero.unresolved import STABILITY, Unresolved, count_in_words
 
 T = TypeVar("T")
 

@@ -1,4 +1,21 @@
-"""Branch points of boundary-value problems: where the Jacobian bordered by the tangent is singular.
+"""The number of branches that cross a stretch of a branch, an even one too: eigenvalues from one end to the other.
+
+The Jacobian bordered by the tangent is J0 at one end and J1 at the other. The eigenvalues of J0^-1 J1 are all 1 where
+the ends coincide, and one of them passes through zero where J1 passes a branch point: as many are negative as branches
+cross, where the sign of a determinant is that of their product alone. One that passes through zero and comes back is
+seen by its rate at either end, an eigenvalue of J^-1 dJ/ds. J0^-1 J1 is 1 plus a compact operator, so that few
+eigenvalues lie far from 1: Arnoldi's method (Saad 2011, chapter 6) sees those at once.
+
+The place where k branches cross at once: the Jacobian bordered by the tangent has a kernel of dimension k there.
+
+Bordered by k columns and k rows more it is regular, and the k x k corner G of the inverse vanishes where the kernel is
+(Govaerts 2000, chapter 3). The branch itself cannot be corrected there: its points and G are interpolated from places
+on both sides. The inverse of the slope of G times G has one eigenvalue for each branch that crosses: how far before
+the place it does. Their mean gives the place.
+
+Points of codimension two at which extended equations are singular, as where two null vectors meet: interpolated.
+
+Branch points of boundary-value problems: where the Jacobian bordered by the tangent is singular.
 
 How many branches cross a stretch is counted (see `crossed_branches`), and the stretch parted until one does alone, or
 several in one place. From there the sign of the determinant gives the place, on one level of resolution after the
@@ -13,15 +30,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casadi_skin.follow.crossings import (
-    ONE_PLACE,
-    Bordered,
-    closed,
-    crossing_places,
-    crossings,
-    outer_eigenvalues,
-    quiet,
-)
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import LocalCurve
 from casadi_skin.zero.kinds import BRANCH_POINT
@@ -30,6 +38,290 @@ from casadi_skin.zero.settings import Point
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
+from collections.abc import Callable
+
+from casadi_skin.zero.kinds import DOUBLE
+from casadi_skin.zero.problem import Solve
+
+ARNOLDI_STEPS = 14  # of Arnoldi's method, after which eigenvalues far from the others are known
+QUIET_FALL = 0.7  # of 1: an eigenvalue that falls by less on the way, at its rate at an end, reaches no zero
+SUSPECT_REAL_PART = 0.5  # largest real part of eigenvalues that are looked at closely
+DENSE_UNKNOWNS = 500  # unknowns up to which all eigenvalues are computed
+MOST_EIGENVALUES = 20  # eigenvalues that are computed of larger systems
+
+
+@dataclass(frozen=True, eq=False)
+class Bordered:
+    """The Jacobian with its border at one place, and the solver of both."""
+
+    matrix: csc_matrix
+    solve: Solve
+
+    @classmethod
+    def at(cls, problem: Problem, nonzeros: Array, row: Array, solve: Solve) -> Bordered:
+        """Of a problem's Jacobian closed by `row`."""
+        return cls(closed(problem, nonzeros, row), solve)
+
+
+def closed(problem: Problem, nonzeros: Array, row: Array) -> csc_matrix:
+    """The Jacobian of these non-zeros, with a row below it."""
+    from scipy.sparse import csc_matrix, vstack
+
+    jacobian = csc_matrix((nonzeros, problem.pattern), shape=(problem.size - 1, problem.size))
+    return vstack([jacobian, csc_matrix(row[None, :])]).tocsc()
+
+
+def crossings(before: Bordered, after: Bordered) -> int:
+    """The number of branches that cross between two places: negative eigenvalues of one matrix relative to another."""
+    if np.min(outer_eigenvalues(before, after.matrix).real, initial=1.0) > SUSPECT_REAL_PART:
+        return 0
+    values = _eigenvalues(before, after)
+    real = np.abs(values.imag) <= 1e-6 * np.abs(values)
+    return int(np.sum(real & (values.real < 0.0)))
+
+
+def quiet(rates: Array, way: float, crossed: float | None) -> bool:
+    """Whether eigenvalues with these rates go through no zero on a way, but for one at a part of it if it is given."""
+    falls = np.sort((rates * way).real)
+    if crossed is not None and falls.size:
+        falls[0] += 1.0 / max(crossed, np.finfo(float).tiny)
+    return bool(np.all(falls > -QUIET_FALL))
+
+
+def outer_eigenvalues(before: Bordered, matrix: csc_matrix) -> Array:
+    """Those of the solver times a matrix that lie far from the others, by a few steps of Arnoldi's method."""
+    size = before.matrix.shape[0]
+    steps = min(ARNOLDI_STEPS, size)
+    basis, hessenberg = np.zeros((steps + 1, size)), np.zeros((steps + 1, steps))
+    start = np.random.default_rng(0).normal(size=size)
+    basis[0] = start / np.linalg.norm(start)
+    for k in range(steps):
+        found = before.solve(matrix @ basis[k])
+        for _ in range(2):  # twice is enough
+            parts = basis[: k + 1] @ found
+            hessenberg[: k + 1, k] += parts
+            found = found - parts @ basis[: k + 1]
+        hessenberg[k + 1, k] = np.linalg.norm(found)
+        if hessenberg[k + 1, k] <= 1e-12 * np.max(np.abs(hessenberg[: k + 1, k])):
+            steps = k + 1
+            break
+        basis[k + 1] = found / hessenberg[k + 1, k]
+    return np.asarray(np.linalg.eigvals(hessenberg[:steps, :steps]))
+
+
+def _eigenvalues(before: Bordered, after: Bordered) -> Array:
+    """All eigenvalues, or those of a large system with the smallest real parts."""
+    from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
+
+    size = before.matrix.shape[0]
+    if size <= DENSE_UNKNOWNS:
+        return np.asarray(np.linalg.eigvals(before.solve(after.matrix.toarray())))
+    operator = LinearOperator((size, size), matvec=lambda v: before.solve(after.matrix @ np.asarray(v).ravel()))
+    start = np.random.default_rng(1).normal(size=size)
+    try:
+        return np.asarray(eigs(operator, MOST_EIGENVALUES, which="SR", v0=start, tol=1e-4, return_eigenvectors=False))
+    except ArpackNoConvergence as error:
+        return np.asarray(error.eigenvalues)
+
+
+# The place where k branches cross at once: the Jacobian bordered by the tangent has a kernel of dimension k there -----
+
+ONE_PLACE = 1e-3  # of a step: several branches that cross within it do so in one place
+WINDOW_WIDTHS = (0.1, 0.02, 0.004)  # of a step, to both sides; the widest in which interpolation is accurate is taken
+WINDOW_PLACES = 12  # places in it; an even number has none in its middle
+LEAST_PLACES = 8  # places without which nothing is interpolated
+ITERATION_ROUNDS = 4  # of inverse iteration, and of Newton's method
+OFFSET_FROM_PLACE = 1e-2  # of the window: nearer to the place points are not corrected
+INVERSE_ITERATION_SHIFT = 1e-11  # of the largest entry of a matrix that is nearly singular
+
+
+@dataclass(frozen=True, eq=False)
+class CrossingPlace:
+    """Unknowns where several branches cross, and their slope along the branch.
+
+    Attributes:
+        z: unknowns.
+        slope: their derivative by the fraction of the way.
+        error: of the fraction: of the interpolation, of rounding, and how far from it single branches cross.
+    """
+
+    z: Array
+    slope: Array
+    error: float
+
+
+def crossing_places(
+    problem: Problem, at: Callable[[float], tuple[Array, Array] | None], near: float, count: int, apart: float
+) -> list[CrossingPlace]:
+    """The places near a fraction of the way where `count` branches cross: one, or each where all are further apart.
+
+    `at` gives the corrected unknowns at a fraction and the row that closes their equations. Empty where points beside
+    the place are missing, and where no such place is so near.
+    """
+    for window in WINDOW_WIDTHS:
+        found = _within(window, problem, at, near, count, apart)
+        if found and all(one.error <= apart for one in found):
+            return found
+    return _within(WINDOW_WIDTHS[-1], problem, at, near, count, float("inf"))
+
+
+def _within(
+    window: float,
+    problem: Problem,
+    at: Callable[[float], tuple[Array, Array] | None],
+    near: float,
+    count: int,
+    apart: float,
+) -> list[CrossingPlace]:
+    """As `crossing_places`, from points in a window."""
+    from scipy.interpolate import KroghInterpolator
+
+    nodes = np.clip(near, window, 1.0 - window) - window * np.cos(
+        np.pi * (np.arange(WINDOW_PLACES) + 0.5) / WINDOW_PLACES
+    )
+    nodes = nodes[np.abs(nodes - near) > OFFSET_FROM_PLACE * window]
+    known = [(float(f), *there) for f in nodes if (there := at(float(f))) is not None]
+    if len(known) < LEAST_PLACES:
+        return []
+    try:
+        polished = [(f, _polished(problem, z, row), row) for f, z, row in known]
+        nearest = min(polished, key=lambda one: abs(one[0] - near))
+        matrix = closed(problem, problem.evaluate(nearest[1])[1], nearest[2])
+        right, left = _kernels(matrix, count)
+        corners = [_corner(closed(problem, problem.evaluate(z)[1], row), right, left) for _, z, row in polished]
+    except (RuntimeError, SingularError):  # of SuperLU: exactly singular
+        return []
+    places, values = np.array([f for f, _, _ in polished]), np.array(corners)
+    whole, fewer = (_zeros(places[k], values[k], near, apart) for k in (slice(None), slice(1, -1)))
+    if len(whole) != len(fewer) or any(abs(zero.place - near) > ONE_PLACE for zero in whole):
+        return []
+    noise = EPSILON * float(np.linalg.norm(np.abs(left.T) @ (abs(matrix) @ np.abs(right))))
+    unknowns, found = KroghInterpolator(places, np.array([z for _, z, _ in polished])), list[CrossingPlace]()
+    for zero, other in zip(whole, fewer, strict=True):
+        z, slope = np.asarray(unknowns(zero.place)), np.asarray(unknowns.derivative(zero.place))
+        error = abs(zero.place - other.place) + noise * zero.steepness
+        found.append(CrossingPlace(z, slope, error + zero.spread))
+    return found
+
+
+def _polished(problem: Problem, z: Array, row: Array) -> Array:
+    """Unknowns after one Newton step more: beside a singular place the corrector's last one counts."""
+    from scipy.sparse.linalg import splu
+
+    residual, nonzeros = problem.evaluate(z)
+    return np.asarray(z - splu(closed(problem, nonzeros, row)).solve(np.append(residual, 0.0)))
+
+
+def _kernels(matrix: Any, count: int) -> tuple[Array, Array]:
+    """Orthonormal vectors that a nearly singular matrix nearly annihilates, from the right and from the left."""
+    from scipy.sparse import eye
+    from scipy.sparse.linalg import splu
+
+    shift = INVERSE_ITERATION_SHIFT * float(np.max(np.abs(matrix.data)))
+    factors: Any = splu((matrix + shift * eye(matrix.shape[0], format="csc")).tocsc())
+    right: Array = np.random.default_rng(0).normal(size=(matrix.shape[0], count))
+    for _ in range(ITERATION_ROUNDS):
+        left = np.linalg.qr(factors.solve(right, trans="T"))[0]
+        right = np.linalg.qr(factors.solve(left))[0]
+    return right, left
+
+
+def _corner(matrix: Any, right: Array, left: Array) -> Array:
+    """The corner of the inverse of a matrix bordered by vectors, which is zero where these are its kernels."""
+    from scipy.sparse import bmat, csc_matrix
+    from scipy.sparse.linalg import splu
+
+    size, count = right.shape
+    bordered = bmat([[matrix, csc_matrix(left)], [csc_matrix(right.T), None]]).tocsc()
+    return np.asarray(splu(bordered).solve(np.vstack([np.zeros((size, count)), np.eye(count)]))[size:])
+
+
+@dataclass(frozen=True)
+class _Zero:
+    """Where matrices vanish, how far from there their eigenvalues do, and how far a change of 1 moves it."""
+
+    place: float
+    spread: float
+    steepness: float
+
+
+def _zeros(places: Array, corners: Array, near: float, apart: float) -> list[_Zero]:
+    """The zeros near a place of eigenvalues of interpolated matrices: their mean, or each where all are further apart.
+
+    Empty where there is none among the places of the matrices.
+    """
+    from scipy.interpolate import KroghInterpolator
+
+    polynomial = KroghInterpolator(places, corners)
+
+    def moves(place: float) -> Array:
+        return np.asarray(-np.linalg.eigvals(np.linalg.solve(polynomial.derivative(place), polynomial(place))))
+
+    try:
+        for _ in range(ITERATION_ROUNDS):
+            near += float(np.mean(moves(near).real))
+            if not places[0] < near < places[-1]:
+                return []
+        found = moves(near)
+        steepness = float(np.linalg.norm(np.linalg.inv(polynomial.derivative(near)), 2))
+        if np.any(found.imag) or np.any(np.diff(np.sort(found.real)) <= apart):
+            return [_Zero(near, float(np.max(np.abs(found))), steepness)]
+        zeros = near + np.sort(found.real)
+        for _ in range(ITERATION_ROUNDS):
+            zeros = np.array([zero + min(moves(zero), key=abs).real for zero in zeros])
+    except np.linalg.LinAlgError:
+        return []
+    return [_Zero(float(zero), 0.0, steepness) for zero in zeros]
+
+
+# Points of codimension two at which extended equations are singular, as where two null vectors meet: interpolated -----
+
+INTERPOLATION_NODES = 0.5 - 0.5 * np.cos(np.pi * (np.arange(12) + 0.5) / 12)  # of a step
+SECOND_SINGULAR_RATIO = 1e-3  # of its usual size: a second singular value that is zero
+
+
+def double_between(
+    solver: PointSolver, before: Point, after: Point, test: Callable[[Point], float], second: Callable[[Point], float]
+) -> tuple[float, Point] | None:
+    """The double branch point between two branch points, with its place; None where the Jacobian has one null vector.
+
+    `test` changes its sign there; `second` is the second smallest singular value of the Jacobian.
+    """
+    found = interpolated(solver, before, after, test)
+    if found is None or second(found[1]) > SECOND_SINGULAR_RATIO * max(second(before), second(after)):
+        return None
+    return found[0], replace(found[1], special=DOUBLE)
+
+
+def interpolated(
+    solver: PointSolver, before: Point, after: Point, test: Callable[[Point], float]
+) -> tuple[float, Point] | None:
+    """The point between two at which a test changes its sign, with its place; None where it does not.
+
+    Unknowns and test are interpolated from places around it.
+    """
+    from scipy.interpolate import KroghInterpolator
+    from scipy.optimize import brentq
+
+    tried = [(float(f), solver.along(before, after, float(f))) for f in INTERPOLATION_NODES]
+    around = [(f, point) for f, point in tried if point is not None]
+    places, values = np.array([f for f, _ in around]), np.array([test(point) for _, point in around])
+    roots = list[float]()
+    for chosen in (slice(None), slice(1, -1)):  # fewer of them, for the error
+        polynomial = KroghInterpolator(places[chosen], values[chosen])
+        if polynomial(0.0) * polynomial(1.0) >= 0.0:
+            return None
+        roots.append(float(brentq(lambda f, p=polynomial: float(p(f)), 0.0, 1.0, xtol=1e-14)))
+    near = min(around, key=lambda one: abs(one[0] - roots[0]))[1]
+    unknowns = KroghInterpolator(places, [point.problem.prolong(point.z, near.problem) for _, point in around])
+    rate = float(np.asarray(unknowns.derivative(roots[0]))[-1])
+    apart = abs((roots[1] - roots[0]) * rate) + near.error.relative(1.0)
+    error = replace(near.error, parameter=float(apart))
+    z = np.asarray(unknowns(roots[0]))
+    return roots[0], replace(near, z=z, error=error, better=None, requested=False, walked=False)
+
+
+# Branch points of boundary-value problems: where the Jacobian bordered by the tangent is singular --------------------
 
 MOST_HALVINGS = 36
 SIDE_NOISE = 1e-9  # of a step: nearer to a branch point the corrector's own error hides its side

@@ -20,9 +20,9 @@ from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.watch import heed
 from casadi_skin.stability.flows import FlowMap, OrbitState, Transition
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError, Samples
+from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.problem import Array, Problem
 from casadi_skin.zero.settings import Point
-from casadi_skin.zero.unresolved import Unresolved
 
 LEAST_SECTION_COSINE = 0.6  # cosine of the angle between the branch and the direction of its section, at least
 NEARBY_DISTANCE = 0.3  # of the distance of neighbouring points: how far an orbit may be from where they predict it

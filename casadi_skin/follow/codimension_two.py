@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.follow.crossings import double_between, interpolated
+from casadi_skin.follow.branch_points import double_between, interpolated
 from casadi_skin.follow.followed import Followed
 from casadi_skin.follow.normal_forms import (
     branching_equation,
@@ -28,15 +28,17 @@ from casadi_skin.follow.search import (
     FULL_TURN,
     TANGENT_DIFFERENCE_STEP,
     Exponents,
+    Sample,
+    Stretch,
     StretchSearch,
     beside_on_tangent,
+    height,
     is_real,
     nearest_order,
     turned,
 )
 from casadi_skin.follow.shrinking import shrunk
 from casadi_skin.follow.special_points import NotLocatedError, zero_between
-from casadi_skin.follow.stretch import Sample, Stretch, height
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.zero.kinds import (
     BRANCH_POINT,
@@ -46,11 +48,11 @@ from casadi_skin.zero.kinds import (
     DOUBLING,
     FOLD,
     TORUS,
+    Unresolved,
 )
 from casadi_skin.zero.problem import EPSILON, Array
 from casadi_skin.zero.settings import End, Point
 from casadi_skin.zero.stated_problem import PERIOD
-from casadi_skin.zero.unresolved import Unresolved
 
 DEGENERATE_KINDS = {FOLD: "cusp of cycles", DOUBLING: "generalized period doubling", TORUS: "chenciner"}
 RESONANCE_KINDS = {

@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.stretch import Sample
+from casadi_skin.follow.search import Sample
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.ipopt import CORRECTORS
 from casadi_skin.solve.levels import ExactLevels, Levels

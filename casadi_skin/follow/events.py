@@ -27,16 +27,14 @@ import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.location import special_orbit
-from casadi_skin.follow.search import Exponents, StretchSearch, is_real
+from casadi_skin.follow.search import Exponents, Sample, Stretch, StretchSearch, height, is_real
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.stretch import Sample, Stretch, height
 from casadi_skin.follow.walk import snapped, target_of
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.watch import TimeLimitError
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, KREIN, TORUS
+from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, KREIN, TORUS, Unresolved
 from casadi_skin.zero.settings import Point
-from casadi_skin.zero.unresolved import Unresolved
 
 if TYPE_CHECKING:
     from scipy.interpolate import BPoly

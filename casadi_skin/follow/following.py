@@ -20,8 +20,8 @@ from casadi_skin.follow.walk import Walk
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.solve.watch import TimeLimitError, one_thread, watched
 from casadi_skin.stability.flows import FlowError
+from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.settings import End, Point, Target
-from casadi_skin.zero.unresolved import Unresolved
 
 
 class Following:

@@ -18,13 +18,13 @@ from typing import cast
 
 import numpy as np
 
-from casadi_skin.follow.crossings import double_between
+from casadi_skin.follow.branch_points import double_between
 from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.location import jacobian_of
 from casadi_skin.follow.rest_events import EquilibriumSearch
 from casadi_skin.follow.rest_normal_forms import critical_pair, lyapunov_terms
+from casadi_skin.follow.search import Sample, Stretch, crossings, height, less
 from casadi_skin.follow.special_points import TEST_ZERO_XTOL, zero_between
-from casadi_skin.follow.stretch import Sample, Stretch, crossings, height, less
 from casadi_skin.zero.augmented import ExtendedSystem, HopfSystem
 from casadi_skin.zero.kinds import (
     BAUTIN,
@@ -37,11 +37,11 @@ from casadi_skin.zero.kinds import (
     HOPF_HOPF,
     TAKENS,
     ZERO_HOPF,
+    Unresolved,
 )
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.statics import ComplexArray, NullSpace, Statics
-from casadi_skin.zero.unresolved import Unresolved
 
 VANISHING_TEST_RATIO = 1e-3  # of a test at the ends of a stretch: it is less at a root, and more at a pole
 SYMMETRIC_TERM_RATIO = 1e-9  # of all terms: a quadratic coefficient that a symmetry makes zero

@@ -17,12 +17,11 @@ from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.special_points import SpecialPoint, check_second
 from casadi_skin.solve.levels import ExactLevels, Levels
-from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, TAKENS
+from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, TAKENS, Unresolved
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import AlgebraicProblem, Course, sizes_at
 from casadi_skin.zero.settings import End, Point
 from casadi_skin.zero.statics import Statics, balanced
-from casadi_skin.zero.unresolved import Unresolved
 
 UNFOLDING_IMPERFECTION = (
     1e-7  # of the norm of the balanced Jacobian, in a step: an imperfection that grows along a curve

@@ -28,14 +28,12 @@ from numpy.typing import NDArray
 from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.location import Located, locate_rest
 from casadi_skin.follow.polynomials import LocalCurve
-from casadi_skin.follow.search import Search
-from casadi_skin.follow.stretch import Sample, Signs, Stretch, crossings, height
-from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF
+from casadi_skin.follow.search import Sample, Search, Signs, Stretch, crossings, height
+from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved
 from casadi_skin.zero.problem import EPSILON, Array, Indices, SingularError
 from casadi_skin.zero.rest_problem import AlgebraicProblem
 from casadi_skin.zero.settings import ErrorEstimate, Point
 from casadi_skin.zero.statics import BalancedMatrix
-from casadi_skin.zero.unresolved import Unresolved
 
 LEDGER_PLACES = 1024  # over the range of the parameter
 OF_PROGRAMS = 128  # of a program, whose derivatives are differences and cost as much
@@ -167,7 +165,7 @@ def _solved(problem: AlgebraicProblem, z: Array, row: Array, still: float, weigh
 
 def _unlike(stretch: Stretch, matrices: Array, fractions: Array) -> np.ndarray:
     """Places at which a matrix is not what is between a few of them, by as much as may take an eigenvalue across."""
-    from casadi_skin.follow.stretch import _cubic
+    from casadi_skin.follow.search import _cubic
 
     nodes = np.unique(np.linspace(0, len(matrices) - 1, 4).astype(int))
     weights = np.array([[np.prod([(t - fractions[j]) / (fractions[i] - fractions[j]) for j in nodes if j != i])

@@ -17,11 +17,11 @@ from casadi_skin.model.jumps import PARAMETER, STATE
 from casadi_skin.model.result import NoQuantityError
 from casadi_skin.solve.newton import Correction
 from casadi_skin.stability.result import Floquet
+from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.problem import Array, Indices, Scalar, SingularError
 from casadi_skin.zero.rest_problem import AlgebraicProblem, Course, sizes_at
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point
 from casadi_skin.zero.statics import Spectrum, Statics
-from casadi_skin.zero.unresolved import Unresolved
 
 NO_ORBIT = "an equilibrium is no orbit: it has eigenvalues in place of multipliers, and no period"
 AT_JUMP = 1e-6  # of the sizes of states: distance of an equilibrium from a jump at which it counts as on it

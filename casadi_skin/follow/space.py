@@ -18,9 +18,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from casadi_skin.follow.arclength import ArclengthContinuation
+from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.problem import Scalar
 from casadi_skin.zero.settings import Continuation, ContinuationSettings, End, Point, Target
-from casadi_skin.zero.unresolved import Unresolved
 
 if TYPE_CHECKING:
     from casadi_skin.follow.point import PointSolver

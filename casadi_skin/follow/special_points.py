@@ -5,6 +5,8 @@ Turns of the continuation parameter between two points of a branch, also two wit
 Its rate is known at both ends, and at a place between where it comes near zero or changes much. Hermite curves through
 two and through three of them differ by what bounds their errors; a stretch is divided until the rate has no root within
 that bound, or one that is simple.
+
+Special points of a family, which are located after it was followed: its folds.
 """
 
 from __future__ import annotations
@@ -25,7 +27,12 @@ from casadi_skin.zero.settings import Point
 
 if TYPE_CHECKING:
     from casadi_skin.follow.solution import Solution
+from collections.abc import Sequence
+from itertools import pairwise
 
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.zero.kinds import Unresolved
 
 # Turns of the continuation parameter between two points of a branch, also two within one step -------------------------
 
@@ -302,3 +309,23 @@ def zero_between(
 def _not_located(point_solver: PointSolver) -> NotLocatedError:
     why = point_solver.failure or "the equations are singular beside it"
     return NotLocatedError(f"the parameter turns back at a point that cannot be located: {why}")
+
+
+# Special points of a family, which are located after it was followed: its folds --------------------------------------
+
+
+def special_point(space: SolutionSpace, solution: Solution) -> SpecialPoint:
+    """A solution that is marked as special, as a special point."""
+    name, point = space.parameter, solution.point
+    values = {**solution.parameters, name: solution.value(name)}
+    return SpecialPoint(point.special, name, values, space.parameter_error(point), solution)
+
+
+def folds_of_family(space: SolutionSpace, solutions: Sequence[Solution]) -> Iterator[SpecialPoint | Unresolved]:
+    """Folds between the points of a family."""
+    for before, after in pairwise(solutions):
+        try:
+            for found in space.special_between(before.point, after.point):
+                yield found if isinstance(found, Unresolved) else special_point(space, space.solution(found))
+        except NotLocatedError as error:
+            yield Unresolved(before.value(space.parameter), after.value(space.parameter), str(error), FOLD)

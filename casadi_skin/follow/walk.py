@@ -9,10 +9,9 @@ from itertools import pairwise
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import NotLocatedError
-from casadi_skin.zero.kinds import FOLD
+from casadi_skin.zero.kinds import FOLD, Unresolved
 from casadi_skin.zero.problem import EPSILON, Scalar
 from casadi_skin.zero.settings import Continuation, End, Point, Target
-from casadi_skin.zero.unresolved import Unresolved
 
 # The points of one stretch of a branch in order: requested ones, and special ones, which may be the same --------------
 

@@ -29,12 +29,11 @@ from casadi_skin.points.lost_symmetry import turns_of
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.augmented import KAPPA, PUSH, Critical, CriticalProblem
 from casadi_skin.zero.closure import Closure
-from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS
+from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS, Unresolved
 from casadi_skin.zero.linearised import Linearised
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import ContinuationSettings, End, Point
 from casadi_skin.zero.stated_problem import PERIOD
-from casadi_skin.zero.unresolved import Unresolved
 
 CURVE_KINDS = (FOLD, DOUBLING, TORUS, BRANCH_POINT)
 UNFOLDING_PUSH = 1e-7  # of a step: a push that grows along a curve of branch points

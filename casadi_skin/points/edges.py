@@ -36,12 +36,11 @@ from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues.diagram import LocalisedDiagram, Place, StabilityDiagram, StabilityEdge
 from casadi_skin.stability.tongues.find_changes import POWERS_BY_FRACTION
 from casadi_skin.zero.family import Targets
-from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE
+from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE, Unresolved
 from casadi_skin.zero.orbit import FirstOrderProblem
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point
 from casadi_skin.zero.trigonometric import TrigonometricProblem
-from casadi_skin.zero.unresolved import Unresolved
 
 DIFFERENCE_STEP = 1e-3  # of the sizes: that of derivatives
 LAST_NEWTON_STEP = 1e-7  # of the sizes: a step of Newton's method after which an edge is one

@@ -35,7 +35,7 @@ from casadi_skin.results.words import (
 )
 from casadi_skin.stability.growth import TransientGrowth
 from casadi_skin.stability.tongues.diagram import LocalisedDiagram, StabilityDiagram
-from casadi_skin.zero.unresolved import count_in_words
+from casadi_skin.zero.kinds import count_in_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

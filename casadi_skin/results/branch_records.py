@@ -18,8 +18,8 @@ from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.walk import Walk
 from casadi_skin.results.store import DAMAGED_FILE_ERRORS, Reader, SavedResult, Writer
+from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.settings import End, Point, Target
-from casadi_skin.zero.unresolved import Unresolved
 
 
 class PointRecord(msgspec.Struct, frozen=True, tag="point"):

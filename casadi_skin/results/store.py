@@ -72,13 +72,13 @@ SAVED_CLASSES = {  # that a file may name, by module: "other=own" where the name
     "stability.tongues.interpolation": "MatrixSeries Piece",
     "zero.augmented": "Critical",
     "zero.family": "Method Targets",
+    "zero.kinds": "Unresolved",
     "zero.orbit": "Periodic Sizes",
     "zero.problem": "Scalar",
     "zero.request": "FamilyRequest",
     "zero.rest_problem": "Course",
     "zero.settings": "ContinuationSettings End ErrorEstimate Target",
     "zero.statics": "Spectrum Statics",
-    "zero.unresolved": "Unresolved",
 }
 NAMES_IN_FILES = {  # in files, by module and own name
     (f"casadi_skin.{module}", word.rpartition("=")[2]): word.partition("=")[0]

@@ -23,8 +23,8 @@ from casadi_skin.stability.tongues.diagram import (
     StabilityEdge,
     Tongue,
 )
+from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.unresolved import Unresolved
 
 if TYPE_CHECKING:
     from casadi_skin.dynamics.evolution import Evolution

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.zero.unresolved import count_in_words
+from casadi_skin.zero.kinds import count_in_words
 
 MOST_NAMED = 6  # special points, parameters or states that are named
 Rows = list[tuple[str, str]]

@@ -16,7 +16,7 @@ from casadi_skin.results.quantities import certified, places_of
 from casadi_skin.results.tables import UNRESOLVED
 from casadi_skin.runs.output import TextTable
 from casadi_skin.runs.parts import mode_of
-from casadi_skin.zero.unresolved import count_in_words
+from casadi_skin.zero.kinds import count_in_words
 
 if TYPE_CHECKING:
     from casadi_skin.runs.run import Run

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from casadi_skin.follow.branch import Branch
     from casadi_skin.follow.orbit import Orbit
     from casadi_skin.stability.tongues.diagram import StabilityDiagram
-    from casadi_skin.zero.unresolved import Unresolved
+    from casadi_skin.zero.kinds import Unresolved
 
 
 # Stability along a family as its diagram has it: the frequency curve, multipliers through tongues, their angles -------

@@ -12,8 +12,8 @@ from casadi_skin.model.result import Result
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues.interpolation import Piece
 from casadi_skin.stability.tongues.pairs import growth_of
+from casadi_skin.zero.kinds import Unresolved, count_in_words
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.unresolved import Unresolved, count_in_words
 
 LOG_MULTIPLIER_NOISE = 1e-7  # of log |multiplier|: the effect of rounding on two mu that nearly meet
 

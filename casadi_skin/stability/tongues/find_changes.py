@@ -29,8 +29,8 @@ from casadi_skin.stability.tongues.interpolation import (
     joined,
 )
 from casadi_skin.stability.tongues.rotation import TWO_PI, Tracks, follow_angles
+from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.unresolved import Unresolved
 
 CLEARLY_OUTSIDE_ERRORS = 4.0  # errors of a mu that it is outside by, to be in the account
 LEAST_DISTANCE = 1e-9  # of such a distance: rounding of two mu that nearly meet

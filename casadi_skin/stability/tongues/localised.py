@@ -40,8 +40,8 @@ from casadi_skin.stability.tongues.diagram import (
     Place,
 )
 from casadi_skin.stability.tongues.hill import HALF_END, START_END, Hill, Layout, crossings
+from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.unresolved import Unresolved
 
 ZERO_XTOL = 1e-12  # of an interval between points: where a zero is
 FINEST_STRETCH = 1e-7  # of such an interval: stretches that are halved no further
