@@ -159,53 +159,55 @@ def _check_names(raw: dict[str, Any]) -> None:
         keys = ", ".join(ChainTable.__struct_fields__)
         others = "a table [lattice] with cells and site, or a table [model] with file"
         raise SceneError(f"[chain]: missing; accepted: a table with {keys}, {others}")
-    for name, table in TABLES.items():
-        if name in raw:
-            _check_keys(f"[{name}]", table, raw[name])
-    for name, part in LATTICE_PARTS.items():
+    for place, table, given in _tables(raw):
+        if not isinstance(given, dict):
+            raise refusal(place, with_kind(given), f"one table {place}")
+        for key, value in given.items():
+            for number in _leaves(value):
+                # no key takes an integer beyond the floats, and msgspec up to 0.20 raises SystemError on it
+                if isinstance(number, int) and abs(number) > sys.float_info.max:
+                    raise refusal(f"{place} {key}", toml_repr(number), accepted_by(table, key))
+        for field in msgspec.structs.fields(table):
+            if field.required and field.encode_name not in given:
+                accepted = accepted_by(table, field.encode_name)
+                raise SceneError(f"{place} {field.encode_name}: missing; accepted: {accepted}")
+    for name in LATTICE_PARTS:
         items = raw.get("lattice", {}).get(name, [])
         if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
             raise refusal(f"[lattice] {name}", with_kind(items), accepted_by(TABLES["lattice"], name))
-        for i, item in enumerate(items, start=1):
-            _check_keys(f"[[lattice.{name}]] {i}", part, item)
 
 
-def _check_keys(place: str, table: type[Table], given: object) -> None:
-    if not isinstance(given, dict):
-        raise refusal(place, with_kind(given), f"one table {place}")
-    for key, value in given.items():
-        for number in _leaves(value):
-            # no key takes an integer beyond the floats, and msgspec up to 0.20 raises SystemError on it
-            if isinstance(number, int) and abs(number) > sys.float_info.max:
-                raise refusal(f"{place} {key}", toml_repr(number), accepted_by(table, key))
-    for field in msgspec.structs.fields(table):
-        if field.required and field.encode_name not in given:
-            words = accepted_by(table, field.encode_name)
-            raise SceneError(f"{place} {field.encode_name}: missing; accepted: {words}")
+def _tables(raw: dict[str, Any]) -> Iterator[tuple[str, type[Table], Any]]:
+    """The place, the kind and the value of each table of a scene; of sites and bonds of a lattice those that are."""
+    for name, table in TABLES.items():
+        if name in raw:
+            yield f"[{name}]", table, raw[name]
+    lattice = raw.get("lattice")
+    for name, part in LATTICE_PARTS.items():
+        items = lattice.get(name) if isinstance(lattice, dict) else None
+        for i, item in enumerate(items if isinstance(items, list) else (), start=1):
+            if isinstance(item, dict):
+                yield f"[[lattice.{name}]] {i}", part, item
 
 
 def _unknown_names(raw: dict[str, Any]) -> Iterator[Unknown]:
     """Tables and keys that no scene has, in the order of the file."""
     places = {name: f"[{name}]" for name in TABLES} | {name: name for name in ("title", "time_limit")}
+    known = {place: (table, given) for place, table, given in _tables(raw)}
     for name, value in raw.items():
         if name not in places:
             near, accepted = nearest(name, places), ", ".join(places.values())
             fault = f"[{cut(name)}]: unknown table" if is_table(value) else f"{cut(name)}: unknown key"
             yield Unknown(fault, near and places[near], accepted)
-        elif name in TABLES and isinstance(value, dict):
-            yield from _unknown_keys(f"[{name}]", TABLES[name], value)
-    lattice = raw.get("lattice")
-    held = lattice if isinstance(lattice, dict) else {}
-    for name, part in LATTICE_PARTS.items():
-        items = held.get(name, [])
-        for i, item in enumerate(items if isinstance(items, list) else [], start=1):
-            if isinstance(item, dict):
-                yield from _unknown_keys(f"[[lattice.{name}]] {i}", part, item)
+        elif name in TABLES:
+            yield from _unknown_keys(places[name], *known.pop(places[name]))
+    for place, (table, given) in known.items():
+        yield from _unknown_keys(place, table, given)
 
 
-def _unknown_keys(place: str, table: type[Table], given: Mapping[str, object]) -> Iterator[Unknown]:
+def _unknown_keys(place: str, table: type[Table], given: object) -> Iterator[Unknown]:
     known = table.__struct_encode_fields__
-    for key in given:
+    for key in given if isinstance(given, dict) else ():
         if key not in known:
             other = KEY_SYNONYMS.get(key.lower())
             near = other if other in known else nearest(key, known)
@@ -227,17 +229,13 @@ def _convert(raw: dict[str, Any]) -> Scene:
         return msgspec.convert(raw, Scene)
     except msgspec.ValidationError as error:
         message = str(error)
-    part = re.search(r"`\$\.lattice\.(\w+)\[(\d+)\]\.(\w+)", message)
-    if part is not None:
-        name, item, key = part.groups()
-        value = raw["lattice"][name][int(item)][key]
-        raise refusal(
-            f"[[lattice.{name}]] {int(item) + 1} {key}", with_kind(value), accepted_by(LATTICE_PARTS[name], key)
-        )
-    path = re.search(r"`\$\.(\w+)(?:\.(\w+))?(?:\[(\d+)\])?", message)
+    path = re.search(r"`\$\.(?:lattice\.(site|bond)\[(\d+)\]\.)?(\w+)(?:\.(\w+))?(?:\[(\d+)\])?", message)
     if path is None:  # none is known; its own words are better than a wrong place
         raise SceneError(message)
-    name, key, item = path.groups()
+    part, number, name, key, item = path.groups()
+    if part:
+        place, value = f"[[lattice.{part}]] {int(number) + 1} {name}", raw["lattice"][part][int(number)][name]
+        raise refusal(place, with_kind(value), accepted_by(LATTICE_PARTS[part], name))
     value = raw[name][key] if key else raw[name]
     accepted = accepted_by(TABLES[name], key) if key else accepted_by(Scene, name)
     value, where = (value[int(item)], f" as item {int(item) + 1}") if item else (value, "")

@@ -115,6 +115,8 @@ LONGEST_ENVELOPE = 700.0  # the same as in dynamics, which loads numerics
 LOWEST_DEGREE = 2  # of families; the same as in zero.request, which loads numerics
 KICKS = ("site", "vector", "seed")  # keys of [dynamics], one of which a perturbation has
 STARTS = ("mode", *KICKS)  # of which a motion from rest has one
+ITEM = "{value!t} as item {item}"  # of a list
+BESIDE_SOLUTION = "beside [equilibrium], [orbit] or [solution]"
 
 
 class Words(Formatter):
@@ -142,48 +144,81 @@ class Seen:
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.sites, self.modes = scene, scene.sites, scene.modes()
-        self.transcription, self.lacking = scene.methods.transcription, MethodTable()
+        self.transcription = scene.methods.transcription
         self.sought = scene.given("family", "equilibrium", "orbit", "solution")
         self.at_rest = scene.family is None and scene.orbit is None  # where [dynamics] starts
-        self.tables: dict[str, Any] = {name: getattr(scene, name) or Absent() for name in Scene.__struct_fields__}
-        self.tables["curve"] = self.tables["continuation"].curve or Absent()
+        self.least_Omega = 0.0 if scene.family is None else 2 * math.pi / (scene.family.period_max or math.inf)
+        tables = {name: getattr(scene, name) or Absent() for name in Scene.__struct_fields__}
+        vars(self).update(tables, curve=tables["continuation"].curve or Absent())
 
     def __getattr__(self, name: str) -> Any:
-        return self.tables[name]
+        raise AttributeError(name)
 
     def given(self, table: str, *keys: str) -> list[str]:
         """Which of these keys a table has."""
-        return [key for key in keys if getattr(self.tables[table], key) is not None]
-
-    def asks_of_family(self, table: str) -> bool:
-        """Whether a table asks for an orbit of a family."""
-        return bool(self.family) and self.tables[table].S is not None
+        return [key for key in keys if getattr(getattr(self, table), key) is not None]
 
 
-Rule = tuple[Callable[[Any], object], str]  # the condition: true, or values for the message by name, or all of it
+Found = object  # what a condition finds: true, or values for the message by name
+Rule = tuple[str, Callable[[Seen], Found], str, str | None] | Callable[[Seen], Iterable[str]]
+
+
+def rule(place: str, wrong: Callable[[Seen], Found], accepted: str, given: str | None = "{value!t}") -> Rule:
+    """A rule on a table, or on a key of it where that is given, or where `given` is None missing.
+
+    Arguments:
+        place: the table, and the key after a space.
+        wrong: the condition; a dictionary that it returns has values for the message.
+        accepted: the end of the message.
+        given: its beginning; words that begin with a space follow the value.
+    """
+    return place, wrong, accepted, f"{{value!t}}{given}" if given is not None and given.startswith(" ") else given
 
 
 def check_scene(scene: Scene) -> None:
     """Raises SceneError for the first key that does not go with another one."""
     seen = Seen(scene)
-    known = {**seen.tables, "sites": seen.sites, "modes": seen.modes}
     for table, rules in RULES:
-        for condition, message in rules if seen.tables[table] else ():
-            found = condition(seen)
-            if found:
-                more = found if isinstance(found, dict) else {}
-                raise SceneError(Words().vformat(message, (found,), {**known, **more}))
+        for each in rules if getattr(seen, table) else ():
+            message = next(iter(_faults(each, seen)), "")
+            if message:
+                raise SceneError(message)
 
 
-def again(values: Sequence[object]) -> dict[str, Any] | None:
-    """The first item of a list that was there before; None where each is there once."""
-    return first(values, lambda item, value: value in values[: item - 1])
+def _faults(each: Rule, seen: Seen) -> Iterator[str]:
+    """The messages of a rule on a scene."""
+    if not isinstance(each, tuple):
+        yield from filter(None, each(seen) or ())
+        return
+    place, wrong, accepted, given = each
+    table, _, key = place.partition(" ")
+    value = getattr(getattr(seen, table), key) if key and "{" not in key else seen
+    lacking = value is None or value is False or value == ()
+    if lacking is not (given is None):
+        return
+    found = wrong(seen)
+    if found:
+        message = f"[{table}]{' ' if key else ''}{key}: {'missing' if given is None else f'given {given}'}"
+        values = {**vars(seen), "value": value, **(found if isinstance(found, dict) else {})}
+        yield Words().vformat(f"{message}; accepted: {accepted}", (), values)
 
 
 def first(values: Sequence[Any], wrong: Callable[[int, Any], bool]) -> dict[str, Any] | None:
-    """The first item, its number from 1 and its value, that is wrong; None where there is none."""
-    found = ((item, value) for item, value in enumerate(values, start=1) if wrong(item, value))
-    return next(({"item": item, "value": value} for item, value in found), None)
+    """The first item that is wrong, its number from 1, and the item before it; None where there is none."""
+    pairs = enumerate(zip(values, (None, *values), strict=False), start=1)
+    found = ({"item": item, "value": value, "before": before} for item, (value, before) in pairs if wrong(item, value))
+    return next(found, None)
+
+
+def once(place: str, accepted: str = "each number once") -> Rule:
+    """The rule that a list has each of its items once."""
+
+    def again(seen: Seen) -> Found:
+        table, _, key = place.partition(" ")
+        values = getattr(getattr(seen, table), key)
+        return first(values, lambda item, value: value in values[: item - 1])
+
+    return rule(place, again, accepted, f"{ITEM} again")
 
 
 def _oscillates(s: Seen) -> Iterator[str]:
@@ -232,11 +267,10 @@ def _modes(s: Seen) -> Iterator[str]:
 
 
 def _search(s: Seen) -> Iterator[str]:
-    """Faults of the names and bounds of a [search]."""
+    """Faults of the names and bounds of the [search] of a chain."""
     search = s.search
     yield unknown("[search] objective", search.objective, NAMED)
-    for name in search.free:
-        yield unknown("[search] free", name, FREE)
+    yield from (unknown("[search] free", name, FREE) for name in search.free)
     for name, (lower, upper) in search.bounds.items():
         yield unknown("[search] bounds", name, {**FREE, **NAMED})
         if not lower <= upper:
@@ -250,25 +284,22 @@ def _search(s: Seen) -> Iterator[str]:
             yield f"{place}: given {given}; accepted: equal, or lower and upper or one of these"
 
 
-def _one(faults: Callable[[Seen], Iterator[str]]) -> Rule:
-    """The first of some faults, whose messages are made where they are found, as a rule."""
-    return (lambda s: next(filter(None, faults(s)), None)), "{}"
-
-
 def _orbit_of_family(name: str) -> tuple[Rule, ...]:
     """Rules on the orbit at S of the family of a mode, which has to be named where there are several.
 
     Whether a model has a mode by the number of one that is named, as "last", shows with the model alone.
     """
-    modes = "accepted: one of the modes of [family], {modes!t}"
+    modes, place = "one of the modes of [family], {modes!t}", f"{name} mode"
+
+    def asked(s: Seen) -> Any:
+        return s.family and getattr(s, name).S
+
     return (
-        (lambda s: s.asks_of_family(name) and s.tables[name].mode is None and len(s.modes) > 1,
-         f"[{name}] mode: missing; {modes}"),
-        (lambda s: s.asks_of_family(name) and s.tables[name].mode not in (None, *s.modes)
-         and not any(isinstance(mode, str) for mode in s.modes),
-         f"[{name}] mode: given {{{name}.mode}}; {modes}"),
-        (lambda s: s.asks_of_family(name) and s.family.amplitude_max < s.tables[name].S,
-         f"[{name}] S: given {{{name}.S!r}}; accepted: a number <= amplitude_max = {{family.amplitude_max!r}}"),
+        rule(place, lambda s: asked(s) and len(s.modes) > 1, modes, None),
+        rule(place, lambda s: asked(s) and getattr(s, name).mode not in s.modes and str not in map(type, s.modes),
+             modes),
+        rule(f"{name} S", lambda s: s.family and s.family.amplitude_max < asked(s),
+             "a number <= amplitude_max = {family.amplitude_max!r}"),
     )  # fmt: skip
 
 
@@ -290,254 +321,221 @@ def _cycles(s: Seen) -> bool:
 def _without_multipliers(s: Seen) -> dict[str, Any] | None:
     """The first kind of special point in switch that multipliers decide, where there are none."""
     needed = {"period doubling"} | ({"branch point"} if s.orbit else set())
-    cycles = "hopf" in s.continuation.switch
-    return first(
-        s.continuation.switch, lambda _, k: k in needed and (not s.stability or (s.equilibrium and not cycles))
-    )
+    lacking = not s.stability or (s.equilibrium and "hopf" not in s.continuation.switch)
+    return first(s.continuation.switch, lambda _, kind: lacking and kind in needed)
+
+
+def _without_all_sites(s: Seen, *names: str) -> Found:
+    """The first of the tables by these names, in which all sites take part."""
+    return {"name": s.scene.given(*names)[0]} if s.scene.given(*names) else None
+
+
+def _collocated(s: Seen) -> bool:
+    """Whether an orbit or a solution is sought on a mesh."""
+    return bool(s.orbit or s.solution)
+
+
+def _exceptional(s: Seen) -> bool:
+    """Whether the chain is at |gamma| = 1."""
+    return bool(s.chain) and abs(s.chain.gamma) == 1
 
 
 # fmt: off
-BESIDE_SOLUTION = "beside [equilibrium], [orbit] or [solution]"
 RULES: tuple[tuple[str, tuple[Rule, ...]], ...] = (  # by the table without which they are not asked
     ("accuracy", (
-        (lambda s: s.accuracy.preset is not None and s.accuracy.tolerance is not None,
-         '[accuracy]: given preset = "{accuracy.preset}" and tolerance = {accuracy.tolerance!r}; '
-         "accepted: preset or tolerance, one of them or neither"),
-        (lambda s: s.accuracy.certify and not s.family,
-         "[accuracy] certify: given {accuracy.certify!t}; accepted: with a [family], else false"),
+        rule("accuracy", lambda s: s.accuracy.preset is not None and s.accuracy.tolerance is not None,
+             "preset or tolerance, one of them or neither",
+             "preset = {accuracy.preset!t} and tolerance = {accuracy.tolerance!r}"),
+        rule("accuracy certify", lambda s: not s.family, "with a [family], else false"),
     )),
     ("model", (
-        (lambda s: "\0" in s.model.file, "[model] file: given {model.file!t}; accepted: the name of a file"),
-        (lambda s: s.model.file.endswith(".json") and s.model.name is not None,
-         '[model] name: given {model.name!t} with file = "{model.file}"; accepted: none: the file holds one model'),
-        (lambda s: not s.model.file.endswith((".json", ".py")),
-         "[model] file: given {model.file!t}; accepted: a name that ends in .py or .json"),
-        (lambda s: s.model.file.endswith(".py") and s.model.name is None,
-         "[model] name: missing; accepted: with a Python file the name of the model in it"),
+        rule("model file", lambda s: "\0" in s.model.file, "the name of a file"),
+        rule("model name", lambda s: s.model.file.endswith(".json"), "none: the file holds one model",
+             ' with file = "{model.file}"'),
+        rule("model file", lambda s: not s.model.file.endswith((".json", ".py")), "a name that ends in .py or .json"),
+        rule("model name", lambda s: s.model.file.endswith(".py"), "with a Python file the name of the model in it",
+             None),
     )),
     ("family", (
-        (lambda s: s.method.degree is not None and s.method.degree < LOWEST_DEGREE,
-         "[method] degree: given {method.degree}; "
-         f"accepted: with a [family] a whole number >= {LOWEST_DEGREE} and <= 12"),
-        (lambda s: s.method.intervals is not None,
-         "[method] intervals: given {method.intervals}; accepted: beside [orbit] or [solution]"),
-        (lambda s: s.method.flow not in (None, *FLOWS),
-         f"[method] flow: given {{method.flow!t}} with [family]; accepted: {one_of(FLOWS)}"),
+        rule("method degree", lambda s: s.method.degree < LOWEST_DEGREE,
+             f"with a [family] a whole number >= {LOWEST_DEGREE} and <= 12"),
+        rule("method intervals", lambda s: True, "beside [orbit] or [solution]"),
+        rule("method flow", lambda s: s.method.flow not in FLOWS, one_of(FLOWS), " with [family]"),
     )),
     ("method", (
-        (lambda s: (s.orbit or s.solution) and s.method.tail is not None,
-         "[method] tail: given {method.tail!t}; accepted: beside [family]"),
-        (lambda s: (s.orbit or s.solution) and s.method.walker is not None,
-         "[method] walker: given {method.walker!t}; accepted: beside [family]"),
-        (lambda s: (s.orbit or s.solution) and s.method.transcription not in (None, *COLLOCATION_TABLES),
-         "[method] transcription: given {method.transcription!t} without [family]; "
-         f"accepted: {one_of(COLLOCATION_TABLES)}"),
-        (lambda s: (s.orbit or s.solution) and s.method.flow not in (None, *FULL_PERIOD_FLOWS),
-         f"[method] flow: given {{method.flow!t}} without [family]; accepted: {one_of(FULL_PERIOD_FLOWS)}"),
-        (lambda s: s.method.degree is not None and s.transcription in (TRIGONOMETRIC, SHOOTING)
-         and {"transcription": s.transcription},
-         '[method] degree: given {method.degree} with transcription = "{transcription}"; '
-         "accepted: with transcription = " + " or ".join(f'"{name}"' for name in COLLOCATION_TABLES) + " only"),
-        (lambda s: s.method.walker == "series" and s.transcription not in (None, TRIGONOMETRIC)
-         and {"transcription": s.transcription},
-         '[method] walker: given "series" with transcription = "{transcription}"; '
-         'accepted: "arclength", or transcription = "trigonometric"'),
-        (lambda s: len(s.sought) > 1 and {"one": s.sought[0], "two": s.sought[1]},
-         "[{two}]: given beside [{one}]; accepted: [{one}] or [{two}] in one scene"),
+        *(rule(f"method {name}", _collocated, "beside [family]") for name in ("tail", "walker")),
+        rule("method transcription", lambda s: _collocated(s) and s.method.transcription not in COLLOCATION_TABLES,
+             one_of(COLLOCATION_TABLES), " without [family]"),
+        rule("method flow", lambda s: _collocated(s) and s.method.flow not in FULL_PERIOD_FLOWS,
+             one_of(FULL_PERIOD_FLOWS), " without [family]"),
+        rule("method degree", lambda s: s.transcription in (TRIGONOMETRIC, SHOOTING),
+             "with transcription = " + " or ".join(f'"{name}"' for name in COLLOCATION_TABLES) + " only",
+             " with transcription = {transcription!t}"),
+        rule("method walker", lambda s: s.method.walker == "series" and s.transcription not in (None, TRIGONOMETRIC),
+             '"arclength", or transcription = "trigonometric"', " with transcription = {transcription!t}"),
+        rule("{sought[1]}", lambda s: len(s.sought) > 1, "[{sought[0]}] or [{sought[1]}] in one scene",
+             "beside [{sought[0]}]"),
     )),
     ("solution", (
-        (lambda s: not s.model and {"other": "lattice" if s.lattice else "chain"},
-         "[solution]: given beside [{other}]; accepted: beside [model], whose file states a boundary-value problem"),
-        (lambda s: s.model.file.endswith(".json"),
-         '[solution]: given with file = "{model.file}"; '
-         "accepted: with a Python file: a saved model is no boundary-value problem"),
+        rule("solution", lambda s: not s.model and {"other": "lattice" if s.lattice else "chain"},
+             "beside [model], whose file states a boundary-value problem", "beside [{other}]"),
+        rule("solution", lambda s: s.model.file.endswith(".json"),
+             "with a Python file: a saved model is no boundary-value problem", 'with file = "{model.file}"'),
     )),
     ("stability", (
-        (lambda s: not (s.family or s.orbit or s.solution or _cycles(s)),
-         "[stability]: given without [family], [orbit] or [solution]; accepted: beside a [family], an [orbit] or a "
-         '[solution], or with "hopf" in [continuation] switch, whose stability it asks for'),
-        (lambda s: s.stability.sites is not None and not s.family,
-         "[stability] sites: given {stability.sites} without [family]; accepted: beside a [family] of a chain"),
+        rule("stability", lambda s: not (s.family or _collocated(s) or _cycles(s)),
+             'beside a [family], an [orbit] or a [solution], or with "hopf" in [continuation] switch, whose stability '
+             "it asks for", "without [family], [orbit] or [solution]"),
+        rule("stability sites", lambda s: not s.family, "beside a [family] of a chain", " without [family]"),
     )),
     ("continuation", (
-        (lambda s: not s.sought,
-         "[continuation]: given without [family], [equilibrium], [orbit] or [solution]; accepted: beside a [family], "
-         "an [equilibrium], an [orbit] or a [solution], from which it follows"),
+        rule("continuation", lambda s: not s.sought,
+             "beside a [family], an [equilibrium], an [orbit] or a [solution], from which it follows",
+             "without [family], [equilibrium], [orbit] or [solution]"),
     )),
     ("equilibrium", (
-        (lambda s: s.method != s.lacking,
-         "[method]: given beside [equilibrium]; accepted: beside [family], [orbit] or [solution]"),
+        rule("method", lambda s: s.method != MethodTable(), "beside [family], [orbit] or [solution]",
+             "beside [equilibrium]"),
     )),
     ("orbit", (
-        (lambda s: s.chain and not s.orbit.symmetric,
-         "[orbit] symmetric: given false with [chain]; accepted: true: the orbits of a chain come in families"),
-        (lambda s: s.orbit.period is not None and s.orbit.transient is not None,
-         "[orbit]: given period and transient; accepted: period or transient, one of them"),
-        (lambda s: s.orbit.section is not None and s.orbit.symmetric,
-         "[orbit] section: given with symmetric = true; accepted: without: the symmetry fixes the phase"),
-        (lambda s: s.orbit.symmetric and s.orbit.transient is not None,
-         "[orbit] transient: given with symmetric = true; "
-         "accepted: period (the orbit starts where the symmetry has its phase zero)"),
+        lambda s: ["[orbit] symmetric: given false with [chain]; accepted: true: the orbits of a chain come in families"
+                   if s.chain and not s.orbit.symmetric else ""],
+        rule("orbit", lambda s: s.orbit.period is not None and s.orbit.transient is not None,
+             "period or transient, one of them", "period and transient"),
+        rule("orbit section", lambda s: s.orbit.symmetric, "without: the symmetry fixes the phase",
+             "with symmetric = true"),
+        rule("orbit transient", lambda s: s.orbit.symmetric,
+             "period (the orbit starts where the symmetry has its phase zero)", "with symmetric = true"),
     )),
     ("continuation", (
-        (lambda s: again(s.continuation.at),
-         "[continuation] at: given {value!r} as item {item} again; accepted: each number once"),
-        (lambda s: s.family and s.continuation.parameter != AMPLITUDE,
-         '[continuation] parameter: given {continuation.parameter!t}; accepted: "S" beside [family]'),
-        (lambda s: s.family and not s.continuation.switch and not s.curve,
-         "[continuation]: given beside [family] without switch or curve; accepted: with one of them, or both"),
-        (lambda s: s.family and s.continuation.at,
-         f"[continuation] at: given beside [family]; accepted: {BESIDE_SOLUTION}"),
-        (lambda s: s.family and s.continuation.back_to is not None,
-         f"[continuation] back_to: given beside [family]; accepted: {BESIDE_SOLUTION}"),
-        (lambda s: s.family and not s.stability.events,
-         "[continuation]: given beside [family] without [stability] events; "
-         "accepted: with [stability], events = true"),
-        (lambda s: s.family and not s.continuation.to > 0.0,
-         "[continuation] to: given {continuation.to!r}; accepted: a number > 0, which is S, beside [family]"),
-        (lambda s: s.family and s.continuation.depth is not None,
-         f"[continuation] depth: given beside [family]; accepted: {BESIDE_SOLUTION}"),
-        (lambda s: "hopf" in s.continuation.switch and not s.equilibrium and not s.orbit
-         and {"beside": "family" if s.family else "solution"},
-         '[continuation] switch: given "hopf" beside [{beside}]; accepted: "branch point" and "period doubling"'),
-        (lambda s: s.continuation.depth and not s.continuation.switch and s.orbit and not s.stability,
-         "[continuation] depth: given {continuation.depth} beside [orbit] without [stability]; "
-         "accepted: with [stability]"),
-        (lambda s: not s.stability and _without_multipliers(s),
-         '[continuation] switch: given "{value}" without [stability]; accepted: with [stability]'),
-        (_without_multipliers,
-         '[continuation] switch: given "{value}" beside [equilibrium]; '
-         'accepted: beside "hopf", whose cycles have period doublings'),
-        (lambda s: s.curve.further and not s.family,
-         "[continuation] curve: given further = true without [family]; accepted: beside [family]"),
-        (lambda s: again(s.continuation.switch),
-         "[continuation] switch: given {value!t} as item {item} again; accepted: each kind once"),
-        (lambda s: s.curve and s.curve.parameter == s.continuation.parameter,
-         "[continuation] curve: given parameter = {continuation.parameter!t} again; accepted: another parameter"),
-        (lambda s: s.continuation.parameter == SELECTED and s.solution,
-         f'[continuation] parameter: given "{SELECTED}"; accepted: with [orbit] select, whose value it moves'),
+        once("continuation at"),
+        rule("continuation parameter", lambda s: s.family and s.continuation.parameter != AMPLITUDE,
+             '"S" beside [family]'),
+        rule("continuation", lambda s: s.family and not s.continuation.switch and not s.curve,
+             "with one of them, or both", "beside [family] without switch or curve"),
+        *(rule(f"continuation {name}", lambda s: s.family, BESIDE_SOLUTION, "beside [family]")
+          for name in ("at", "back_to", "depth")),
+        rule("continuation", lambda s: s.family and not s.stability.events,
+             "with [stability], events = true", "beside [family] without [stability] events"),
+        rule("continuation to", lambda s: s.family and not s.continuation.to > 0.0,
+             "a number > 0, which is S, beside [family]"),
+        rule("continuation switch", lambda s: "hopf" in s.continuation.switch and not s.equilibrium and not s.orbit
+             and {"beside": "family" if s.family else "solution"},
+             '"branch point" and "period doubling"', '"hopf" beside [{beside}]'),
+        rule("continuation depth", lambda s: s.continuation.depth and not s.continuation.switch and s.orbit
+             and not s.stability, "with [stability]", " beside [orbit] without [stability]"),
+        rule("continuation switch", lambda s: not s.stability and _without_multipliers(s), "with [stability]",
+             " without [stability]"),
+        rule("continuation switch", _without_multipliers, 'beside "hopf", whose cycles have period doublings',
+             " beside [equilibrium]"),
+        rule("continuation curve", lambda s: s.curve.further and not s.family, "beside [family]",
+             "further = true without [family]"),
+        once("continuation switch", "each kind once"),
+        rule("continuation curve", lambda s: s.curve.parameter == s.continuation.parameter, "another parameter",
+             "parameter = {continuation.parameter!t} again"),
+        rule("continuation parameter", lambda s: s.continuation.parameter == SELECTED and s.solution,
+             "with [orbit] select, whose value it moves"),
     )),
     ("family", (
-        _one(_modes),
-        (lambda s: s.chain and s.chain.g == 0,
-         "[chain] g: given {chain.g!r}; accepted: with a [family] a finite number other than 0 "
-         "(the family would be the linear mode at every amplitude)"),
-        (lambda s: s.chain and abs(s.chain.gamma) == 1 and s.stability.vectors,
-         "[stability] vectors: given true with gamma = {chain.gamma!r}; "
-         "accepted: false (the vectors form Jordan chains that the gauge does not have)"),
-        _one(_oscillates),
-        (lambda s: first(s.family.at, lambda _, value: value > s.family.amplitude_max),
-         "[family] at: given {value!r} as item {item}; accepted: numbers <= amplitude_max = {family.amplitude_max!r}"),
-        (lambda s: (found := first(s.family.at, lambda i, value: i > 1 and value <= s.family.at[i - 2]))
-         and {**found, "before": s.family.at[found["item"] - 2]},
-         "[family] at: given {value!r} as item {item} after {before!r}; accepted: numbers in strictly ascending order"),
-        (lambda s: again(s.family.at_Omega),
-         "[family] at_Omega: given {value!r} as item {item} again; accepted: each number once"),
-        (lambda s: (found := first(s.family.at_Omega, lambda _, v: 2 * math.pi / v > (s.family.period_max or math.inf)))
-         and {**found, "least": 2 * math.pi / s.family.period_max},
-         "[family] at_Omega: given {value!r} as item {item}; accepted: numbers >= 2 pi/period_max = {least:.12g}"),
-        (lambda s: again(s.family.at_period),
-         "[family] at_period: given {value!r} as item {item} again; accepted: each number once"),
-        (lambda s: first(s.family.at_period, lambda _, value: value > (s.family.period_max or math.inf)),
-         "[family] at_period: given {value!r} as item {item}; accepted: numbers <= period_max = {family.period_max!r}"),
+        _modes,
+        rule("chain g", lambda s: s.chain.g == 0, "with a [family] a finite number other than 0 "
+             "(the family would be the linear mode at every amplitude)"),
+        rule("stability vectors", _exceptional,
+             "false (the vectors form Jordan chains that the gauge does not have)", " with gamma = {chain.gamma!r}"),
+        _oscillates,
+        rule("family at", lambda s: first(s.family.at, lambda _, value: value > s.family.amplitude_max),
+             "numbers <= amplitude_max = {family.amplitude_max!r}", ITEM),
+        rule("family at", lambda s: first(s.family.at, lambda i, value: i > 1 and value <= s.family.at[i - 2]),
+             "numbers in strictly ascending order", f"{ITEM} after {{before!t}}"),
+        once("family at_Omega"),
+        rule("family at_Omega", lambda s: s.family.period_max
+             and first(s.family.at_Omega, lambda _, value: 2 * math.pi / value > s.family.period_max),
+             "numbers >= 2 pi/period_max = {least_Omega:.12g}", ITEM),
+        once("family at_period"),
+        rule("family at_period", lambda s: s.family.period_max
+             and first(s.family.at_period, lambda _, value: value > s.family.period_max),
+             "numbers <= period_max = {family.period_max!r}", ITEM),
     )),
     ("chain", (
-        (lambda s: s.sites == math.inf and (given := s.scene.given("spectrum", "dynamics", "orbit"))
-         and {"name": given[0]},
-         "[{name}]: given with sites = inf; accepted: with a whole number of sites: all of them take part in it"),
-        (lambda s: s.sites == math.inf and s.stability.vectors,
-         "[stability] vectors: given true with sites = inf; accepted: false: all sites take part in them"),
+        rule("{name}", lambda s: s.sites == math.inf and _without_all_sites(s, "spectrum", "dynamics", "orbit"),
+             "with a whole number of sites: all of them take part in it", "with sites = inf"),
+        rule("stability vectors", lambda s: s.sites == math.inf, "false: all sites take part in them",
+             " with sites = inf"),
     )),
     ("lattice", (
-        (lambda s: s.lattice.long and (given := s.scene.given(
-            "spectrum", "dynamics", "orbit", "equilibrium", "continuation", "search", "export")) and {"name": given[0]},
-         "[{name}]: given with a linear tail (edge, or more than 100000 cells); accepted: with all sites unknown"),
-        (lambda s: s.lattice.long and s.stability.vectors,
-         "[stability] vectors: given true with a linear tail; accepted: false: all sites take part in them"),
+        rule("{name}", lambda s: s.lattice.long and _without_all_sites(
+             s, "spectrum", "dynamics", "orbit", "equilibrium", "continuation", "search", "export"),
+             "with all sites unknown", "with a linear tail (edge, or more than 100000 cells)"),
+        rule("stability vectors", lambda s: s.lattice.long, "false: all sites take part in them",
+             " with a linear tail"),
     )),
     ("dynamics", (
-        (lambda s: s.at_rest and (given := s.scene.given("equilibrium", "solution", "search")) and {"name": given[0]},
-         "[dynamics]: given beside [{name}]; accepted: beside [family] or [orbit], or with a start of its own"),
-        (lambda s: s.at_rest and len(given := s.given("dynamics", *STARTS)) != 1
-         and {"kinds": " and ".join(given) or f"none of {', '.join(STARTS)}"},
-         "[dynamics]: given without [family] and [orbit], with {kinds}; "
-         f"accepted: one of {', '.join(STARTS)}, with size and duration, from which motion starts"),
-        (lambda s: s.at_rest and s.dynamics.S is not None,
-         "[dynamics] S: given {dynamics.S!r}; accepted: beside a [family] or an [orbit]"),
-        (lambda s: s.at_rest and s.dynamics.periods is not None,
-         "[dynamics] periods: given {dynamics.periods!r}; accepted: beside a [family] or an [orbit]"),
-        (lambda s: s.at_rest and (lacking := [n for n in ("size", "duration") if not s.given("dynamics", n)])
-         and {"name": lacking[0], "kind": s.given("dynamics", *STARTS)[0]},
-         "[dynamics] {name}: missing; accepted: beside {kind} a finite number > 0"),
-        (lambda s: s.at_rest and s.chain and abs(s.chain.gamma) == 1,
-         "[dynamics]: given with gamma = {chain.gamma!r} and without [family]; "
-         "accepted: |gamma| < 1: sites off the edge have no image in the gauge"),
-        (lambda s: not s.at_rest and s.dynamics.moving,
-         "[dynamics] moving: given true; accepted: without [family] and [orbit], which start at phase zero"),
-        (lambda s: not s.at_rest and not s.family and s.dynamics.S is not None,
-         "[dynamics] S: given {dynamics.S!r}; accepted: beside a [family]"),
-        (lambda s: not s.at_rest and not s.family and s.dynamics.mode is not None,
-         "[dynamics] mode: given {dynamics.mode!r}; accepted: beside a [family]"),
-        (lambda s: s.family and s.dynamics.S is None,
-         "[dynamics] S: missing; accepted: a finite number > 0, up to amplitude_max"),
+        rule("dynamics", lambda s: s.at_rest and _without_all_sites(s, "equilibrium", "solution", "search"),
+             "beside [family] or [orbit], or with a start of its own", "beside [{name}]"),
+        rule("dynamics", lambda s: s.at_rest and len(given := s.given("dynamics", *STARTS)) != 1
+             and {"kinds": " and ".join(given) or f"none of {', '.join(STARTS)}"},
+             f"one of {', '.join(STARTS)}, with size and duration, from which motion starts",
+             "without [family] and [orbit], with {kinds}"),
+        *(rule(f"dynamics {name}", lambda s: s.at_rest, "beside a [family] or an [orbit]")
+          for name in ("S", "periods")),
+        *(rule(f"dynamics {name}", lambda s: s.at_rest and {"kind": s.given("dynamics", *STARTS)[0]},
+               "beside {kind} a finite number > 0", None) for name in ("size", "duration")),
+        rule("dynamics", lambda s: s.at_rest and _exceptional(s),
+             "|gamma| < 1: sites off the edge have no image in the gauge",
+             "with gamma = {chain.gamma!r} and without [family]"),
+        rule("dynamics moving", lambda s: not s.at_rest, "without [family] and [orbit], which start at phase zero"),
+        *(rule(f"dynamics {name}", lambda s: not s.at_rest and not s.family, "beside a [family]")
+          for name in ("S", "mode")),
+        rule("dynamics S", lambda s: s.family, "a finite number > 0, up to amplitude_max", None),
         *_orbit_of_family("dynamics"),
-        (lambda s: s.dynamics.duration is None and s.dynamics.periods is None,
-         "[dynamics]: given neither duration nor periods; accepted: duration or periods, one of them"),
-        (lambda s: s.dynamics.duration is not None and s.dynamics.periods is not None,
-         "[dynamics]: given duration and periods; accepted: duration or periods, one of them"),
-        (lambda s: len(given := s.given("dynamics", *KICKS)) > 1 and {"kinds": " and ".join(given)},
-         "[dynamics]: given {kinds}; accepted: site, vector or seed, one of them or none"),
-        (lambda s: s.dynamics.size is None and (given := s.given("dynamics", *KICKS)) and {"kind": given[0]},
-         "[dynamics] size: missing; accepted: beside {kind} a finite number > 0"),
-        (lambda s: s.dynamics.size is not None and not s.at_rest and not s.given("dynamics", *KICKS),
-         "[dynamics] size: given {dynamics.size!r}; accepted: beside one of site, vector, seed"),
-        (lambda s: s.dynamics.vector is not None and not any(s.dynamics.vector),
-         "[dynamics] vector: given zeros; accepted: a vector with a direction"),
-        (lambda s: s.chain and abs(s.chain.gamma) < 1
-         and (s.chain.sites - 1) * math.atanh(abs(s.chain.gamma)) > LONGEST_ENVELOPE,
-         "[dynamics]: given with sites = {sites} and gamma = {chain.gamma!r}, whose far end is below the smallest "
-         f"double; accepted: (sites - 1) artanh|gamma| <= {LONGEST_ENVELOPE:g}"),
-        (lambda s: s.chain and s.dynamics.site is not None and not 1 <= s.dynamics.site <= s.chain.sites,
-         "[dynamics] site: given {dynamics.site!t}; accepted: whole numbers from 1 to {sites} (sites)"),
-        (lambda s: s.chain and s.dynamics.vector is not None
-         and (count := len(s.dynamics.vector)) not in (s.chain.sites, 2 * s.chain.sites) and {"count": count},
-         "[dynamics] vector: given a list of {count}; "
-         "accepted: {sites} displacements, or these and {sites} velocities"),
-        (lambda s: s.chain and abs(s.chain.gamma) == 1 and (given := s.given("dynamics", *KICKS))
-         and not _moves_alone(s) and {"kind": given[0], "edge": s.chain.sites if s.chain.gamma > 0 else 1},
-         "[dynamics] {kind}: given with gamma = {chain.gamma!r}; accepted: site {edge} alone "
-         "(at |gamma| = 1 displacements off the edge have no image in the gauge)"),
+        rule("dynamics", lambda s: s.dynamics.duration is None and s.dynamics.periods is None,
+             "duration or periods, one of them", "neither duration nor periods"),
+        rule("dynamics", lambda s: s.dynamics.duration is not None and s.dynamics.periods is not None,
+             "duration or periods, one of them", "duration and periods"),
+        rule("dynamics", lambda s: len(given := s.given("dynamics", *KICKS)) > 1 and {"kinds": " and ".join(given)},
+             "site, vector or seed, one of them or none", "{kinds}"),
+        rule("dynamics size", lambda s: (given := s.given("dynamics", *KICKS)) and {"kind": given[0]},
+             "beside {kind} a finite number > 0", None),
+        rule("dynamics size", lambda s: not s.at_rest and not s.given("dynamics", *KICKS),
+             "beside one of site, vector, seed"),
+        rule("dynamics vector", lambda s: not any(s.dynamics.vector), "a vector with a direction", "zeros"),
+        rule("dynamics", lambda s: s.chain and abs(s.chain.gamma) < 1
+             and (s.chain.sites - 1) * math.atanh(abs(s.chain.gamma)) > LONGEST_ENVELOPE,
+             f"(sites - 1) artanh|gamma| <= {LONGEST_ENVELOPE:g}",
+             "with sites = {sites} and gamma = {chain.gamma!r}, whose far end is below the smallest double"),
+        rule("dynamics site", lambda s: s.chain and not 1 <= s.dynamics.site <= s.chain.sites,
+             "whole numbers from 1 to {sites} (sites)"),
+        rule("dynamics vector", lambda s: s.chain and (count := len(s.dynamics.vector)) not in
+             (s.chain.sites, 2 * s.chain.sites) and {"count": count},
+             "{sites} displacements, or these and {sites} velocities", "a list of {count}"),
+        rule("dynamics {kind}", lambda s: _exceptional(s) and (given := s.given("dynamics", *KICKS))
+             and not _moves_alone(s) and {"kind": given[0], "edge": s.chain.sites if s.chain.gamma > 0 else 1},
+             "site {edge} alone (at |gamma| = 1 displacements off the edge have no image in the gauge)",
+             "with gamma = {chain.gamma!r}"),
     )),
     ("search", (
-        (lambda s: s.family, "[search]: given beside [family]; accepted: [search] or [family] in one scene"),
-        (lambda s: s.sites == math.inf, "[search]: given with sites = inf; accepted: with a whole number of sites"),
-        (lambda s: s.chain and s.chain.g == 0,
-         "[chain] g: given {chain.g!r}; accepted: with a [search] a finite number other than 0"),
-        (lambda s: s.chain and isinstance(s.search.mode, int) and s.search.mode > s.chain.sites,
-         "[search] mode: given {search.mode!t}; accepted: whole numbers from 1 to {sites} (sites), first, last"),
-        (lambda s: s.chain and next(filter(None, _search(s)), None), "{}"),
+        rule("search", lambda s: s.family, "[search] or [family] in one scene", "beside [family]"),
+        rule("search", lambda s: s.sites == math.inf, "with a whole number of sites", "with sites = inf"),
+        rule("chain g", lambda s: s.chain.g == 0, "with a [search] a finite number other than 0"),
+        rule("search mode", lambda s: s.chain and isinstance(s.search.mode, int) and s.search.mode > s.chain.sites,
+             "whole numbers from 1 to {sites} (sites), first, last"),
+        lambda s: _search(s) if s.chain else (),
     )),
     ("export", (
-        (lambda s: s.sites == math.inf, "[export]: given with sites = inf; accepted: with a whole number of sites"),
-        (lambda s: s.export.c is None and s.export.fmu is None,
-         "[export]: given neither c nor fmu; accepted: one of them, or both"),
-        (lambda s: s.export.inputs and s.export.fmu is None,
-         "[export] inputs: given {export.inputs!t}; accepted: beside fmu"),
-        (lambda s: s.chain and s.export.c not in (None, "all") and abs(s.chain.gamma) == 1
-         and first(s.export.c, lambda _, part: part in ("flow", "residual", "newton", "ipopt")),
-         "[export] c: given {value!t} with gamma = {chain.gamma!r}; "
-         "accepted: rhs, jacobian, variational, orbit (the gauge holds the edge site alone)"),
-        (lambda s: s.export.S is None and s.export.mode is not None,
-         "[export] mode: given {export.mode!t}; accepted: beside S, the orbit of that mode's family"),
-        (lambda s: s.export.S is None and not s.orbit and "orbit" in (s.export.c or ()),
-         '[export] c: given "orbit" without S; accepted: with S, that of the orbit'),
-        (lambda s: s.export.S is not None and not s.family,
-         "[export] S: given {export.S!r}; accepted: beside a [family], one of whose orbits it names"),
+        rule("export", lambda s: s.sites == math.inf, "with a whole number of sites", "with sites = inf"),
+        rule("export", lambda s: s.export.c is None and s.export.fmu is None, "one of them, or both",
+             "neither c nor fmu"),
+        rule("export inputs", lambda s: s.export.fmu is None, "beside fmu"),
+        rule("export c", lambda s: s.export.c != "all" and _exceptional(s)
+             and first(s.export.c, lambda _, part: part in ("flow", "residual", "newton", "ipopt")),
+             "rhs, jacobian, variational, orbit (the gauge holds the edge site alone)",
+             "{value!t} with gamma = {chain.gamma!r}"),
+        rule("export mode", lambda s: s.export.S is None, "beside S, the orbit of that mode's family"),
+        rule("export c", lambda s: s.export.S is None and not s.orbit and "orbit" in s.export.c,
+             "with S, that of the orbit", '"orbit" without S'),
+        rule("export S", lambda s: not s.family, "beside a [family], one of whose orbits it names"),
         *_orbit_of_family("export"),
     )),
-    ("figures", (
-        (lambda s: again(s.figures.formats),
-         "[figures] formats: given {value!t} as item {item} again; accepted: each format once"),
-    )),
+    ("figures", (once("figures formats", "each format once"),)),
 )
 # fmt: on
