@@ -89,7 +89,7 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
     },
     "Statement": {"solve": "optimise.boundary_nlp:solve"},
     "Chain": {
-        "equations_of_motion": "dynamics.evolution:ChainEquations",
+        "equations_of_motion": "dynamics.evolution:chain_equations",
         "family_coordinates": "lattice.chain_coordinates:chain_coordinates",
         "threshold": "dynamics.resonances:threshold",
     },

@@ -11,11 +11,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicHermiteSpline
+from scipy.optimize import brentq
 
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.spectrum import linear_spectrum
@@ -40,60 +42,32 @@ class Gauge:
     parameters: Array
     log_scale: Array
 
-    @cached_property
-    def scale(self) -> Array:
-        """The factors D, shape (positions,)."""
-        return np.exp(self.log_scale)
 
-
+@dataclass(frozen=True, eq=False)
 class EquationsOfMotion:
-    """The equations of motion of a model at fixed values of its parameters; this class is that of any `OdeModel`.
+    """The equations of motion of a model at fixed values of its parameters, which `equations_of_motion` makes.
 
     Attributes:
         model: the model as users see it.
-        parameters: values of its parameters by name.
-        gauge_is_default: whether the equations are integrated in their gauge unless it is said otherwise.
+        physical: its equations in its own coordinates.
+        parameters: values of the model's parameters by name.
+        values: of the parameters of `physical`, in its order.
+        names: of the components of the state.
+        gauge: the equations in their gauge; None where they have none.
+        gauge_is_default: whether they are integrated in it unless it is said otherwise.
         escape: why a state may run to infinity, for messages.
         well: the displacement beyond which a position escapes; infinite where the model declares none.
     """
 
+    model: Any
+    physical: OdeModel
+    parameters: Mapping[str, float]
+    values: Array
+    names: tuple[str, ...]
+    gauge: Gauge | None
     gauge_is_default: bool
     escape: str = ""
     well: float = np.inf
-
-    def __init__(self, model: OdeModel, parameters: Mapping[str, float] | None = None) -> None:
-        self.model: Any = model
-        self.parameters: Mapping[str, float] = named_values(model, parameters)
-        gauge = self.gauge
-        self.gauge_is_default = gauge is not None and 0.0 < -float(np.min(gauge.log_scale)) <= LONGEST_ENVELOPE
-
-    @property
-    def physical(self) -> OdeModel:
-        """The equations in the coordinates of the model."""
-        model: OdeModel = self.model
-        return model
-
-    @property
-    def values(self) -> Array:
-        """Values of the parameters of `physical`, in its order."""
-        return np.array(list(self.parameters.values()))
-
-    @cached_property
-    def gauge(self) -> Gauge | None:
-        """The equations in their gauge: of a model of second order whose linear part at 0 can be made symmetric."""
-        model = self.physical
-        if model.order == 1 or model.forced:
-            return None
-        force = ca.substitute(model.rhs, model.parameters, ca.SX(ca.DM(self.values)))
-        slope = ca.Function("slope", [model.state], [ca.jacobian(force, model.state)])
-        K = -np.array(slope(0.0))
-        log_scale = scale_of_couplings(K, force, model.state) if np.all(np.isfinite(K)) else None
-        if log_scale is None:
-            return None
-        D = ca.SX(ca.DM(np.exp(log_scale)))
-        in_gauge = ca.substitute(force, model.state, D * model.state) / D
-        scaled = OdeModel(model.name, model.state, in_gauge, order=2, velocity=model.velocity, checked=False)
-        return Gauge(scaled, np.empty(0), log_scale)
 
     @property
     def positions(self) -> int:
@@ -104,11 +78,6 @@ class EquationsOfMotion:
     def size(self) -> int:
         """Number of components of the state, positions then velocities in a model of second order."""
         return self.physical.full_size
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the components of the state."""
-        return self.physical.state_names
 
     @cached_property
     def linear_frequencies(self) -> tuple[float, float] | None:
@@ -134,19 +103,19 @@ class EquationsOfMotion:
         if coordinates == PHYSICAL:
             return self.physical, self.values, np.ones(self.physical.size)
         gauge = self._known_gauge("coordinates")
-        finite = gauge.log_scale[np.isfinite(gauge.log_scale)]
-        if -np.min(finite) > LONGEST_ENVELOPE:
+        least = float(np.min(gauge.log_scale[np.isfinite(gauge.log_scale)]))
+        if -least > LONGEST_ENVELOPE:
             raise ValueError(
-                f"coordinates: given gauge, in which positions span exp({np.min(finite):.4g}); accepted: down to "
+                f"coordinates: given gauge, in which positions span exp({least:.4g}); accepted: down to "
                 f"exp(-{LONGEST_ENVELOPE:g}), or physical"
             )
-        return gauge.model, gauge.parameters, gauge.scale
+        return gauge.model, gauge.parameters, np.exp(gauge.log_scale)
 
-    def to_gauge(self, positions: Array, name: str) -> Array:
-        """q = y/D of positions y, last axis the position; raises ValueError where one that moves has no image."""
-        gauge = self._known_gauge(name)
+    def to_gauge(self, states: Array, name: str) -> Array:
+        """q = y/D of states (..., 2 positions); raises ValueError where a position that moves has no image."""
+        scale = np.tile(np.exp(self._known_gauge(name).log_scale), 2)
         with np.errstate(divide="ignore", invalid="ignore"):
-            q = np.where(positions == 0, 0.0, positions / gauge.scale)
+            q = np.where(states == 0, 0.0, states / scale)
         absent = ~np.all(np.isfinite(q), axis=tuple(range(q.ndim - 1)))
         if np.any(absent):
             moves, accepted = self.names[int(np.argmax(absent))], 'zero there, or coordinates = "physical"'
@@ -172,29 +141,17 @@ class EquationsOfMotion:
 
         Raises ValueError where it declares none, or declares one in a gauge without an image of the states.
         """
-        model, values, n = self.physical, self.values, self.positions
+        model, values = self.physical, self.values
         if not self.conserves:
             raise NoQuantityError(f"energy: {model.name} declares no hamiltonian")
         if model.hamiltonian is None:
             gauge = self._known_gauge("energy")
-            model, values = gauge.model, gauge.parameters
-            states = np.hstack([self.to_gauge(x, "energy") for x in (states[:, :n], states[:, n:])])
+            model, values, states = gauge.model, gauge.parameters, self.to_gauge(states, "energy")
         hamiltonian = model.function("H", ca.densify(model.hamiltonian))
         return np.array(hamiltonian(0.0, states.T, values), dtype=float).ravel()
 
 
-@runtime_checkable
-class MovingModel(Protocol):
-    """A model that hands in its equations of motion itself, as `Chain` does."""
-
-    def equations_of_motion(self) -> EquationsOfMotion:
-        """The equations of motion with their gauge; raises ValueError where they cannot be written down."""
-        ...
-
-
-def equations_of_motion(
-    model: MovingModel | OdeModel, parameters: Mapping[str, float] | None = None
-) -> EquationsOfMotion:
+def equations_of_motion(model: Any, parameters: Mapping[str, float] | None = None) -> EquationsOfMotion:
     """The equations of motion of a model.
 
     Arguments:
@@ -207,77 +164,65 @@ def equations_of_motion(
     Raises:
         ValueError, TypeError: the model or a parameter is not accepted.
     """
-    if isinstance(model, OdeModel):
-        return EquationsOfMotion(model, parameters)
-    if not isinstance(model, MovingModel):
-        raise TypeError(f"model: given {short_repr(model)}; accepted: a Chain or an OdeModel")
-    if parameters:
-        raise ValueError(f"parameters: given {short_repr(parameters)}; accepted: with an OdeModel alone")
-    return model.equations_of_motion()
+    if not isinstance(model, OdeModel):
+        if not hasattr(model, "equations_of_motion"):
+            raise TypeError(f"model: given {short_repr(model)}; accepted: a Chain or an OdeModel")
+        if parameters:
+            raise ValueError(f"parameters: given {short_repr(parameters)}; accepted: with an OdeModel alone")
+        own: EquationsOfMotion = model.equations_of_motion()
+        return own
+    known = named_values(model, parameters)
+    values = np.array(list(known.values()))
+    gauge = _gauge_of(model, values)
+    by_default = gauge is not None and 0.0 < -float(np.min(gauge.log_scale)) <= LONGEST_ENVELOPE
+    return EquationsOfMotion(model, model, known, values, model.state_names, gauge, by_default)
 
 
-# Equations of motion of a chain, in physical coordinates and in its gauge ---------------------------------------------
+def _gauge_of(model: OdeModel, values: Array) -> Gauge | None:
+    """The equations in their gauge: of a model of second order whose linear part at 0 can be made symmetric."""
+    if model.order == 1 or model.forced:
+        return None
+    force = ca.substitute(model.rhs, model.parameters, ca.SX(ca.DM(values)))
+    slope = ca.Function("slope", [model.state], [ca.jacobian(force, model.state)])
+    K = -np.array(slope(0.0))
+    log_scale = scale_of_couplings(K, force, model.state) if np.all(np.isfinite(K)) else None
+    if log_scale is None:
+        return None
+    D = ca.SX(ca.DM(np.exp(log_scale)))
+    in_gauge = ca.substitute(force, model.state, D * model.state) / D
+    scaled = OdeModel(model.name, model.state, in_gauge, order=2, velocity=model.velocity, checked=False)
+    return Gauge(scaled, np.empty(0), log_scale)
 
 
-class ChainEquations(EquationsOfMotion):
-    """Displacements y_n and velocities v_n of all sites; the energy is that of the gauge.
+def chain_equations(chain: Chain) -> EquationsOfMotion:
+    """Displacements y_n and velocities v_n of all sites of a chain; the energy is that of the gauge.
 
     Raises ValueError for an infinite chain.
     """
-
-    gauge_is_default = True
-
-    def __init__(self, chain: Chain) -> None:
-        if chain.infinite:
-            raise ValueError("sites: given an infinite chain; accepted for time evolution: a whole number >= 1")
-        self.model = chain
-        self.parameters = {"alpha": chain.alpha, "gamma": chain.gamma, "g": chain.g}
-        if chain.g < 0:
-            self.escape = "with g < 0 a large displacement leaves the well and runs to infinity in finite time"
-        if chain.g < 0 and chain.alpha > -2.0:
-            self.well = float(np.sqrt((2.0 + chain.alpha) / -chain.g))
-
-    @cached_property
-    def physical(self) -> OdeModel:
-        chain: Chain = self.model
-        return chain.physical_model()
-
-    @property
-    def values(self) -> Array:
-        return np.array([self.parameters["g"]], dtype=float)
-
-    @cached_property
-    def gauge(self) -> Gauge:
-        chain: Chain = self.model
-        return Gauge(chain.gauge_model(), self.values, chain.log_rho)  # eta at S = 1, where kappa is g
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(f"{x}_{n}" for x in "yv" for n in range(1, self.positions + 1))
+    if chain.infinite:
+        raise ValueError("sites: given an infinite chain; accepted for time evolution: a whole number >= 1")
+    escape, well, values = "", np.inf, np.array([chain.g], dtype=float)
+    if chain.g < 0:
+        escape = "with g < 0 a large displacement leaves the well and runs to infinity in finite time"
+    if chain.g < 0 and chain.alpha > -2.0:
+        well = float(np.sqrt((2.0 + chain.alpha) / -chain.g))
+    names = tuple(f"{x}_{n}" for x in "yv" for n in range(1, chain.sites + 1))
+    gauge = Gauge(chain.gauge_model(), values, chain.log_rho)  # eta at S = 1, where kappa is g
+    return EquationsOfMotion(chain, chain.physical_model(), chain.parameters, values, names, gauge, True, escape, well)
 
 
 # The cycle that an evolution settles on: where it returns to itself, followed on where its outputs do not show it -----
 
 FEWEST_CYCLE_TIMES = 40  # output times that a cycle is looked for in
-AT_REST, NOISE_PER_TOLERANCE = (
-    1e-6,
-    100.0,
-)  # motion relative to that of the whole time, and to the tolerance, that is none
+AT_REST = 1e-6  # motion relative to that of the whole time that is none
+NOISE_PER_TOLERANCE = 100.0  # motion relative to the tolerance that is none
 CLOSED_CYCLE_DISTANCE = 0.02  # distance of two states a cycle apart, relative to the cycle's size
-FOLLOWED_MOTION_TOLERANCE, LEAST_COMPONENT_SIZE = (
-    1e-11,
-    1e-6,
-)  # of the motion that is followed on; of the largest component, a size at least
-PLACE_DISTANCE, PLACES_PER_STRETCH, MOST_STRETCHES = (
-    0.02,
-    2000,
-    200,
-)  # of a size, from place to place; places a stretch; stretches
+FOLLOWED_MOTION_TOLERANCE = 1e-11  # of the motion that is followed on
+LEAST_COMPONENT_SIZE = 1e-6  # of the largest component, a size at least
+PLACE_DISTANCE, PLACES_PER_STRETCH, MOST_STRETCHES = 0.02, 2000, 200  # of a size from place to place; places; stretches
 TIME_SHARE = 40.0  # sizes that the whole time counts as
-CUBIC_ERROR, MOST_CUBIC_HALVINGS = (
-    1e-6,
-    20,
-)  # what cubics between the samples of a cycle may be off, of the value; halvings at most
+CUBIC_ERROR = 1e-6  # what cubics between the samples of a cycle may be off, of the value
+MOST_CUBIC_HALVINGS = 20  # at most
 LEAST_MEASURE = 1e-6  # of a size: smaller values are measured by it
 
 
@@ -304,9 +249,8 @@ def _cycle(evolution: Evolution) -> tuple[float, float] | None:
         raise ValueError(f"last_cycle: given {t.size} output times; accepted: {FEWEST_CYCLE_TIMES} or more, 20 a cycle")
     half = states[t.size // 2 :]
     spread = np.ptp(half, axis=0)
-    still = np.maximum(
-        AT_REST * np.ptp(states, axis=0), NOISE_PER_TOLERANCE * evolution.tolerance * np.max(np.abs(states))
-    )
+    noise = NOISE_PER_TOLERANCE * evolution.tolerance * np.max(np.abs(states))
+    still = np.maximum(AT_REST * np.ptp(states, axis=0), noise)
     if np.all(spread <= still):
         raise ValueError(f"last_cycle: from t = {t[t.size // 2]:g} on the state rests: this is an equilibrium")
     component = int(np.argmax(np.std(half, axis=0)))
@@ -323,8 +267,6 @@ def _cycle(evolution: Evolution) -> tuple[float, float] | None:
 
 def _crossing(evolution: Evolution, i: int, component: int, level: float) -> float:
     """The time between two output times at which a component has a value."""
-    from scipy.optimize import brentq
-
     curve = evolution.curve
     return float(brentq(lambda t: curve(t)[component] - level, evolution.t[i], evolution.t[i + 1]))
 
@@ -385,9 +327,8 @@ def _resolved(evolution: Evolution, start: float, period: float) -> tuple[Evolut
             break
         guessed, t = found.curve(middles), np.union1d(found.t, middles)
         states = np.vstack([found.states[:1], _followed(found, t[1:])])
-        off = np.max(
-            np.abs(states[np.searchsorted(t, middles)] - guessed) / (np.abs(guessed) + LEAST_MEASURE * sizes), axis=1
-        )
+        apart = np.abs(states[np.searchsorted(t, middles)] - guessed)
+        off = np.max(apart / (np.abs(guessed) + LEAST_MEASURE * sizes), axis=1)
         found = replace(found, t=t, states=states)
         open_ends = np.isin(t, middles[off > CUBIC_ERROR])[1:] | np.isin(t, middles[off > CUBIC_ERROR])[:-1]
     return found, start, period
@@ -472,8 +413,6 @@ class Evolution(Result):
     @cached_property
     def curve(self) -> Any:
         """The states as a spline of scipy."""
-        from scipy.interpolate import CubicHermiteSpline
-
         field, values = self.equations.physical.vector_field, self.equations.values
         rates = field.map(self.t.size)(self.t[None], self.states.T, np.tile(values[:, None], self.t.size))
         return CubicHermiteSpline(self.t, self.states, np.array(rates).T)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -15,12 +16,10 @@ from casadi_skin.dynamics.evolution import (
     EquationsOfMotion,
     Evolution,
     EvolutionError,
-    MovingModel,
     equations_of_motion,
 )
-from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import CosineSeries, Curve, Orbit, cosine_curve
+from casadi_skin.follow.space import FAMILY
 from casadi_skin.model.arguments import by_name, number, short_repr, state_by_name
 from casadi_skin.model.expressions import real_array
 from casadi_skin.model.integrators import (
@@ -162,7 +161,7 @@ INTEGRATORS: Mapping[str, Integrator] = {"cvodes": cvodes, "dop853": dop853, "sy
 
 
 def evolve(
-    model: MovingModel | OdeModel,
+    model: Any,
     positions: ArrayLike,
     velocities: ArrayLike | None,
     t: ArrayLike,
@@ -196,57 +195,48 @@ def evolve(
         ValueError: an argument is out of range, or a site of a chain with |gamma| = 1 moves that has no gauge.
         EvolutionError: the integrator fails.
     """
-    _check_choices(method, tolerance, coordinates, step)
-    equations = equations_of_motion(model, parameters)
-    times, start = _times(t), _start(equations, positions, velocities)
-    return _evolved(equations, start, times, method, tolerance, coordinates, step)
+    return _evolved(
+        equations_of_motion(model, parameters), positions, velocities, t, method, tolerance, coordinates, step
+    )
 
 
 def _evolved(
     equations: EquationsOfMotion,
-    start: Array,
-    times: Array,
+    positions: ArrayLike,
+    velocities: ArrayLike | None,
+    t: ArrayLike,
     method: str,
     tolerance: float,
-    coordinates: str | None = None,
+    coordinates: str | None,
     step: float | None = None,
 ) -> Evolution:
-    """States at times, shape (times,), from a state (component,) at time 0; raises as `evolve`."""
+    """States at times from a state at time 0; see `evolve`."""
+    _check_choices(method, tolerance, coordinates, step)
+    times, start = _times(t), _start(equations, positions, velocities)
     if coordinates is None:
         coordinates = GAUGE if equations.gauge_is_default else PHYSICAL
     model, values, scale = equations.in_coordinates(coordinates)
-    n, factors = equations.positions, np.tile(scale, model.order)
-    origin = start
-    if coordinates == GAUGE:
-        origin = np.concatenate(
-            [equations.to_gauge(start[:n], "positions"), equations.to_gauge(start[n:], "velocities")]
-        )
+    origin = equations.to_gauge(start, "positions") if coordinates == GAUGE else start
     later = times[times > 0]
     trajectory, failure = Trajectory(np.empty((0, start.size)), 0, step), None
+    integrator: Integrator = partial(symplectic, step=step) if method == SYMPLECTIC else INTEGRATORS[method]
     try:
         if later.size:
-            trajectory = _integrator(method, step)(model, values, origin, later, tolerance)
+            trajectory = integrator(model, values, origin, later, tolerance)
     except IntegrationError as error:
         trajectory, failure = error.trajectory, error
-    states = factors * np.vstack([origin[None]] * int(times[0] == 0) + [trajectory.states])
+    states = np.tile(scale, model.order) * np.vstack([origin[None]] * int(times[0] == 0) + [trajectory.states])
     how = (method, tolerance, coordinates, trajectory.evaluations, trajectory.step)
     evolution = Evolution(equations, times[: len(states)], states, *how)
     if failure is not None:
-        reason = equations.escape or escape_of(equations, states[-1] if len(states) else start, times[-1])
-        why = f"; {reason}" if reason else ""
-        raise EvolutionError(f"{failure}{why}", evolution if len(states) else None) from failure
+        reason = equations.escape
+        if not reason:
+            last = states[-1] if len(states) else start
+            far = far_state(equations.physical, equations.values, last, 0.0, times[-1])
+            reason = "" if far is None else f"{far[1]} runs to infinity"
+        words = f"{failure}; {reason}" if reason else str(failure)
+        raise EvolutionError(words, evolution if len(states) else None) from failure
     return evolution
-
-
-def escape_of(equations: EquationsOfMotion, state: Array, duration: float) -> str:
-    """Which component runs to infinity from a state in finite time, in words; empty where none does soon."""
-    found = far_state(equations.physical, equations.values, state, 0.0, duration)
-    return "" if found is None else f"{found[1]} runs to infinity"
-
-
-def _integrator(method: str, step: float | None) -> Integrator:
-    integrator = INTEGRATORS[method]
-    return partial(integrator, step=step) if method == SYMPLECTIC else integrator  # type: ignore[call-arg]
 
 
 # Arguments ------------------------------------------------------------------------------------------------------------
@@ -304,19 +294,50 @@ def checked_vector(name: str, given: ArrayLike, components: tuple[str, ...], *si
 
 def orbit_equations(orbit: Orbit) -> EquationsOfMotion:
     """The equations of an orbit, in the model's own coordinates, at the values of its parameters."""
-    space, model = orbit.space, orbit.model
-    if isinstance(space, BoundarySpace) and space.periodic is not None:
-        model = space.periodic.given
-    if not isinstance(model, OdeModel):
+    periodic = getattr(orbit.space, "periodic", None)
+    model = orbit.model if periodic is None else periodic.given
+    if hasattr(model, "equations_of_motion"):
         return equations_of_motion(model)
     # The parameter for S in the normalisation of a family is none of its orbits, and not in the equations.
     values = {name: orbit.parameters.get(name, 0.0) for name in model.parameter_names}
     return equations_of_motion(model, values)
 
 
-def orbit_start(orbit: Orbit, equations: EquationsOfMotion) -> Array:
-    """State of an orbit at phase zero in the components of its equations, shape (component,)."""
-    return np.append(orbit.profile, np.zeros(equations.size - orbit.profile.size))  # an orbit of a family rests there
+def unit_direction(
+    name: str,
+    equations: EquationsOfMotion,
+    sites: int,
+    choices: Mapping[str, Any],
+    of_mode: Callable[[int], Array] | None = None,
+) -> Array:
+    """The direction that one of some choices gives, of norm 1, shape (sites,), or (component,) with velocities.
+
+    Arguments:
+        name: of the direction, for messages.
+        choices: by name, all but one None: `site`, from 1; `vector`; `seed` of normally distributed numbers; `mode`.
+        of_mode: displacements of a linear mode by number.
+
+    Raises ValueError where there is not one, or one that does not fit.
+    """
+    given = [key for key, value in choices.items() if value is not None]
+    if len(given) != 1:
+        raise ValueError(f"{name}: given {' and '.join(given) or 'none'}; accepted: one of {', '.join(choices)}")
+    (key,), value = given, choices[given[0]]
+    if key in ("mode", "site") and not (isinstance(value, int | np.integer) and 1 <= value <= sites):
+        raise ValueError(f"{key}: given {short_repr(value)}; accepted: 1..{sites}")
+    if key == "mode" and of_mode is not None:
+        direction = of_mode(value)
+    elif key == "site":
+        direction = np.zeros(sites)
+        direction[value - 1] = 1.0
+    elif key == "vector":
+        direction = checked_vector("vector", value, equations.names, *sorted({sites, equations.size}))
+    else:
+        direction = np.random.default_rng(value).normal(size=sites)
+    largest = float(np.abs(direction).max())
+    if largest == 0.0:
+        raise ValueError("vector: given zeros; accepted: a vector with a direction")
+    return np.asarray(direction / (largest * np.linalg.norm(direction / largest)))
 
 
 def perturbed(
@@ -343,27 +364,17 @@ def perturbed(
         ValueError: not one of site, vector and seed is given, or the argument does not fit the model.
     """
     equations = orbit_equations(orbit)
-    state, n = orbit_start(orbit, equations), equations.positions or equations.size
+    state, n = _orbit_state(orbit, equations), equations.positions or equations.size
     if not np.isfinite(size):
         raise ValueError(f"size: given {size!r}; accepted: a finite number")
-    given = [name for name, value in (("site", site), ("vector", vector), ("seed", seed)) if value is not None]
-    if len(given) != 1:
-        raise ValueError(f"perturbation: given {' and '.join(given) or 'none'}; accepted: one of site, vector, seed")
-    z = np.zeros(state.size)
-    if site is not None:
-        if not isinstance(site, int | np.integer) or not 1 <= site <= n:
-            raise ValueError(f"site: given {site!r}; accepted: 1..{n}")
-        z[site - 1] = 1.0
-    elif vector is not None:
-        direction = checked_vector("vector", vector, equations.names, *sorted({n, state.size}))
-        z[: direction.size] = direction
-    else:
-        z[:n] = np.random.default_rng(seed).normal(size=n)
-    largest = np.abs(z).max()
-    if largest == 0:
-        raise ValueError("vector: given zeros; accepted: a vector with a direction")
-    z /= largest * np.linalg.norm(z / largest)
-    return state[:n] + size * z[:n], state[n:] + size * z[n:]
+    direction = unit_direction("perturbation", equations, n, {"site": site, "vector": vector, "seed": seed})
+    state[: direction.size] += size * direction
+    return state[:n], state[n:]
+
+
+def _orbit_state(orbit: Orbit, equations: EquationsOfMotion) -> Array:
+    """State of an orbit at phase zero, shape (component,); an orbit of a family rests there."""
+    return np.append(orbit.profile, np.zeros(equations.size - orbit.profile.size))
 
 
 def simulate_orbit(
@@ -399,12 +410,11 @@ def simulate_orbit(
         EvolutionError: the integrator fails.
     """
     equations = orbit_equations(orbit)
-    state, n = orbit_start(orbit, equations), equations.positions or equations.size
+    state, n = _orbit_state(orbit, equations), equations.positions or equations.size
     start = (state[:n], state[n:])
     if size != 0 or site is not None or vector is not None or seed is not None:
         start = perturbed(orbit, size, site=site, vector=vector, seed=seed)
-    parameters = equations.parameters if isinstance(equations.model, OdeModel) else None
-    return evolve(equations.model, *start, t, method, tolerance, coordinates, parameters=parameters)
+    return _evolved(equations, *start, t, method, tolerance, coordinates)
 
 
 # Distance of a time evolution from an orbit: to its nearest point, so that a shift of phase alone has none ------------
@@ -448,8 +458,9 @@ def distance_from_orbit(orbit: CosineSeries, evolution: Evolution) -> Array:
         of the mean square distance of the orbit from its mean. In a forced model it is the distance to the point that
         the orbit has at the same time, in others to the nearest: a shift of phase alone has no distance.
     """
-    if isinstance(orbit, Orbit) and not isinstance(orbit.space, Family):
-        curve, sizes = _state_curve(orbit)
+    space = getattr(orbit, "space", None)
+    if space is not None and space.connects != FAMILY:
+        curve, sizes = _state_curve(orbit)  # type: ignore[arg-type]
         states = evolution.states / sizes
         if not evolution.equations.physical.forced:
             return curve.distances(states)
@@ -487,7 +498,7 @@ def simulate(
     """
     if not isinstance(model, OdeModel):
         raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel")
-    equations = EquationsOfMotion(model.first_order(), by_name("parameters", parameters))
+    equations = equations_of_motion(model.first_order(), by_name("parameters", parameters))
     given = state_by_name("start", start, equations.names) if isinstance(start, Mapping) else start
     x = real_array("start", given).ravel()
     if x.size != equations.size:

@@ -10,13 +10,14 @@ crossing of one family may lie on closed curves apart from the others, isolas, w
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.optimize import brentq
 
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.find import find_orbit
@@ -105,13 +106,8 @@ def energy_balance(lattice: Lattice, orbit: Orbit) -> EnergyBalance:
     Raises:
         ValueError: the model of the orbit has other components.
     """
-    times = orbit.period * np.arange(SAMPLES_PER_PERIOD) / SAMPLES_PER_PERIOD
-    y, v = _motion(orbit, times, lattice.declaration.size)
-    drive, damping = _forces(lattice)
-    values = np.array([{**_values(lattice), **orbit.parameters}[name] for name in lattice.declaration.scalars])
-    given, taken = drive(times, values), damping(y, v, values)
-    weights = _weights(lattice)
-    power = [float(np.mean((weights * force * v).sum(axis=1))) for force in (given, taken)]
+    drive, damping, v = _weighted_forces(lattice, orbit, orbit.parameters)
+    power = [float(np.mean((force * v).sum(axis=1))) for force in (drive, damping)]
     return EnergyBalance(orbit.period * power[0], orbit.period * power[1])
 
 
@@ -146,73 +142,54 @@ def resonances(
             def excess(S: float) -> float:
                 return _excess(lattice, frequency, branch.at(S=S))[0]
 
-            from scipy.optimize import brentq
-
             S = float(brentq(excess, low, high, rtol=CROSSING_S_RTOL)) if low != high else float(low)
             orbit = branch.at(S=S)
-            parameters = {**_values(lattice), frequency: orbit.Omega}
+            parameters = {**lattice.declaration.scalars, frequency: orbit.Omega}
             delay = _excess(lattice, frequency, orbit)[1]
             found.append(Resonance(lattice, parameters, S, orbit.Omega, orbit, delay, known[k][0] > known[k - 1][0]))
     return tuple(found)
 
 
-def _values(lattice: Lattice) -> dict[str, float]:
-    return dict(lattice.declaration.scalars)
-
-
-def _weights(lattice: Lattice) -> Array:
-    """Weights of the gauge, 1 without one."""
-    logs = lattice.structure.log_weights
-    return np.ones(lattice.declaration.size) if logs is None else np.exp(logs)
-
-
-def _motion(orbit: Orbit, times: Array, sites: int) -> tuple[Array, Array]:
-    """Positions and velocities at times, shape (times, sites) each."""
-    states = np.atleast_2d(orbit.evaluate(times))
-    if states.shape[1] == 2 * sites:
-        return states[:, :sites], states[:, sites:]
-    if states.shape[1] != sites:
-        raise ValueError(f"orbit: given one of {states.shape[1]} components; accepted: {sites} or {2 * sites}")
-    series = _series(orbit)
-    rates = 1j * orbit.Omega * np.arange(len(series))
-    return states, (np.exp(np.outer(times, rates)) @ (rates[:, None] * series)).real
+def _times(orbit: Orbit) -> Array:
+    return np.asarray(orbit.period * np.arange(SAMPLES_PER_PERIOD) / SAMPLES_PER_PERIOD)
 
 
 def _series(orbit: Orbit) -> ComplexArray:
     """Coefficients of e^(i k Omega t), k >= 0, of which the real part is the positions, shape (harmonics, sites)."""
-    series = (
-        np.fft.rfft(orbit.evaluate(orbit.period * np.arange(SAMPLES_PER_PERIOD) / SAMPLES_PER_PERIOD), axis=0)
-        / SAMPLES_PER_PERIOD
-    )
+    series = np.fft.rfft(orbit.evaluate(_times(orbit)), axis=0) / SAMPLES_PER_PERIOD
     return np.asarray(np.where(np.arange(len(series))[:, None] == 0, 1.0, 2.0) * series)
 
 
-def _forces(lattice: Lattice) -> tuple[Callable[..., Array], Callable[..., Array]]:
-    """Functions (times, parameters) of the drives and (positions, velocities, parameters) of the damping forces."""
-    equations = lattice.equations
-    drive = ca.Function("f", [equations.t, equations.parameters], [ca.densify(equations.of_sites("drive"))])
-    forces = ca.densify(equations.of_sites("damping") * equations.v)
-    damping = ca.Function("c", [equations.y, equations.v, equations.parameters], [forces])
+def _weighted_forces(lattice: Lattice, orbit: Orbit, parameters: Mapping[str, float]) -> tuple[Array, Array, Array]:
+    """Drives and damping forces over a period, with the weights of the gauge, 1 without one, and velocities.
 
-    def drives(times: Array, values: Array) -> Array:
-        return np.array(drive.map(len(times))(times[None], np.tile(values[:, None], len(times)))).T
-
-    def dampings(y: Array, v: Array, values: Array) -> Array:
-        return np.array(damping.map(len(y))(y.T, v.T, np.tile(values[:, None], len(y)))).T
-
-    return drives, dampings
+    Shape (times, sites) each.
+    """
+    sites, times, equations = lattice.declaration.size, _times(orbit), lattice.equations
+    states = np.atleast_2d(orbit.evaluate(times))
+    if states.shape[1] not in (sites, 2 * sites):
+        raise ValueError(f"orbit: given one of {states.shape[1]} components; accepted: {sites} or {2 * sites}")
+    y, v = states[:, :sites], states[:, sites:]
+    if not v.size:
+        series = _series(orbit)
+        rates = 1j * orbit.Omega * np.arange(len(series))
+        v = (np.exp(np.outer(times, rates)) @ (rates[:, None] * series)).real
+    known = {**lattice.declaration.scalars, **parameters}
+    values = np.tile([[known[name]] for name in lattice.declaration.scalars], times.size)
+    forces = [ca.densify(equations.of_sites("drive")), ca.densify(equations.of_sites("damping") * equations.v)]
+    symbols = [equations.t, equations.y, equations.v, equations.parameters]
+    drive, damping = ca.Function("forces", symbols, forces).map(times.size)(times[None], y.T, v.T, values)
+    logs = lattice.structure.log_weights
+    weights = np.ones(sites) if logs is None else np.exp(logs)
+    return weights * np.array(drive).T, weights * np.array(damping).T, v
 
 
 def _excess(lattice: Lattice, frequency: str, orbit: Orbit) -> tuple[float, float]:
     """The most that the drives can give in a period minus the loss, over the loss; and the delay of the orbit there."""
-    times = orbit.period * np.arange(SAMPLES_PER_PERIOD) / SAMPLES_PER_PERIOD
-    y, v = _motion(orbit, times, lattice.declaration.size)
-    values = np.array(list({**_values(lattice), frequency: orbit.Omega}.values()))
-    drive, damping = _forces(lattice)
-    weights = _weights(lattice)
-    loss = float(np.mean((weights * damping(y, v, values) * v).sum(axis=1)))
-    spectra = np.fft.fft(drive(times, values), axis=0), np.fft.fft(v, axis=0)
-    work = np.fft.ifft((weights * spectra[0] * spectra[1].conj()).sum(axis=1)).real / SAMPLES_PER_PERIOD  # by delay
+    drive, damping, v = _weighted_forces(lattice, orbit, {frequency: orbit.Omega})
+    loss = float(np.mean((damping * v).sum(axis=1)))
+    spectra = np.fft.fft(drive, axis=0) * np.fft.fft(v, axis=0).conj()
+    work = np.fft.ifft(spectra.sum(axis=1)).real / SAMPLES_PER_PERIOD  # by delay
     best = int(np.argmax(work))
     before, here, after = work[best - 1], work[best], work[(best + 1) % SAMPLES_PER_PERIOD]
     bend = before - 2.0 * here + after

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.dynamics.evolution import Evolution, equations_of_motion
-from casadi_skin.dynamics.evolve import checked_vector
+from casadi_skin.dynamics.evolve import unit_direction
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.declaration import PERIODIC, Array
 from casadi_skin.lattice.lattice import Bond, Lattice, Site
@@ -20,8 +21,6 @@ from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.result import Result
 from casadi_skin.zero.statement import named_values
-
-START_KINDS = ("mode", "site", "vector", "seed")
 
 
 def initial_state(
@@ -60,38 +59,19 @@ def initial_state(
     equations = equations_of_motion(model, parameters)
     first_order = not equations.positions
     n = model.declaration.size if isinstance(model, Lattice) else equations.positions or equations.size
-    chosen = dict(zip(START_KINDS, (mode, site, vector, seed), strict=True))
-    given = [name for name, value in chosen.items() if value is not None]
-    if len(given) != 1:
-        words = " and ".join(given) or "none"
-        raise ValueError(f"start: given {words}; accepted: one of {', '.join(START_KINDS)}")
-    for name, value in (("mode", mode), ("site", site)):
-        if value is not None and not (isinstance(value, int | np.integer) and 1 <= value <= n):
-            raise ValueError(f"{name}: given {short_repr(value)}; accepted: 1..{n}")
+    choices = {"mode": mode, "site": site, "vector": vector, "seed": seed}
+    direction = unit_direction("start", equations, n, choices, partial(_mode, model, parameters))
     if moving and n == equations.size:
-        raise ValueError(
-            f"moving: given with {equations.physical.name}, of first order; accepted: a model with positions"
-        )
-    direction = np.zeros(n)
-    if mode is not None:
-        direction = _mode(model, mode, parameters)
-    elif site is not None:
-        direction[site - 1] = 1.0
-    elif vector is not None:
-        direction = checked_vector("vector", vector, equations.names, *sorted({n, equations.size}))
-    else:
-        direction = np.random.default_rng(seed).normal(size=n)
+        words = f"given with {equations.physical.name}, of first order; accepted: a model with positions"
+        raise ValueError(f"moving: {words}")
     if moving and direction.size != n:
         raise ValueError(f"moving: given with velocities in vector; accepted: with {n} numbers")
-    norm = float(np.linalg.norm(direction))
-    if norm == 0.0:
-        raise ValueError("vector: given zeros; accepted: a vector with a direction")
     state, first = np.zeros(equations.size), n if moving else 0
-    state[first : first + direction.size] = number("size", size) / norm * direction
+    state[first : first + direction.size] = number("size", size) * direction
     return (state, None) if first_order else (state[:n], state[n:])
 
 
-def _mode(model: Any, mode: int, parameters: Mapping[str, float] | None) -> Array:
+def _mode(model: Any, parameters: Mapping[str, float] | None, mode: int) -> Array:
     """Displacements of a linear mode; raises ValueError where its frequency is not real."""
     if isinstance(model, Lattice):
         modes = lattice_modes(model, parameters)

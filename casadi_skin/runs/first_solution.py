@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.dynamics.evolution import PHYSICAL, Cycle, EquationsOfMotion, Evolution
+from casadi_skin.dynamics.evolution import PHYSICAL, Cycle, Evolution, equations_of_motion
 from casadi_skin.dynamics.evolve import simulate
 from casadi_skin.dynamics.starts import initial_state
 from casadi_skin.follow.find import find_equilibrium, find_orbit
@@ -143,7 +143,7 @@ def known_cycle(records: Sequence[BranchRecord], model: OdeModel, parameters: Ma
     found = next((record for record in records if isinstance(record, CycleRecord)), None)
     if found is None:
         return None
-    equations = EquationsOfMotion(model.first_order(), parameters)
+    equations = equations_of_motion(model.first_order(), parameters)
     t, states = value_of(found.t), value_of(found.states)
     if states.shape != (t.size, equations.size) or not np.all(np.isfinite(states)):
         return None
