@@ -201,7 +201,7 @@ def test_work_is_done_from_small_coordinates_on_and_ends_where_it_is_limited(mon
 
 def eight_intervals(series: MatrixSeries) -> list[crossings.Interval]:
     stops = np.linspace(series.start, series.end, 9).tolist()
-    return [crossings.Interval(series, a, b) for a, b in pairwise(stops)]
+    return [crossings.Interval(series, a, b, 1.0) for a, b in pairwise(stops)]
 
 
 @pytest.mark.parametrize("swapped", [False, True])

@@ -39,9 +39,9 @@ from casadi_skin.stability.tongues.pairs import (
 from casadi_skin.stability.tongues.rotation import Spectrum
 from casadi_skin.zero.problem import Array
 
-SHORTEST_INTERVAL = 1e-9  # of the series that an interval belongs to: a shorter one is given up
+SHORTEST_INTERVAL = 1e-9  # of the piece of branch that an interval is a part of: a shorter one is given up
 ENTRIES_AT_A_TIME = 200_000  # of matrices that are taken apart at a time: what stays in the cache of a core
-SHORT_INTERVAL = 1e-3  # of the series: an interval shorter than that whose linear algebra fails is given up
+SHORT_INTERVAL = 1e-3  # of the piece: an interval shorter than that whose linear algebra fails is given up
 EIGENVALUE_OVERHEAD = 3e4  # of an eigenvalue problem of any size, in units of m^3: measured, about a millisecond
 BATCH_WORK = 2e7  # work on intervals that are looked at together, from small coordinates on
 BLOCK_ENTRY_RTOL = 1e-9  # of a block's entries: what its series may leave out
@@ -52,17 +52,18 @@ MOST_INTERVALS = 4096  # intervals of a series to begin with
 
 @dataclass(frozen=True)
 class Interval:
-    """A part of the interval of a series."""
+    """A part of the interval of a series; `whole` is the length of the piece of branch that it is a part of."""
 
     series: MatrixSeries
     start: float
     end: float
+    whole: float
 
     @property
     def halves(self) -> tuple[Interval, Interval]:
         """Both halves."""
         middle = 0.5 * (self.start + self.end)
-        return Interval(self.series, self.start, middle), Interval(self.series, middle, self.end)
+        return replace(self, end=middle), replace(self, start=middle)
 
     @property
     def places(self) -> Array:
@@ -76,7 +77,7 @@ class Interval:
     @property
     def is_shortest(self) -> bool:
         """Whether it is given up rather than halved."""
-        return self.end - self.start <= SHORTEST_INTERVAL * (self.series.end - self.series.start)
+        return self.end - self.start <= SHORTEST_INTERVAL * self.whole
 
 
 NOT_LOOKED_AT = "not looked at: the limit of work is reached"
@@ -156,7 +157,7 @@ def first_intervals(series: MatrixSeries) -> list[Interval]:
             break
         parts *= 2
     stops = np.linspace(series.start, series.end, parts + 1).tolist()
-    return [Interval(series, a, b) for a, b in pairwise(stops)]
+    return [Interval(series, a, b, series.end - series.start) for a, b in pairwise(stops)]
 
 
 @dataclass
@@ -210,7 +211,7 @@ def _looked_at(batch: Sequence[Interval], found: Crossings, whole: int) -> list[
         if len(batch) > 1:
             return [part for interval in batch for part in _looked_at([interval], found, whole)]
         (interval,) = batch
-        if interval.end - interval.start > SHORT_INTERVAL * (interval.series.end - interval.series.start):
+        if interval.end - interval.start > SHORT_INTERVAL * interval.whole:
             return [_Part(interval, True)]
         found.gaps.append(Gap(interval.start, interval.end, in_words(error)))
         return []
@@ -398,7 +399,7 @@ def _halves_of_block(interval: Interval, k: Array, change: Array, noise: Array) 
     """Both halves of an interval, with the matrices of one of its blocks alone."""
     coefficients = chebyshev.combined(chebyshev.transform(len(k) - 1), k[None])[0]
     series = MatrixSeries(interval.start, interval.end, coefficients, change, noise)
-    return Interval(series, interval.start, interval.end).halves
+    return replace(interval, series=series).halves
 
 
 def _finish_pairs(parts: Sequence[_Part]) -> None:
