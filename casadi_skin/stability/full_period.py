@@ -106,15 +106,23 @@ def jacobians_at(problem: BoundaryProblem, z: Array, places: Array, states: Arra
 
 
 def interval_maps(jacobians: Array, lengths: Array, table: CollocationTable) -> Array:
-    """Transition matrices over intervals from derivatives at their stages, in order of time, shape (any, n, n)."""
+    """Transition matrices over intervals from derivatives at their stages, in order of time, shape (any, n, n).
+
+    They are solved for in balanced units, powers of 2: where sizes of states differ by 1e10, pivots would be chosen by
+    their units, and entries lose all digits that small states have.
+    """
+    from scipy.linalg import matrix_balance
+
     n, d = jacobians.shape[1], table.degree
+    _, (units, _) = matrix_balance(np.max(np.abs(jacobians), axis=0), permute=False, separate=True)
+    jacobians = jacobians * units / units[:, None]
     by_interval, maps = jacobians.reshape(-1, d, n, n), np.empty((lengths.size, n, n))
     for these in _batches(lengths.size, n * d):
         A, h = by_interval[these], lengths[these, None, None]
         stages = np.linalg.solve(_stage_systems(A, h, table), np.tile(np.eye(n), (d, 1)))
         weighted = h * (table.extended[-1][:, None, None] * A).swapaxes(1, 2).reshape(len(A), n, d * n)
         maps[these] = np.eye(n) + weighted @ stages
-    return maps
+    return np.asarray(maps * units[:, None] / units)
 
 
 def _stage_systems(A: Array, h: Array, table: CollocationTable) -> Array:
@@ -180,7 +188,9 @@ class Parts:
 
 LOCAL_TOLERANCE_RATIO = 1e-3  # of the tolerance, for one step of CVODES
 TIGHTEST_LOCAL_TOLERANCE = 1e-12
-TIGHTER_RATIO = 0.1  # times the local tolerance of CVODES, for the multipliers that show the error of the others
+TIGHTER_RATIO = 0.01  # times the local tolerance of CVODES, for the multipliers that show the error of the others:
+# at a tenth of it they may have the same error, of one sign, as orders and steps change with the tolerance
+TIGHTEST_OF_ALL = 1e-13  # for these
 LEFT_ERROR_RATIO = 0.75  # of the error that the tighter tolerance may leave: measured, up to 0.7 of single multipliers
 LEAST_ERROR_RATIO = 0.1  # of the largest error: that of a single multiplier may vanish at both tolerances
 MAX_STEPS = 200_000
@@ -356,9 +366,8 @@ def by_cvodes(orbit: Closed, better: Closed | None, tolerance: float) -> FullPer
     """
     local = max(LOCAL_TOLERANCE_RATIO * tolerance, TIGHTEST_LOCAL_TOLERANCE)
     found = _by_sensitivities(orbit, local, tolerance)
-    result = judged(
-        found, _by_sensitivities(better or orbit, TIGHTER_RATIO * local, tolerance), tolerance, LEFT_ERROR_RATIO
-    )
+    tighter = max(TIGHTER_RATIO * local, TIGHTEST_OF_ALL)
+    result = judged(found, _by_sensitivities(better or orbit, tighter, tolerance), tolerance, LEFT_ERROR_RATIO)
     sizes = np.maximum(1.0, np.abs(result.others))
     errors = np.maximum(
         result.other_errors, LEAST_ERROR_RATIO * sizes * np.max(result.other_errors / sizes, initial=0.0)
