@@ -11,7 +11,7 @@ somewhat apart: the difference across a jump is as large, that across a kink far
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from operator import or_
@@ -22,6 +22,7 @@ import numpy as np
 
 from casadi_skin.model.arguments import cut
 from casadi_skin.model.equations import Array, Equations
+from casadi_skin.model.operations import interpret
 
 Values: TypeAlias = Callable[[Array], Array]  # at places, one a row
 TIME, STATE, PARAMETER, INPUT = 1, 2, 4, 8  # by what an operation switches, as bits
@@ -109,20 +110,18 @@ def switches(
     except RuntimeError:  # a program, whose operations nobody sees
         return [], []
     inputs = [ca.vertcat(ca.SX(0, 1), *map(ca.SX.sym, group)) for group in names]
-    by: dict[int, int] = {}  # a place of work: bits of what changes it
-    found: list[tuple[int, int]] = []
-    for k in range(scalar.n_instructions()):
-        code, given, to = scalar.instruction_id(k), scalar.instruction_input(k), scalar.instruction_output(k)
-        if code == ca.OP_INPUT:
-            by[to[0]] = source(given[0], given[1])
-        elif code == ca.OP_CONST:
-            by[to[0]] = 0
-        elif code != ca.OP_OUTPUT:
-            deciding = _together(by[i] for i in _deciding(code, given))
-            if code in codes and deciding:
-                found.append((k, deciding))
-            by[to[0]] = _together(by[i] for i in given)
-    return inputs, list(_described(scalar, inputs, dict(found))) if found else []
+    found: list[Switch] = []
+
+    def apply(code: int, values: list[tuple[int, ca.SX]], _: bool) -> tuple[int, ca.SX]:
+        bits, a = zip(*values, strict=True)
+        result = ca.SX.unary(code, a[0]) if len(a) == 1 else ca.SX.binary(code, a[0], a[1])
+        deciding = reduce(or_, _deciding(code, bits), 0)
+        if code in codes and deciding:
+            found.append(Switch(codes[code], a, _value(code, a, result), deciding))
+        return reduce(or_, bits, 0), result
+
+    interpret(scalar, lambda i, entry: (source(i, entry), inputs[i][entry]), lambda value: (0, ca.SX(value)), apply)
+    return (inputs, found) if found else ([], [])
 
 
 def _codes(function: ca.Function) -> set[int]:
@@ -131,35 +130,14 @@ def _codes(function: ca.Function) -> set[int]:
     return {function.instruction_id(k) for k in range(function.n_instructions())} if made_of_operations else set()
 
 
-def _together(bits: Iterable[int]) -> int:
-    return reduce(or_, bits, 0)
-
-
 def _deciding(code: int, given: Sequence[int]) -> Sequence[int]:
-    """The arguments of an operation by which it switches."""
+    """The bits of the arguments by which an operation switches."""
     if code == ca.OP_IF_ELSE_ZERO:
         return given[:1]
     return given[1:] if code in (ca.OP_COPYSIGN, ca.OP_DIV) else given
 
 
-def _described(scalar: ca.Function, inputs: list[ca.SX], found: dict[int, int]) -> Iterator[Switch]:
-    """The operations with numbers `found`, as expressions in symbols."""
-    work: dict[int, ca.SX] = {}
-    for k in range(scalar.n_instructions()):
-        code, given, to = scalar.instruction_id(k), scalar.instruction_input(k), scalar.instruction_output(k)
-        if code == ca.OP_INPUT:
-            work[to[0]] = inputs[given[0]][given[1]]
-        elif code == ca.OP_CONST:
-            work[to[0]] = ca.SX(scalar.instruction_constant(k))
-        elif code != ca.OP_OUTPUT:
-            a = [work[i] for i in given]
-            result = ca.SX.unary(code, a[0]) if len(a) == 1 else ca.SX.binary(code, a[0], a[1])
-            if k in found:
-                yield Switch((JUMPING_CODES | SINGULAR_CODES)[code], tuple(a), _value(code, a, result), found[k])
-            work[to[0]] = result
-
-
-def _value(code: int, a: list[ca.SX], result: ca.SX) -> ca.SX:
+def _value(code: int, a: Sequence[ca.SX], result: ca.SX) -> ca.SX:
     """A value that is constant between the places where the operation jumps, and differs beyond each."""
     whole: dict[int, Callable[[], ca.SX]] = {
         ca.OP_IF_ELSE_ZERO: lambda: a[0] != 0,

@@ -6,8 +6,9 @@ Symbols are numbered from 0 and each operation adds one number: "mul 3 5" is the
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import TypeVar
 
 import casadi as ca
 
@@ -29,6 +30,45 @@ NAMES = {code: name for name, code in CODES.items()}
 ALL_OPERATION_NAMES = {int(getattr(ca, name)): name for name in dir(ca) if name.startswith("OP_")}
 
 Entries = list[int | None]  # of a column of expressions: the numbers that they have, None where it is empty
+Value = TypeVar("Value")
+
+
+def interpret(
+    function: ca.Function,
+    argument: Callable[[int, int], Value],
+    constant: Callable[[float], Value],
+    apply: Callable[[int, list[Value], bool], Value],
+) -> list[list[Value | None]]:
+    """A function of scalar operations evaluated in values of any kind.
+
+    Arguments:
+        function: of the kind SXFunction.
+        argument: the value of an entry of an argument, by the numbers of both.
+        constant: that of a number.
+        apply: the result of an operation of a code; its last argument is whether nothing else holds the first value.
+
+    Returns:
+        The entries of each result, None where its sparsity has none.
+    """
+    work: dict[int, Value] = {}
+    put_out = set[int]()  # places of values that are results
+    filled = [function.sparsity_out(i).find() for i in range(function.n_out())]
+    results: list[list[Value | None]] = [[None] * function.numel_out(i) for i in range(function.n_out())]
+    for k in range(function.n_instructions()):
+        code, given, out = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        if code == ca.OP_OUTPUT:
+            results[out[0]][filled[out[0]][out[1]]] = work[given[0]]
+            put_out.add(given[0])
+            continue
+        if code == ca.OP_INPUT:
+            work[out[0]] = argument(given[0], given[1])
+        elif code == ca.OP_CONST:
+            work[out[0]] = constant(function.instruction_constant(k))
+        else:
+            is_free = out[0] == given[0] and given[0] not in put_out
+            work[out[0]] = apply(code, [work[place] for place in given], is_free)
+        put_out.discard(out[0])
+    return results
 
 
 def to_operations(function: ca.Function) -> tuple[list[str], list[Entries]]:
@@ -43,24 +83,19 @@ def to_operations(function: ca.Function) -> tuple[list[str], list[Entries]]:
     first = [0]
     for i in range(expanded.n_in()):
         first.append(first[-1] + expanded.numel_in(i))
-    filled = [expanded.sparsity_out(i).find() for i in range(expanded.n_out())]
-    results: list[Entries] = [[None] * expanded.numel_out(i) for i in range(expanded.n_out())]
-    operations: list[str] = []
-    depths = [0] * first[-1]
-    held: dict[int, int] = {}  # number of the value in each place of the function's memory
-    for k in range(expanded.n_instructions()):
-        code, arguments, out = expanded.instruction_id(k), expanded.instruction_input(k), expanded.instruction_output(k)
-        if code == ca.OP_OUTPUT:
-            results[out[0]][filled[out[0]][out[1]]] = held[arguments[0]]
-        elif code == ca.OP_INPUT:
-            held[out[0]] = first[arguments[0]] + arguments[1]
-        else:
-            name, places = _named(code, function), [held[a] for a in arguments]
-            places = places[: 1 if name in ONE_ARGUMENT else 2]
-            words = map(str, places) if places else [repr(expanded.instruction_constant(k))]
-            operations.append(" ".join([name, *words]))
-            held[out[0]] = first[-1] + len(operations) - 1
-            depths.append(1 + max((depths[place] for place in places), default=-1))
+    operations, depths = list[str](), [0] * first[-1]
+
+    def add(depth: int, *words: object) -> int:
+        operations.append(" ".join(map(str, words)))
+        depths.append(depth)
+        return len(depths) - 1
+
+    def apply(code: int, places: list[int], _: bool) -> int:
+        name = _named(code, function)
+        places = places[: 1 if name in ONE_ARGUMENT else 2]
+        return add(1 + max(depths[place] for place in places), name, *places)
+
+    results = interpret(expanded, lambda i, entry: first[i] + entry, lambda value: add(0, CONSTANT, repr(value)), apply)
     if max(depths, default=0) > MOST_DEPTH:
         raise ValueError(f"have {max(depths)} operations one upon the other; accepted: up to {MOST_DEPTH}")
     return operations, results
@@ -75,9 +110,9 @@ def _expanded(function: ca.Function) -> ca.Function:
 
 
 def _named(code: int, function: ca.Function) -> str:
-    if code != ca.OP_CONST and code not in NAMES:
+    if code not in NAMES:
         raise ValueError(_other(function, ALL_OPERATION_NAMES[code]))
-    return CONSTANT if code == ca.OP_CONST else NAMES[code]
+    return NAMES[code]
 
 
 def _other(function: ca.Function, operation: str) -> str:

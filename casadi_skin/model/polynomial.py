@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.model.operations import NAMES
+from casadi_skin.model.operations import NAMES, interpret
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -209,26 +209,17 @@ def _evaluate(
     """The components of a column as elements of the ring; variables are numbered through all inputs."""
     function = ca.Function("polynomial", inputs, [ca.densify(expression)])
     offsets = np.concatenate([[0], np.cumsum([symbol.numel() for symbol in inputs])]).tolist()
-    work = [ring.of_constant(0.0) for _ in range(function.sz_w())]
-    result = [ring.of_constant(0.0) for _ in range(expression.numel())]
-    for k in range(function.n_instructions()):
-        operation, out, into = (
-            function.instruction_id(k),
-            function.instruction_output(k),
-            function.instruction_input(k),
-        )
-        if operation == ca.OP_INPUT:
-            work[out[0]] = variable(offsets[into[0]] + into[1])
-        elif operation == ca.OP_CONST:
-            work[out[0]] = ring.of_constant(float(function.instruction_constant(k)))
-        elif operation == ca.OP_OUTPUT:
-            result[out[1]] = ring.add(ring.of_constant(0.0), work[into[0]], 1)  # a copy: sums grow in place
-        elif operation == ca.OP_ADD and out[0] == into[0] and ring.add_in_place is not None:
+
+    def apply(operation: int, arguments: list[_Element], is_free: bool) -> _Element:
+        if operation == ca.OP_ADD and is_free and ring.add_in_place is not None:
             # A running sum grows in place, or N terms cost N^2.
-            ring.add_in_place(work[out[0]], work[into[1]], 1)
-        else:
-            work[out[0]] = _apply(ring, operation, [work[i] for i in into])
-    return result
+            ring.add_in_place(arguments[0], arguments[1], 1)
+            return arguments[0]
+        return _apply(ring, operation, arguments)
+
+    (entries,) = interpret(function, lambda i, entry: variable(offsets[i] + entry), ring.of_constant, apply)
+    zero = ring.of_constant(0.0)
+    return [zero if entry is None else entry for entry in entries]
 
 
 def _apply(ring: _Ring[_Element], operation: int, arguments: list[_Element]) -> _Element:
