@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -104,8 +104,9 @@ class CoreWithTail(ModelCoordinates):
 
     def regime(self, point: Point) -> Regime:
         """Whether Omega, or three times it, is pinned to a band."""
-        assert isinstance(point.problem, CoreWithTailProblem)
-        return point.problem.regime(point.z)
+        problem: Any = point.problem
+        found: Regime = problem.regime(point.z)
+        return found
 
     def band(self) -> tuple[float, float]:
         edges = self.tail.edges
@@ -226,13 +227,12 @@ class CoreWithTail(ModelCoordinates):
         outermost = self._in_core(np.full_like(places, self.core.cells - 1), places)
         return np.asarray(self.log_scale[outermost] - self.lattice.lean * (cells - self.core.cells + 1))
 
-    def _in_tail(self, problem: Problem, z: Array, numbers: Indices) -> tuple[Array, Array]:
+    def _in_tail(self, problem: Any, z: Array, numbers: Indices) -> tuple[Array, Array]:
         """Coefficients of the odd cosines in cells of the tail, numbered from 1 beside the core.
 
         Returns:
             Logarithms of a factor, shape (harmonics, cells), and the coefficients over it, (harmonics, cells, sites).
         """
-        assert isinstance(problem, CoreWithTailProblem)
         places, values = self.parameter(problem.resolution).places(float(z[problem.Omega_index])), problem.values(z)
         found = [self.tail.motion(place, phi, numbers) for place, phi in zip(places, values.phi, strict=True)]
         signs = self.lattice.bond_sign ** np.asarray(numbers, dtype=float)
@@ -271,12 +271,11 @@ class CoreWithTail(ModelCoordinates):
 
     # Quantities -------------------------------------------------------------------------------------------------------
 
-    def energy(self, problem: Problem, z: Array) -> float:
+    def energy(self, problem: Any, z: Array) -> float:
         """Infinite where an infinite tail moves along; weights are 1 at the edge.
 
         Products of two harmonics add up to a term at the end of the tail (Green's identity).
         """
-        assert isinstance(problem, CoreWithTailProblem)
         core = super().energy(problem, z)
         parameter, values = self.parameter(problem.resolution), problem.values(z)
         places, s = parameter.places(float(z[problem.Omega_index])), self.tail.coupling
@@ -293,20 +292,19 @@ class CoreWithTail(ModelCoordinates):
         energies = [float(self._hamiltonian(rest, v, parameter_value)) for v in (moving, rest)]
         return (core + 2.0 * (energies[0] - energies[1]) * tail) * self._edge_weight
 
-    def Omega_shift(self, problem: Problem, z: Array) -> float:
+    def Omega_shift(self, problem: Any, z: Array) -> float:
         """From the distance to the edge of the band beside it, else by projection on the mode."""
-        assert isinstance(problem, CoreWithTailProblem)
         place = self.parameter(problem.resolution).places(float(z[problem.Omega_index]))[0]
         Omega, mode = problem.frequency(z), self.edge_mode.place
         outside = not self.tail.in_band(place) or not np.isfinite(self.lattice.cells)
         if mode.edge == place.edge and self.edge_mode.pinned and outside:
-            return (place.off - mode.off) / (Omega + self.frequency)
+            return float((place.off - mode.off) / (Omega + self.frequency))
         by_core = self._projections(problem, z)
         coefficient = problem.coefficients(z)[self.attached, 0] * self.mode[self.attached]
         overlap = by_core[1] + coefficient * self._tail_overlap(place, problem.values(z).phi[0])
         by_projection = by_core[0] / overlap / (Omega + self.frequency)
         subtraction_is_better = 100.0 * by_core[2] / abs(overlap) * abs(by_projection) > self.frequency
-        return Omega - self.frequency if subtraction_is_better else float(by_projection)
+        return float(Omega - self.frequency if subtraction_is_better else by_projection)
 
     def _projections(self, problem: CoreWithTailProblem, z: Array) -> tuple[float, float, float]:
         """Nonlinear forces and positions of the fundamental projected on the mode's part in the core, and a bound."""

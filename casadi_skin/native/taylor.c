@@ -151,7 +151,7 @@ KERNEL(series_right)(series *s, int64_t k)
     return 0;
 }
 
-/* A linear tail that is eliminated, order by order; see lattice/tail_series.py. */
+/* A linear tail that is eliminated, order by order; see lattice/tail_problem.py. */
 typedef struct {
     int64_t orders, nodes, size, first, place, touched, own_Omega;
     const int64_t *columns;               /* of the block, `touched` in number, of which `own_Omega` is that of Omega */
