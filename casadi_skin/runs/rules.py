@@ -110,7 +110,7 @@ def with_kind(value: object) -> str:
 # The rules: a condition on a scene, and the message where it holds ----------------------------------------------------
 
 NEAREST_END_RTOL = 1e-12  # relative, of the end of a family to its start
-NARROWEST_BAND = 1e-10  # the same as in lattice.full_chain, which loads numerics
+NARROWEST_BAND = 1e-10  # the same as in lattice.chain_coordinates, which loads numerics
 LONGEST_ENVELOPE = 700.0  # the same as in dynamics, which loads numerics
 LOWEST_DEGREE = 2  # of families; the same as in zero.request, which loads numerics
 KICKS = ("site", "vector", "seed")  # keys of [dynamics], one of which a perturbation has

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.io import netcdf_file
 
 from casadi_skin import Chain, Orbit, follow_family
+from casadi_skin.lattice.chain_coordinates import _continued
 from casadi_skin.lattice.closed_forms import frequency_slope
-from casadi_skin.lattice.full_chain import _continued
 from casadi_skin.results.dataset import NETCDF_FILL_VALUE, dataset_of, write_csv, write_netcdf
 from casadi_skin.results.figures.families import profile_figure
 from casadi_skin.results.figures.style import save

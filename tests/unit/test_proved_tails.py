@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain, follow_family
+from casadi_skin.lattice.chain_coordinates import FullChain
 from casadi_skin.lattice.core_with_tail import LongChain
-from casadi_skin.lattice.full_chain import FullChain
 
 flint = pytest.importorskip("flint")
 
