@@ -16,7 +16,7 @@ from casadi_skin.certify.system import CosineSeries, CosineSystem, Terms, energy
 from casadi_skin.certify.tailed import tailed_system
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.lattice.core_with_tail import LongChain
+from casadi_skin.lattice.chain_coordinates import LongChain
 from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.watch import one_thread

@@ -41,7 +41,7 @@ from casadi_skin.certify.system import CosineSeries, CosineSystem, system_of
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.lattice.core_with_tail import LongChain
+from casadi_skin.lattice.chain_coordinates import LongChain
 from casadi_skin.model.arguments import number
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.problem import Array

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 from casadi_skin.certify.balls import ball
 from casadi_skin.certify.system import CosineSeries, CosineSystem, system_of
 from casadi_skin.certify.tail import LinearTail
-from casadi_skin.lattice.chain_coordinates import FullChain
-from casadi_skin.lattice.core_with_tail import LongChain
+from casadi_skin.lattice.chain_coordinates import FullChain, LongChain
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from casadi_skin.follow.find import find_orbit
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
-from casadi_skin.lattice.core_with_tail import LongChain
+from casadi_skin.lattice.chain_coordinates import LongChain
 from casadi_skin.lattice.declaration import Array
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import ComplexArray

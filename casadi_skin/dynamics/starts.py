@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from casadi_skin.dynamics.evolution import Evolution, equations_of_motion
 from casadi_skin.dynamics.evolve import unit_direction
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.declaration import PERIODIC, Array
-from casadi_skin.lattice.lattice import Bond, Lattice, Site
+from casadi_skin.lattice.declaration import FIXED, PERIODIC, Array
+from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import lattice_modes
 from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.model.arguments import number, short_repr
@@ -182,8 +182,6 @@ def as_lattice(model: Any) -> Lattice:
         return model
     if not isinstance(model, Chain) or model.infinite:
         raise TypeError(f"model: given {short_repr(model)}; accepted: a Lattice, or a Chain of finite length")
-    bonds = [Bond("a", "a", (1,), "d", ("1 - gamma", "1 + gamma"))]
     if abs(model.gamma) == 1.0:
         raise ValueError(f"gamma: given {model.gamma!r}, whose bonds act one way; accepted: |gamma| < 1")
-    parameters = {"alpha": model.alpha, "gamma": model.gamma, "g": model.g}
-    return Lattice(model.sites, [Site("a", "alpha*y + g*y^3")], bonds, "fixed", parameters, "chain")
+    return Lattice(model.sites, *model.cell, FIXED, model.parameters, "chain")

@@ -18,7 +18,7 @@ import numpy as np
 
 from casadi_skin.lattice import closed_forms as linear
 from casadi_skin.lattice.closed_forms import Array
-from casadi_skin.lattice.declaration import FIXED, Declaration
+from casadi_skin.lattice.declaration import FIXED, Bond, Declaration, Site
 from casadi_skin.lattice.spectrum import LinearSpectrum, of_norm_one
 from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.expressions import expression
@@ -82,6 +82,11 @@ class Chain(WithVerbs):
     def parameters(self) -> dict[str, float]:
         """Values of its parameters by name."""
         return {"alpha": self.alpha, "gamma": self.gamma, "g": self.g}
+
+    @property
+    def cell(self) -> tuple[list[Site], list[Bond]]:
+        """Its cell as that of a `Lattice` or a `LongLattice` with the same parameters, bonds to the next cell."""
+        return [Site("a", "alpha*y + g*y^3")], [Bond("a", "a", (1,), gain=("1 - gamma", "1 + gamma"))]
 
     # The gauge ------------------------------------------------------------------------------------------------------
 

@@ -12,14 +12,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
-from casadi_skin.lattice.closed_forms import standing_wave
+from casadi_skin.lattice.closed_forms import frequency, standing_wave
+from casadi_skin.lattice.core_with_tail import CoreWithTail
+from casadi_skin.lattice.declaration import FIXED
+from casadi_skin.lattice.long_lattice import Core, LongLattice
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.model.methods import EVERY_SITE, PAYS_FROM, TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.cosines import cosine_matrix, quarter_phases
-from casadi_skin.zero.family import Coordinates, normalised, numbered, shift_by_projection
+from casadi_skin.zero.family import Coordinates, Localised, normalised, numbered, shift_by_projection
 from casadi_skin.zero.model_coordinates import check_harmonics
 from casadi_skin.zero.problem import Array, Indices, Problem
 from casadi_skin.zero.settings import Point
@@ -68,8 +70,6 @@ def chain_coordinates(chain: Chain, mode: int | str, amplitude_max: float, metho
     if not eliminated:
         check_harmonics(chain.linear_spectrum().squares, number, repr(chain), odd=True)
         return FullChain(chain, number)
-    from casadi_skin.lattice.core_with_tail import LongChain  # here: short chains do not need it
-
     return LongChain(chain, sites, number, amplitude_max, cut)
 
 
@@ -170,15 +170,40 @@ def _continued(coefficients: Array, Omega: float, alpha: float, coupling: float,
         return largest + np.log(np.abs(total)), np.sign(total)
 
 
-class ChainCoordinates(Coordinates):
-    """Base of all coordinates of a chain: the gauge of a `core`, whose equations are solved, and kappa = g S.
+class OfChain:
+    """The model of a chain's family: the chain, or the lattice that declares it with values of its parameters."""
 
-    `declared` is the lattice that declares the chain, with values of its parameters, where there is one.
-    """
+    chain: Chain
+    mode_number: int
+    declared: tuple[Lattice, Mapping[str, float]] | None = None
 
-    def __init__(self, chain: Chain, core: Chain, mode: int) -> None:
-        self.chain, self.core, self.mode_number = chain, core, mode
-        self.declared: tuple[Lattice, Mapping[str, float]] | None = None
+    @cached_property
+    def model(self) -> OdeModel:
+        return self.chain.tunable_model() if self.declared is None else self.declared[0]
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        return self.chain.parameters if self.declared is None else self.declared[1]
+
+    @property
+    def attributes(self) -> Mapping[str, float]:
+        return {"sites": self.chain.sites, **self.parameters} if self.declared is None else self.parameters
+
+    @cached_property
+    def frequency(self) -> float:
+        return self.chain.linear_frequency(self.mode_number)
+
+    def first_order_frequency(self, S: Array) -> Array | None:
+        chain = self.chain
+        return None if chain.infinite else frequency(chain.sites, **chain.parameters, mode=self.mode_number, S=S)
+
+
+class FullChain(OfChain, Coordinates):
+    """Every site is an unknown: the equations are those of a `core`, here the chain, in its gauge, with kappa = g S."""
+
+    def __init__(self, chain: Chain, mode: int) -> None:
+        self.chain, self.mode_number = chain, mode
+        self.core, self._core_mode = chain, mode
 
     @cached_property
     def scaled(self) -> OdeModel:
@@ -194,99 +219,60 @@ class ChainCoordinates(Coordinates):
     def S_of(self, parameter: float) -> float:
         return parameter / self.chain.g
 
-    @cached_property
-    def model(self) -> OdeModel:
-        return self.chain.tunable_model() if self.declared is None else self.declared[0]
-
-    @property
-    def parameters(self) -> Mapping[str, float]:
-        return self.chain.parameters if self.declared is None else self.declared[1]
-
     @property
     def description(self) -> str:
         return EVERY_SITE
 
-    @property
-    def attributes(self) -> Mapping[str, float]:
-        return {"sites": self.chain.sites, **self.parameters} if self.declared is None else self.parameters
-
     def band(self) -> tuple[float, float]:
         return self.chain.band()
 
-    def projected(self, problem: Problem, z: Array, phi: Array) -> tuple[float, float, float]:
-        """Fundamental of the cubic term and of the positions projected on a mode at the core, and the latter's size.
-
-        In the equations of the fundamental their ratio is (Omega^2 - omega_j^2)/kappa, with no cancellation.
-        """
-        nodes = max(32, 2 * problem.resolution)
-        theta = quarter_phases(nodes)
-        q, cosine = problem.sample(z, theta), np.cos(theta)
-        fundamental = (2.0 / nodes) * (cosine @ q)
-        cubic = (2.0 / nodes) * float(cosine @ (self.core.weights * q**3) @ phi)
-        return cubic, float(fundamental @ phi), float(np.linalg.norm(fundamental) * np.linalg.norm(phi))
-
-
-class FullChain(ChainCoordinates):
-    """Every site is an unknown."""
-
-    def __init__(self, chain: Chain, mode: int) -> None:
-        super().__init__(chain, chain, mode)
+    @cached_property
+    def _wave(self) -> Array:
+        return standing_wave(self.core.sites, self._core_mode)
 
     @cached_property
     def mode(self) -> Array:
-        return normalised(standing_wave(self.core.sites, self.mode_number), self.core.rho)
+        return normalised(self._wave, self.core.rho)
 
     @property
     def linear_profile(self) -> tuple[Array, Array]:
-        wave = standing_wave(self.chain.sites, self.mode_number)
+        wave, largest = self._wave, np.argmax(np.abs(self._wave))
         sizes = np.where(np.abs(wave) > 1e-13, np.abs(wave), 0.0)
         with np.errstate(divide="ignore"):
-            logs = (np.log(sizes) + self.chain.log_rho) / np.log(10.0)
-        signs = np.sign(wave) * np.sign(self.mode[np.argmax(np.abs(wave))] * wave[np.argmax(np.abs(wave))])
+            logs = (np.log(sizes) + self.log_scale) / np.log(10.0)
+        signs = np.sign(wave) * np.sign(self.mode[largest] * wave[largest])
         return logs - np.log10(np.linalg.norm(self.chain.right_eigenvector(self.mode_number))), signs
-
-    @cached_property
-    def frequency(self) -> float:
-        return self.core.linear_frequency(self.mode_number)
-
-    def first_order_frequency(self, S: Array) -> Array:
-        chain = self.chain
-        parameters = (chain.sites, chain.alpha, chain.gamma, chain.g, self.mode_number)
-        return np.asarray(multiple_scales.frequency(*parameters, S))
 
     def log_solved(self, point: Point, z: Array, smallest: float) -> tuple[Array, Array]:
         return continued_logarithms(self.core, point, z, smallest)
 
     def Omega_shift(self, problem: Problem, z: Array) -> float:
-        phi = standing_wave(self.core.sites, self.mode_number)
-        cubic, overlap, size = self.projected(problem, z, phi)
-        nonlinear = float(z[problem.parameter_index]) * cubic
+        """From the cubic term and the positions, each its fundamental projected on the mode in the gauge.
+
+        Their ratio is (Omega^2 - omega_j^2)/kappa in the equations of the fundamental, with no cancellation.
+        """
+        nodes = max(32, 2 * problem.resolution)
+        theta = quarter_phases(nodes)
+        q, cosine = problem.sample(z, theta), np.cos(theta)
+        fundamental = (2.0 / nodes) * (cosine @ q)
+        cubic = (2.0 / nodes) * float(cosine @ (self.core.weights * q**3) @ self._wave)
+        size = float(np.linalg.norm(fundamental) * np.linalg.norm(self._wave))
+        nonlinear, overlap = float(z[problem.parameter_index]) * cubic, float(fundamental @ self._wave)
         return shift_by_projection(problem.frequency(z), self.frequency, nonlinear, overlap, size)
 
 
-class EdgeSite(ChainCoordinates):
+class EdgeSite(FullChain):
     """At |gamma| = 1 the edge site moves by itself, and the others rest."""
 
     def __init__(self, chain: Chain, mode: int) -> None:
-        super().__init__(chain, Chain(1, chain.alpha, 0.0, chain.g), mode)
-        self._alone = FullChain(self.core, 1)
-
-    @property
-    def mode(self) -> Array:
-        return self._alone.mode
+        super().__init__(chain, mode)
+        self.core, self._core_mode = Chain(1, chain.alpha, 0.0, chain.g), 1
 
     @property
     def linear_profile(self) -> tuple[Array, Array]:
         logs, signs = np.full(self.chain.sites, -np.inf), np.zeros(self.chain.sites)
         logs[self.edge], signs[self.edge] = 0.0, 1.0
         return logs, signs
-
-    @property
-    def frequency(self) -> float:
-        return self._alone.frequency
-
-    def first_order_frequency(self, S: Array) -> Array:
-        return self._alone.first_order_frequency(S)
 
     @property
     def output_sites(self) -> Indices:
@@ -313,9 +299,6 @@ class EdgeSite(ChainCoordinates):
         moves = numbered(sites, self.chain.sites) == self.edge
         return np.where(moves, solved[0][0], -np.inf), np.where(moves, solved[1][0], 0.0)
 
-    def Omega_shift(self, problem: Problem, z: Array) -> float:
-        return self._alone.Omega_shift(problem, z)
-
     @property
     def resting(self) -> tuple[int, float]:
         """Linear oscillators that nothing drives in the gauge: without the growth of the Jordan block."""
@@ -324,3 +307,56 @@ class EdgeSite(ChainCoordinates):
     @property
     def without_vectors(self) -> str:
         return "at |gamma| = 1 the vectors form Jordan chains that the gauge does not have"
+
+
+# A long chain: the nonlinear sites at its edge, and its linear tail eliminated ----------------------------------------
+
+LONGEST_WHOLE = 5000  # sites of a chain all of which are unknowns where they are asked for
+
+
+def as_long_lattice(chain: Chain) -> LongLattice:
+    """A long or infinite chain as the lattice that it is."""
+    edge = LAST if chain.gamma >= 0 else FIRST
+    return LongLattice(chain.sites, *chain.cell, FIXED, chain.parameters, edge, "chain")
+
+
+class LongChain(OfChain, CoreWithTail):
+    """The edge mode of a long chain."""
+
+    symplectic = True
+
+    def __init__(
+        self, chain: Chain, core_sites: int, mode: int, amplitude_max: float, stability_sites: int | None = None
+    ) -> None:
+        self.chain = chain
+        lattice, core = as_long_lattice(chain), Core(core_sites, 0.0)
+        edge_mode = lattice.modes[-1 if chain.g > 0 else 0]
+        super().__init__(lattice, core, edge_mode, mode, amplitude_max, stability_sites)
+
+    @cached_property
+    def threshold(self) -> float:
+        """S at which the end breather of the infinite chain is born."""
+        return float(self.chain.threshold())
+
+    @cached_property
+    def localised(self) -> Localised | None:
+        whole = self._stability_sites is None and self.chain.sites <= LONGEST_WHOLE
+        return None if whole else super().localised
+
+    def check_whole(self, purpose: str = "what is asked for") -> None:
+        """Raises ValueError where the sites are too many to be unknowns."""
+        if self.chain.sites > LONGEST_WHOLE:
+            raise ValueError(
+                f"sites: given {self.chain.sites}; {purpose} is that of all sites, accepted: up to {LONGEST_WHOLE}"
+            )
+
+    def on_all_sites(self, problem: Problem, z: Array) -> Array:
+        """The unknowns of the same orbit with odd cosines at every site of a finite chain."""
+        unit = self.scale[-1 if self.lattice.at_last else 0]
+        positions, S = self._on_cells(problem, z, self.chain.sites), self.S_of(float(z[problem.parameter_index]))
+        return np.concatenate([unit * positions.ravel(), [problem.frequency(z), self.chain.g * S]])
+
+    def _where(self, sites: Indices | None) -> tuple[Indices, Indices]:
+        """Of a finite chain all sites unless they are given."""
+        every = None if self.chain.infinite else np.arange(1, self.chain.sites + 1)
+        return super()._where(every if sites is None else sites)

@@ -8,22 +8,17 @@ cells up to there are a core, whose positions are unknowns; the others answer it
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casadi_skin.lattice import closed_forms
-from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.declaration import FIXED, Bond, Site
-from casadi_skin.lattice.long_lattice import FIRST, LAST, Core, EdgeMode, LongLattice, core_model, core_of
+from casadi_skin.lattice.long_lattice import Core, EdgeMode, LongLattice, core_model, core_of
 from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.model.methods import TRIGONOMETRIC
-from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.cosines import cosine_matrix, quarter_phases
 from casadi_skin.zero.family import Localised, Method, normalised
 from casadi_skin.zero.model_coordinates import DEEPEST_LOG_SCALE, ModelCoordinates, check_alone
@@ -31,13 +26,12 @@ from casadi_skin.zero.problem import Array, Indices, Problem
 from casadi_skin.zero.settings import Point
 
 if TYPE_CHECKING:
-    from casadi_skin.lattice.lattice import Lattice
+    pass
 
 BESIDE_CORE = 100  # sites beside the core on which stability is computed at first
 SITE_DOUBLINGS = 2  # of the cells, where multipliers that decay into the tail are not decided
 WITHIN_SCALES = 0.95  # of the span of scales that positions may have
 CLOSE = 1e-5  # difference of two angles below which that of their tangents is a slope
-LONGEST_WHOLE = 5000  # sites of a chain all of which are unknowns where they are asked for
 
 
 class CoreWithTail(ModelCoordinates):
@@ -368,76 +362,3 @@ def long_lattice_coordinates(
         accepted = f"more sites than those of {core.cells} cells, where forces are nonlinear, and fewer than all"
         raise ValueError(f"stability_sites: given {sites}; accepted: {accepted}")
     return CoreWithTail(lattice, core, lattice.modes[number - 1], number, amplitude_max, sites)
-
-
-def as_long_lattice(chain: Chain) -> LongLattice:
-    """A long or infinite chain as the lattice that it is."""
-    site, bond = Site("a", "alpha*y + g*y^3"), Bond("a", "a", (1,), gain=("1 - gamma", "1 + gamma"))
-    edge = LAST if chain.gamma >= 0 else FIRST
-    return LongLattice(chain.sites, [site], [bond], FIXED, chain.parameters, edge, "chain")
-
-
-class LongChain(CoreWithTail):
-    """The edge mode of a long chain; `declared` is the lattice that declares it, with values of its parameters."""
-
-    symplectic = True
-
-    def __init__(
-        self, chain: Chain, core_sites: int, mode: int, amplitude_max: float, stability_sites: int | None = None
-    ) -> None:
-        self.chain, self.declared = chain, None
-        lattice, core = as_long_lattice(chain), Core(core_sites, 0.0)
-        edge_mode = lattice.modes[-1 if chain.g > 0 else 0]
-        super().__init__(lattice, core, edge_mode, mode, amplitude_max, stability_sites)
-
-    declared: tuple[Lattice, Mapping[str, float]] | None
-
-    @property
-    def model(self) -> OdeModel:
-        return self.chain.tunable_model() if self.declared is None else self.declared[0]
-
-    @property
-    def parameters(self) -> Mapping[str, float]:
-        return self.chain.parameters if self.declared is None else self.declared[1]
-
-    @property
-    def attributes(self) -> Mapping[str, float]:
-        return {"sites": self.chain.sites, **self.parameters} if self.declared is None else self.parameters
-
-    @property
-    def frequency(self) -> float:
-        return self.chain.linear_frequency(self.mode_number)
-
-    def first_order_frequency(self, S: Array) -> Array | None:
-        chain = self.chain
-        if chain.infinite:
-            return None
-        return closed_forms.frequency(chain.sites, chain.alpha, chain.gamma, chain.g, self.mode_number, S)
-
-    @cached_property
-    def threshold(self) -> float:
-        """S at which the end breather of the infinite chain is born."""
-        return float(self.chain.threshold())
-
-    @cached_property
-    def localised(self) -> Localised | None:
-        whole = self._stability_sites is None and self.chain.sites <= LONGEST_WHOLE
-        return None if whole else super().localised
-
-    def check_whole(self, purpose: str = "what is asked for") -> None:
-        """Raises ValueError where the sites are too many to be unknowns."""
-        if self.chain.sites > LONGEST_WHOLE:
-            raise ValueError(
-                f"sites: given {self.chain.sites}; {purpose} is that of all sites, accepted: up to {LONGEST_WHOLE}"
-            )
-
-    def on_all_sites(self, problem: Problem, z: Array) -> Array:
-        """The unknowns of the same orbit with odd cosines at every site of a finite chain."""
-        unit = self.scale[-1 if self.lattice.at_last else 0]
-        positions, S = self._on_cells(problem, z, self.chain.sites), self.S_of(float(z[problem.parameter_index]))
-        return np.concatenate([unit * positions.ravel(), [problem.frequency(z), self.chain.g * S]])
-
-    def _where(self, sites: Indices | None) -> tuple[Indices, Indices]:
-        """Of a finite chain all sites unless they are given."""
-        every = None if self.chain.infinite else np.arange(1, self.chain.sites + 1)
-        return super()._where(every if sites is None else sites)

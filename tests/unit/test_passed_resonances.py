@@ -10,7 +10,7 @@ import pytest
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow.corners import PassedResonance, _Blocks, _counted, passed_resonances
 from casadi_skin.follow.family import Family
-from casadi_skin.lattice.core_with_tail import LongChain
+from casadi_skin.lattice.chain_coordinates import LongChain
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.runs.program import main
 from casadi_skin.zero.request import family_request

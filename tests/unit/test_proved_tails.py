@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.lattice.chain_coordinates import FullChain
-from casadi_skin.lattice.core_with_tail import LongChain
+from casadi_skin.lattice.chain_coordinates import FullChain, LongChain
 
 flint = pytest.importorskip("flint")
 
