@@ -17,7 +17,7 @@ from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.arguments import check_name, number, short_repr, whole
 from casadi_skin.model.result import Result
-from casadi_skin.optimise.kick_nlp import KickedFlow, KickNlp, KickOptimum
+from casadi_skin.optimise.kick_nlp import KickedFlow, KickNlp, KickOptimum, reach
 from casadi_skin.optimise.nlp import STOPPED_STATUS
 from casadi_skin.optimise.optimum import CosineOrbit
 from casadi_skin.solve.ipopt import Monitor, nlp_reason
@@ -474,11 +474,10 @@ def smallest_kick(
     runner = Runner(progress, workers, executor)
     sites = kicked_sites(orbit, at)
     flow = KickedFlow.up_to(orbit, float(time))
-    if not distance < REACH_SHARE * flow.loop.reach:
-        raise ValueError(
-            f"distance: given {distance!r}; accepted: below {REACH_SHARE * flow.loop.reach:.4g}, within which the "
-            "nearest phase of this orbit is unique"
-        )
+    farthest_known = REACH_SHARE * reach(flow.curve)
+    if not distance < farthest_known:
+        words = f"below {farthest_known:.4g}, within which the nearest phase of this orbit is unique"
+        raise ValueError(f"distance: given {distance!r}; accepted: {words}")
     basis, S = _basis(orbit, norm, sites), float(np.sqrt(orbit.S))
     t, gains, vectors = replace(flow, steps=GAIN_STEPS * flow.steps).linear_gains(basis)
     peak = int(np.argmax(gains[:, 0]))

@@ -21,7 +21,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.follow.orbit import Orbit, cosine_curve
+from casadi_skin.follow.orbit import Curve, Orbit, cosine_curve
 from casadi_skin.optimise.nlp import Limits, Nlp, optimality
 from casadi_skin.optimise.optimum import CosineOrbit
 from casadi_skin.solve.ipopt import SOLVED_STATUS, Monitor
@@ -30,51 +30,30 @@ from casadi_skin.zero.problem import Array
 
 # The flow from a kicked orbit over many steps with exact derivatives, and its distance from the orbit -----------------
 
-STEP_RADIANS = (
-    0.75  # radians of the fastest linear vibration: against CVODES, 2e-8 of the state in 5 periods (measured)
-)
+STEP_RADIANS = 0.75  # of the fastest linear vibration: against CVODES, 2e-8 of the state in 5 periods (measured)
 REACH_PHASES = 720  # of the orbit, between which its reach is sought
 
 
-@dataclass(frozen=True)
-class Loop:
-    """The closed curve of the points (y, y'/Omega) of an orbit in units of sqrt(S), in which distances are measured."""
+def _points(curve: Curve, theta: Array) -> tuple[Array, Array]:
+    """Points (y, y'/Omega) of an orbit in units of sqrt(S), and their derivatives by the phase, (len(theta), 2N)."""
+    point, tangent = curve.points(theta)
+    return point / curve.unit, tangent / curve.unit
 
-    coefficients: Array
 
-    @property
-    def _order(self) -> Array:
-        return np.asarray(2.0 * np.arange(len(self.coefficients)) + 1.0)
+def reach(curve: Curve) -> float:
+    """Distance below which a point has one nearest point on a closed curve (Federer 1959, Theorem 4.18).
 
-    def points(self, theta: Array) -> tuple[Array, Array]:
-        """Points and their derivatives by the phase, shape (len(theta), 2N) each."""
-        c, order = self.coefficients, self._order
-        cosine, sine = np.cos(np.outer(theta, order)), np.sin(np.outer(theta, order))
-        y, dy, ddy = cosine @ c, -(sine * order) @ c, -(cosine * order**2) @ c
-        return np.hstack([y, dy]), np.hstack([dy, ddy])
-
-    def symbols(self, theta: ca.MX) -> tuple[ca.MX, ca.MX]:
-        """A point and its derivative by the phase in CasADi symbols, (2N,) each."""
-        c, order = ca.DM(self.coefficients.T), ca.DM(self._order)
-        cosine, sine = ca.cos(theta * order), ca.sin(theta * order)
-        y, dy, ddy = c @ cosine, -(c @ (sine * order)), -(c @ (cosine * order**2))
-        return ca.vertcat(y, dy), ca.vertcat(dy, ddy)
-
-    @cached_property
-    def reach(self) -> float:
-        """Distance below which a point has one nearest point on the curve (Federer 1959, Theorem 4.18).
-
-        The infimum over pairs p, q of |q - p|^2 / (2 |part of q - p that is normal to the curve at p|).
-        """
-        point, tangent = self.points(2.0 * np.pi * np.arange(REACH_PHASES) / REACH_PHASES)
-        tangent /= np.linalg.norm(tangent, axis=1)[:, None]
-        smallest = np.inf
-        for p, t in zip(point, tangent, strict=True):
-            chord = point - p
-            square = np.sum(chord**2, axis=1)
-            normal = np.linalg.norm(chord - np.outer(chord @ t, t), axis=1)
-            smallest = min(smallest, float(np.min(square[normal > 0] / (2.0 * normal[normal > 0]), initial=np.inf)))
-        return smallest
+    The infimum over pairs p, q of |q - p|^2 / (2 |part of q - p that is normal to the curve at p|).
+    """
+    point, tangent = _points(curve, 2.0 * np.pi * np.arange(REACH_PHASES) / REACH_PHASES)
+    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
+    smallest = np.inf
+    for p, t in zip(point, tangent, strict=True):
+        chord = point - p
+        square = np.sum(chord**2, axis=1)
+        normal = np.linalg.norm(chord - np.outer(chord @ t, t), axis=1)
+        smallest = min(smallest, float(np.min(square[normal > 0] / (2.0 * normal[normal > 0]), initial=np.inf)))
+    return smallest
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +85,16 @@ class KickedFlow:
         return np.concatenate([rho, rho / self.orbit.Omega])
 
     @cached_property
-    def loop(self) -> Loop:
-        """The orbit as the curve that distances are measured from."""
-        return Loop(self.orbit.cosines / np.sqrt(self.orbit.S))
+    def curve(self) -> Curve:
+        """The orbit as the closed curve of (y, y'/Omega), in units of sqrt(S), that distances are measured from."""
+        return cosine_curve(self.orbit)
+
+    def symbols(self, theta: ca.MX) -> tuple[ca.MX, ca.MX]:
+        """A point of the curve and its derivative by the phase in CasADi symbols, (2N,) each."""
+        c, order = ca.DM(self.orbit.cosines.T / self.curve.unit), ca.DM(2.0 * np.arange(self.orbit.harmonics) + 1.0)
+        cosine, sine = ca.cos(theta * order), ca.sin(theta * order)
+        y, dy, ddy = c @ cosine, -(c @ (sine * order)), -(c @ (cosine * order**2))
+        return ca.vertcat(y, dy), ca.vertcat(dy, ddy)
 
     @cached_property
     def start(self) -> Array:
@@ -136,17 +122,17 @@ class KickedFlow:
         return np.concatenate([column[:, None], later], axis=1)[: self.size].transpose(2, 1, 0)
 
     def distances(self, states: Array) -> Array:
-        """Distance of states (..., 2N) from the orbit, shape (...), by `closed_curve.cosine_curve`; inf for nan."""
+        """Distance of states (..., 2N) from the orbit, shape (...), in the curve's unit; inf for nan."""
         rows = states.reshape(-1, self.size)
         finite = np.all(np.abs(rows) < 1e100, axis=1)
         found = np.full(len(rows), np.inf)
-        found[finite] = cosine_curve(self.orbit).distances(np.sqrt(self.orbit.S) * self.output_scale * rows[finite])
+        found[finite] = self.curve.distances(self.curve.unit * self.output_scale * rows[finite])
         return found.reshape(states.shape[:-1])
 
     def nearest_phase(self, state: Array) -> float:
         """Phase of the orbit nearest to a state (2N,), among PHASES."""
         theta = 2.0 * np.pi * np.arange(REACH_PHASES) / REACH_PHASES
-        points, _ = self.loop.points(theta)
+        points, _ = _points(self.curve, theta)
         return float(theta[np.argmin(np.linalg.norm(points - self.output_scale * state, axis=1))])
 
     def first_to_escape(self, direction: Array, distance: float, near: float) -> tuple[float, int] | None:
@@ -180,7 +166,7 @@ class KickedFlow:
         normal to the orbit in (y, y'/Omega)/sqrt(S), and their right singular vectors (steps + 1, k, m).
         """
         t = np.linspace(0.0, self.time, self.steps + 1)
-        tangents = self.loop.points(self.orbit.Omega * t)[1]
+        tangents = _points(self.curve, self.orbit.Omega * t)[1]
         tangents /= np.linalg.norm(tangents, axis=1)[:, None]
         seen = self.output_scale[:, None] * self.linear_images(directions)
         normal = seen - tangents[:, :, None] * (tangents[:, None] @ seen)
@@ -252,7 +238,7 @@ class KickNlp(Nlp):
         nodes = units * ca.reshape(z[self._kicks : -2], size, many)
         before = ca.horzcat(flow.start + ca.DM(scale * basis) @ kick, nodes[:, :-1])
         gaps = ca.vec((self._segments(before, share * (flow.time / flow.steps)) - nodes) / units)
-        point, tangent = flow.loop.symbols(phase)
+        point, tangent = flow.symbols(phase)
         away = (flow.output_scale * nodes[:, -1] - point) / distance
         g = ca.vertcat(gaps, ca.sumsqr(away) - 1.0, ca.dot(away, tangent))
         lower, upper, zero = np.full(z.numel(), -np.inf), np.full(z.numel(), np.inf), np.zeros(g.numel())

@@ -19,6 +19,7 @@ from scipy.optimize import brentq
 
 from casadi_skin import Chain, Orbit, follow_family, smallest_kick
 from casadi_skin.dynamics import distance_from_orbit, evolve
+from casadi_skin.follow.orbit import cosine_curve
 from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.optimise.kick import (
     Escape,
@@ -31,12 +32,11 @@ from casadi_skin.optimise.kick import (
     size_to_escape,
     verified,
 )
-from casadi_skin.optimise.kick_nlp import KickedFlow, Loop
+from casadi_skin.optimise.kick_nlp import KickedFlow, reach
 from casadi_skin.optimise.optimum import CosineOrbit
 from casadi_skin.solve.processes import SearchProgress, unpickled
 
 
-@cache
 @cache
 def breather(sites: int = 6, gamma: float = 0.25, g: float = -1.0, S: float = 0.2, mode: int = 1) -> Orbit:
     chain = Chain(sites, 1.0, gamma, g)
@@ -175,9 +175,12 @@ def test_the_smallest_kick_in_energy_is_another_one() -> None:
 
 
 def test_reach_is_the_least_radius_of_curvature_of_a_bent_loop() -> None:
-    assert Loop(np.array([[0.0, 2.0]])).reach == pytest.approx(2.0, rel=1e-9)
+    def of(*cosines: list[float]) -> float:
+        return reach(cosine_curve(CosineOrbit(None, 1.0, 1.0, np.array(cosines))))
+
+    assert of([0.0, 2.0]) == pytest.approx(2.0, rel=1e-9)
     # y = cos + 0.1 cos 3: at the phase pi/2, y' = -0.7 and y''' = -1.7
-    assert Loop(np.array([[1.0], [0.1]])).reach == pytest.approx(0.49 / 1.7, rel=1e-3)
+    assert of([1.0], [0.1]) == pytest.approx(0.49 / 1.7, rel=1e-3)
 
 
 @pytest.mark.slow
@@ -218,6 +221,7 @@ def test_interruption_keeps_the_best_and_progress_is_told() -> None:
 @pytest.mark.usefixtures("interruptible")
 def test_interruption_of_the_comparison_with_cvodes_keeps_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted_escape(*arguments: Any) -> Escape:
+        monkeypatch.undo()
         os.kill(os.getpid(), signal.SIGINT)
         return escape(*arguments)
 
@@ -262,7 +266,7 @@ def test_a_start_that_was_sent_is_followed_to_the_same_optimum() -> None:
     assert unpickled(data) is solve  # one programme serves all starts
     there = solve.__self__
     assert "nlp" not in vars(there)  # arrays and numbers alone were sent
-    assert not {"step", "loop", "start"} & set(vars(there.flow))
+    assert not {"step", "curve", "start"} & set(vars(there.flow))
     again = solve(start)
     assert here.found is not None
     assert again.found is not None
