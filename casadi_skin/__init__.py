@@ -95,9 +95,10 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
     },
     "LongLattice": {"family_coordinates": "lattice.core_with_tail:long_lattice_coordinates"},
     "Map": {
-        "_repr_html_": "runs.map_result:html",
+        "_repr_html_": "results.present:html_table",
         "figure": "runs.map_result:picture",
         "plot": "runs.map_result:plot",
+        "to_dataframe": "results.present:to_dataframe",
     },
 }
 Result.bind(VERBS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import platform
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from casadi_skin._version import __version__
 from casadi_skin.follow.branch import Branch
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 # netCDF 3 files by scipy: names and texts in UTF-8, numbers of attributes in double precision, CF-1.8 -----------------
 
+LARGEST_IN_MEMORY = 100_000  # bytes of a variable that waits in memory until its file is written
+LARGEST_WHOLE_NUMBER = 2**31  # of whole numbers in netCDF 3
 NETCDF_FILL_VALUE = 9.969209968386869e36  # the fill value of netCDF for doubles
 OF_ALL = {"Conventions": "CF-1.8", "history": f"written by casadi_skin {__version__}"}
 
@@ -61,11 +64,19 @@ def read_name(name: str) -> str:
     return name.encode("latin-1").decode(errors="replace")
 
 
-def characters(texts: Sequence[str]) -> NDArray[np.bytes_]:
-    """Texts as bytes of one length, filled with blanks: netCDF 3's convention; shape (texts, length)."""
-    encoded = [text.encode() for text in texts]
+def characters(texts: NDArray[Any]) -> NDArray[np.bytes_]:
+    """Texts as bytes of one length, filled with blanks: netCDF 3's convention; shape (*shape of the texts, length)."""
+    words, places = np.unique(np.asarray(texts, dtype=object), return_inverse=True)
+    encoded = [str(word).encode() for word in words.tolist()]
     width = max([1, *map(len, encoded)])
-    return np.frombuffer(b"".join(text.ljust(width) for text in encoded), "S1").reshape(len(texts), width)
+    table = np.frombuffer(b"".join(word.ljust(width) for word in encoded), "S1").reshape(len(encoded), width)
+    return np.asarray(table[places.reshape(np.shape(texts))])
+
+
+def on_disk(kind: DTypeLike, shape: tuple[int, ...]) -> NDArray[Any]:
+    """An array of zeros on the disk, in a file that has no name and goes with it."""
+    with tempfile.TemporaryFile() as file:
+        return np.memmap(file, kind, "w+", shape=shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +129,8 @@ def write_netcdf(path: Path, dataset: Dataset) -> None:
 
 def _put(file: netcdf_file, variable: Variable) -> None:
     dimensions, data = variable.dimensions, np.asarray(variable.values)
-    if data.dtype.kind in "US":
-        dimensions, data = (*dimensions, f"{variable.name}_length"), characters([str(name) for name in data])
+    if data.dtype.kind in "USO":
+        dimensions, data = (*dimensions, f"{variable.name}_length"), characters(data)
     elif np.iscomplexobj(data):
         dimensions, data = (*dimensions, "part"), np.stack([data.real, data.imag], axis=-1)
     if data.dtype.kind == "f":
@@ -130,7 +141,9 @@ def _put(file: netcdf_file, variable: Variable) -> None:
             file.createDimension(name, size)
     kind = "c" if data.dtype.kind == "S" else "i4" if data.dtype.kind in "bi" else "f8"
     stored = file.createVariable(stored_name(variable.name), kind, stored_names)
-    stored[:] = data if kind == "c" else data.astype(kind)
+    if data.nbytes > LARGEST_IN_MEMORY:  # all variables wait for the end of the file
+        stored.__dict__["data"] = on_disk(stored.data.dtype, data.shape)  # set plainly it becomes an attribute too
+    stored[:] = data
     fill = {"_FillValue": NETCDF_FILL_VALUE} if variable.may_be_empty else {}
     put_attributes(stored, {"long_name": variable.meaning, **variable.attributes, **fill})
 

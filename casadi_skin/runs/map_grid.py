@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.runs.axes import AMPLITUDE, Path, paths_of, set_value, values_of
+from casadi_skin.runs.axes import AMPLITUDE, TOGETHER_SEPARATOR, Path, paths_of, set_value, values_of
 from casadi_skin.runs.reading import scene_of
 from casadi_skin.runs.rules import SceneError, toml_repr
 from casadi_skin.runs.scene import RangeTable, Scene
@@ -44,6 +44,21 @@ class Axis:
     numeric: bool = False
     log: bool = False
     given: tuple[tuple[Any, ...], ...] = ()
+
+    @property
+    def names(self) -> list[str]:
+        """Names of its parameters."""
+        return [name.strip() for name in self.name.split(TOGETHER_SEPARATOR)] if self.given else [self.name]
+
+    @property
+    def worded(self) -> bool:
+        """Whether some of its values are words."""
+        return any(isinstance(value, str) for value in self.values)
+
+    @property
+    def numbers(self) -> NDArray[np.float64]:
+        """Where its values are drawn: those that are words one after the other."""
+        return np.array(range(len(self.values)) if self.worded else self.values, dtype=float)
 
     def settings(self, place: int) -> list[tuple[Path, Any]]:
         """The path of the value at a place, and the value."""
@@ -363,6 +378,7 @@ class Watch:
 # Planes of a map's two ranges, one for each combination of values of its other axes -----------------------------------
 
 Points = NDArray[np.float64]  # shape (points, 2)
+Lines = Mapping[tuple[int, ...], tuple[Points, ...]]  # of a boundary, by the places of the axes that are no ranges
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 from pathlib import Path
@@ -21,7 +21,7 @@ from casadi_skin.results.dataset import write_csv
 from casadi_skin.runs.binding import Files, bind
 from casadi_skin.runs.first_solution import first_solution
 from casadi_skin.runs.map_cell import followed
-from casadi_skin.runs.map_grid import Axis, Grid, Plane, Points, Tables, planes, scene_at
+from casadi_skin.runs.map_grid import Axis, Grid, Lines, Plane, Points, Tables, planes, scene_at
 from casadi_skin.runs.map_store import DONE, UNKNOWN, Columns
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.rules import SceneError
@@ -152,7 +152,6 @@ def lowest(line: Points, others: Sequence[Points]) -> Iterator[Points]:
 
 # The boundary of stability in the plane of a map's two ranges, to the accuracy of a solution and not of a cell --------
 
-Lines = Mapping[tuple[int, ...], tuple[Points, ...]]
 OF_BOUNDARY = ("stable", "first_instability", "first_tongue")  # quantities that locate it
 BOUNDARY_FILE = "boundary.csv"
 LINE_COLUMN = "line"  # the column with the number of a line

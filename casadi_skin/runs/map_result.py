@@ -1,10 +1,10 @@
-"""A map as computed: values of quantities over its axes, read from its journals on demand."""
+"""A map as computed: values of quantities over its axes, read from its journals on demand; its files and pictures."""
 
 from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from itertools import product
@@ -18,13 +18,13 @@ from casadi_skin.fmu.unzip import Archive
 from casadi_skin.model.arguments import check_name, cut, file_path, short_repr
 from casadi_skin.model.files import TemporaryFolder, replacing
 from casadi_skin.model.result import WithVerbs
-from casadi_skin.results.dataset import NETCDF_FILL_VALUE, characters, new_file, put_attributes, stored_name, write_csv
+from casadi_skin.results.dataset import LARGEST_WHOLE_NUMBER, Dataset, Variable, to_xarray, write_csv, write_netcdf
 from casadi_skin.results.figures.map import MapAxis, Panel, draw_maps, map_figure, panel_title
 from casadi_skin.results.figures.style import save
-from casadi_skin.results.quantities import Cell
-from casadi_skin.results.words import listed
+from casadi_skin.results.words import Columns as TableColumns
+from casadi_skin.results.words import Shown, listed, show
 from casadi_skin.runs.directory import SCENE_FILE
-from casadi_skin.runs.map_grid import Axis, Grid
+from casadi_skin.runs.map_grid import Axis, Grid, Lines
 from casadi_skin.runs.map_lines import BOUNDARY_FILE, read_boundary
 from casadi_skin.runs.map_store import (
     DONE,
@@ -36,7 +36,6 @@ from casadi_skin.runs.map_store import (
     UNKNOWN,
     Columns,
     Store,
-    scratch,
 )
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.reading import parse_scene, read_text
@@ -47,46 +46,9 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from scipy.io import netcdf_file
 
-
-# A map as one file: an archive of its scene, its journals and its boundary, read as its directory is ------------------
-
-MAP_PARTS = (SCENE_FILE, JOURNAL_PATTERN, BOUNDARY_FILE)
+MAP_PARTS = (SCENE_FILE, JOURNAL_PATTERN, BOUNDARY_FILE)  # of a map in one file, which is read as its directory is
 FILE_DATE = (1980, 1, 1, 0, 0, 0)  # so that the bytes depend on the map alone
-
-
-def save_map(directory: Path, path: str | Path) -> Path:
-    """Write the map of a directory to one file, from which `read_map` reads it; see `Map.save`."""
-    target = file_path("path", path)
-    if target.is_dir() or not target.parent.is_dir():
-        raise ValueError(f"path: given {target}; accepted: the path of a file, in a directory that is there")
-    parts = sorted(p for p in directory.iterdir() if _is_part(p.name))
-    with replacing(target) as temporary, zipfile.ZipFile(temporary, "w") as archive:
-        for part in parts:
-            entry = zipfile.ZipInfo(part.name, FILE_DATE)
-            entry.compress_type = zipfile.ZIP_DEFLATED
-            archive.writestr(entry, part.read_bytes())
-    return target
-
-
-def unpacked(path: Path) -> TemporaryFolder:
-    """The parts of a map in one file, in a folder that goes with the object; raises ValueError for other files."""
-    archive = Archive(path, "a map in one file")
-    try:
-        folder = TemporaryFolder("casadi_skin_map_")
-        try:
-            archive.write(folder.path, _is_part)
-        except BaseException:
-            folder.remove()
-            raise
-    finally:
-        archive.close()
-    return folder
-
-
-def _is_part(name: str) -> bool:
-    return any(fnmatch(name, part) for part in MAP_PARTS) and "/" not in name
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +69,7 @@ class Map(WithVerbs):
     columns: Columns
     complete: bool
     waits: bool = False
-    boundary: Mapping[tuple[int, ...], tuple[NDArray[np.float64], ...]] = field(default_factory=dict)
+    boundary: Lines = field(default_factory=dict)
     folder: TemporaryFolder | None = None
 
     @property
@@ -146,13 +108,7 @@ class Map(WithVerbs):
         Raises ValueError, with the nearest known name, for an unknown one.
         """
         check_name("quantity", name, self.names)
-        if name in self.columns.numbers:
-            return np.array(self.columns.numbers[name]).reshape(self.shape)
-        cells = np.flatnonzero(self.columns.lengths(name)).tolist()
-        texts = np.full(self.store.grid.size, "", dtype=object)
-        for cell in cells:
-            texts[cell] = self.columns.text(name, cell)
-        return texts.reshape(self.shape)
+        return np.array(self.columns[name])
 
     def summary(self) -> str:
         """The numbers of cells in words."""
@@ -172,50 +128,56 @@ class Map(WithVerbs):
 
         Raises ValueError for the path of a directory or in none, OSError where the file cannot be written.
         """
-        return save_map(self.directory, path)
+        target = file_path("path", path)
+        if target.is_dir() or not target.parent.is_dir():
+            raise ValueError(f"path: given {target}; accepted: the path of a file, in a directory that is there")
+        with replacing(target) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+            for part in sorted(p for p in self.directory.iterdir() if _is_part(p.name)):
+                entry = zipfile.ZipInfo(part.name, FILE_DATE)
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                archive.writestr(entry, part.read_bytes())
+        return target
 
     figure: ClassVar[Callable[..., Figure]]
     """The picture of a quantity with all its panels: `casadi_skin.runs.map_result.picture`."""
     plot: ClassVar[Callable[..., Axes]]
     """Draw a quantity over the ranges of the map into matplotlib axes: `casadi_skin.runs.map_result.plot`."""
-
-    def lines(self, chosen: tuple[int, ...]) -> tuple[NDArray[np.float64], ...]:
-        """Lines of the boundary at places of the axes that are no ranges."""
-        return self.boundary.get(chosen, ())
-
-    def to_dataframe(self) -> pandas.DataFrame:
-        """A pandas DataFrame with a row a computed cell, as in map.csv; raises ImportError, naming the extra."""
-        try:
-            import pandas
-        except ImportError as error:
-            extra = 'it comes with the extra: pip install "casadi-skin[pandas]"'
-            raise ImportError(f"pandas is not installed; {extra}") from error
-        cells = np.flatnonzero(self.store.states != UNKNOWN)
-        columns: dict[str, Any] = {}
-        for axis, places in zip(self.store.grid.axes, self.store.grid.places(cells).T, strict=True):
-            columns[axis.name] = np.array(axis.values)[places]
-        columns["status"] = [STATUS_WORDS[state] for state in self.store.states[cells]]
-        columns |= {name: self[name].ravel()[cells] for name in self.names}
-        columns[REASON] = [self.columns.text(REASON, cell) for cell in cells.tolist()]
-        return pandas.DataFrame(columns)
+    to_dataframe: ClassVar[Callable[..., pandas.DataFrame]]
+    """A pandas DataFrame with a row a computed cell, as in map.csv: `casadi_skin.results.present.to_dataframe`."""
 
     def to_xarray(self) -> xarray.Dataset:
         """The map as an xarray Dataset, as in map.nc; raises ImportError, naming the extra, without xarray."""
-        try:
-            import xarray as xr
-        except ImportError as error:
-            words = 'xarray is not installed; it comes with the extra: pip install "casadi-skin[xarray]"'
-            raise ImportError(words) from error
         dimensions = tuple(axis.name for axis in self.store.grid.axes)
-        meanings = self.store.meanings
-        found = {n: xr.Variable(dimensions, self[n], {"long_name": meanings.get(n, n)}) for n in self.names}
-        return xr.Dataset({"status": (dimensions, self.status), **found}, coords=dict(self.axes))
+        axes = [Variable(name, (name,), values, name) for name, values in self.axes.items()]
+        status = Variable("status", dimensions, self.status, "what is known of a cell")
+        return to_xarray(Dataset([*axes, status, *_quantities(self.columns, dimensions)]), dimensions)
+
+
+@show.register
+def _(found: Map) -> Shown:
+    axes, names = found.store.grid.axes, drawn_names(found)
+    rows = [(axis.name, f"{len(axis.values)} values") for axis in axes]
+    rows += [("cells", found.summary()), ("quantities", listed(found.names))]
+
+    def draw(places: Axes) -> None:
+        if not names:
+            raise ValueError("plot: no quantity changes over the map")
+        along = _along(axes)
+        plot(found, names[0], places, {axis.name: axis.values[0] for i, axis in enumerate(axes) if i not in along})
+
+    def columns() -> TableColumns:
+        cells = np.flatnonzero(found.store.states != UNKNOWN)
+        places = found.store.grid.places(cells).T
+        table = {axis.name: np.array(axis.values)[at] for axis, at in zip(axes, places, strict=True)}
+        table |= {"status": [STATUS_WORDS[state] for state in found.store.states[cells]]}
+        return table | {name: found.columns[name].ravel()[cells] for name in (*found.names, REASON)}
+
+    return Shown("Map", rows, draw, "quantities over the axes of a map", columns)
 
 
 # Files of a map: map.csv, map.nc and a picture a quantity, made from the journals -------------------------------------
 
 CSV, NETCDF = "map.csv", "map.nc"
-LARGEST_WHOLE_NUMBER = 2**31  # of whole numbers in netCDF 3
 CHAIN_MEANINGS = {"sites": "number of sites", "N": "number of sites", "alpha": "on-site stiffness",
                   "gamma": "nonreciprocity", "g": "cubic on-site coefficient", "S": "total amplitude: sum of y_n^2 at "
                   "t = 0", "mode": "linear mode by ascending frequency"}  # fmt: skip
@@ -223,117 +185,64 @@ CHAIN_MEANINGS = {"sites": "number of sites", "N": "number of sites", "alpha": "
 
 def write_table(columns: Columns, path: Path) -> None:
     """map.csv: a row a cell that is known, axes first."""
-    axes = columns.store.grid.axes
-    names = [*(axis.name for axis in axes), "status", *columns.names, REASON]
-
-    def rows() -> Iterator[Mapping[str, Cell]]:
-        whole = {name: columns.is_whole(name) for name in columns.numbers}
-        for cell in np.flatnonzero(columns.store.states != UNKNOWN).tolist():
-            row: dict[str, Cell] = dict(zip(names, columns.store.grid.values(cell), strict=False))
-            row["status"] = STATUS_WORDS[columns.store.states[cell]]
-            for name in columns.names:
-                if name in columns.texts:
-                    row[name] = columns.text(name, cell)
-                else:
-                    value = float(columns.numbers[name][cell])
-                    row[name] = "" if np.isnan(value) else int(value) if whole[name] else value
-            row[REASON] = columns.text(REASON, cell)
-            yield row
-
-    write_csv(path, names, rows())
+    grid, states = columns.store.grid, columns.store.states
+    names = [*(axis.name for axis in grid.axes), "status", *columns.names, REASON]
+    known = np.flatnonzero(states != UNKNOWN).tolist()
+    values = zip(*(columns.cells(name, known) for name in (*columns.names, REASON)), strict=True)
+    rows = (
+        dict(zip(names, (*grid.values(cell), STATUS_WORDS[states[cell]], *row), strict=True))
+        for cell, row in zip(known, values, strict=True)
+    )
+    write_csv(path, names, rows)
 
 
 def write_map(columns: Columns, path: Path, attributes: Mapping[str, Any], dimensionless: bool) -> None:
-    """map.nc: dimensions named by the parameters, quantities over them; netCDF 3, which every reader opens."""
-    unit = "1" if dimensionless else ""
-    with new_file(path, attributes) as file:
-        names = dimension_names(columns)
-        for axis, dimension in zip(columns.store.grid.axes, names, strict=True):
-            _put_axis(file, axis, dimension, unit)
-        shape = columns.store.grid.shape
-        flags = file.createVariable(_free(file, "status"), "i4", names)
-        flags[:] = columns.store.states.reshape(shape)
-        words = " ".join(word.replace(" ", "_") for word in STATUS_WORDS)
-        values = np.arange(len(STATUS_WORDS), dtype="i4")
-        put_attributes(flags, {"long_name": "what is known of a cell", "flag_values": values, "flag_meanings": words})
-        for name in columns.names:
-            meaning = columns.store.meanings.get(name, "the cell whose solution the second start began at")
-            if name in columns.texts:
-                _put_text(file, columns, name, names, meaning)
-            else:
-                _put_numbers(file, columns, name, names, meaning, unit)
-        _put_text(file, columns, REASON, names, "why a cell failed, or ended early")
+    """map.nc: dimensions named by the parameters, quantities over them; netCDF 3, which every reader opens.
 
-
-def dimension_names(columns: Columns) -> tuple[str, ...]:
-    """Names of the dimensions, as they are stored: those of the parameters, each once."""
-    found = list[str]()
-    for axis in columns.store.grid.axes:
-        name = stored_name(re.sub(r"\W+", "_", axis.name))
-        while name in found:
+    Numbers of a model of the user's have whatever unit the model has.
+    """
+    axes, names, units = columns.store.grid.axes, list[str](), {"units": "1"} if dimensionless else {}
+    for axis in axes:
+        name = re.sub(r"\W+", "_", axis.name)
+        while name in names:
             name = f"{name}_"
-        found.append(name)
-    return tuple(found)
+        names.append(name)
+    variables = [_axis_variable(axis, name, units) for axis, name in zip(axes, names, strict=True)]
+    words = " ".join(word.replace(" ", "_") for word in STATUS_WORDS)
+    flags = {"flag_values": np.arange(len(STATUS_WORDS), dtype="i4"), "flag_meanings": words}
+    status = columns.store.states.reshape(columns.store.grid.shape)
+    variables += [Variable("status", tuple(names), status, "what is known of a cell", attributes=flags)]
+    variables += _quantities(columns, tuple(names), units)
+    taken, unique = {f"{v.name}_length" for v in variables if v.values.dtype.kind in "USO"}, list[Variable]()
+    for place, variable in enumerate(variables):
+        name = variable.name
+        while place >= len(axes) and (name in taken or name in names):
+            name = f"{name}_of_cell"
+        taken.add(name)
+        unique.append(replace(variable, name=name))
+    write_netcdf(path, Dataset(unique, attributes))
 
 
-def _put_axis(file: netcdf_file, axis: Axis, dimension: str, unit: str) -> None:
+def _axis_variable(axis: Axis, dimension: str, units: Mapping[str, str]) -> Variable:
     values, words = np.array(axis.values), ", ".join(".".join(path) for path in axis.paths)
-    declared = any("parameters" in path for path in axis.paths)  # by the user, with a meaning of their own
-    long_name = f"the parameter {words}" if declared else CHAIN_MEANINGS.get(axis.name, f"the parameter {words}")
-    meaning = {"long_name": long_name}
-    file.createDimension(dimension, len(axis.values))
+    meaning = f"the parameter {words}"
+    if not any("parameters" in path for path in axis.paths):  # declared by the user, with a meaning of their own
+        meaning = CHAIN_MEANINGS.get(axis.name, meaning)
     if values.dtype.kind in "US":
-        encoded = characters([str(value) for value in axis.values])
-        file.createDimension(f"{dimension}_length", encoded.shape[1])
-        stored = file.createVariable(dimension, "c", (dimension, f"{dimension}_length"))
-        stored[:] = encoded
-    else:
-        whole = values.dtype.kind in "bi" and bool(np.all(np.abs(values.astype(float)) < LARGEST_WHOLE_NUMBER))
-        kind = "i4" if whole else "f8"
-        stored = file.createVariable(dimension, kind, (dimension,))
-        stored[:] = values.astype(kind)
-        meaning |= _units(unit)
-    put_attributes(stored, meaning)
+        return Variable(dimension, (dimension,), values, meaning)
+    if not np.all(np.abs(values.astype(float)) < LARGEST_WHOLE_NUMBER):
+        values = values.astype(float)
+    return Variable(dimension, (dimension,), values, meaning, attributes=units)
 
 
-def _put_numbers(
-    file: netcdf_file, columns: Columns, name: str, dimensions: tuple[str, ...], meaning: str, unit: str
-) -> None:
-    """A column as it is on the disk; unknown values are netCDF's fill value."""
-    stored = file.createVariable(_free(file, name), "f8", dimensions)
-    values = columns.numbers[name]
-    data = scratch(">f8", values.shape)
-    data[:] = np.where(np.isfinite(values), values, NETCDF_FILL_VALUE)
-    stored.__dict__["data"] = data.reshape(columns.store.grid.shape)  # set plainly it becomes an attribute too
-    put_attributes(stored, {"long_name": meaning, **_units(unit), "_FillValue": NETCDF_FILL_VALUE})
-
-
-def _units(unit: str) -> dict[str, str]:
-    """Attributes of quantities with a unit: numbers of a model of the user's have whatever unit the model has."""
-    return {"units": unit} if unit else {}
-
-
-def _put_text(file: netcdf_file, columns: Columns, name: str, dimensions: tuple[str, ...], meaning: str) -> None:
-    """Texts as characters along a last dimension, the convention of netCDF 3."""
-    width = max(int(columns.lengths(name).max(initial=0)), 1)
-    free = _free(file, name)
-    file.createDimension(f"{free}_length", width)
-    stored = file.createVariable(free, "c", (*dimensions, f"{free}_length"))
-    data = scratch("S1", (columns.store.grid.size, width))
-    data[:] = b" "
-    for cell in np.flatnonzero(columns.lengths(name)).tolist():
-        text = columns.text(name, cell).encode()
-        data[cell, : len(text)] = np.frombuffer(text, "S1")
-    stored.__dict__["data"] = data.reshape(*columns.store.grid.shape, width)
-    put_attributes(stored, {"long_name": meaning})
-
-
-def _free(file: netcdf_file, name: str) -> str:
-    """A name that no dimension and no other variable has, as it is stored."""
-    name = stored_name(name)
-    while name in file.variables or name in file.dimensions:
-        name = f"{name}_of_cell"
-    return name
+def _quantities(columns: Columns, dimensions: tuple[str, ...], units: Mapping[str, str] = {}) -> list[Variable]:
+    """Variables over the cells: numbers with NaN and texts with nothing where there is none, reasons last."""
+    found = []
+    for name in columns.names:
+        meaning = columns.store.meanings.get(name, "the cell whose solution the second start began at")
+        number = name in columns.numbers
+        found.append(Variable(name, dimensions, columns[name], meaning, number, units if number else {}))
+    return [*found, Variable(REASON, dimensions, columns[REASON], "why a cell failed, or ended early")]
 
 
 # A map read back from its directory: the journals are the truth, tables and pictures are not needed -------------------
@@ -358,8 +267,9 @@ def read_map(directory: str | Path) -> Map:
     source = file_path("directory", directory)
     if not source.is_file():
         return _in_directory(source, source)
-    folder = unpacked(source)
+    archive, folder = Archive(source, "a map in one file"), TemporaryFolder("casadi_skin_map_")
     try:
+        archive.write(folder.path, _is_part)
         return replace(_in_directory(folder.path, source), folder=folder)
     except ValueError as error:
         folder.remove()
@@ -367,6 +277,12 @@ def read_map(directory: str | Path) -> Map:
     except BaseException:
         folder.remove()
         raise
+    finally:
+        archive.close()
+
+
+def _is_part(name: str) -> bool:
+    return any(fnmatch(name, part) for part in MAP_PARTS) and "/" not in name
 
 
 def _in_directory(directory: Path, shown: Path) -> Map:
@@ -392,19 +308,17 @@ def _in_directory(directory: Path, shown: Path) -> Map:
 
 # Pictures of a map: a quantity each, over the axes that are ranges; other axes have a panel a value -------------------
 
-LEFT_OUT = ("points", "at_round_off", "residual", "profile_error", "S_error", "intervals")
+NOT_DRAWN = ("points", "at_round_off", "residual", "profile_error", "S_error", "intervals")
 
 
 def drawn_names(found: Map) -> list[str]:
     """Quantities with a picture: numbers that change over the map, but for error bars."""
-    names = []
-    for name in found.names:
-        if name not in found.columns.numbers:
-            continue
-        values = found.columns.numbers[name][found.store.states != UNKNOWN]
-        known = values[np.isfinite(values)]
-        changes = known.size < values.size or float(np.ptp(known)) > 0.0
-        if changes and not name.endswith("_error") and name not in LEFT_OUT:
+    names, known = list[str](), found.store.states != UNKNOWN
+    for name in (n for n in found.names if n in found.columns.numbers):
+        values = found.columns.numbers[name][known]
+        finite = values[np.isfinite(values)]
+        changes = finite.size < values.size or float(np.ptp(finite)) > 0.0
+        if changes and not name.endswith("_error") and name not in NOT_DRAWN:
             names.append(name)
     return names
 
@@ -421,36 +335,10 @@ def picture(found: Map, name: str) -> Figure:
 
     Raises ValueError for an unknown quantity, or a text.
     """
-    check_name("quantity", name, [n for n in found.names if n in found.columns.numbers])
-    axes = found.store.grid.axes
-    along = _along(axes)
-    others = [i for i in range(len(axes)) if i not in along]
-    every = product(*(range(len(axes[i].values)) for i in others))
-    panels = [_panel(found, name, along, dict(zip(others, chosen, strict=True))) for chosen in every]
-    drawn = [MapAxis(axes[i].name, numbers(axes[i]), axes[i].log) for i in along]
+    axes, drawn, panel = _panels(found, name)
+    others = [range(len(axis.values)) for axis in axes]
+    panels = [panel(chosen) for chosen in product(*others)]
     return map_figure(name, found.store.meanings.get(name, name), drawn, panels)
-
-
-def html(found: Map) -> str:
-    """A map as a small table beside the picture of its first quantity that changes, for notebooks."""
-    from casadi_skin.results.present import page
-
-    rows = [(axis.name, f"{len(axis.values)} values") for axis in found.store.grid.axes]
-    rows += [("cells", found.summary()), ("quantities", listed(found.names))]
-    names = drawn_names(found)
-    lists = {axis.name: axis.values[0] for axis in _lists(found)}
-    return page("Map", rows, lambda axes: plot(found, names[0], axes, lists) if names else refuse())
-
-
-def _lists(found: Map) -> list[Axis]:
-    """Axes that are not drawn."""
-    axes = found.store.grid.axes
-    return [axis for i, axis in enumerate(axes) if i not in _along(axes)]
-
-
-def refuse() -> None:
-    """Raises ValueError: nothing changes over the map."""
-    raise ValueError("plot: no quantity changes over the map")
 
 
 def plot(found: Map, name: str, axes: Axes | None = None, at: Mapping[str, Any] | None = None) -> Axes:
@@ -470,24 +358,43 @@ def plot(found: Map, name: str, axes: Axes | None = None, at: Mapping[str, Any] 
     """
     from matplotlib.axes import Axes
 
-    check_name("quantity", name, [n for n in found.names if n in found.columns.numbers])
-    ranges = found.store.grid.axes
-    along, given = _along(ranges), dict(at or {})
-    others = {ranges[i].name: i for i in range(len(ranges)) if i not in along}
+    others, drawn, panel = _panels(found, name)
+    given = dict(at or {})
     for key in given:
-        check_name("at", key, others)
-    chosen = {i: _place_of(ranges[i], given) for i in others.values()}
+        check_name("at", key, [axis.name for axis in others])
+    chosen = [_place_of(axis, given) for axis in others]
     if axes is None:
         from matplotlib import pyplot
 
         axes = pyplot.subplots(layout="constrained")[1]
     if not isinstance(axes, Axes):
         raise TypeError(f"axes: given {short_repr(axes)}; accepted: axes of matplotlib, or None")
-    drawn = [MapAxis(ranges[i].name, numbers(ranges[i]), ranges[i].log) for i in along]
-    draw_maps([axes], name, drawn, [_panel(found, name, along, chosen)])
+    draw_maps([axes], name, drawn, [panel(chosen)])
     if axes.get_legend_handles_labels()[0]:
         axes.legend()
     return axes
+
+
+def _panels(found: Map, name: str) -> tuple[list[Axis], list[MapAxis], Callable[[Sequence[int]], Panel]]:
+    """Axes that are not drawn, those that are, and the panel of a quantity at places along the first."""
+    check_name("quantity", name, [n for n in found.names if n in found.columns.numbers])
+    axes = found.store.grid.axes
+    along = _along(axes)
+    others = [i for i in range(len(axes)) if i not in along]
+
+    def panel(chosen: Sequence[int]) -> Panel:
+        places = dict(zip(others, chosen, strict=True))
+        index = tuple(places.get(i, slice(None)) for i in range(len(axes)))
+        values, states = found[name].astype(float)[index], found.status[index]
+        values = np.where(np.isfinite(values), values, np.nan)
+        names = [part for i in others for part in axes[i].names]
+        at = [value for i, k in places.items() for _, value in axes[i].settings(k)]
+        shown = filled(values, states, [axes[i].stride for i in along])
+        lines = found.boundary.get(tuple(chosen), ())
+        return Panel(panel_title(names, at), shown, states >= ENDED, states != UNKNOWN, lines)
+
+    drawn = [MapAxis(axes[i].name, axes[i].numbers, axes[i].log) for i in along]
+    return [axes[i] for i in others], drawn, panel
 
 
 def _place_of(axis: Axis, given: Mapping[str, Any]) -> int:
@@ -501,41 +408,11 @@ def _place_of(axis: Axis, given: Mapping[str, Any]) -> int:
     return axis.values.index(value)
 
 
-def _panel(found: Map, name: str, along: list[int], chosen: Mapping[int, int]) -> Panel:
-    """The panel of a quantity at certain places of the other axes."""
-    axes = found.store.grid.axes
-    index = tuple(chosen.get(i, slice(None)) for i in range(len(axes)))
-    values, states = found[name].astype(float)[index], found.status[index]
-    values = np.where(np.isfinite(values), values, np.nan)
-    at = [value for i, k in chosen.items() for value in _values_at(axes[i], k)]
-    words = panel_title([name for i in chosen for name in _names_of(axes[i])], at)
-    shown = filled(values, states, [axes[i].stride for i in along])
-    return Panel(words, shown, states >= ENDED, states != UNKNOWN, found.lines(tuple(chosen.values())))
-
-
-def _names_of(axis: Axis) -> list[str]:
-    """Names of the parameters of an axis, of which several may change together."""
-    return [name.strip() for name in axis.name.split(",")] if axis.given else [axis.name]
-
-
-def _values_at(axis: Axis, place: int) -> tuple[Any, ...]:
-    """Their values at a place."""
-    return axis.given[place] if axis.given else (axis.values[place],)
-
-
 def _along(axes: tuple[Axis, ...]) -> list[int]:
     """Axes that are drawn: the ranges; where there is none the longest list of numbers."""
     ranges = [i for i, axis in enumerate(axes) if axis.numeric]
-    if ranges:
-        return ranges
-    lists = [i for i, axis in enumerate(axes) if not any(isinstance(v, str) for v in axis.values)]
-    return sorted(lists, key=lambda i: -len(axes[i].values))[:1] or [0]
-
-
-def numbers(axis: Axis) -> NDArray[np.float64]:
-    """Where the values of an axis are drawn: those that are words one after the other."""
-    words = any(isinstance(value, str) for value in axis.values)
-    return np.arange(len(axis.values), dtype=float) if words else np.array(axis.values, dtype=float)
+    lists = [i for i, axis in enumerate(axes) if not axis.worded]
+    return ranges or sorted(lists, key=lambda i: -len(axes[i].values))[:1] or [0]
 
 
 def filled(values: NDArray[np.float64], states: NDArray[np.int8], strides: list[int]) -> NDArray[np.float64]:
@@ -546,6 +423,3 @@ def filled(values: NDArray[np.float64], states: NDArray[np.int8], strides: list[
 
     _, nearest = distance_transform_edt(states == UNKNOWN, sampling=[1.0 / s for s in strides], return_indices=True)
     return np.asarray(values[tuple(nearest)])
-
-
-# Planes of a map's two ranges, one for each combination of values of its other axes -----------------------------------

@@ -5,9 +5,8 @@ One journal of a map that one process drives, one for each part of a batch array
 
 from __future__ import annotations
 
+import math
 import re
-import tempfile
-import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
@@ -17,11 +16,12 @@ from typing import Any, Self
 
 import msgspec
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from casadi_skin.optimise.names import FREE, NAMED
+from casadi_skin.results.dataset import LARGEST_WHOLE_NUMBER, on_disk
 from casadi_skin.results.journal import Journal, mapped, record_at, scan
-from casadi_skin.results.quantities import FAMILY_ERRORS, FAMILY_PROOFS, FAMILY_QUANTITIES, FAMILY_STABILITY
+from casadi_skin.results.quantities import FAMILY_ERRORS, FAMILY_PROOFS, FAMILY_QUANTITIES, FAMILY_STABILITY, Cell
 from casadi_skin.results.quantities import FIXED as OF_BRANCHES
 from casadi_skin.results.quantities import FIXED_AT_REST as OF_EQUILIBRIA
 from casadi_skin.runs.directory import DirectoryError
@@ -201,13 +201,6 @@ class Store:
 
 REASON, STARTED_FROM = "reason", "started_from"
 STATUS_WORDS = ("not computed", "done", "ended early", "failed")  # by state
-Places = NDArray[np.int64]  # where the text of a cell starts, and its length; shape (cells, 2)
-
-
-def scratch(kind: DTypeLike, shape: tuple[int, ...]) -> NDArray[Any]:
-    """An array of zeros on the disk, in a file that has no name and goes with it."""
-    with tempfile.TemporaryFile() as file:
-        return np.memmap(file, kind, "w+", shape=shape)
 
 
 class Columns:
@@ -216,74 +209,66 @@ class Columns:
     Attributes:
         names: of quantities, in the order of the cells.
         numbers: by name, NaN where there is none; shape (cells,).
-        texts: by name, places in a file.
+        texts: by name, places among the different texts, the first of which is empty; shape (cells,).
+        words: the different texts.
     """
 
     def __init__(self, store: Store, wanted: Sequence[str] | None = None) -> None:
-        self.store = store
-        self.numbers, self.texts = dict[str, NDArray[np.float64]](), dict[str, Places]()
-        self._file = tempfile.TemporaryFile()  # noqa: SIM115  closed when this object goes
-        weakref.finalize(self, self._file.close)
-        self._known = dict[str, tuple[int, int]]()
-        first = dict[str, tuple[int, int]]()
-        axes = {axis.name for axis in store.grid.axes}
-        self._reasons: Places = scratch(np.int64, (store.grid.size, 2))
+        self.store, self.words = store, [""]
+        self.numbers, self.texts = dict[str, NDArray[np.float64]](), dict[str, NDArray[np.int32]]()
+        self._places, size = {"": 0}, store.grid.size
+        self._reasons: NDArray[np.int32] = on_disk(np.int32, (size,))
+        first, axes = dict[str, tuple[int, int]](), {axis.name for axis in store.grid.axes}
         for cell, row, record in store.rows():
-            reason = record.reason if row is None else row.fault
-            if reason:
-                self._reasons[cell] = self._placed(reason)
-            if record.neighbour >= 0 and row is not None:
-                self._put(cell, STARTED_FROM, store.grid.name(record.neighbour))
-                first[STARTED_FROM] = (store.grid.size, 0)
-            for place, (name, value) in enumerate(() if row is None else row.values.items()):
+            self._reasons[cell] = self._place(record.reason if row is None else row.fault)
+            values = {} if row is None else row.values
+            for place, (name, value) in enumerate(values.items()):
                 if name not in axes and (wanted is None or name in wanted):
                     first[name] = min(first.get(name, (cell, place)), (cell, place))
                     self._put(cell, name, value)
+            if record.neighbour >= 0 and row is not None:
+                first[STARTED_FROM] = (size, 0)
+                self._put(cell, STARTED_FROM, store.grid.name(record.neighbour))
         self.names = sorted(first, key=first.__getitem__)
 
     def _put(self, cell: int, name: str, value: float | int | str) -> None:
+        size = self.store.grid.size
         if isinstance(value, str):
-            self._column(name, str)[cell] = self._placed(value)
-        else:
-            self._column(name, float)[cell] = value
+            if name not in self.texts:
+                self.texts[name] = on_disk(np.int32, (size,))
+            self.texts[name][cell] = self._place(value)
+            return
+        if name not in self.numbers:
+            self.numbers[name] = on_disk(np.float64, (size,))
+            self.numbers[name][:] = np.nan
+        self.numbers[name][cell] = value
 
-    def _column(self, name: str, kind: type) -> NDArray[Any]:
-        held: dict[str, NDArray[Any]] = self.texts if kind is str else self.numbers
-        if name not in held:
-            size = self.store.grid.size
-            if kind is str:
-                held[name] = scratch(np.int64, (size, 2))
-            else:
-                held[name] = scratch(np.float64, (size,))
-                held[name][:] = np.nan
-        return held[name]
-
-    def _placed(self, text: str) -> tuple[int, int]:
-        """Where a text is in the file; one of the last few is not written again."""
-        if text not in self._known:
-            data = text.encode()
-            if len(self._known) >= 1000:
-                self._known.clear()
-            self._file.seek(0, 2)
-            self._known[text] = self._file.tell(), len(data)
-            self._file.write(data)
-        return self._known[text]
+    def _place(self, text: str) -> int:
+        if text not in self._places:
+            self._places[text] = len(self.words)
+            self.words.append(text)
+        return self._places[text]
 
     def text(self, name: str, cell: int) -> str:
         """The text of a cell; empty where there is none."""
-        place, length = (self._reasons if name == REASON else self.texts[name])[cell].tolist()
-        self._file.seek(place)
-        return self._file.read(length).decode()
+        return self.words[int((self._reasons if name == REASON else self.texts[name])[cell])]
 
-    def lengths(self, name: str) -> NDArray[np.int64]:
-        """Lengths of the texts of a column in bytes, shape (cells,)."""
-        return (self._reasons if name == REASON else self.texts[name])[:, 1]
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """Values of a quantity, or the reasons why cells failed; shape of the grid."""
+        if name in self.numbers:
+            return self.numbers[name].reshape(self.store.grid.shape)
+        places = self._reasons if name == REASON else self.texts[name]
+        return np.array(self.words, dtype=object)[places].reshape(self.store.grid.shape)
 
-    def is_whole(self, name: str) -> bool:
-        """Whether all numbers of a column are whole ones, as counts and flags are."""
+    def cells(self, name: str, cells: Sequence[int]) -> Iterator[Cell]:
+        """Values of a quantity at cells as a table has them: nothing for NaN, a whole number where all of them are."""
+        if name not in self.numbers:
+            return (self.text(name, cell) for cell in cells)
         values = self.numbers[name]
         known = values[np.isfinite(values)]
-        return bool(np.all(known == np.round(known)) and np.all(np.abs(known) < 2**31))
+        whole = bool(np.all(known == np.round(known)) and np.all(np.abs(known) < LARGEST_WHOLE_NUMBER))
+        found = (float(values[cell]) for cell in cells)
+        return ("" if math.isnan(value) else int(value) if whole else value for value in found)
 
 
 # Names of the quantities that cells of a scene may have, known before one is computed ---------------------------------
