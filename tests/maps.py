@@ -110,7 +110,7 @@ def workers_of(process: int) -> list[int]:
     found = []
     for task in Path(f"/proc/{process}/task").glob("*/children"):
         for child in task.read_text(encoding="ascii").split():
-            if b"casadi_skin.runs.pool" in Path(f"/proc/{child}/cmdline").read_bytes():
+            if b"casadi_skin.solve.processes" in Path(f"/proc/{child}/cmdline").read_bytes():
                 found.append(int(child))
     return found
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import errno
 import math
+import pickle
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +34,7 @@ from casadi_skin.runs.directory import (
     prepare,
     prepare_part,
 )
-from casadi_skin.runs.map_cell import Computer, Job
+from casadi_skin.runs.map_cell import Computer, Job, compute
 from casadi_skin.runs.map_grid import FAILED as FAULT
 from casadi_skin.runs.map_grid import LOST, Cells, Grid, Result, Task, needed, plain, scene_at
 from casadi_skin.runs.map_grid import UNKNOWN_LABEL as UNLABELLED
@@ -40,12 +42,12 @@ from casadi_skin.runs.map_lines import BOUNDARY_FILE, OF_BOUNDARY, boundaries, c
 from casadi_skin.runs.map_result import CSV, NETCDF, Map, write_map, write_pictures, write_table
 from casadi_skin.runs.map_store import DONE, FAILED, MOST_ATTEMPTS, UNKNOWN, Columns, Store, check_quantities
 from casadi_skin.runs.parts import origin
-from casadi_skin.runs.pool import end_workers
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.reading import parse_scene, read_text
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.rules import SceneError
 from casadi_skin.runs.scene import MapTable, Scene
+from casadi_skin.solve.processes import Pool
 from casadi_skin.solve.watch import one_thread
 
 TASKS_AHEAD = 3  # tasks a worker that are handed over before they are begun
@@ -78,14 +80,8 @@ class Engine:
 
 def local_engine(workers: int) -> Engine:
     """Worker processes on this machine."""
-    executor = ThreadPoolExecutor(workers, thread_name_prefix="map")
-
-    def close() -> None:
-        executor.shutdown(wait=False, cancel_futures=True)
-        end_workers()
-        executor.shutdown(wait=True)
-
-    return Engine(executor, lambda: workers, lambda: "", close)
+    pool = Pool(workers)
+    return Engine(pool, lambda: workers, lambda: "", pool.close)
 
 
 def dask_engine(address: str) -> Engine:
@@ -129,11 +125,6 @@ def given_engine(executor: Executor) -> Engine:
     return Engine(executor, lambda: workers, lost, lambda: None)
 
 
-def check_workers(name: str, workers: object) -> int:
-    """The number of workers; raises ValueError for other values."""
-    return whole(name, workers, 1, MOST_WORKERS)
-
-
 LOOK_SECONDS = 1.0  # seconds between two looks at an engine
 SHOW_SECONDS = 0.2  # seconds between two changes of the line of progress
 TELL_SECONDS = 30.0  # seconds between two lines of progress where there is no terminal
@@ -146,7 +137,7 @@ class Drive:
 
     Attributes:
         grid, store, engine: its cells, their results, the place of their computation.
-        job: the part that all tasks share, encoded.
+        computer: the part that all tasks share, pickled.
         cell_limit: seconds that a cell may take.
         part: the share that is computed here; None of a map that is computed here as a whole.
         workers: processes of this machine that take over from a lost engine.
@@ -155,7 +146,7 @@ class Drive:
     grid: Grid
     store: Store
     engine: Engine
-    job: bytes
+    computer: bytes
     progress: Progress
     cell_limit: float | None = None
     part: Part | None = None
@@ -219,9 +210,9 @@ class Drive:
 
     def _compute(self, tasks: Iterable[Task], attempt: int) -> None:
         """Compute tasks, handed over a few at a time; where the engine is lost, workers of this machine take over."""
-        left, waiting = iter(tasks), dict[Future[bytes], Task]()
+        left, waiting = iter(tasks), dict[Future[Result], Task]()
         while True:
-            for task in self._next(left, self.engine.width() - len(waiting)):
+            for task in islice(left, max(self.engine.width() - len(waiting), 0)):
                 future = self._submitted(task)
                 if future is None:
                     self._keep(task, Result(kind=LOST, reason=self.engine.lost() or "no engine took it"), attempt)
@@ -237,34 +228,23 @@ class Drive:
                 self._take_over(waiting, attempt)
             self._show()
 
-    @staticmethod
-    def _next(tasks: Iterator[Task], count: int) -> Iterator[Task]:
-        for _ in range(count):
-            task = next(tasks, None)
-            if task is None:
-                return
-            yield task
-
-    def _submitted(self, task: Task) -> Future[bytes] | None:
-        from casadi_skin.runs.pool import compute
-
+    def _submitted(self, task: Task) -> Future[Result] | None:
         limit = None if self.cell_limit is None else self.cell_limit * len(task.cells)
         try:
-            return self.engine.executor.submit(compute, self.job, msgspec.msgpack.encode(task), limit)
+            return self.engine.executor.submit(compute, self.computer, task, limit)
         except Exception:  # whatever an engine that is lost raises
             if not self.engine.lost():
                 raise
             return None
 
-    def _take_over(self, waiting: dict[Future[bytes], Task], attempt: int) -> None:
+    def _take_over(self, waiting: dict[Future[Result], Task], attempt: int) -> None:
         """Record the tasks under way on a lost engine, and go on with workers of this machine."""
         reason = self.engine.lost() or "the engine is lost"
         for task in waiting.values():
             self._keep(task, Result(kind=LOST, reason=reason), attempt)
         waiting.clear()
         self.progress.report(f"{reason}; {self.workers} worker(s) of this machine go on")
-        with suppress(Exception):  # of an engine that is gone already
-            self.engine.close()
+        _closed(self.engine)
         self.engine = local_engine(self.workers)
 
     def _keep(self, task: Task, result: Result, attempt: int) -> None:
@@ -289,10 +269,10 @@ class Drive:
             self.progress.report(words)
 
 
-def _outcome(future: Future[bytes], engine: Engine) -> Result:
+def _outcome(future: Future[Result], engine: Engine) -> Result:
     """The result of a task, or why the engine has none."""
     try:
-        return msgspec.msgpack.decode(future.result(), type=Result)
+        return future.result()
     except BaseException as error:  # of an engine: cancelled, broken, a worker of it that was killed
         if isinstance(error, KeyboardInterrupt):
             raise
@@ -423,9 +403,9 @@ class Mapped:
         return self.scene.map
 
     @property
-    def job(self) -> Job:
+    def computer(self) -> Computer:
         """Data shared by all tasks."""
-        return Job(plain(self.scene), str(self.path.resolve()), self.table.growth)
+        return Computer(Job(plain(self.scene), str(self.path.resolve()), self.table.growth))
 
 
 def run_map(
@@ -480,7 +460,7 @@ def run_map(
 
 def check_ways(ways: Ways) -> None:
     """Raises ValueError and TypeError for choices that are not accepted, or not together."""
-    check_workers("workers", ways.workers)
+    whole("workers", ways.workers, 1, MOST_WORKERS)
     if ways.executor is not None:
         given_engine(ways.executor)
     if ways.scheduler is not None:
@@ -494,8 +474,8 @@ def check_ways(ways: Ways) -> None:
         raise ValueError("executor: given beside scheduler; accepted: one of them")
     if ways.part is not None:
         pair = ways.part if isinstance(ways.part, tuple | list) and len(ways.part) == 2 else None
-        whole = pair is not None and all(isinstance(n, int) and not isinstance(n, bool) for n in pair)
-        if pair is None or not whole or not 1 <= pair[0] <= pair[1] <= 32767:
+        numbers = pair is not None and all(isinstance(n, int) and not isinstance(n, bool) for n in pair)
+        if pair is None or not numbers or not 1 <= pair[0] <= pair[1] <= 32767:
             raise ValueError(f"part: given {short_repr(ways.part)}; accepted: K/N with 1 <= K <= N <= 32767")
         if ways.collect:
             raise ValueError("collect: given beside part; accepted: one of them")
@@ -506,39 +486,34 @@ def check_ways(ways: Ways) -> None:
 
 def compute_map(mapped: Mapped, directory: Path, ways: Ways, progress: Progress) -> Map:
     """Compute the missing cells of a map and write the results; see `run_map`."""
-    own = None if ways.collect else journal_name(ways.part)
     if ways.collect and not (directory / SCENE_FILE).is_file():
         raise DirectoryError(f"{directory}: holds no map to collect; accepted: the directory of a map that was begun")
+    own = JOURNAL_FILE if ways.part is None else "journal_{}_of_{}.msgpack".format(*ways.part)
     with ExitStack() as held:
         held.enter_context(in_use(directory, progress.report, ways.shared))
         if ways.part is not None:
             held.enter_context(in_use(directory, progress.report, part=str(ways.part[0])))
         engine = None if ways.collect else _engine(ways)
+        if engine is not None:
+            held.callback(_closed, engine)
+        _prepare(mapped, directory, ways)
+        arguments = directory, mapped.grid, mapped.scene, None if ways.collect else own, progress.report
+        store = held.enter_context(Store(*arguments))
+        if ways.existing is Existing.RESUME:
+            store.forget_outside(mine=ways.part is not None)
+        waits = True
         try:
-            _prepare(mapped, directory, ways)
-            store = Store(directory, mapped.grid, mapped.scene, own, progress.report)
-        except BaseException:
-            _closed(engine)
-            raise
-        with store:
-            return _computed(mapped, store, engine, ways, progress)
-
-
-def journal_name(part: Part | None) -> str:
-    """The journal of a map, or of a share of it."""
-    return JOURNAL_FILE if part is None else f"journal_{part[0]}_of_{part[1]}.msgpack"
-
-
-def _computed(mapped: Mapped, store: Store, engine: Engine | None, ways: Ways, progress: Progress) -> Map:
-    if ways.existing is Existing.RESUME:
-        store.forget_outside(mine=ways.part is not None)
-    waits = True
-    try:
-        waits = engine is None or not _driven(mapped, store, engine, ways, progress)
-    finally:
-        with interrupts_deferred():  # all files are written before an interruption ends the map
-            found = _written(mapped, store, waits, ways, progress)
-    return found
+            if engine is not None:
+                data, limit = pickle.dumps(mapped.computer), mapped.table.cell_limit
+                drive = Drive(mapped.grid, store, engine, data, progress, limit, ways.part, ways.workers)
+                try:
+                    waits = not drive.run()
+                finally:
+                    _closed(drive.engine)
+        finally:
+            with interrupts_deferred():  # all files are written before an interruption ends the map
+                found = _written(mapped, store, waits, ways, progress)
+        return found
 
 
 def _prepare(mapped: Mapped, directory: Path, ways: Ways) -> None:
@@ -560,22 +535,9 @@ def _engine(ways: Ways) -> Engine:
     return local_engine(ways.workers) if ways.scheduler is None else dask_engine(ways.scheduler)
 
 
-def _closed(engine: Engine | None) -> None:
-    if engine is not None:
-        with interrupts_deferred(), suppress(Exception):  # of an engine that is gone already
-            engine.close()
-
-
-def _driven(mapped: Mapped, store: Store, engine: Engine, ways: Ways, progress: Progress) -> bool:
-    """Compute the missing cells; False where other shares are still to come."""
-    drive = Drive(
-        mapped.grid, store, engine, msgspec.msgpack.encode(mapped.job), progress, mapped.table.cell_limit,
-        ways.part, ways.workers,
-    )  # fmt: skip
-    try:
-        return drive.run()
-    finally:
-        _closed(drive.engine)
+def _closed(engine: Engine) -> None:
+    with interrupts_deferred(), suppress(Exception):  # of an engine that is gone already
+        engine.close()
 
 
 def _written(mapped: Mapped, store: Store, waits: bool, ways: Ways, progress: Progress) -> Map:

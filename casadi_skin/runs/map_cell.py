@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
+import sys
 import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +27,12 @@ from casadi_skin.results.branch_records import BranchRecord
 from casadi_skin.results.quantities import Place, columns_of, csv_row
 from casadi_skin.runs.binding import Files, bind
 from casadi_skin.runs.branches import Branches
-from casadi_skin.runs.map_grid import FAILED, Result, Row, Tables, Task, Value, scene_at
+from casadi_skin.runs.map_grid import DIED, FAILED, LATE, Result, Row, Tables, Task, Value, scene_at
 from casadi_skin.runs.map_store import LEFT_OUT, plain_kind
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import Scene
+from casadi_skin.solve.processes import WorkerEndedError, in_worker
 from casadi_skin.solve.watch import one_thread
 
 # The result of a cell as a row of named quantities: its solution, its special points, and its end ---------------------
@@ -197,12 +201,29 @@ class Job(msgspec.Struct, frozen=True):
     growth: float = 0.0
 
 
+LOADED_MODULES = (  # before the first cell, whose time is limited
+    "casadi_skin.follow.series",
+    "casadi_skin.lattice.chain_coordinates",
+    "casadi_skin.follow.family_tongues",
+    "casadi_skin.runs.first_solution",
+    "casadi_skin.solve.ipopt",
+    "casadi_skin.stability.splitting",
+)
+
+
 @dataclass
 class Computer:
     """Computes tasks of one job; a model's file is run once, so that its functions serve all cells."""
 
     job: Job
     _files: Files = field(default_factory=dict)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _computer_of_worker, (self.job,)
+
+    def __call__(self, task: Task, *_: object) -> Result:
+        """The rows of a task, in a worker."""
+        return self.compute(task)
 
     def compute(self, task: Task) -> Result:
         """The rows of a task; a failure is kept in words."""
@@ -244,6 +265,29 @@ def started_at(scene: Scene, task: Task) -> Scene:
         period = task.period if scene.orbit.cycles == 1 and task.period else None
         return put(scene, orbit=put(scene.orbit, start=task.start, transient=None, period=period))
     return scene
+
+
+def _computer_of_worker(job: Job) -> Computer:
+    """The computer in a worker, where nobody reads what a model prints."""
+    nowhere = open(os.devnull, "w")  # noqa: SIM115  as long as the process
+    os.dup2(nowhere.fileno(), 1)
+    sys.stdout = sys.stderr = nowhere
+    for name in LOADED_MODULES:
+        import_module(name)
+    return Computer(job)
+
+
+def compute(computer: bytes, task: Task, limit: float | None) -> Result:
+    """The result of a task, computed by the worker of this thread: the function that every engine runs."""
+    started = time.perf_counter()
+    try:
+        found: Result = in_worker(computer, task, limit)
+        return found
+    except TimeoutError as error:
+        kind, reason = LATE, str(error)
+    except WorkerEndedError as error:
+        kind, reason = DIED, str(error)
+    return Result(kind=kind, reason=reason, seconds=time.perf_counter() - started)
 
 
 @dataclass

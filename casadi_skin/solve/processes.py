@@ -1,30 +1,285 @@
-"""Work shared by processes, which report on their way and end with the one that started them."""
+"""Work shared by worker processes, which report on their way and end with the process that started them.
+
+A worker computes one task at a time, and one that ends or hangs leaves the others alone: cells of maps and starts of
+searches run in them alike. Parent and worker talk over a pipe: the function, pickled, READY, the task, reports on the
+way, STOP from the parent, and the outcome.
+"""
 
 from __future__ import annotations
 
+import atexit
+import ctypes
+import math
 import os
 import pickle
-import queue
 import signal
+import subprocess
+import sys
+import tempfile
 import threading
 import time
 import warnings
+import weakref
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from multiprocessing import get_context, parent_process
-from multiprocessing.managers import SyncManager
+from multiprocessing import process, spawn
+from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
+from queue import Empty, SimpleQueue
 from types import FrameType
-from typing import Any
+from typing import IO, Any
 
+import casadi_skin
 from casadi_skin.model.arguments import function_of, short_repr, whole
 from casadi_skin.solve.ipopt import Monitor
 from casadi_skin.solve.watch import one_thread
 
-POLL_SECONDS = 0.1  # seconds between two reports of a process
+# The program of a worker ----------------------------------------------------------------------------------------------
+
+PROGRAM = "from casadi_skin.solve.processes import serve; serve({}, {})"
+READY, STOP = b"ready", b"stop"
+REPORT, OUTCOME, ERROR = range(3)  # kinds of messages of a worker on its task
+DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
+IDLE_SECONDS = 60.0  # seconds after which a worker without a task ends; the next task starts another
+WATCH_SECONDS = 0.5  # seconds between two looks at the parent
+Tell = Callable[[Any], None]
+
+
+def serve(descriptor: int, parent: int) -> None:
+    """Compute tasks until the connection is closed, or none comes."""
+    _end_with(parent)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the process that waits
+    connection = Connection(descriptor)
+    main = connection.recv()
+    if main is not None:
+        _import_main(main)
+    told_to_stop = False
+
+    def stopped() -> bool:
+        nonlocal told_to_stop
+        while connection.poll():
+            told_to_stop |= connection.recv_bytes() == STOP
+        return told_to_stop
+
+    with suppress(EOFError, OSError):
+        while connection.poll(IDLE_SECONDS):
+            data = connection.recv_bytes()
+            if data == STOP:  # of a task that had ended
+                continue
+            function, told_to_stop = unpickled(data), False
+            connection.send_bytes(READY)
+            task = connection.recv()
+            try:
+                with one_thread(), warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # a worker would print them
+                    answer = OUTCOME, function(task, lambda words: connection.send((REPORT, words)), stopped)
+            except Exception as error:  # it is raised where the task came from
+                answer = ERROR, error
+            connection.send(answer)
+
+
+def _end_with(parent: int) -> None:
+    """End this process when its parent does."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(DEATH_SIGNAL, signal.SIGKILL)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH_SECONDS)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _import_main(data: dict[str, Any]) -> None:
+    """Import the script of the parent, of which a task may have functions; it starts no workers meanwhile."""
+    this: Any = process.current_process()
+    this._inheriting = True
+    try:
+        spawn.prepare(data)
+    finally:
+        del this._inheriting
+
+
+@lru_cache(maxsize=1)
+def unpickled(function: bytes) -> Any:
+    """The pickled function; kept, so that later tasks use the functions that its object built for the first one."""
+    return pickle.loads(function)
+
+
+# Workers --------------------------------------------------------------------------------------------------------------
+
+MOST_STARTS = 3  # of a worker that ends before it has taken a task
+START_LIMIT = 120.0  # seconds until a worker is there
+POLL_SECONDS = 0.1  # seconds between two looks at what stops a task, and between two of its reports
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+_here = threading.local()
+_all: weakref.WeakSet[Worker] = weakref.WeakSet()
+
+
+class WorkerEndedError(RuntimeError):
+    """A worker ended, or none could be started: the message says how."""
+
+
+class Worker:
+    """A process that computes one task at a time, started with the first one.
+
+    With `main` it imports the script of this process, of which tasks may have functions then.
+    """
+
+    def __init__(self, main: bool = False) -> None:
+        self.process: subprocess.Popen[bytes] | None = None
+        self._connection: Connection | None = None
+        self._stderr: IO[bytes] | None = None
+        self._main = main
+        _all.add(self)
+
+    def compute(
+        self,
+        function: bytes,
+        task: Any,
+        limit: float | None = None,
+        report: Tell | None = None,
+        stop: threading.Event | None = None,
+    ) -> Any:
+        """The outcome of the pickled `function(task, tell, stopped)` of a task.
+
+        Raises WorkerEndedError where it ends its process, TimeoutError where it takes longer than the limit, and what
+        the function raises.
+        """
+        try:
+            self._given(function, task)
+            kind, value = self._answer(limit, report, stop)
+        except TimeoutError:
+            self.end()
+            raise
+        except (EOFError, OSError) as error:
+            raise WorkerEndedError(self._how_it_ended(error)) from error
+        if kind == ERROR:
+            raise value
+        return value
+
+    def _answer(self, limit: float | None, report: Tell | None, stop: threading.Event | None) -> tuple[int, Any]:
+        """The outcome of a task that was taken, or what it raised."""
+        connection = self._connected()
+        end = math.inf if limit is None else time.monotonic() + limit
+        while True:
+            left = max(end - time.monotonic(), 0.0)
+            if connection.poll(None if stop is None and limit is None else min(left, POLL_SECONDS)):
+                kind, value = connection.recv()
+                if kind != REPORT:
+                    return kind, value
+                if report is not None:
+                    report(value)
+            elif left == 0.0:
+                raise TimeoutError(f"took longer than {limit:g} s")
+            elif stop is not None and stop.is_set():
+                connection.send_bytes(STOP)
+                stop = None
+
+    def _given(self, function: bytes, task: Any) -> None:
+        """Hand a task to the process; raises EOFError or OSError where none takes it."""
+        for attempt in range(MOST_STARTS):
+            try:
+                connection = self._connected()
+                connection.send_bytes(function)
+                if connection.poll(START_LIMIT) and connection.recv_bytes() == READY:
+                    connection.send(task)
+                    return
+            except (EOFError, OSError):
+                if attempt + 1 == MOST_STARTS:
+                    raise
+                self.end()
+        raise EOFError
+
+    def _connected(self) -> Connection:
+        if self._connection is not None:
+            return self._connection
+        here, there = Pipe()
+        package = str(Path(casadi_skin.__file__).parents[1])
+        paths = [package, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
+        main = None
+        if self._main:
+            main = {k: v for k, v in spawn.get_preparation_data("worker").items() if k != "authkey"}
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115  closed by `end`
+        with there:
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", PROGRAM.format(there.fileno(), os.getpid())],
+                pass_fds=(there.fileno(),), stdin=subprocess.DEVNULL, stderr=self._stderr,
+                env={**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join(paths)},
+            )  # fmt: skip
+        here.send(main)
+        self._connection = here
+        return here
+
+    def _how_it_ended(self, error: BaseException) -> str:
+        """Reason why there is no result, in words; the rest of the process ends."""
+        if self.process is None or self._stderr is None:
+            return f"no worker could be started ({error})"
+        code, last = None, ""
+        with suppress(subprocess.TimeoutExpired):
+            code = self.process.wait(1.0)
+            self._stderr.seek(0)
+            said = self._stderr.read().decode(errors="replace").split("\n")
+            last = next((line.strip() for line in reversed(said) if line.strip()), "")
+        self.end()
+        how = "" if code is None else f" by signal {-code}" if code < 0 else f" with status {code}"
+        return f"its worker ended{how}{': ' + last if last else ''}"
+
+    def end(self) -> None:
+        """End the process; the next task starts another."""
+        ended, self.process = self.process, None
+        if ended is not None:
+            ended.kill()
+            ended.wait()
+        for held in (self._connection, self._stderr):
+            if held is not None:
+                held.close()
+        self._connection = self._stderr = None
+
+
+def in_worker(function: bytes, task: Any, *options: Any) -> Any:
+    """The outcome of a task, computed by the worker of this thread; see `Worker.compute`."""
+    worker = getattr(_here, "worker", None)
+    if worker is None:
+        worker = _here.worker = Worker()
+    return worker.compute(function, task, *options)
+
+
+@atexit.register
+def end_workers() -> None:
+    """End the workers of all threads of this process."""
+    for worker in list(_all):
+        worker.end()
+
+
+class Pool(ThreadPoolExecutor):
+    """Worker processes on this machine, one for each thread, in which tasks call `in_worker`."""
+
+    def __init__(self, workers: int, main: bool = False) -> None:
+        self._workers = list[Worker]()
+
+        def begin() -> None:
+            _here.worker = Worker(main)
+            self._workers.append(_here.worker)
+
+        super().__init__(workers, "casadi_skin", begin)
+
+    def close(self) -> None:
+        """End all workers, and what they compute."""
+        self.shutdown(wait=False, cancel_futures=True)
+        for worker in self._workers:
+            worker.end()
+        self.shutdown(wait=True)
+
+
+# Searches: starts shared by workers -----------------------------------------------------------------------------------
+
 ENDED_EARLY = 'search: a process ended early; in a script, parallel searches go below if __name__ == "__main__":'
 
 
@@ -101,53 +356,61 @@ class Runner:
                 self.report(SearchProgress(*where))
 
     def _ended(self, solve: Solve, jobs: Sequence[Any]) -> Generator[Any]:
+        function, many = partial(_solved, solve, len(jobs)), len(jobs)
         if self.executor is not None:
-            yield from self._elsewhere(solve, jobs, self.executor, None)
-        elif self.workers > 1 and len(jobs) > 1:
-            count = min(self.workers, len(jobs))
-            made = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_begin_process)
-            with _sharing() as shared, made:
-                yield from self._elsewhere(solve, jobs, made, shared)
+            data = pickle.dumps(function)
+            yield from self._elsewhere({self.executor.submit(_in_executor, data, job) for job in jobs})
+        elif self.workers > 1 and many > 1:
+            data, reports, stop = pickle.dumps(function), SimpleQueue[SearchProgress](), threading.Event()
+            pool = Pool(min(self.workers, many), main=True)
+            try:
+                waiting = {pool.submit(_in_pool, data, job, reports.put, stop) for job in jobs}
+                yield from self._elsewhere(waiting, reports, stop)
+            finally:
+                pool.close()
         else:
             for done, job in enumerate(jobs):
                 if self.interrupted:
                     return
-                where = partial(SearchProgress, job.number, len(jobs), done, name=job.name)
-                yield solve(job, _monitor(where, self.report, lambda: self.interrupted))
+                yield function(job, self.report, lambda: self.interrupted, done, 0.0)
 
     def _elsewhere(
-        self, solve: Solve, jobs: Sequence[Any], executor: Executor, shared: _Shared | None
+        self,
+        waiting: set[Future[Any]],
+        reports: SimpleQueue[SearchProgress] | None = None,
+        stop: threading.Event | None = None,
     ) -> Generator[Any]:
-        data, done = pickle.dumps(solve), 0
-        waiting: set[Future[Any]] = {executor.submit(_work, data, job, len(jobs), shared) for job in jobs}
+        """Outcomes of starts in other processes, which report and can be stopped where these are of our own."""
+        done = 0
         try:
             while waiting:
                 ended, waiting = wait(waiting, timeout=POLL_SECONDS, return_when=FIRST_COMPLETED)
-                for progress in _reports(shared):
-                    if self.report is not None:
-                        self.report(replace(progress, done=done))
+                with suppress(Empty):
+                    while reports is not None:
+                        progress = replace(reports.get_nowait(), done=done)
+                        if self.report is not None:
+                            self.report(progress)
                 for result in (future.result() for future in ended):
                     if result is not None:
                         done += 1
                         yield result
                 if self.interrupted:
                     waiting = {future for future in waiting if not future.cancel()}
-                    if shared is None:
+                    if stop is None:
                         return
-                    shared.stop.set()
-        except BrokenProcessPool as error:
+                    stop.set()
+        except (BrokenProcessPool, WorkerEndedError) as error:
             raise RuntimeError(ENDED_EARLY) from error
         finally:
             for future in waiting:
                 future.cancel()
-            if shared is not None and waiting:
-                shared.stop.set()
 
 
-def _monitor(
-    where: Callable[..., SearchProgress], report: Report | None, stop: Callable[[], bool], every: float = 0.0
-) -> Monitor:
-    """Reports an iteration, and returns whether to stop, once in `every` seconds."""
+def _solved(
+    solve: Solve, starts: int, job: Any, tell: Tell | None, stopped: Callable[[], bool], done: int = 0,
+    every: float = POLL_SECONDS,
+) -> Any:  # fmt: skip
+    """Solve a start; its iterations are reported, and stopped, once in `every` seconds."""
     last = time.monotonic()
 
     def monitor(iteration: int, objective: float, violation: float) -> bool:
@@ -155,75 +418,21 @@ def _monitor(
         if time.monotonic() - last < every:
             return False
         last = time.monotonic()
-        if report is not None:
-            report(where(iteration, objective, violation))
-        return stop()
+        if tell is not None:
+            tell(SearchProgress(job.number, starts, done, iteration, objective, violation, job.name))
+        return stopped()
 
-    return monitor
-
-
-# Other processes ------------------------------------------------------------------------------------------------------
+    return solve(job, monitor)
 
 
-@dataclass(frozen=True)
-class _Shared:
-    """Proxies that processes share: a queue of their reports, and an event that stops them."""
-
-    reports: Any
-    stop: Any
+def _in_pool(function: bytes, job: Any, report: Tell, stop: threading.Event) -> Any:
+    """Solve one start in the worker of this thread; None where the search was stopped before."""
+    return None if stop.is_set() else in_worker(function, job, None, report, stop)
 
 
-def _begin_process() -> None:
-    """Prepare a new process: it ends with its parent, also where that is killed."""
-    _ignore_interrupts()
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _ignore_interrupts() -> None:
-    """Leave Ctrl-C, which every process of a terminal receives, to the one that waits."""
+def _in_executor(function: bytes, job: Any) -> Any:
+    """Solve one start in a process of the caller's."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-@contextmanager
-def _sharing() -> Iterator[_Shared]:
-    """The shared queue and event of a block; raises RuntimeError where no process can be started."""
-    manager = SyncManager(ctx=get_context("spawn"))
-    try:
-        manager.start(_begin_process)
-    except EOFError as error:
-        raise RuntimeError(ENDED_EARLY) from error
-    with manager:
-        yield _Shared(manager.Queue(), manager.Event())
-
-
-@lru_cache(maxsize=1)
-def unpickled(solve: bytes) -> Any:
-    """The pickled function; kept, so that later starts use the functions that its object built for the first one."""
-    return pickle.loads(solve)
-
-
-def _work(solve: bytes, job: Any, starts: int, shared: _Shared | None) -> Any:
-    """Solve one start in another process; None where the search was stopped before."""
-    _ignore_interrupts()
-    if shared is not None and shared.stop.is_set():
-        return None
-    where = partial(SearchProgress, job.number, starts, 0, name=job.name)
-    monitor = None if shared is None else _monitor(where, shared.reports.put, shared.stop.is_set, POLL_SECONDS)
     with one_thread(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # they would be printed by a worker process
-        return unpickled(solve)(job, monitor)
-
-
-def _reports(shared: _Shared | None) -> Iterator[SearchProgress]:
-    while shared is not None:
-        try:
-            yield shared.reports.get_nowait()
-        except queue.Empty:
-            return
+        warnings.simplefilter("ignore")
+        return unpickled(function)(job, None, bool)

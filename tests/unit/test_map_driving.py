@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from maps import TINY, of_models
 
 from casadi_skin.runs import map as driving
 from casadi_skin.runs.map import Drive, Engine, Mapped
-from casadi_skin.runs.map_cell import Job
+from casadi_skin.runs.map_cell import Computer, Job
 from casadi_skin.runs.map_grid import FAILED, LATE, Grid, Result, Row, Task, plain
 from casadi_skin.runs.map_store import Store
-from casadi_skin.runs.pool import Worker
 from casadi_skin.runs.program import main
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.reading import parse_scene
 from casadi_skin.runs.scene import Scene
+from casadi_skin.solve.processes import Worker
 
 EQUILIBRIUM = """[model]
 file = "models.py"
@@ -43,13 +43,12 @@ class Now(Executor):
         self.result, self.tasks, self.limits = result, list[Task](), list[float | None]()
 
     def submit(self, function: Any, /, *given: Any, **named: Any) -> Future[Any]:
-        _, data, limit = given
-        task = msgspec.msgpack.decode(data, type=Task)
+        _, task, limit = given
         attempt = 1 + sum(task.cells == before.cells for before in self.tasks)
         self.tasks.append(task)
         self.limits.append(limit)
         future: Future[Any] = Future()
-        future.set_result(msgspec.msgpack.encode(self.result(task, attempt)))
+        future.set_result(self.result(task, attempt))
         return future
 
 
@@ -176,7 +175,7 @@ def test_what_is_left_is_estimated_from_what_cells_took(tmp_path: Path, monkeypa
 
 def test_the_growth_that_counts_goes_to_the_cells(tmp_path: Path) -> None:
     text = TINY.replace("[accuracy]", "[stability]\n[accuracy]") + "growth = 0.25\n"
-    assert Mapped.of(text, tmp_path / "scene.toml").job.growth == 0.25
+    assert Mapped.of(text, tmp_path / "scene.toml").computer.job.growth == 0.25
 
 
 @pytest.mark.parametrize(
@@ -214,13 +213,12 @@ def test_a_worker_that_ended_between_two_tasks_is_started_again(tmp_path: Path) 
     path = of_models(tmp_path, ["good"])
     scene = parse_scene(path.read_text(encoding="utf-8"))
     grid, worker = Grid.of(scene), Worker()
-    job = msgspec.msgpack.encode(Job(plain(scene), str(path)))
-    task = msgspec.msgpack.encode(next(grid.tasks(grid.coarsest)))
+    computer, task = pickle.dumps(Computer(Job(plain(scene), str(path)))), next(grid.tasks(grid.coarsest))
     results = []
     for _ in range(2):
-        results.append(msgspec.msgpack.decode(worker.compute(job, task, None), type=Result))
-        assert worker._process is not None
-        os.kill(worker._process.pid, signal.SIGKILL)
-        worker._process.wait()
+        results.append(worker.compute(computer, task))
+        assert worker.process is not None
+        os.kill(worker.process.pid, signal.SIGKILL)
+        worker.process.wait()
     assert [(result.kind, result.reason) for result in results] == [("", "")] * 2
     worker.end()

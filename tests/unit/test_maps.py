@@ -332,8 +332,6 @@ MANY = """
 import sys, threading, time
 from concurrent.futures import Executor, Future
 from pathlib import Path
-import msgspec
-from casadi_skin.runs.map_grid import Task
 from casadi_skin.runs.map_grid import Result, Row
 from casadi_skin.runs.map import run_map
 from casadi_skin.results.journal import os
@@ -342,9 +340,8 @@ words = {f"quantity_{k}": float(k) for k in range(30)}
 meanings, peak = dict.fromkeys(words, "a number"), 0
 
 def compute(job, task, limit):
-    cells = msgspec.msgpack.decode(task, type=Task).cells
-    rows = tuple(Row({**words, "end": "reached", "Omega": float(cell)}) for cell in cells)
-    return msgspec.msgpack.encode(Result(rows, seconds=1.0, meanings=meanings))
+    rows = tuple(Row({**words, "end": "reached", "Omega": float(cell)}) for cell in task.cells)
+    return Result(rows, seconds=1.0, meanings=meanings)
 
 class Now(Executor):
     def submit(self, function, *given, **named):
