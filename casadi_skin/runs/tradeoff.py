@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import groupby
 from math import nan
@@ -43,6 +43,7 @@ from casadi_skin.zero.family import Method, Targets
 from casadi_skin.zero.request import FamilyRequest, family_request
 
 Result = TypeVar("Result")
+Multipliers = tuple[ComplexArray, float]  # mu of an orbit, and the largest estimated error over max(1, |mu|)
 
 MEASURED_TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 QUICK_TOLERANCES = (1e-4, 1e-8, 1e-12)
@@ -133,25 +134,22 @@ class Errors(NamedTuple):
         return max((value for value in errors if value == value), default=nan)
 
 
-class Computation:
-    """A family by one setting, whose problems are built when they are first used and then kept."""
+def followed(space: Family, stability: bool = False) -> tuple[Branch, list[Orbit]]:
+    """A family to its end, and its requested orbits; raises ArithmeticError where it has not all of them.
 
-    def __init__(self, request: FamilyRequest) -> None:
-        self.space = Family(request)
+    Its problems are built when they are first used, and kept by the space.
+    """
+    branch = run_following(Following(space, stability), None)
+    if not branch.complete:
+        raise ArithmeticError(branch.reason)
+    return branch, [orbit for orbit in branch.orbits if orbit.point.requested]
 
-    def follow(self, stability: bool = False) -> tuple[Branch, list[Orbit]]:
-        """The family to its end, and its requested orbits; raises ArithmeticError where it has not all of them."""
-        branch = run_following(Following(self.space, stability), None)
-        if not branch.complete:
-            raise ArithmeticError(branch.reason)
-        return branch, [orbit for orbit in branch.orbits if orbit.point.requested]
 
-    def multipliers(self, orbits: Sequence[Orbit]) -> list[tuple[ComplexArray, float]]:
-        """mu of each orbit by the flow of the setting, and the largest estimated error over max(1, |mu|)."""
-        states = [OrbitState(orbit.point.problem, orbit.point.z) for orbit in orbits]
-        symplectic, space = self.space.coordinates.symplectic, self.space
-        found = floquets(space.flow, states, space.accelerations, space.tolerance, symplectic)
-        return [(f.mu, float(np.max(f.mu_error / np.maximum(1.0, np.abs(f.mu)), initial=0.0))) for f in found]
+def multipliers_of(space: Family, orbits: Sequence[Orbit]) -> list[Multipliers]:
+    """mu of each orbit by the flow of a family, and the largest estimated error over max(1, |mu|)."""
+    states = [OrbitState(orbit.point.problem, orbit.point.z) for orbit in orbits]
+    found = floquets(space.flow, states, space.accelerations, space.tolerance, space.coordinates.symplectic)
+    return [(f.mu, float(np.max(f.mu_error / np.maximum(1.0, np.abs(f.mu)), initial=0.0))) for f in found]
 
 
 def paired(values: ComplexArray, others: ComplexArray) -> ComplexArray:
@@ -172,43 +170,41 @@ class Reference:
         own, walker = str(family.method.transcription), str(family.method.walker)
         first = Setting(Kind.ORBITS, TIGHTEST_TOLERANCE, own, walker, "newton")
         second = replace(first, transcription="gauss" if own == TRIGONOMETRIC else "radau", walker="arclength")
-        self._computation = Computation(first.of(family))
-        self.orbits = self._computation.follow()[1]
+        self._space = Family(first.of(family))
+        self.orbits = followed(self._space)[1]
         self.mu = self.multipliers(self.orbits)
-        others = Computation(second.of(family)).follow()[1]
-        differences = [self._errors(*each) for each in self._beside(others, self.multipliers(others))]
-        estimates = [estimate for _, estimate in self.mu]
-        self.differences = [e._replace(mu=max(e.mu, mu)) for e, mu in zip(differences, estimates, strict=True)]
+        others = followed(Family(second.of(family)))[1]
+        differences = self._differences(others, self.multipliers(others))
+        self.differences = [e._replace(mu=max(e.mu, mu)) for e, (_, mu) in zip(differences, self.mu, strict=True)]
 
     @property
     def agreement(self) -> Errors:
         """Largest differences between the two transcriptions; of mu at least the estimated error."""
         return _largest(self.differences)
 
-    def multipliers(self, orbits: Sequence[Orbit]) -> list[tuple[ComplexArray, float]]:
+    def multipliers(self, orbits: Sequence[Orbit]) -> list[Multipliers]:
         """mu of orbits by the flow at the tightest tolerance."""
-        if positions(self._computation.space.request) == 1:
+        if positions(self._space.request) == 1:
             return [(np.zeros(0, complex), 0.0)] * len(orbits)
-        return self._computation.multipliers(orbits)
+        return multipliers_of(self._space, orbits)
 
-    def errors_of(self, orbits: Sequence[Orbit], multipliers: Sequence[tuple[ComplexArray, float]]) -> Errors:
+    def errors_of(self, orbits: Sequence[Orbit], multipliers: Sequence[Multipliers]) -> Errors:
         """Largest true errors of orbits and of mu; raises ArithmeticError where they are not at the same S."""
         if [orbit.S for orbit in orbits] != [orbit.S for orbit in self.orbits]:
             raise ArithmeticError(f"{len(orbits)} points at the S asked for; the reference has {len(self.orbits)}")
-        return _largest([self._errors(*each) for each in self._beside(orbits, multipliers)])
+        return _largest(self._differences(orbits, multipliers))
 
-    def _beside(self, orbits: Sequence[Orbit], multipliers: Sequence[tuple[ComplexArray, float]]) -> Iterator[Any]:
+    def _differences(self, orbits: Sequence[Orbit], multipliers: Sequence[Multipliers]) -> list[Errors]:
+        """Differences of each orbit and its mu from those of the reference."""
+        found, phases = list[Errors](), np.linspace(0.0, 0.5 * np.pi, PROFILE_PHASES)
         for orbit, (mu, _), exact, (known, _) in zip(orbits, multipliers, self.orbits, self.mu, strict=True):
-            yield orbit, mu, exact, known
-
-    @staticmethod
-    def _errors(orbit: Orbit, mu: ComplexArray, exact: Orbit, known: ComplexArray) -> Errors:
-        phases = np.linspace(0.0, 0.5 * np.pi, PROFILE_PHASES)
-        right = exact.evaluate(phases / exact.Omega)
-        profile = np.max(np.abs(orbit.evaluate(phases / orbit.Omega) - right)) / np.max(np.abs(right))
-        both = mu.size == known.size > 0
-        off = np.abs(paired(known, mu) - known) / np.maximum(1.0, np.abs(known)) if both else np.array([nan])
-        return Errors(abs(orbit.Omega / exact.Omega - 1.0), float(profile), float(np.max(off)))
+            right = exact.evaluate(phases / exact.Omega)
+            profile = float(np.max(np.abs(orbit.evaluate(phases / orbit.Omega) - right)) / np.max(np.abs(right)))
+            off = nan
+            if mu.size == known.size > 0:
+                off = float(np.max(np.abs(paired(known, mu) - known) / np.maximum(1.0, np.abs(known))))
+            found.append(Errors(abs(orbit.Omega / exact.Omega - 1.0), profile, off))
+        return found
 
     def rows(self) -> Iterator[dict[str, object]]:
         """Rows of reference.csv: each orbit and how far that of the second transcription is from it."""
@@ -242,9 +238,7 @@ class Measured:
     memory_MB: float = nan
     unknowns: int = 0
     points: int = 0
-    Omega_error: float = nan
-    profile_error: float = nan
-    mu_error: float = nan
+    errors: Errors = field(default=Errors(nan, nan))
     processor_share: float = nan
     at_reference_round_off: bool = False
     told: bool = False
@@ -253,19 +247,21 @@ class Measured:
     @property
     def error(self) -> float:
         """The largest error that the tolerance bounds."""
-        return Errors(self.Omega_error, self.profile_error, self.mu_error).bounded_by(self.setting.kind)
+        return self.errors.bounded_by(self.setting.kind)
 
     def row(self) -> dict[str, object]:
         """Cells by column."""
         unused = {Kind.ORBITS: ("flow",), Kind.FLOW: ("transcription", "walker", "corrector")}
-        method = {"method": self.setting.method}
-        return {**vars(self.setting), **method, **vars(self), **dict.fromkeys(unused.get(self.setting.kind, ()))}
+        known = {**vars(self.setting), "method": self.setting.method, **vars(self)}
+        known |= {f"{name}_error": error for name, error in self.errors._asdict().items()}
+        return {**known, **dict.fromkeys(unused.get(self.setting.kind, ()))}
 
 
 COLUMNS = (
-    *("kind", "method", "transcription", "walker", "corrector", "flow", "tolerance"),
-    *(field.name for field in fields(Measured) if field.name != "setting"),
-)
+    "kind", "method", "transcription", "walker", "corrector", "flow", "tolerance", "seconds", "seconds_min",
+    "seconds_max", "building_seconds", "memory_MB", "unknowns", "points", "Omega_error", "profile_error", "mu_error",
+    "processor_share", "at_reference_round_off", "told", "failure",
+)  # fmt: skip
 
 
 def timed(act: Callable[[], Result], repeats: int) -> tuple[Result, dict[str, float]]:
@@ -288,17 +284,16 @@ def timed(act: Callable[[], Result], repeats: int) -> tuple[Result, dict[str, fl
 
 def measure(family: FamilyRequest, setting: Setting, reference: Reference, repeats: int) -> Measured:
     """Cost but for memory, and true errors, of a setting; a failure is its reason in a line in place of a result."""
-    by_flow = setting.kind is Kind.FLOW
     try:
-        computation = Computation(setting.of(family))
-        if by_flow:
-            mu, times = timed(lambda: computation.multipliers(reference.orbits), repeats)
+        space = Family(setting.of(family))
+        if setting.kind is Kind.FLOW:
+            mu, times = timed(lambda: multipliers_of(space, reference.orbits), repeats)
             errors = Errors(nan, nan, reference.errors_of(reference.orbits, mu).mu)
             size, points = (2 * positions(family)) ** 2, len(mu)
             told = any(estimate > setting.tolerance for _, estimate in mu)
         else:
             stability = setting.kind is Kind.PRESET
-            (branch, orbits), times = timed(lambda: computation.follow(stability), repeats)
+            (branch, orbits), times = timed(lambda: followed(space, stability), repeats)
             own = stability and positions(family) > 1
             mu = [(orbit.floquet().mu, 0.0) for orbit in orbits] if own else reference.multipliers(orbits)  # type: ignore[attr-defined]
             errors = reference.errors_of(orbits, mu)
@@ -306,17 +301,16 @@ def measure(family: FamilyRequest, setting: Setting, reference: Reference, repea
             told = any(orbit.point.at_round_off for orbit in orbits)
     except ArithmeticError as error:
         return Measured(setting, failure=" ".join(str(error).split()))
-    shown = [max(error, SMALLEST_ERROR) if error == error else error for error in errors]
     marked = errors.bounded_by(setting.kind) <= reference.agreement.bounded_by(setting.kind)
-    measured = Measured(setting, unknowns=size, points=points, at_reference_round_off=marked, told=told)
-    true: dict[str, Any] = dict(zip(("Omega_error", "profile_error", "mu_error"), shown, strict=True))
-    return replace(measured, **{**times, **true})
+    shown = Errors(*(max(error, SMALLEST_ERROR) if error == error else error for error in errors))
+    found = Measured(setting, unknowns=size, points=points, errors=shown, at_reference_round_off=marked, told=told)
+    return replace(found, **times)  # type: ignore[arg-type]
 
 
 def peak_memory(family: FamilyRequest | None = None, stability: bool = False) -> float:
     """Peak resident memory of this process in MB, once it has followed a family; nan where no system reports it."""
     if family is not None:
-        Computation(family).follow(stability)
+        followed(Family(family), stability)
     status = Path("/proc/self/status")  # getrusage counts the memory of the process that started this one, too
     if status.exists():
         lines = dict(line.split(":", 1) for line in status.read_text(encoding="utf-8").splitlines() if ":" in line)
@@ -490,8 +484,7 @@ def preset_words(preset: Measured) -> str:
     start, tolerance = f"`{preset.setting.name}` ({preset.setting.tolerance:.0e}): ", preset.setting.tolerance
     if preset.failure:
         return f"{start}{preset.failure}."
-    errors = {"Omega": preset.Omega_error, "profile": preset.profile_error, "mu": preset.mu_error}
-    known = ", ".join(f"{name} {error:.1e}" for name, error in errors.items() if error == error)
+    known = ", ".join(f"{name} {error:.1e}" for name, error in preset.errors._asdict().items() if error == error)
     kept = "kept" if preset.error <= tolerance else f"missed by a factor {preset.error / tolerance:.2g}"
     cost = f"{duration(preset.seconds)} with multipliers and {preset.points} points"
     return f"{start}{cost}; true errors {known}; the tolerance is {kept}."
@@ -547,7 +540,7 @@ def table(measured: Sequence[Measured]) -> list[str]:
             duration(m.building_seconds),
             f"{m.memory_MB:.0f} MB" if m.memory_MB == m.memory_MB else "",
             f"{m.unknowns}",
-            *("" if value != value else f"{value:.1e}" for value in (m.Omega_error, m.profile_error, m.mu_error)),
+            *("" if value != value else f"{value:.1e}" for value in m.errors),
         )
         lines.append(f"| {' | '.join(cells)} |")
     return lines
@@ -617,7 +610,7 @@ def _draw(axes: Axes, measured: Sequence[Measured], kind: Kind, known: Errors) -
         axes.step(*steps.T, where="post", color="0.75", lw=5.0, label="Pareto front", zorder=1, solid_capstyle="round")
     label = "preset, orbits and multipliers"
     for m in (m for m in measured if m.setting.kind is Kind.PRESET and not m.failure):
-        error = Errors(m.Omega_error, m.profile_error, m.mu_error).bounded_by(kind)
+        error = m.errors.bounded_by(kind)
         if error == error:
             star: dict[str, Any] = {"ms": 11, "mfc": "black", "mec": "white", "mew": 0.8}
             axes.plot(m.seconds, error, "*", label=label, zorder=6, **star)

@@ -11,11 +11,11 @@ import pytest
 from outputs import read_rows
 
 from casadi_skin import Chain
+from casadi_skin.follow.family import Family
 from casadi_skin.runs.tradeoff import (
     COLUMNS,
     MEASURED_TOLERANCES,
     QUICK_TOLERANCES,
-    Computation,
     Errors,
     Kind,
     Measured,
@@ -26,10 +26,12 @@ from casadi_skin.runs.tradeoff import (
     advices,
     broken_promises,
     busy,
+    followed,
     front_of,
     front_words,
     measure,
     memory_of,
+    multipliers_of,
     paired,
     pareto_front,
     peak_memory,
@@ -49,17 +51,17 @@ KNOWN = Errors(1e-15, 2e-15, 3e-15)
 def orbits(transcription: str, walker: str, tolerance: float, seconds: float, error: float) -> Measured:
     setting = Setting(Kind.ORBITS, tolerance, transcription, walker, "newton")
     times = (seconds, 0.95 * seconds, 1.05 * seconds, 0.1)
-    return Measured(setting, *times, 50.0, 10, 40, error, error, error, 1.0)
+    return Measured(setting, *times, 50.0, 10, 40, Errors(error, error, error), 1.0)
 
 
 def flow(name: str, tolerance: float, seconds: float, error: float) -> Measured:
     setting = Setting(Kind.FLOW, tolerance, "trigonometric", "series", flow=name)
-    return Measured(setting, seconds, 0.9 * seconds, 1.1 * seconds, 0.1, 50.0, 16, 2, nan, nan, error, 1.0)
+    return Measured(setting, seconds, 0.9 * seconds, 1.1 * seconds, 0.1, 50.0, 16, 2, Errors(nan, nan, error), 1.0)
 
 
 def preset(seconds: float, error: float) -> Measured:
     setting = Setting(Kind.PRESET, 1e-8, "trigonometric", "arclength", name="standard")
-    return Measured(setting, seconds, seconds, seconds, 0.0, 60.0, 10, 40, error, error, error, 1.0)
+    return Measured(setting, seconds, seconds, seconds, 0.0, 60.0, 10, 40, Errors(error, error, error), 1.0)
 
 
 def made() -> list[Measured]:
@@ -236,9 +238,9 @@ def test_reference_and_the_method_that_confirms_it_agree(reference: Reference) -
         assert exact.Omega_error(orbit.Omega) <= max(reference.agreement.Omega, 4e-16) * orbit.Omega
         assert exact.profile_error(orbit) < 1e-13
         np.testing.assert_allclose(paired(exact_mu(exact)[0], mu), mu, atol=reference.agreement.mu)
-    computation = Computation(Setting(Kind.ORBITS, 1e-6, "trigonometric", "series", "newton").of(FAMILY))
-    _, found = computation.follow()
-    mu = computation.multipliers(found)
+    space = Family(Setting(Kind.ORBITS, 1e-6, "trigonometric", "series", "newton").of(FAMILY))
+    _, found = followed(space)
+    mu = multipliers_of(space, found)
     assert 1e-13 < max(reference.errors_of(found, mu)) < 1e-6
     with pytest.raises(ArithmeticError, match="1 points"):
         reference.errors_of(found[:1], mu[:1])
@@ -257,7 +259,7 @@ def test_a_setting_is_measured_and_a_failure_is_a_line(reference: Reference) -> 
     quick = measure(FAMILY, Setting(Kind.ORBITS, 1e-4, "gauss", "arclength"), reference, 1)
     assert 0 < quick.seconds_min <= quick.seconds <= quick.seconds_max
     assert 0 < quick.error < 1e-4
-    assert 0 < quick.mu_error < 1e-3
+    assert 0 < quick.errors.mu < 1e-3
     soft = family_request(Chain(1, 1.0, 0.0, -1.0), 1, 5.0, at=(1.0,))  # beyond S = 3 there is no orbit
     failed = measure(soft, Setting(Kind.ORBITS, 1e-4, "gauss", "arclength", "newton"), reference, 1)
     assert failed.failure
