@@ -9,57 +9,57 @@ from casadi_skin._version import __version__
 from casadi_skin.model.result import Result
 
 if TYPE_CHECKING:
-    from casadi_skin.dynamics.evolve import simulate
-    from casadi_skin.export.c_code import export_c
-    from casadi_skin.fmu.archive import export_fmu
-    from casadi_skin.fmu.model import import_fmu
-    from casadi_skin.follow.branch import Branch
-    from casadi_skin.follow.find import find_equilibria, find_equilibrium, find_orbit
-    from casadi_skin.follow.follow import follow_family
-    from casadi_skin.follow.orbit import Orbit
-    from casadi_skin.lattice.chain import Chain
-    from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
-    from casadi_skin.lattice.long_lattice import LongLattice
-    from casadi_skin.model.conserved import SymmetryClass
-    from casadi_skin.model.ode import OdeModel
-    from casadi_skin.model.saved import read_model, save_model
-    from casadi_skin.optimise.kick import smallest_kick
-    from casadi_skin.optimise.search_orbit import search_orbit
-    from casadi_skin.results.saving import read_result, save_result
-    from casadi_skin.runs.map import run_map
-    from casadi_skin.runs.map_result import read_map
-    from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
+    from casadi_skin.dynamics.evolve import simulate as simulate
+    from casadi_skin.export.c_code import export_c as export_c
+    from casadi_skin.fmu.archive import export_fmu as export_fmu
+    from casadi_skin.fmu.model import import_fmu as import_fmu
+    from casadi_skin.follow.branch import Branch as Branch
+    from casadi_skin.follow.find import find_equilibria as find_equilibria
+    from casadi_skin.follow.find import find_equilibrium as find_equilibrium
+    from casadi_skin.follow.find import find_orbit as find_orbit
+    from casadi_skin.follow.follow import follow_family as follow_family
+    from casadi_skin.follow.orbit import Orbit as Orbit
+    from casadi_skin.lattice.chain import Chain as Chain
+    from casadi_skin.lattice.lattice import Bond as Bond
+    from casadi_skin.lattice.lattice import Lattice as Lattice
+    from casadi_skin.lattice.lattice import Site as Site
+    from casadi_skin.lattice.lattice import Uniform as Uniform
+    from casadi_skin.lattice.long_lattice import LongLattice as LongLattice
+    from casadi_skin.model.conserved import SymmetryClass as SymmetryClass
+    from casadi_skin.model.ode import OdeModel as OdeModel
+    from casadi_skin.model.saved import read_model as read_model
+    from casadi_skin.model.saved import save_model as save_model
+    from casadi_skin.optimise.kick import smallest_kick as smallest_kick
+    from casadi_skin.optimise.search_orbit import search_orbit as search_orbit
+    from casadi_skin.results.saving import read_result as read_result
+    from casadi_skin.results.saving import save_result as save_result
+    from casadi_skin.runs.map import run_map as run_map
+    from casadi_skin.runs.map_result import read_map as read_map
+    from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem as BoundaryValueProblem
 
-__all__ = [
-    "Bond",
-    "BoundaryValueProblem",
-    "Branch",
-    "Chain",
-    "Lattice",
-    "LongLattice",
-    "OdeModel",
-    "Orbit",
-    "Site",
-    "SymmetryClass",
-    "Uniform",
-    "__version__",
-    "export_c",
-    "export_fmu",
-    "find_equilibria",
-    "find_equilibrium",
-    "find_orbit",
-    "follow_family",
-    "import_fmu",
-    "read_map",
-    "read_model",
-    "read_result",
-    "run_map",
-    "save_model",
-    "save_result",
-    "search_orbit",
-    "simulate",
-    "smallest_kick",
-]
+PLACES = {  # modules of public names, each imported when one of its names is first used
+    "dynamics.evolve": ("simulate",),
+    "export.c_code": ("export_c",),
+    "fmu.archive": ("export_fmu",),
+    "fmu.model": ("import_fmu",),
+    "follow.branch": ("Branch",),
+    "follow.find": ("find_equilibria", "find_equilibrium", "find_orbit"),
+    "follow.follow": ("follow_family",),
+    "follow.orbit": ("Orbit",),
+    "lattice.chain": ("Chain",),
+    "lattice.lattice": ("Bond", "Lattice", "Site", "Uniform"),
+    "lattice.long_lattice": ("LongLattice",),
+    "model.conserved": ("SymmetryClass",),
+    "model.ode": ("OdeModel",),
+    "model.saved": ("read_model", "save_model"),
+    "optimise.kick": ("smallest_kick",),
+    "optimise.search_orbit": ("search_orbit",),
+    "results.saving": ("read_result", "save_result"),
+    "runs.map": ("run_map",),
+    "runs.map_result": ("read_map",),
+    "zero.boundary_value_problem": ("BoundaryValueProblem",),
+}
+__all__ = ["__version__", *sorted(name for names in PLACES.values() for name in names)]
 
 VERBS = {  # of classes by name: each a method, and the function that it is, "module:function"
     "Result": {
@@ -106,35 +106,7 @@ Result.bind(VERBS)
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that reading a scene or `--help` does not load CasADi."""
-    places = {
-        "Bond": "lattice.lattice",
-        "BoundaryValueProblem": "zero.boundary_value_problem",
-        "Branch": "follow.branch",
-        "Chain": "lattice.chain",
-        "Lattice": "lattice.lattice",
-        "LongLattice": "lattice.long_lattice",
-        "OdeModel": "model.ode",
-        "Orbit": "follow.orbit",
-        "Site": "lattice.lattice",
-        "SymmetryClass": "model.conserved",
-        "Uniform": "lattice.lattice",
-        "export_c": "export.c_code",
-        "export_fmu": "fmu.archive",
-        "find_equilibria": "follow.find",
-        "find_equilibrium": "follow.find",
-        "find_orbit": "follow.find",
-        "follow_family": "follow.follow",
-        "import_fmu": "fmu.model",
-        "read_map": "runs.map_result",
-        "read_model": "model.saved",
-        "run_map": "runs.map",
-        "read_result": "results.saving",
-        "save_model": "model.saved",
-        "save_result": "results.saving",
-        "simulate": "dynamics.evolve",
-        "search_orbit": "optimise.search_orbit",
-        "smallest_kick": "optimise.kick",
-    }
-    if name not in places:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"casadi_skin.{places[name]}"), name)
+    for place, names in PLACES.items():
+        if name in names:
+            return getattr(import_module(f"casadi_skin.{place}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

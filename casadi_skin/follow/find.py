@@ -310,7 +310,7 @@ def find_orbit(
     if not isinstance(model, OdeModel):
         raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel")
     turns = rotations_of(model, rotations, truth("symmetric", symmetric))
-    _check_orbit(model, period, select, section, symmetric, cycles, free)
+    check_orbit(model, period, select, section, symmetric, cycles, free)
     first = model.first_order()
     stated = {"section": section, "objective": objective, "running": running}
     section, objective, running = (scalar_of(label, given, first) for label, given in stated.items())
@@ -456,20 +456,22 @@ def guessed_period(guess: Guess, period: float | None) -> float:
     return found
 
 
-def _check_orbit(
+def check_orbit(
     model: OdeModel,
     period: float | None,
-    select: Expression | None,
-    section: Expression | None,
+    select: object,
+    section: object,
     symmetric: bool,
     cycles: int,
-    free: Sequence[str],
+    free: Sequence[str] = (),
 ) -> None:
+    """Raises ValueError and TypeError for conditions and a period that an orbit of the model does not have."""
     whole("cycles", cycles, 1)
     if not isinstance(free, list | tuple):
         raise TypeError(f"free: given {short_repr(free)}; accepted: a list of names of parameters")
     if model.forced:
-        given = [n for n, v in (("period", period), ("section", section)) if v is not None]
+        selects = None if free else select
+        given = [n for n, v in (("period", period), ("select", selects), ("section", section)) if v is not None]
         given += ["symmetric"] if symmetric else []
         if given:
             raise ValueError(f"{given[0]}: given for {model.name}, which is forced; accepted: cycles alone")

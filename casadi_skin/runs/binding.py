@@ -8,18 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec.structs import asdict
 
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.conserved import pinned_components, symmetry_class
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.loading import ModelFileError, call, named, read_source, run_file
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.runs.output import InputError
-from casadi_skin.runs.request import Numbers, Request, chain_of, check_state, lattice_of, state_of, values_of
+from casadi_skin.runs.request import Numbers, Request, check_state, lattice_of, state_of, values_of
 from casadi_skin.runs.rules import SceneError, check_known, refusal, toml_repr
 from casadi_skin.runs.scene import (
     CONSERVED,
     SELECTED,
-    ContinuationTable,
+    TABLES,
     EquilibriumTable,
     LatticeTable,
     ModelTable,
@@ -28,61 +30,43 @@ from casadi_skin.runs.scene import (
 )
 from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
 from casadi_skin.zero.guesses import Guess
-from casadi_skin.zero.orbit import UNFOLDING
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.stated_problem import PERIOD
 
 
-def check_orbit(request: Request, orbit: OrbitTable) -> None:
-    """Raises SceneError for states and parameters that the model does not have, or cannot be closed with."""
-    check_state("[orbit] start", orbit.start, request.ode.state_names)
-    (_check_forced if request.ode.forced else _check_autonomous)(request, orbit)
-    from casadi_skin.follow.find import rotations_of
-
-    try:
-        rotations_of(request.ode, orbit.rotations, orbit.symmetric)
-    except ValueError as error:
-        raise SceneError(f"[orbit] {error}") from None
+IN_SCENES = {  # words of messages about arguments of find_orbit
+    "an expression": "a table with one number",
+    ", symmetric = True or free": " or symmetric = true",
+    "cycles alone": "start, transient and cycles",
+}
 
 
-def _check_forced(request: Request, orbit: OrbitTable) -> None:
-    given = {"period": orbit.period, "select": orbit.select, "section": orbit.section, "symmetric": orbit.symmetric}
-    for name, value in given.items():
-        if value:
-            words = f"with {request.ode.name}, which is forced"
-            raise refusal(f"[orbit] {name}", words, "start, transient and cycles")
+def _check_orbit(request: Request, orbit: OrbitTable) -> None:
+    """Refuse states and conditions that the model does not have, or that an orbit cannot be closed with."""
+    from casadi_skin.follow.find import check_orbit, rotations_of
 
-
-def _check_autonomous(request: Request, orbit: OrbitTable) -> None:
     model = request.ode
-    for name in (PERIOD, UNFOLDING):
-        if name in (*model.parameter_names, *model.state_names):
-            raise refusal("[model]", f"{model.name} with a state or parameter called {name}", "other names")
-    if orbit.cycles != 1:
-        given = f"{orbit.cycles} with {model.name}, which is not forced"
-        raise refusal("[orbit] cycles", given, "1, or a forced model")
-    if orbit.period is None and orbit.transient is None:
+    names = (*model.state_names, *model.outputs)
+    check_state("[orbit] start", orbit.start, model.state_names)
+    conserved = (*model.conserved, *(() if model.hamiltonian is None else (CONSERVED,)))
+    for key, given, known in (("select", orbit.select, (*names, *conserved)), ("section", orbit.section, names)):
+        if given is not None:
+            check_known(f"[orbit] {key}", next(iter(given)), known)
+    try:
+        check_orbit(model, orbit.period, orbit.select, orbit.section, orbit.symmetric, orbit.cycles)
+        rotations_of(model, orbit.rotations, orbit.symmetric)
+    except ValueError as error:
+        words = str(error)
+        for in_python, in_scenes in IN_SCENES.items():
+            words = words.replace(in_python, in_scenes)
+        raise SceneError(f"[orbit] {words}") from None
+    if not model.forced and orbit.period is None and orbit.transient is None:
         which = "" if orbit.symmetric else " or transient"
         raise SceneError(f"[orbit] period{which}: missing; accepted: with a model that is not forced a number > 0")
-    family = orbit.symmetric or model.hamiltonian is not None or bool(model.conserved)
-    names = (*model.state_names, *model.outputs)
-    if orbit.select is not None:
-        conserved = (*model.conserved, *(() if model.hamiltonian is None else (CONSERVED,)))
-        check_known("[orbit] select", next(iter(orbit.select)), (*names, *conserved))
-        if not family:
-            raise refusal("[orbit] select", f"with {model.name}", "with a hamiltonian, or with symmetric = true")
-    elif family:
-        why = "symmetric" if orbit.symmetric else "conservative"
-        raise SceneError(f"[orbit] select: missing; accepted: a table with one number: {why} orbits come in families")
-    if orbit.section is not None:
-        check_known("[orbit] section", next(iter(orbit.section)), names)
     if orbit.symmetric:
         _check_symmetric(model, orbit)
 
 
 def _check_symmetric(model: OdeModel, orbit: OrbitTable) -> None:
-    if model.reversal is None:
-        raise refusal("[orbit] symmetric", f"true with {model.name}", "true with a model that declares a reversal")
     try:
         first, _ = pinned_components(model, symmetry_class(model))
     except ValueError as error:
@@ -137,13 +121,6 @@ def _guess(given: str | Numbers, path: Path, problem: BoundaryValueProblem, name
 
 
 Files = dict[tuple[Path, str | None], tuple[str, dict[str, Any], Any]]  # text, names and model by file and name
-# Where the arguments of a family are in a scene; those of the chain itself are named after its keys.
-PLACES = {
-    "amplitude_max": "family", "at": "family", "at_Omega": "family", "at_period": "family", "period_max": "family",
-    "max_points": "family", "mode": "family", "transcription": "method", "degree": "method", "corrector": "method",
-    "walker": "method", "flow": "method", "tail": "method", "intervals": "method", "parameters": "model",
-    "sites": "chain", "alpha": "chain", "gamma": "chain", "g": "chain", "tolerance": "accuracy", "certify": "accuracy",
-}  # fmt: skip
 
 
 def bind(scene: Scene, scene_path: Path, files: Files | None = None) -> Request:
@@ -154,10 +131,14 @@ def bind(scene: Scene, scene_path: Path, files: Files | None = None) -> Request:
     """
     if scene.model is not None:
         request = _bound_file(scene, scene.model, scene_path, {} if files is None else files)
+    elif scene.lattice is not None:
+        request = _bound_lattice(scene, scene.lattice)
     else:
-        request = _bound_chain(scene) if scene.lattice is None else _bound_lattice(scene, scene.lattice)
+        assert scene.chain is not None  # one of the three is there
+        chain = asdict(scene.chain)
+        request = Request(scene, Chain(**chain), {name: chain[name] for name in ("alpha", "gamma", "g")})
     if scene.orbit is not None:
-        check_orbit(request, scene.orbit)
+        _check_orbit(request, scene.orbit)
     if scene.equilibrium is not None:
         _check_equilibrium(request, scene.equilibrium)
     _check_continuation(request)
@@ -167,11 +148,6 @@ def bind(scene: Scene, scene_path: Path, files: Files | None = None) -> Request:
     if scene.spectrum is not None:
         check_spectrum(request)
     return request
-
-
-def _bound_chain(scene: Scene) -> Request:
-    chain = chain_of(scene)
-    return Request(scene, chain, {"alpha": chain.alpha, "gamma": chain.gamma, "g": chain.g})
 
 
 def _bound_lattice(scene: Scene, table: LatticeTable) -> Request:
@@ -213,7 +189,9 @@ def _placed(message: str, table: str = "family") -> str:
         return f"[{table}]: {words}"
     if argument == "stability_sites":
         return f"[stability] sites: {words}"
-    return f"[{PLACES[argument]}] {message}" if argument in PLACES else f"[{table}]: {message}"
+    homes = ("family", "method", "accuracy", "chain", "model")
+    home = next((name for name in homes if argument in TABLES[name].__struct_encode_fields__), "")
+    return f"[{home}] {message}" if home else f"[{table}]: {message}"
 
 
 def _check_families(request: Request) -> None:
@@ -307,42 +285,34 @@ def _check_equilibrium(request: Request, table: EquilibriumTable) -> None:
     check_state("[equilibrium] start", table.start, model.state_names)
 
 
-def _check_edges(request: Request, table: ContinuationTable) -> None:
-    """The parameter in which edges of tongues of families are followed."""
-    if table.curve is None:
-        return
-    name, to = table.curve.parameter, table.curve.to
-    check_known("[continuation] curve", name, list(request.parameters))
-    if to == request.parameters[name]:
-        raise refusal("[continuation] curve", f"to = {to!r}, where it starts", "another number")
-    if request.scene.chain is not None and name == "gamma" and abs(to) >= 1:
-        raise refusal("[continuation] curve", f"to = {to!r} for gamma", "numbers between -1 and 1")
-
-
 def _check_continuation(request: Request) -> None:
-    table, values = request.scene.continuation, dict(request.parameters)
+    """Refuse parameters and values that a branch, or a curve in a second parameter, does not come to."""
+    scene, table, values = request.scene, request.scene.continuation, dict(request.parameters)
     if table is None:
         return
-    problem = request.problem
+    problem, family = request.problem, scene.family is not None
     if problem is not None and (problem.optimises or problem.bounds):
         what = "an objective" if problem.optimises else "bounds"
         raise refusal("[continuation]", f"with a problem that has {what}", "a problem without")
-    if request.scene.family is not None:
-        _check_edges(request, table)
-        return
-    if SELECTED not in values and request.scene.orbit is not None and request.scene.orbit.select is not None:
-        values[SELECTED] = next(iter(request.scene.orbit.select.values()))
-    free = () if problem is None else problem.free
-    check_known("[continuation] parameter", table.parameter, [name for name in values if name not in free])
+    if SELECTED not in values and scene.orbit is not None and scene.orbit.select is not None:
+        values[SELECTED] = next(iter(scene.orbit.select.values()))
+    if not family:
+        free = () if problem is None else problem.free
+        check_known("[continuation] parameter", table.parameter, [name for name in values if name not in free])
     if table.curve is not None:
-        check_known("[continuation] curve", table.curve.parameter, [n for n in values if n != table.parameter])
-        if table.curve.to == values[table.curve.parameter]:
-            raise refusal("[continuation] curve", f"to = {table.curve.to!r}, where it starts", "another number")
-    if table.to == values[table.parameter]:
-        raise refusal("[continuation] to", f"{table.to!r}, where the branch starts", "another number")
-    if request.scene.chain is not None and table.parameter == "gamma" and abs(table.to) > 1:
-        raise refusal("[continuation] to", f"{table.to!r} for gamma", "numbers from -1 to 1")
+        name, to = table.curve.parameter, table.curve.to
+        check_known("[continuation] curve", name, [other for other in values if family or other != table.parameter])
+        if to == values[name]:
+            raise refusal("[continuation] curve", f"to = {to!r}, where it starts", "another number")
+        if family and scene.chain is not None and name == "gamma" and abs(to) >= 1:
+            raise refusal("[continuation] curve", f"to = {to!r} for gamma", "numbers between -1 and 1")
+    if family:
+        return
     start = values[table.parameter]
+    if table.to == start:
+        raise refusal("[continuation] to", f"{table.to!r}, where the branch starts", "another number")
+    if scene.chain is not None and table.parameter == "gamma" and abs(table.to) > 1:
+        raise refusal("[continuation] to", f"{table.to!r} for gamma", "numbers from -1 to 1")
     if table.back_to is not None and not (table.back_to - start) * (table.to - start) < 0.0:
         side = "below" if table.to > start else "above"
         raise refusal("[continuation] back_to", repr(table.back_to), f"a number {side} {start!r}, where it starts")

@@ -11,6 +11,7 @@ import math
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -270,11 +271,15 @@ def _told(found: Map, arguments: argparse.Namespace) -> int:
     return FAILED if reasons else DONE
 
 
-def tradeoff(arguments: argparse.Namespace) -> int:
-    """Measure what accuracy costs on a family."""
-    from casadi_skin.runs.tradeoff import run as measured
-
-    return measured(arguments)
+def _target(arguments: argparse.Namespace, default: Path, suffix: str = "") -> Path:
+    """The file that a command writes; raises InputError where that cannot be."""
+    path: Path = arguments.out or default
+    if path.suffix != (suffix or path.suffix):
+        raise InputError(f"{arguments.command}: given --out {path}; accepted: a name that ends in {suffix}")
+    if not path.parent.is_dir():
+        place = "--out in a directory that is there"
+        raise InputError(f"{arguments.command}: {path.parent} is no directory; accepted: {place}")
+    return path
 
 
 def explore(arguments: argparse.Namespace) -> int:
@@ -285,10 +290,7 @@ def explore(arguments: argparse.Namespace) -> int:
     if not source.exists():
         accepted = "accepted: the directory of a run or a map, or a file of one"
         raise InputError(f"explore: {source} does not exist; {accepted}")
-    target = arguments.out or (source.with_suffix(".html") if source.is_file() else source / PAGE_FILE)
-    if not target.parent.is_dir() or target.suffix != ".html":
-        accepted = "accepted: a name that ends in .html, in a directory that is there"
-        raise InputError(f"explore: given --out {target}; {accepted}")
+    target = _target(arguments, source.with_suffix(".html") if source.is_file() else source / PAGE_FILE, ".html")
     try:
         write_page(source, target)
     except ValueError as error:
@@ -300,21 +302,15 @@ def explore(arguments: argparse.Namespace) -> int:
 
 def new(arguments: argparse.Namespace) -> int:
     """Write a scene to start from, with the Python file of a model; files that are there are not touched."""
-    scene = arguments.out or Path(f"{arguments.kind}.toml")
-    if scene.suffix != ".toml":
-        raise InputError(f"new: given --out {scene}; accepted: a name that ends in .toml")
+    scene = _target(arguments, Path(f"{arguments.kind}.toml"), ".toml")
     names = {scene: f"{arguments.kind}.toml"}
     if arguments.kind == "model":
         names[scene.with_suffix(".py")] = "model.py"
-    for path in names:
-        if path.exists():
-            raise InputError(f"new: {path} is there already; accepted: another --out")
-        if not path.parent.is_dir():
-            raise InputError(f"new: {path.parent} is no directory; accepted: --out in a directory that is there")
+    for path in filter(Path.exists, names):
+        raise InputError(f"new: {path} is there already; accepted: another --out")
     for path, name in names.items():
         text = (files("casadi_skin.runs") / "starts" / name).read_text(encoding="utf-8")
-        with replacing(path) as temporary:
-            temporary.write_text(text.replace("NAME.py", scene.with_suffix(".py").name), encoding="utf-8")
+        _write(path, text.replace("NAME.py", scene.with_suffix(".py").name))
     if not arguments.quiet:
         print(f"wrote {' and '.join(map(str, names))}; next: casadi-skin run {scene}")
     return DONE
@@ -325,12 +321,14 @@ def schema(arguments: argparse.Namespace) -> int:
     text = json.dumps(scene_schema(), indent=2)
     if arguments.out is None:
         print(text)
-        return DONE
-    if not arguments.out.parent.is_dir():
-        raise InputError(f"schema: {arguments.out.parent} is no directory; accepted: --out in one that is there")
-    with replacing(arguments.out) as temporary:
-        temporary.write_text(f"{text}\n", encoding="utf-8")
+    else:
+        _write(_target(arguments, Path()), f"{text}\n")
     return DONE
+
+
+def _write(path: Path, text: str) -> None:
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def completion(arguments: argparse.Namespace) -> int:
@@ -356,7 +354,7 @@ ACTS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "check": check,
     "spectrum": spectrum,
     "map": map_scene,
-    "tradeoff": tradeoff,
+    "tradeoff": lambda arguments: import_module("casadi_skin.runs.tradeoff").run(arguments),
     "explore": explore,
     "new": new,
     "schema": schema,

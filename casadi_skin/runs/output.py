@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from casadi_skin.model.methods import FORMATS
@@ -76,30 +75,13 @@ def _value(cell: str) -> Value:
 BOLD, PLAIN = "\033[1m", "\033[0m"
 
 
-@dataclass
-class TextTable:
-    """A title, columns by name, and rows of cells; printed right-justified, with bold names on a terminal."""
-
-    title: str | None
-    columns: Sequence[str]
-    rows: list[tuple[str, ...]] = field(default_factory=list)
-
-    def add_row(self, *cells: str) -> None:
-        """Add a row; cells that are left out are empty."""
-        self.rows.append((*cells, *[""] * (len(self.columns) - len(cells))))
-
-    def lines(self) -> list[str]:
-        """The names of the columns, and the rows."""
-        widths = [max(map(len, column)) for column in zip(self.columns, *self.rows, strict=True)]
-        cells = [zip(row, widths, strict=True) for row in (self.columns, *self.rows)]
-        return [" " + "  ".join(cell.rjust(width) for cell, width in row).rstrip() for row in cells]
-
-    def print(self) -> None:
-        """Write the table to standard output."""
-        if self.title:
-            print(self.title)
-        names, *rows = self.lines()
-        print("\n".join([f"{BOLD}{names}{PLAIN}" if sys.stdout.isatty() else names, *rows]))
+def print_table(title: str | None, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Print a title, and columns of cells, right-justified; names are bold on a terminal, cells left out are empty."""
+    whole = [columns, *([*row, *[""] * (len(columns) - len(row))] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*whole, strict=True)]
+    lines = [" " + "  ".join(map(str.rjust, row, widths)).rstrip() for row in whole]
+    names = f"{BOLD}{lines[0]}{PLAIN}" if sys.stdout.isatty() else lines[0]
+    print(*([title] if title else []), names, *lines[1:], sep="\n")
 
 
 # Exit status of commands, and wrong input -----------------------------------------------------------------------------

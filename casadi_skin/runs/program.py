@@ -33,24 +33,21 @@ class _Stream:
         self._stream, self._forgiving = stream, forgiving
 
     def write(self, text: str) -> int:
-        try:
-            if self._stream is None:
-                raise OSError(errno.EBADF, "it is closed")
-            return self._stream.write(text)
-        except (OSError, ValueError) as error:  # ValueError: closed since
-            self._fault(error)
-            return len(text)
+        self._call("write", text)
+        return len(text)
 
     def flush(self) -> None:
+        self._call("flush")
+
+    def _call(self, name: str, *arguments: str) -> None:
         try:
             if self._stream is not None:
-                self._stream.flush()
-        except (OSError, ValueError) as error:
-            self._fault(error)
-
-    def _fault(self, error: OSError | ValueError) -> None:
-        if not self._forgiving:
-            raise OutputError(getattr(error, "strerror", None) or str(error)) from error
+                getattr(self._stream, name)(*arguments)
+            elif arguments:
+                raise OSError(errno.EBADF, "it is closed")
+        except (OSError, ValueError) as error:  # ValueError: closed since
+            if not self._forgiving:
+                raise OutputError(getattr(error, "strerror", None) or str(error)) from error
 
     def isatty(self) -> bool:
         return self._stream is not None and self._stream.isatty()
@@ -99,11 +96,7 @@ def _discard(stream: TextIO | None) -> None:
         return
 
 
-COLLECTOR_THRESHOLDS = (
-    200_000,
-    20,
-    50,
-)  # thresholds of the collector: modules live to the end, and a picture is 20,000 objects
+COLLECTOR_THRESHOLDS = (200_000, 20, 50)  # modules live to the end, and a picture is 20,000 objects
 
 # The commands: what each is for, an example, and its options; options of which one may be given stand in one list --
 

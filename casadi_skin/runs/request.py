@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from msgspec.structs import asdict, astuple
 
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.expressions import Expression
@@ -129,10 +130,9 @@ class Request:
     @property
     def options(self) -> dict[str, Any]:
         """Options of [accuracy] and [method] for the solver of a boundary-value problem."""
-        method = self.scene.method
-        options = {name: getattr(method, name) for name in ("transcription", "degree", "intervals", "flow")}
-        given = {name: value for name, value in options.items() if value is not None}
-        return {"tolerance": self.tolerance, "corrector": method.corrector, **given}
+        names = ("transcription", "degree", "intervals", "flow", "corrector")
+        given = {name: value for name in names if (value := getattr(self.scene.method, name)) is not None}
+        return {"tolerance": self.tolerance, **given}
 
     def condition(self, given: Mapping[str, float] | None) -> tuple[Expression, float] | None:
         """The expression named by a table with one number, and the number."""
@@ -148,18 +148,8 @@ class Request:
 
 def method_of(scene: Scene) -> Method:
     """The table [method] in the form for families."""
-    table = scene.method
-    names = ("transcription", "degree", "corrector", "walker", "flow", "tail", "intervals")
     sites = None if scene.stability is None else scene.stability.sites
-    return Method(**{name: getattr(table, name) for name in names}, stability_sites=sites)
-
-
-def chain_of(scene: Scene) -> Chain:
-    """The chain of a scene; raises ValueError for a scene of a model."""
-    if scene.chain is None:
-        raise ValueError("[chain]: missing; accepted: a scene of a chain")
-    sites: Any = scene.chain.sites  # a whole number, or inf
-    return Chain(sites, scene.chain.alpha, scene.chain.gamma, scene.chain.g)
+    return Method(**asdict(scene.method), stability_sites=sites)
 
 
 def lattice_of(table: LatticeTable) -> Lattice | LongLattice:
@@ -169,20 +159,20 @@ def lattice_of(table: LatticeTable) -> Lattice | LongLattice:
     """
     from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
 
-    cells: Any = table.cells
-    sites = [Site(s.name, str(s.onsite), str(s.mass), str(s.damping), str(s.drive)) for s in table.site]
+    sites = [Site(*map(str, astuple(site))) for site in table.site]
     bonds = []
     for bond in table.bond:
         offset = (bond.offset,) if isinstance(bond.offset, int) else bond.offset
         bonds.append(Bond(bond.start, bond.end, offset, str(bond.force), (str(bond.gain[0]), str(bond.gain[1]))))
-    values: dict[str, Any] = dict(table.parameters)
-    for name, value in values.items():
-        if isinstance(value, UniformTable):
-            values[name] = Uniform(value.low, value.high, value.seed)
-    if table.long:
-        from casadi_skin.lattice.long_lattice import LongLattice
+    values: dict[str, Any] = {
+        name: Uniform(**asdict(value)) if isinstance(value, UniformTable) else value
+        for name, value in table.parameters.items()
+    }
+    if not table.long:
+        cells: Any = table.cells  # finite: inf is long
+        return Lattice(cells, sites, bonds, table.boundary, values, forcing_period=table.forcing_period)
+    from casadi_skin.lattice.long_lattice import LongLattice
 
-        cells = cells[0] if isinstance(cells, tuple) and len(cells) == 1 else cells
-        boundary: Any = table.boundary[0] if isinstance(table.boundary, tuple) else table.boundary
-        return LongLattice(cells, sites, bonds, boundary, values, table.edge)
-    return Lattice(cells, sites, bonds, table.boundary, values, forcing_period=table.forcing_period)
+    cells = table.cells[0] if isinstance(table.cells, tuple) and len(table.cells) == 1 else table.cells
+    boundary: Any = table.boundary[0] if isinstance(table.boundary, tuple) else table.boundary
+    return LongLattice(cells, sites, bonds, boundary, values, table.edge)

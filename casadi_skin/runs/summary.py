@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +14,7 @@ from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.results.quantities import certified, places_of
 from casadi_skin.results.tables import UNRESOLVED
-from casadi_skin.runs.output import TextTable
+from casadi_skin.runs.output import print_table
 from casadi_skin.runs.parts import mode_of
 from casadi_skin.zero.kinds import count_in_words
 
@@ -36,15 +36,17 @@ def print_summary(run: Run) -> None:
 def _print_branches(run: Run, branches: list[Branch]) -> None:
     """The table of branches, and what it does not show."""
     if isinstance(run.branches[0].space, Family):
-        _families(run).print()
+        stability = ["max |multiplier|", "changes"] if run.request.scene.stability is not None else []
+        columns = ["mode", "points", "S", "Omega", "its error", *stability, "seconds"]
+        print_table(run.request.scene.title, columns, _family_rows(run))
         _print_thresholds(run.branches)
         _print_stability(branches)
         _print_proofs(branches)
         _print_offshoots(run)
     elif branches and run.request.scene.has_diagram:
-        _diagram(run, branches).print()
+        _print_diagram(run, branches)
     elif branches:
-        _points(run, branches[0]).print()
+        _print_points(run, branches[0])
         if branches[0].with_events and len(branches[0]) > 1:
             print("changes of stability were sought where neighbouring points differ; others may lie between points")
 
@@ -64,24 +66,19 @@ def _counted(branches: list[Branch]) -> str:
     return f"{points} point{'' if points == 1 else 's'}"
 
 
-def _families(run: Run) -> TextTable:
+def _family_rows(run: Run) -> Iterator[list[str]]:
     """A row a family."""
-    stability = run.request.scene.stability is not None
-    columns = ["mode", "points", "S", "Omega", "its error", *(["max |multiplier|", "changes"] if stability else [])]
-    table = TextTable(run.request.scene.title, [*columns, "seconds"])
     for branch, seconds in zip(run.branches, [*run.seconds, 0.0], strict=False):
         cells = [str(mode_of(branch)), str(len(branch))]
         if not len(branch):
-            table.add_row(*cells)
+            yield cells
             continue
         last = branch.orbits[-1]
         cells += [f"{last.S:.6g}", f"{last.Omega:.10g}", f"{max(o.Omega_error for o in branch.orbits):.1e}"]
         if branch.with_stability:
             known = count_in_words(len(branch.changes), branch.unresolved) if branch.with_events else ""
-            sought = known or "not sought"
-            cells += [f"{_largest_multiplier(branch):.8g}", sought]
-        table.add_row(*cells, f"{seconds:.2f}")
-    return table
+            cells += [f"{_largest_multiplier(branch):.8g}", known or "not sought"]
+        yield [*cells, f"{seconds:.2f}"]
 
 
 def _largest_multiplier(branch: Branch) -> float:
@@ -97,31 +94,39 @@ def _print_thresholds(branches: list[Branch]) -> None:
             print(f"mode {mode_of(branch)}: {words}")
 
 
-def _diagram(run: Run, branches: list[Branch]) -> TextTable:
+def _print_diagram(run: Run, branches: list[Branch]) -> None:
     """A row for the first and the last point of each branch, and for special points."""
-    name = branches[0].parameter
-    second = run.request.scene.continuation.curve if run.request.scene.continuation is not None else None
-    columns = ["", *([name] if name else []), *([second.parameter] if second else []), "its error", ""]
-    table = TextTable(run.request.scene.title or run.request.ode.name, ["branch", *columns])
-    for number, branch in enumerate(branches):
-        rows: list[tuple[str, Mapping[str, float], str, str]] = []
-        first, last = branch.solutions[0], branch.solutions[-1]
-        rows.append(("start", first.parameters, "", _stability(branch, 0)))
-        for point in branch.special_points:
-            words = point.criticality if point.has_criticality else ""
-            rows.append((point.kind, point.parameters, f"{point.error:.1e}", words))
-        for stretch in branch.passed_over:
-            width = f"{abs(stretch.end - stretch.start):.1e}"
-            rows.append((UNRESOLVED, {**first.parameters, name: stretch.start}, width, stretch.kind))
-        if len(branch) > 1:
-            rows.append(("end", last.parameters, "", _stability(branch, -1)))
-        curve = bool(branch.space.kind)
-        what = "curve" if curve else "cycles" if isinstance(first, Orbit) else "solutions"
-        what = "equilibria" if isinstance(first, Equilibrium) and not curve else what
-        for kind, values, error, words in rows:
-            shown = [f"{values[key]:.10g}" for key in (name, *([second.parameter] if second else [])) if key]
-            table.add_row(f"{number + 1}: {what}", kind, *shown, error, words)
-    return table
+    table = run.request.scene.continuation
+    asked = () if table is None else (table.parameter, *([] if table.curve is None else [table.curve.parameter]))
+    names = [name for name in asked if branches[0].parameter]
+    rows = [
+        [f"{number}: {what}", kind, *(f"{values[name]:.10g}" for name in names), error, words]
+        for number, branch in enumerate(branches, start=1)
+        for what in [_contents(branch)]
+        for kind, values, error, words in _diagram_points(branch)
+    ]
+    print_table(run.request.scene.title or run.request.ode.name, ["branch", "", *names, "its error", ""], rows)
+
+
+def _contents(branch: Branch) -> str:
+    """What the solutions of a branch are."""
+    if branch.space.kind:
+        return "curve"
+    first = branch.solutions[0]
+    return "cycles" if isinstance(first, Orbit) else "equilibria" if isinstance(first, Equilibrium) else "solutions"
+
+
+def _diagram_points(branch: Branch) -> Iterator[tuple[str, Mapping[str, float], str, str]]:
+    """What a point is, its parameters, its error, and more words."""
+    first, last = branch.solutions[0], branch.solutions[-1]
+    yield "start", first.parameters, "", _stability(branch, 0)
+    for point in branch.special_points:
+        yield point.kind, point.parameters, f"{point.error:.1e}", point.criticality if point.has_criticality else ""
+    for stretch in branch.passed_over:
+        width = f"{abs(stretch.end - stretch.start):.1e}"
+        yield UNRESOLVED, {**first.parameters, branch.parameter: stretch.start}, width, stretch.kind
+    if len(branch) > 1:
+        yield "end", last.parameters, "", _stability(branch, -1)
 
 
 def _stability(branch: Branch, place: int) -> str:
@@ -170,13 +175,16 @@ def _proved_curve(branch: Branch) -> str:
         return f"not proved to be one curve: {error}"
 
 
-def _points(run: Run, branch: Branch) -> TextTable:
+def _print_points(run: Run, branch: Branch) -> None:
     """A row for the first and the last point, requested points, and folds."""
     first = branch.solutions[0]
-    orbit, names = isinstance(first, Orbit), first.space.state_names
-    columns = ["point", "", *([branch.parameter] if branch.parameter else []), *(["period"] if orbit else [])]
-    columns += [f"largest {names[0]}", "its error", *(["max |mult.|"] if branch.with_stability else [])]
-    table = TextTable(run.request.scene.title or run.request.ode.name, columns)
+    columns = ["point", "", *([branch.parameter] if branch.parameter else [])]
+    columns += ["period"] if isinstance(first, Orbit) else []
+    columns += [f"largest {first.space.state_names[0]}", "its error", *(["max |mult.|"] * branch.with_stability)]
+    print_table(run.request.scene.title or run.request.ode.name, columns, _point_rows(branch))
+
+
+def _point_rows(branch: Branch) -> Iterator[list[str]]:
     for place in places_of(branch):
         solution, last = place.solution, place.index == len(branch) - 1
         marks = {"start": place.index == 0, "asked for": place.requested, place.special: place.special, "end": last}
@@ -190,5 +198,4 @@ def _points(run: Run, branch: Branch) -> TextTable:
         if branch.with_stability:
             moduli = np.abs(place.floquet.others)
             row.append(f"{moduli.max():.6g}" if moduli.size else "")
-        table.add_row(*row)
-    return table
+        yield row
