@@ -32,7 +32,6 @@ from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
 from casadi_skin.zero.guesses import Guess
 from casadi_skin.zero.problem import Array
 
-
 IN_SCENES = {  # words of messages about arguments of find_orbit
     "an expression": "a table with one number",
     ", symmetric = True or free": " or symmetric = true",

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,7 +34,9 @@ from casadi_skin.zero.stated_problem import PERIOD
 if TYPE_CHECKING:
     from casadi_skin.points.edges import EdgeCurve
 
-POINT_COLUMNS = ("branch", "kind", "S", "error", "Omega", "period", "mu", "loses")
+OFFSHOOT_COLUMNS = ("error", "Omega", "period", "mu", "loses")
+PARAMETER = "parameter "  # before its name
+DIAGRAM_COLUMNS = ("error", "period", "frequency", "coefficient", "criticality")
 EMPTY_CELL: Cell = ""
 PASSED_COLUMNS = ("mode", "S_before", "S_after", "Omega_before", "Omega_after", "changes", "meetings")
 
@@ -75,7 +76,7 @@ def _write_families(request: Request, branches: Sequence[Branch], directory: Pat
             ("tongues", TONGUE_COLUMNS, tongue_rows),
         ):
             write_csv(directory / f"{name}.csv", names, [row for each in known for row in make(*each)])
-        passed = [row for branch in branches if branch.with_events for row in passed_rows(branch)]
+        passed = [row for branch in branches if branch.with_events for row in _passed_rows(branch)]
         write_csv(directory / "passed_resonances.csv", PASSED_COLUMNS, passed)
     picture(request.scene, directory / "frequency", figures.frequency_figure, branches)
     picture(request.scene, directory / "profile", figures.profile_figure, branches)
@@ -87,10 +88,9 @@ def _write_families(request: Request, branches: Sequence[Branch], directory: Pat
         picture(request.scene, directory / f"multipliers_j{mode_of(branch)}", figures.multiplier_figure, branch)
 
 
-def passed_rows(branch: Branch) -> list[dict[str, Cell]]:
+def _passed_rows(branch: Branch) -> list[dict[str, Cell]]:
     """Rows of passed_resonances.csv."""
-    found = branch.passed_resonances or ()
-    rows = [(mode_of(branch), *one.S, *one.Omega, one.changes, one.met) for one in found]
+    rows = [(mode_of(branch), *p.S, *p.Omega, p.changes, p.met) for p in branch.passed_resonances or ()]
     return [dict(zip(PASSED_COLUMNS, row, strict=True)) for row in rows]
 
 
@@ -108,39 +108,66 @@ def _write_branch(request: Request, branch: Branch, directory: Path) -> None:
     """special_points.csv and the pictures of another branch, or of a single solution."""
     title = request.scene.title or ""
     if len(branch) > 1:
-        write_csv(directory / "special_points.csv", special_columns(branch), special_rows(branch))
+        columns = _columns(["kind"], [branch.parameter], ["error", "period"] if _has_orbits(branch) else ["error"])
+        write_csv(directory / "special_points.csv", list(columns), branch_rows(branch, columns))
         picture(request.scene, directory / "branch", figures.branch_figure, branch, title)
     picture(request.scene, directory / "orbit", figures.orbit_figure, branch.solutions[-1], title)
 
 
-def special_columns(branch: Branch) -> list[str]:
-    """Columns of special_points.csv; the period of orbits alone."""
-    fixed = ("kind", "error", "period")
-    return [fixed[0], *unique_names([branch.parameter], fixed), *fixed[1 : 3 if _has_orbits(branch) else 2]]
+# Special points: a row each, of a single branch, of the branches of a diagram, and of those that leave families -------
 
 
-def special_rows(branch: Branch) -> list[dict[str, Cell]]:
-    """Rows of special_points.csv: folds and changes of stability in the order of the branch; what is unresolved last.
+def special_rows(name: str, branch: Branch, columns: Mapping[str, str]) -> Iterator[dict[str, Cell]]:
+    """A row for each special point of a branch, and for each stretch that is not resolved: its error is its width.
 
-    The error of a stretch that is not resolved is its width.
+    `columns` says what a column is by its name, parameters with PARAMETER; what a point does not have is empty.
     """
-    columns, rows, changes = special_columns(branch), list[list[Cell]](), iter(branch.located)
-    folds = {id(point.solution): point for point in branch.special_points}
+    for point in branch.special_points:
+        orbit = point.solution if isinstance(point.solution, Orbit) else None
+        cells: dict[str, Cell] = {PARAMETER + each: float(value) for each, value in point.parameters.items()}
+        cells |= {"branch": name, "kind": point.kind, "error": point.error}
+        if orbit is not None:
+            cells |= {"period": orbit.period, "Omega": orbit.Omega}
+        if point.mu is not None:
+            cells |= {"mu": point.mu, "loses": ", ".join(point.lost) if "loses" in columns else ""}
+        if "criticality" in columns:
+            cells |= _critical(point)
+        yield {column: cells.get(what, EMPTY_CELL) for column, what in columns.items()}
+    for stretch in branch.passed_over:
+        width = abs(stretch.end - stretch.start)
+        cells = {"branch": name, "kind": UNRESOLVED, PARAMETER + branch.parameter: stretch.start, "error": width}
+        yield {column: cells.get(what, EMPTY_CELL) for column, what in columns.items()}
+
+
+def _columns(before: Sequence[str], parameters: Sequence[str], after: Sequence[str]) -> dict[str, str]:
+    """Columns with parameters among them, whose names have " (of the model)" after them where the table has them."""
+    names = unique_names(parameters, (*before, *after))
+    stated = {name: PARAMETER + parameter for name, parameter in zip(names, parameters, strict=True)}
+    return {name: name for name in before} | stated | {name: name for name in after}
+
+
+def branch_rows(branch: Branch, columns: Mapping[str, str]) -> list[dict[str, Cell]]:
+    """Rows of a single branch: special points and changes of stability in its order; what is unresolved last."""
+    rows, found, changes = list[dict[str, Cell]](), special_rows("", branch, columns), iter(branch.located)
+    points = {id(point.solution) for point in branch.special_points}
     for before, here in zip((None, *branch.solutions), branch.solutions, strict=False):
         if branch.located and before is not None and before.stable != here.stable:
             change = next(changes)
             kind = f"stability {'gained' if change.stable_after else 'lost'} ({change.kind})"
-            rows.append([kind, change.value, change.error, TWO_PI / change.Omega])
-        if id(here) in folds:
-            fold = folds[id(here)]
-            period = here.period if isinstance(here, Orbit) else math.nan
-            rows.append([fold.kind, fold.parameters[branch.parameter], fold.error, period])
-    rows += [[UNRESOLVED, stretch.start, abs(stretch.end - stretch.start), math.nan] for stretch in branch.passed_over]
-    return [dict(zip(columns, row, strict=False)) for row in rows]
+            cells = kind, change.value, change.error, TWO_PI / change.Omega
+            rows.append(dict(zip(columns, cells, strict=False)))
+        if id(here) in points:
+            rows.append(next(found))
+    return [*rows, *found]
 
 
-def _has_orbits(branch: Branch) -> bool:
-    return isinstance(branch.solutions[0], Orbit)
+def _critical(point: SpecialPoint) -> dict[str, Cell]:
+    try:
+        frequency, coefficient, words = point.frequency, point.coefficient, point.criticality
+    except (ValueError, ArithmeticError):
+        return {}
+    known = {"frequency": frequency or EMPTY_CELL, "criticality": words}
+    return known if coefficient != coefficient else known | {"coefficient": coefficient}
 
 
 def write_diagram(
@@ -157,9 +184,11 @@ def write_diagram(
     first = branches[0]
     if not first.parameter:
         return
-    columns = diagram_columns(first)
-    rows = [row for name, branch in zip(names, branches, strict=True) for row in diagram_rows(name, branch, columns)]
-    write_csv(directory / "special_points.csv", columns, rows)
+    others = [name for name in first.solutions[0].parameters if name != first.parameter]
+    known = [name for name in others if name not in first.space.free or name != PERIOD]  # a free period is one, too
+    columns = _columns(["branch", "kind"], [first.parameter, *known], DIAGRAM_COLUMNS)
+    rows = [row for name, branch in zip(names, branches, strict=True) for row in special_rows(name, branch, columns)]
+    write_csv(directory / "special_points.csv", list(columns), rows)
     in_one = [branch for branch in branches if not branch.space.kind]
     picture(request.scene, directory / "branch", figures.bifurcation_figure, in_one, title)
     from casadi_skin.results.figures.solutions import chosen_solutions
@@ -172,49 +201,18 @@ def write_diagram(
         picture(request.scene, directory / "curves", figures.curves_figure, curves, title)
 
 
-def diagram_columns(branch: Branch) -> list[str]:
-    """Columns of special_points.csv of a diagram; the period that orbits have free is a column of its own."""
-    fixed = ("branch", "kind", "error", "period", "frequency", "coefficient", "criticality")
-    known = [name for name in branch.solutions[0].parameters if name not in branch.space.free or name != PERIOD]
-    names = [branch.parameter, *(name for name in known if name != branch.parameter)]
-    return ["branch", "kind", *unique_names(names, fixed), *fixed[2:]]
-
-
-def diagram_rows(name: str, branch: Branch, columns: Sequence[str]) -> Iterator[dict[str, Cell]]:
-    """A row for each special point of a branch; quantities that a point does not have are empty.
-
-    A stretch that is not resolved has a row too, with its width for the error.
-    """
-    for point in branch.special_points:
-        known = list(branch_parameters(point, columns[2:-5]).values())
-        period: Cell = point.solution.period if isinstance(point.solution, Orbit) else EMPTY_CELL
-        yield dict(zip(columns, [name, point.kind, *known, point.error, period, *_critical(point)], strict=True))
-    for stretch in branch.passed_over:
-        row: dict[str, Cell] = dict.fromkeys(columns, EMPTY_CELL)
-        width = abs(stretch.end - stretch.start)
-        yield {**row, "branch": name, "kind": UNRESOLVED, columns[2]: stretch.start, "error": width}
-
-
-def branch_parameters(point: SpecialPoint, columns: Sequence[str]) -> dict[str, Cell]:
-    """Values of parameters by column; names that the table takes itself have " (of the model)" after them."""
-    return {name: float(point.parameters[name.removesuffix(" (of the model)")]) for name in columns}
-
-
-def _critical(point: SpecialPoint) -> list[Cell]:
-    try:
-        frequency, coefficient, words = point.frequency, point.coefficient, point.criticality
-    except (ValueError, ArithmeticError):
-        return [EMPTY_CELL, EMPTY_CELL, EMPTY_CELL]
-    return [frequency or EMPTY_CELL, coefficient if coefficient == coefficient else EMPTY_CELL, words]
+def _has_orbits(branch: Branch) -> bool:
+    return isinstance(branch.solutions[0], Orbit)
 
 
 def write_offshoots(
     request: Request, families: Sequence[Branch], found: Offshoots, attributes: dict[str, float | str], directory: Path
 ) -> None:
     """special_points.csv; edges.csv with its picture; a netCDF file for each branch that leaves."""
-    rows = [row for family in families for row in _rows(f"j{mode_of(family)}", family)]
-    rows += [row for name, branch in found.leaving for row in _rows(name, branch)]
-    write_csv(directory / "special_points.csv", POINT_COLUMNS, rows)
+    columns = _columns(["branch", "kind"], ["S"], OFFSHOOT_COLUMNS)
+    named = [*((f"j{mode_of(family)}", family) for family in families), *found.leaving]
+    rows = [row for name, branch in named for row in special_rows(name, branch, columns)]
+    write_csv(directory / "special_points.csv", list(columns), rows)
     for name, branch in found.leaving:
         if len(branch):
             write_netcdf(directory / f"{name}.nc", replace(dataset_of([branch]), attributes=attributes))
@@ -223,18 +221,6 @@ def write_offshoots(
         write_csv(directory / "edges.csv", list(table[0]), table)
         curves = [curve for *_, curve in found.edges]
         picture(request.scene, directory / "edges", figures.edges_figure, curves, request.scene.title or "")
-
-
-def _rows(name: str, branch: Branch) -> Iterator[dict[str, Cell]]:
-    """A row for each special point of a branch in S."""
-    for point in branch.special_points:
-        orbit = point.solution
-        known: list[Cell] = [name, point.kind, point.parameters["S"], point.error, orbit.Omega, orbit.period]  # type: ignore[attr-defined]
-        yield dict(zip(POINT_COLUMNS, [*known, "" if point.mu is None else point.mu, _lost(point)], strict=True))
-
-
-def _lost(point: SpecialPoint) -> str:
-    return ", ".join(point.lost) if point.mu is not None else ""
 
 
 def _edge_rows(mode: int, listed: str, number: int, curve: EdgeCurve) -> Iterator[dict[str, Cell]]:
