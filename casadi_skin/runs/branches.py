@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
 
 import msgspec
 
@@ -40,16 +39,6 @@ from casadi_skin.zero.settings import End, Point
 BUILTIN_ERRORS = (ZeroDivisionError, OverflowError, FloatingPointError)
 
 
-class Rows(Protocol):
-    """Rows of solutions, written or not: the tables of a run have these."""
-
-    def add(self, name: str, solutions: Sequence[Solution], space: SolutionSpace) -> None:
-        """Add rows to those of a branch."""
-
-    def count(self, name: str, space: SolutionSpace) -> int:
-        """Number of rows beside which a branch stands."""
-
-
 @dataclass
 class Branches:
     """The branches of a request.
@@ -57,17 +46,18 @@ class Branches:
     Attributes:
         branches, seconds: fill as branches end.
         failures: reasons why a part is not as requested, in a line each.
-        tables: rows of the computed points.
         offshoots: branches and edges followed from families.
     """
 
     request: Request
-    tables: Rows
     progress: Progress
     branches: list[Branch] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
     offshoots: Offshoots = field(default_factory=Offshoots)
+
+    def show(self, name: str, solutions: Sequence[Solution], space: SolutionSpace) -> None:
+        """Take the solutions of a branch so far, whenever there are more of them; they stand in tables of a run."""
 
     @property
     def _with_stability(self) -> bool:
@@ -173,7 +163,7 @@ class Branches:
                 yield from further_spaces(self.branches, table, self.request.tolerance, self.failures)
             return
         branch = self._alone(first)
-        self.tables.add("branch", branch.solutions, branch.space)
+        self.show("branch", branch.solutions, branch.space)
         self.branches.append(branch)
         self.seconds.append(0.0)
 
@@ -207,27 +197,23 @@ class Branches:
             space, self._with_stability, self._with_events, known.solutions,
             waiting=known.waiting, missed=known.missed, keep=keep, unresolved=known.unresolved,
         )  # fmt: skip
+        self.show(name, following.solutions, space)
         if known.end is not None:
-            self.tables.add(name, following.solutions, space)
             self.branches.append(following.finished(known.end.end, known.end.detail, known.end.misses))
             return
-        before = self.tables.count(name, space)
-        self.tables.add(name, following.solutions, space)
         try:
             for result in following:
-                point = result.point
-                sought_again = point.special and not (
-                    point.located or point.requested
-                )  # by its neighbours' multipliers
+                point = result.point  # one that its neighbours' multipliers lead to is sought again
+                sought_again = point.special and not (point.located or point.requested)
                 periodic = isinstance(result, Orbit) or result.known_floquet is not None
                 if periodic and self._with_stability and not sought_again:
                     journal.append(stability_record(name, result))
-                self.tables.add(name, [result], space)
+                self.show(name, following.solutions, space)
                 self.progress.solution(result, len(following.solutions))
         finally:
             branch = following.branch()
             if branch.end is None and not branch.stopped:  # interrupted: its changes of stability are not sought now
                 branch = replace(branch, with_events=False)
             self.branches.append(branch)
-            self.tables.add(name, branch.solutions[self.tables.count(name, space) - before :], space)
+            self.show(name, branch.solutions, space)
         journal.append(EndRecord(name, branch.end, branch.detail, dict(branch.misses), branch.passed_over))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import os
 import socket
-import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from enum import Enum
@@ -24,68 +23,22 @@ JOURNAL_FILE = "journal.msgpack"
 LOCK_PREFIX = ".casadi_skin.lock"  # first letters of the files by which processes keep each other out
 SCENE_MODEL = "scene_model"  # stem of the copy of a model's file
 WRITTEN_FILES = (
-    "family.csv",
-    "events.csv",
-    "further_events.csv",
-    "tongues.csv",
-    "spectrum.csv",
-    "family.nc",
-    "passed_resonances.csv",
-    "dynamics.csv",
-    "dynamics.nc",
-    "search.csv",
-    "starts.csv",
-    "search.nc",
-    "branch.csv",
-    "branch.nc",
-    "special_points.csv",
-    "cycles_*.csv",
-    "cycles_*.nc",
-    "other_*.csv",
-    "other_*.nc",
-    "curve_*.csv",
-    "curve_*.nc",
-    "bands.csv",
-    f"{SCENE_MODEL}.py",
-    f"{SCENE_MODEL}.json",
-    "map.csv",
-    "map.nc",
-    "boundary.csv",
-    "journal_*_of_*.msgpack",
-    "explore.html",
-    SCENE_FILE,
-    JOURNAL_FILE,
-)
+    "family.csv", "family.nc", "events.csv", "further_events.csv", "tongues.csv", "passed_resonances.csv",
+    "spectrum.csv", "bands.csv", "dynamics.csv", "dynamics.nc", "spreading.csv", "energies.csv", "edges.csv",
+    "search.csv", "starts.csv", "search.nc",
+    "branch.csv", "branch.nc", "special_points.csv", "cycles_*.csv", "cycles_*.nc", "other_*.csv", "other_*.nc",
+    "curve_*.csv", "curve_*.nc", "map.csv", "map.nc", "boundary.csv", "explore.html", "journal_*_of_*.msgpack",
+    f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", SCENE_FILE, JOURNAL_FILE,
+)  # fmt: skip
 MADE_BY_RUN = "# The scene of a run of casadi-skin, whose results are beside this file."  # first line of its copy
 EXPORT_FOLDER = "export"  # the folder of generated C
-EXPORTED_FILES = (
-    "{0}.h",
-    "{0}.c",
-    "{0}_*.c",
-    "main.c",
-    "README.md",
-    "CMakeLists.txt",
-    "license.txt",
-)  # of a model's name
+EXPORTED_FILES = ("{0}.h", "{0}.c", "{0}_*.c", "main.c", "README.md", "CMakeLists.txt", "license.txt")  # of a model
 HEADER_AUTHOR = b"casadi_skin"  # in the comment that a header of ours begins with
 ACCEPTED_EXPORT = "accepted: a folder of generated C alone"
 PICTURE_STEMS = (
-    "frequency",
-    "profile",
-    "spectrum",
-    "bands",
-    "plane_j*",
-    "multipliers_j*",
-    "dynamics",
-    "search",
-    "branch",
-    "orbit",
-    "curves",
-    "portrait",
-    "map_*",
-    "skin",
-    "spreading",
-)
+    "frequency", "profile", "spectrum", "bands", "plane_j*", "multipliers_j*", "dynamics", "search", "branch", "orbit",
+    "curves", "portrait", "map_*", "skin", "spreading", "edges",
+)  # fmt: skip
 
 
 class DirectoryError(InputError):
@@ -285,50 +238,16 @@ def _check_same(directory: Path, scene: Scene) -> None:
 ACCEPTED_DIRECTORIES = "accepted: another directory, or this one when that process has ended"
 
 
-class _Held:
-    """An open file that is locked; a forked process does not keep it locked."""
-
-    def __init__(self, path: Path, shared: bool) -> None:
-        self.path = path
-        self.descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-        try:
-            fcntl.flock(self.descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-        except BaseException:
-            self.close()
-            raise
-        _held.add(self)
-
-    def close(self) -> None:
-        """Close the file, and with it the lock of this process."""
-        if self.descriptor >= 0:
-            os.close(self.descriptor)
-            self.descriptor = -1
-
-    @property
-    def current(self) -> bool:
-        """Whether the file is still there: who had it before may have removed it."""
-        with suppress(OSError):
-            return os.path.samestat(os.fstat(self.descriptor), self.path.stat())
-        return False
-
-    def release(self) -> None:
-        """Give the lock back; the file goes with the last who has it."""
-        with suppress(OSError):
-            fcntl.flock(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if self.current:
-                self.path.unlink()
-        self.close()
+_locked = set[int]()  # descriptors of files that this process has locked
 
 
-_held: weakref.WeakSet[_Held] = weakref.WeakSet()
+def _unlock_forked() -> None:
+    """A forked process does not keep files locked."""
+    while _locked:
+        os.close(_locked.pop())
 
 
-def _close_all() -> None:
-    for held in list(_held):
-        held.close()
-
-
-os.register_at_fork(after_in_child=_close_all)
+os.register_at_fork(after_in_child=_unlock_forked)
 
 
 @contextmanager
@@ -347,34 +266,50 @@ def in_use(directory: Path, report: Callable[[str], None], shared: bool = False,
     check_writable(directory)
     new = not directory.exists()
     make_directory(directory)
-    held = _taken(directory / (f"{LOCK_PREFIX}_{part}" if part else LOCK_PREFIX), report, shared)
+    path = directory / (f"{LOCK_PREFIX}_{part}" if part else LOCK_PREFIX)
     try:
-        yield
-    finally:
-        if held is not None:
-            held.release()
-        if new and directory.is_dir() and not any(directory.iterdir()):
-            directory.rmdir()
-
-
-def _taken(path: Path, report: Callable[[str], None], shared: bool) -> _Held | None:
-    """The lock of a file; None on a disk without locks. Raises DirectoryError where another process has it."""
-    try:
-        while True:
-            held = _Held(path, shared)
-            if held.current:
-                break
-            held.close()
-        os.truncate(held.descriptor, 0)
-        os.pwrite(held.descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode(), 0)
-        return held
+        descriptor = _lock(path, shared)
     except BlockingIOError:
         holder = ""
         with suppress(OSError):
             holder = path.read_text(encoding="utf-8", errors="replace")
-        raise DirectoryError(
-            f"{path.parent}: {holder or 'another process'} computes in it; {ACCEPTED_DIRECTORIES}"
-        ) from None
+        words = f"{holder or 'another process'} computes in it; {ACCEPTED_DIRECTORIES}"
+        raise DirectoryError(f"{directory}: {words}") from None
     except OSError as error:
-        report(f"{path.parent}: cannot be locked ({error.strerror}): nothing else may compute in it meanwhile")
-        return None
+        report(f"{directory}: cannot be locked ({error.strerror}): nothing else may compute in it meanwhile")
+        descriptor = -1
+    try:
+        yield
+    finally:
+        if descriptor in _locked:
+            with suppress(OSError):  # the file goes with the last who has it
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if _is_there(descriptor, path):
+                    path.unlink()
+            _locked.remove(descriptor)
+            os.close(descriptor)
+        if new and directory.is_dir() and not any(directory.iterdir()):
+            directory.rmdir()
+
+
+def _lock(path: Path, shared: bool) -> int:
+    """The descriptor of a file that is locked, with its process in words; raises OSError."""
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+            if _is_there(descriptor, path):
+                os.truncate(descriptor, 0)
+                os.pwrite(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode(), 0)
+                _locked.add(descriptor)
+                return descriptor
+        finally:
+            if descriptor not in _locked:
+                os.close(descriptor)
+
+
+def _is_there(descriptor: int, path: Path) -> bool:
+    """Whether an open file is still there: who had it before may have removed it."""
+    with suppress(OSError):
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    return False

@@ -7,13 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.lattice.spectrum import linear_frequencies
 from casadi_skin.results import figures
-from casadi_skin.results.dataset import dataset_of, write_csv, write_netcdf
+from casadi_skin.results.dataset import dataset_of, write_columns, write_csv, write_netcdf
 from casadi_skin.results.quantities import Cell, unique_names
 from casadi_skin.results.tables import (
     EVENT_COLUMNS,
@@ -242,6 +244,5 @@ def write_spectrum(request: Request, directory: Path) -> None:
             write_lattice_spectrum(request.scene, request.model, request.parameters, directory)
             return
     frequencies = linear_frequencies(request.model, request.parameters)
-    rows = [{"mode": j, "omega": float(w)} for j, w in enumerate(frequencies, start=1)]
-    write_csv(directory / "spectrum.csv", ("mode", "omega"), rows)
+    write_columns(directory / "spectrum.csv", {"mode": np.arange(len(frequencies)) + 1, "omega": frequencies})
     picture(request.scene, directory / "spectrum", figures.spectrum_figure, request.model, request.parameters)

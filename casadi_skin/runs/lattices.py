@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +15,8 @@ from casadi_skin.lattice.linear import REAL_SQUARE_RTOL, bands, brillouin_zone, 
 from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.results import figures
-from casadi_skin.results.dataset import write_csv
+from casadi_skin.results.dataset import write_columns
 from casadi_skin.results.figures.bands import band_figure, skin_figure
-from casadi_skin.results.quantities import Cell
 from casadi_skin.runs.output import Lines, named
 from casadi_skin.runs.parts import picture
 from casadi_skin.runs.scene import Scene
@@ -93,16 +93,14 @@ def write_lattice_spectrum(scene: Scene, lattice: Lattice, parameters: Mapping[s
     if has_skin:
         windings = winding_numbers(lattice, modes.squares, parameters)
         sizes = np.abs(brillouin_zone(lattice, modes.squares, parameters)).mean(axis=1)
-    rows: list[dict[str, Cell]] = []
-    for j, omega in enumerate(modes.frequencies):
-        row: dict[str, Cell] = {"mode": j + 1, "omega": float(omega.real), "growth": float(omega.imag)}
-        row |= {"participation": modes.participation[j], "left_participation": modes.left_participation[j]}
-        for k, name in zip(range(modes.centre.shape[1]), CELL_INDICES, strict=False):
-            row |= {f"centre_{name}": modes.centre[j, k], f"decay_{name}": modes.decay[j, k]}
-        if has_skin:
-            row |= {"winding_number": float(windings[j]), "beta": float(sizes[j])}
-        rows.append(row)
-    write_csv(directory / "spectrum.csv", list(rows[0]), rows)
+    columns: dict[str, Any] = {"mode": np.arange(modes.frequencies.size) + 1}
+    columns |= {"omega": modes.frequencies.real, "growth": modes.frequencies.imag}
+    columns |= {"participation": modes.participation, "left_participation": modes.left_participation}
+    for name, centre, decay in zip(CELL_INDICES, modes.centre.T, modes.decay.T, strict=False):
+        columns |= {f"centre_{name}": centre, f"decay_{name}": decay}
+    if has_skin:
+        columns |= {"winding_number": windings, "beta": sizes}
+    write_columns(directory / "spectrum.csv", columns)
     if has_skin:
         picture(scene, directory / "skin", skin_figure, lattice, parameters)
     if modes.real and lattice.order == 2:
@@ -114,12 +112,8 @@ def write_lattice_spectrum(scene: Scene, lattice: Lattice, parameters: Mapping[s
 def _write_bands(scene: Scene, lattice: Lattice, parameters: Mapping[str, float], directory: Path) -> None:
     """bands.csv and its picture, of a lattice whose cells are all alike."""
     found = bands(lattice, parameters)
-    names = CELL_INDICES[: found.wave_numbers.shape[1]]
-    of_bands: list[dict[str, Cell]] = []
-    for wave, squares in zip(found.wave_numbers, found.squares, strict=True):
-        row: dict[str, Cell] = {f"k_{name}": float(k) for name, k in zip(names, wave, strict=True)}
-        for b, square in enumerate(squares, start=1):
-            row |= {f"omega_squared_{b}": float(square.real), f"imaginary_part_{b}": float(square.imag)}
-        of_bands.append(row)
-    write_csv(directory / "bands.csv", list(of_bands[0]), of_bands)
+    columns = {f"k_{name}": k for name, k in zip(CELL_INDICES, found.wave_numbers.T, strict=False)}
+    for b, squares in enumerate(found.squares.T, start=1):
+        columns |= {f"omega_squared_{b}": squares.real, f"imaginary_part_{b}": squares.imag}
+    write_columns(directory / "bands.csv", columns)
     picture(scene, directory / "bands", band_figure, lattice, parameters)

@@ -21,7 +21,6 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.optimise.search import SearchResult
 from casadi_skin.results.branch_records import BranchRecord
 from casadi_skin.results.quantities import Place, columns_of, csv_row
@@ -292,22 +291,13 @@ def compute(computer: bytes, task: Task, limit: float | None) -> Result:
 
 @dataclass
 class _Unkept:
-    """The journal and the tables of a cell: none, as its row is all that is kept."""
+    """The journal of a cell: none, as its row is all that is kept."""
 
     path: Path = Path()
     records: list[BranchRecord] = field(default_factory=list)
-    counts: dict[str, int] = field(default_factory=dict)
 
     def append(self, record: BranchRecord) -> None:
         """Keep nothing."""
-
-    def add(self, name: str, solutions: Sequence[Solution], space: SolutionSpace) -> None:
-        """Count rows."""
-        self.counts[name] = self.counts.get(name, 0) + len(solutions)
-
-    def count(self, name: str, space: SolutionSpace) -> int:
-        """Rows of a branch."""
-        return self.counts.get(name, 0)
 
 
 def followed(request: Request) -> tuple[list[Branch], str]:
@@ -315,9 +305,8 @@ def followed(request: Request) -> tuple[list[Branch], str]:
 
     Raises ArithmeticError where there is none.
     """
-    nothing = _Unkept()
-    followed = Branches(request, nothing, Progress(quiet=True))
-    followed.follow(nothing)
+    followed = Branches(request, Progress(quiet=True))
+    followed.follow(_Unkept())
     faults = "; ".join(followed.failures)
     if not any(len(branch) for branch in followed.branches):
         raise ArithmeticError(faults or "; ".join(branch.reason for branch in followed.branches))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,55 +30,6 @@ if TYPE_CHECKING:
 TABLE_PERIOD = 0.5  # seconds between two writings of the table while a run goes on
 
 
-@dataclass
-class Tables:
-    """Rows of every branch's table by the name of its file; those of families stand in one.
-
-    Attributes:
-        directory: where the tables are written.
-        with_stability: whether rows have the stability of their solution.
-        rows: by name of the file.
-    """
-
-    directory: Path
-    with_stability: bool
-    rows: dict[str, list[dict[str, Cell]]] = field(default_factory=dict)
-    _written: float = 0.0
-
-    def add(self, name: str, solutions: Sequence[Solution], space: SolutionSpace) -> None:
-        """Add rows to a table, which is replaced at most every TABLE_PERIOD."""
-        table, rows = table_of(name, space), self.rows.setdefault(table_of(name, space), [])
-        mode = space.coordinates.mode_number if isinstance(space, Family) else 0
-        for solution in solutions:
-            quantities = columns_of(Branch(space, (solution,), with_stability=self.with_stability))
-            index = sum(row.get("mode", 0) == mode for row in rows)
-            place = Place(solution, index, mode, solution.point.requested, solution.point.special)
-            rows.append(csv_row(quantities, place))
-        if rows and time.monotonic() - self._written > TABLE_PERIOD:
-            self._write(table)
-
-    def count(self, name: str, space: SolutionSpace) -> int:
-        """Number of rows of the table that a branch stands in."""
-        return len(self.rows.get(table_of(name, space), ()))
-
-    def write(self) -> list[str]:
-        """Write every table that has rows; their names without the suffix."""
-        names = [name for name, rows in self.rows.items() if rows]
-        for name in names:
-            self._write(name)
-        return [name.removesuffix(".csv") for name in names]
-
-    def _write(self, name: str) -> None:
-        rows = self.rows[name]
-        write_csv(self.directory / name, list(rows[0]), rows)
-        self._written = time.monotonic()
-
-
-def table_of(name: str, space: SolutionSpace) -> str:
-    """The file that the rows of a branch stand in."""
-    return "family.csv" if isinstance(space, Family) else f"{name}.csv"
-
-
 class Run(Branches):
     """One run of a request into a directory that is ready for it (see runs.directory).
 
@@ -90,10 +40,28 @@ class Run(Branches):
     """
 
     def __init__(self, request: Request, scene_text: str, directory: Path, progress: Progress) -> None:
-        self.files = Tables(directory, request.scene.stability is not None)
-        super().__init__(request, self.files, progress)
+        super().__init__(request, progress)
         self.scene_text, self.directory = scene_text, directory
         self.tasks: list[Task] = []
+        self._rows: dict[str, list[dict[str, Cell]]] = {}  # by the name of their file; those of families stand in one
+        self._shown: dict[str, int] = {}  # rows of branches by their names
+        self._written = 0.0
+
+    def show(self, name: str, solutions: Sequence[Solution], space: SolutionSpace) -> None:
+        """Add rows of more solutions to a table, which is replaced at most every TABLE_PERIOD."""
+        table, mode = ("family", space.coordinates.mode_number) if isinstance(space, Family) else (name, 0)
+        rows, known = self._rows.setdefault(table, []), self._shown.get(name, 0)
+        for index, solution in enumerate(solutions[known:], start=known):
+            quantities = columns_of(Branch(space, (solution,), with_stability=self._with_stability))
+            place = Place(solution, index, mode, solution.point.requested, solution.point.special)
+            rows.append(csv_row(quantities, place))
+        self._shown[name] = len(solutions)
+        if rows and time.monotonic() - self._written > TABLE_PERIOD:
+            self._write_table(table)
+
+    def _write_table(self, name: str) -> None:
+        write_csv(self.directory / f"{name}.csv", list(self._rows[name][0]), self._rows[name])
+        self._written = time.monotonic()
 
     def execute(self) -> bool:
         """Compute, write, and return whether everything requested was found."""
@@ -170,7 +138,9 @@ class Run(Branches):
 
     def _write_branches(self, branches: Sequence[Branch]) -> None:
         """The table of points, and the files of whole branches."""
-        names = self.files.write()
+        names = [name for name, rows in self._rows.items() if rows]
+        for name in names:
+            self._write_table(name)
         if self.request.scene.has_diagram:
             write_diagram(self.request, names, branches, origin(self.request, self.scene_text), self.directory)
             return
