@@ -151,12 +151,12 @@ def bind(scene: Scene, scene_path: Path, files: Files | None = None) -> Request:
 
 def _bound_lattice(scene: Scene, table: LatticeTable) -> Request:
     try:
-        lattice = lattice_of(table)
+        lattice: Any = lattice_of(table)
     except (TypeError, ValueError) as error:
         raise SceneError(f"[lattice] {error}") from None
-    if isinstance(lattice, OdeModel):
-        return Request(scene, lattice, dict(zip(lattice.parameter_names, lattice.nominal or (), strict=True)))
-    return Request(scene, lattice, dict(lattice.parameters))
+    if table.long:
+        return Request(scene, lattice, dict(lattice.parameters))
+    return Request(scene, lattice, dict(zip(lattice.parameter_names, lattice.nominal or (), strict=True)))
 
 
 def _bound_file(scene: Scene, table: ModelTable, scene_path: Path, files: Files) -> Request:
@@ -227,9 +227,7 @@ def _check_provable(request: Request) -> None:
 def _check_jumps(request: Request) -> None:
     """Refuse equilibria and orbits of equations that jump along them; only of such equations they are sought here."""
     scene = request.scene
-    if scene.family is not None or not isinstance(request.model, OdeModel) or not request.ode.jumps.by_name:
-        return
-    if scene.equilibrium is None and scene.orbit is None and scene.solution is None:
+    if not scene.given("equilibrium", "orbit", "solution") or not request.ode.jumps.by_name:
         return
     from casadi_skin.runs.first_solution import first_solution
 
@@ -252,7 +250,7 @@ def _check_perturbation(request: Request) -> None:
         except (TypeError, ValueError) as error:
             raise SceneError(f"[dynamics] {error}") from None
         return
-    if table is None or not isinstance(model, OdeModel):
+    if table is None or scene.chain is not None:
         return
     accepted = f"{model.size} numbers" if model.order == 1 else (
         f"{model.size} displacements, or these and {model.size} velocities")  # fmt: skip

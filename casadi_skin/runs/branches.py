@@ -14,9 +14,8 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.follow import following_space
 from casadi_skin.follow.following import Following
-from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.follow.walk import Walk
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.results.branch_records import (
@@ -29,7 +28,7 @@ from casadi_skin.results.branch_records import (
     stability_record,
 )
 from casadi_skin.results.journal import Journal
-from casadi_skin.runs.parts import Offshoots
+from casadi_skin.runs.parts import Offshoots, is_orbit
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.solve.watch import watched
@@ -80,7 +79,7 @@ class Branches:
         try:
             for name, space in self._spaces(journal):
                 started = time.perf_counter()
-                with self._named(f"mode {name}: " if isinstance(space, Family) else ""):
+                with self._named(f"mode {name}: " if space.connects == FAMILY else ""):
                     self._follow(name, space, journal)
                     self._seek_changes(name, self.branches[-1])
                 self.seconds.append(time.perf_counter() - started)
@@ -119,7 +118,7 @@ class Branches:
 
     def _seek_changes(self, name: str, branch: Branch) -> None:
         """Every change of stability of a family, and resonances passed over, where the scene requests events."""
-        if branch.with_events and isinstance(branch.space, Family):
+        if branch.with_events and branch.space.connects == FAMILY:
             self.progress.say(f"j = {name}: changes of stability")
             branch.diagram_of_changes  # noqa: B018  computed once, and kept by the branch
             branch.passed_resonances  # noqa: B018  likewise
@@ -205,7 +204,7 @@ class Branches:
             for result in following:
                 point = result.point  # one that its neighbours' multipliers lead to is sought again
                 sought_again = point.special and not (point.located or point.requested)
-                periodic = isinstance(result, Orbit) or result.known_floquet is not None
+                periodic = is_orbit(result) or result.known_floquet is not None
                 if periodic and self._with_stability and not sought_again:
                     journal.append(stability_record(name, result))
                 self.show(name, following.solutions, space)

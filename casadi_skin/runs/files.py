@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.family import Family
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.space import FAMILY
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.lattice.spectrum import linear_frequencies
 from casadi_skin.results import figures
@@ -27,7 +26,7 @@ from casadi_skin.results.tables import (
     further_rows,
     tongue_rows,
 )
-from casadi_skin.runs.parts import Offshoots, mode_of, origin, picture
+from casadi_skin.runs.parts import Offshoots, is_orbit, mode_of, origin, picture
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.zero.family import TWO_PI
@@ -48,7 +47,7 @@ def write_branches(
 ) -> None:
     """All files of branches but the table of their points."""
     scene = request.scene
-    family = isinstance(branches[0].space, Family)
+    family = branches[0].space.connects == FAMILY
     vectors = scene.stability is not None and scene.stability.vectors
     dataset = dataset_of(branches, vectors)
     dataset = replace(dataset, attributes=origin(request, scene_text, branches[0]))
@@ -110,7 +109,9 @@ def _write_branch(request: Request, branch: Branch, directory: Path) -> None:
     """special_points.csv and the pictures of another branch, or of a single solution."""
     title = request.scene.title or ""
     if len(branch) > 1:
-        columns = _columns(["kind"], [branch.parameter], ["error", "period"] if _has_orbits(branch) else ["error"])
+        columns = _columns(
+            ["kind"], [branch.parameter], ["error", "period"] if is_orbit(branch.solutions[0]) else ["error"]
+        )
         write_csv(directory / "special_points.csv", list(columns), branch_rows(branch, columns))
         picture(request.scene, directory / "branch", figures.branch_figure, branch, title)
     picture(request.scene, directory / "orbit", figures.orbit_figure, branch.solutions[-1], title)
@@ -125,7 +126,7 @@ def special_rows(name: str, branch: Branch, columns: Mapping[str, str]) -> Itera
     `columns` says what a column is by its name, parameters with PARAMETER; what a point does not have is empty.
     """
     for point in branch.special_points:
-        orbit = point.solution if isinstance(point.solution, Orbit) else None
+        orbit: Any = point.solution if is_orbit(point.solution) else None
         cells: dict[str, Cell] = {PARAMETER + each: float(value) for each, value in point.parameters.items()}
         cells |= {"branch": name, "kind": point.kind, "error": point.error}
         if orbit is not None:
@@ -203,10 +204,6 @@ def write_diagram(
         picture(request.scene, directory / "curves", figures.curves_figure, curves, title)
 
 
-def _has_orbits(branch: Branch) -> bool:
-    return isinstance(branch.solutions[0], Orbit)
-
-
 def write_offshoots(
     request: Request, families: Sequence[Branch], found: Offshoots, attributes: dict[str, float | str], directory: Path
 ) -> None:
@@ -235,14 +232,11 @@ def _edge_rows(mode: int, listed: str, number: int, curve: EdgeCurve) -> Iterato
 
 def write_spectrum(request: Request, directory: Path) -> None:
     """spectrum.csv and the picture of the linear spectrum; of a lattice also where modes live, and its bands."""
-    if request.scene.chain is None:
-        from casadi_skin.lattice.lattice import Lattice
+    if request.scene.lattice is not None:
+        from casadi_skin.runs.lattices import write_lattice_spectrum
 
-        if isinstance(request.model, Lattice):
-            from casadi_skin.runs.lattices import write_lattice_spectrum
-
-            write_lattice_spectrum(request.scene, request.model, request.parameters, directory)
-            return
+        write_lattice_spectrum(request.scene, request.model, request.parameters, directory)
+        return
     frequencies = linear_frequencies(request.model, request.parameters)
     write_columns(directory / "spectrum.csv", {"mode": np.arange(len(frequencies)) + 1, "omega": frequencies})
     picture(request.scene, directory / "spectrum", figures.spectrum_figure, request.model, request.parameters)

@@ -206,8 +206,7 @@ def start_near_rest(request: Request) -> tuple[Array, Array | None]:
     """The state that a scene without an orbit starts from; raises ValueError for one that the model does not have."""
     dynamics = request.scene.dynamics
     assert dynamics is not None
-    parameters = request.parameters if isinstance(request.model, OdeModel) else None
     return initial_state(
         request.model, dynamics.size or 0.0, mode=dynamics.mode, site=dynamics.site, vector=dynamics.vector,
-        seed=dynamics.seed, moving=dynamics.moving, parameters=parameters,
+        seed=dynamics.seed, moving=dynamics.moving, parameters=request.model_parameters,
     )  # fmt: skip

@@ -7,10 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.rest_curve import UnfoldingError
-from casadi_skin.follow.solution import Equilibrium
-from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.space import EQUILIBRIA, SolutionSpace
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.points.curves import curve_space
 from casadi_skin.points.diagram import LEAVING_KINDS, Further
@@ -18,7 +16,7 @@ from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.points.switch import leaving_space
 from casadi_skin.results.branch_records import EdgeRecord, Records
 from casadi_skin.results.saving import restored, saved
-from casadi_skin.runs.parts import Offshoots, ended_well, mode_of
+from casadi_skin.runs.parts import Offshoots, ended_well, is_orbit, mode_of
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.scene import ContinuationTable
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, TORUS
@@ -161,12 +159,12 @@ def further_spaces(
 
 def _has_cycles(point: SpecialPoint) -> bool:
     """Whether cycles leave a special point of equilibria."""
-    return point.kind == HOPF and isinstance(point.solution, Equilibrium)
+    return point.kind == HOPF and point.solution.space.connects == EQUILIBRIA
 
 
 def _at_rest(point: SpecialPoint) -> bool:
     """Whether cycles have shrunk to an equilibrium there: its own branch has the curve."""
-    return point.kind == HOPF and isinstance(point.solution, Orbit)
+    return point.kind == HOPF and is_orbit(point.solution)
 
 
 def _passes(curve: Branch, point: SpecialPoint) -> bool:
@@ -177,7 +175,7 @@ def _passes(curve: Branch, point: SpecialPoint) -> bool:
         found = curve.at(point.parameters[curve.parameter], which=1)
     except (ValueError, ArithmeticError):
         return False
-    if not isinstance(found, Equilibrium):
+    if found.space.connects != EQUILIBRIA:
         a, b = found.parameters[point.parameter], point.parameters[point.parameter]
         return bool(abs(a - b) <= SAME_POINT_DISTANCE * max(abs(a), abs(b)))
     x, y = found.positions, point.solution.evaluate(0.0)[: found.positions.size]

@@ -13,7 +13,6 @@ from casadi_skin.lattice.declaration import CELL_INDICES
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import REAL_SQUARE_RTOL, bands, brillouin_zone, lattice_modes, winding_numbers
 from casadi_skin.lattice.long_lattice import LongLattice
-from casadi_skin.model.ode import OdeModel
 from casadi_skin.results import figures
 from casadi_skin.results.dataset import write_columns
 from casadi_skin.results.figures.bands import band_figure, skin_figure
@@ -25,11 +24,8 @@ ZERO_SQUARE_RATIO = 1e-13  # of the largest omega^2: smaller ones are 0
 MOST_MODES = 600  # whose frequencies a plan computes at once
 
 
-def lattice_lines(lattice: LongLattice | OdeModel, parameters: Mapping[str, float]) -> Lines:
+def lattice_lines(lattice: Lattice, parameters: Mapping[str, float]) -> Lines:
     """The declaration of a lattice, and the properties found in it."""
-    if isinstance(lattice, LongLattice):
-        return _long_lattice_lines(lattice)
-    assert isinstance(lattice, Lattice)
     declared = lattice.declaration
     size = f"{' x '.join(map(str, declared.cells))} cells of {len(declared.sites)}, {declared.size} sites"
     by_cell = f"; by cell {', '.join(declared.by_cell)}" if declared.by_cell else ""
@@ -71,7 +67,7 @@ def _from_to(low: float, high: float) -> str:
     return "from " + " to ".join(ends)
 
 
-def _long_lattice_lines(lattice: LongLattice) -> Lines:
+def long_lattice_lines(lattice: LongLattice) -> Lines:
     """A lattice with a linear tail, and the linear modes at its edge."""
     modes = [f"{math.sqrt(mode.square):.6g}{' (pinned to a band)' if mode.pinned else ''}" for mode in lattice.modes]
     edge = "last" if lattice.at_last else "first"

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, ParamSpec
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.family import Family
-from casadi_skin.lattice.chain import Chain
-from casadi_skin.model.ode import OdeModel
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import FAMILY, ORBITS
 from casadi_skin.results.dataset import versions
 from casadi_skin.results.figures.style import save
 from casadi_skin.runs.request import Request
@@ -42,20 +41,26 @@ def picture(
 def origin(request: Request, scene_text: str, branch: Branch | None = None) -> dict[str, float | str]:
     """The request, its model, and the versions that computed it."""
     known: dict[str, float | str] = {"title": request.scene.title or "", "scene": scene_text, **versions()}
-    if branch is not None and isinstance(branch.space, Family) and request.scene.chain is not None:
-        return {**known, **branch.space.coordinates.attributes}
+    if branch is not None and branch.space.connects == FAMILY and request.scene.chain is not None:
+        space: Any = branch.space
+        return {**known, **space.coordinates.attributes}
     if request.scene.chain is not None:
         chain = request.scene.chain
         return {**known, "sites": chain.sites, "alpha": chain.alpha, "gamma": chain.gamma, "g": chain.g}
     file = request.scene.model.file if request.scene.model is not None else ""
-    name = request.ode.name if isinstance(request.model, Chain | OdeModel) else request.model.name
+    name = request.model.name  # of a model; a chain has none
     return {**known, "model": name, "model_file": file, "model_source": request.source}
 
 
 def mode_of(branch: Branch) -> int:
     """Number of the linear mode of a family."""
-    assert isinstance(branch.space, Family)
-    return branch.space.coordinates.mode_number
+    space: Any = branch.space
+    return int(space.coordinates.mode_number)
+
+
+def is_orbit(solution: Solution) -> bool:
+    """Whether a solution is a periodic orbit, of a family or of another branch."""
+    return solution.space.connects in (FAMILY, ORBITS)
 
 
 NATURAL = (

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from casadi_skin.follow.family import Family
-from casadi_skin.lattice.chain import Chain
 from casadi_skin.model import methods
 from casadi_skin.model.conserved import SymmetryClass, symmetry_class
-from casadi_skin.model.ode import OdeModel
 from casadi_skin.runs.family_plan import SPECTRUM_LINE, FamilyPlan, chain_line, family_lines
 from casadi_skin.runs.output import Lines, listed, named
 from casadi_skin.runs.request import Request, state_of
@@ -21,7 +20,6 @@ from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.problem import Problem
 from casadi_skin.zero.request import FamilyRequest
 from casadi_skin.zero.settings import ErrorEstimate
-from casadi_skin.zero.shooting import ShootingProblem
 
 TYPICAL_SAMPLES = (60, 450)  # orbits of a family that its changes of stability are sought with
 TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to end modes of long or steep ones
@@ -48,19 +46,19 @@ def plan_lines(request: Request, measure: bool) -> Lines:
 
 
 def _nothing(request: Request) -> str:
-    tables = "family" if isinstance(request.model, Chain) else "[family], [equilibrium], [orbit] or [solution]"
+    tables = "family" if request.scene.chain is not None else "[family], [equilibrium], [orbit] or [solution]"
     return f"any boundary-value problem: the scene asks for no {tables}"
 
 
 def _model_lines(request: Request) -> Lines:
     model = request.model
-    if isinstance(model, Chain):
+    if request.scene.chain is not None:
         return [chain_line(model.sites, model.alpha, model.gamma, model.g)]
     if request.scene.lattice is not None:
-        from casadi_skin.runs.lattices import lattice_lines
+        from casadi_skin.runs.lattices import lattice_lines, long_lattice_lines
 
-        return lattice_lines(model, request.parameters)
-    assert isinstance(model, OdeModel)
+        lattice = request.scene.lattice
+        return long_lattice_lines(model) if lattice.long else lattice_lines(model, request.parameters)
     words = {
         "time reversal": model.reversal is not None,
         "half-period symmetry": model.half_period is not None,
@@ -90,7 +88,7 @@ def _family_lines(request: Request, measure: bool) -> Lines:
         str(method.transcription),
         str(method.flow),
         None if localised is None else localised.sites[0],
-        int(request.model.sites) if full and isinstance(request.model, Chain) else None,
+        int(request.model.sites) if full and request.scene.chain is not None else None,
     )
     return family_lines(request.scene, plan, _measured(request, family) if measure else None)
 
@@ -124,11 +122,11 @@ def _first_problem(family: Family) -> tuple[Problem, ErrorEstimate]:
         problem, z = finer, problem.prolong(correction.z, finer)
 
 
-def _resolution(request: FamilyRequest, problem: Problem) -> str:
+def _resolution(request: FamilyRequest, problem: Any) -> str:
     name = str(request.method.transcription)
     if name == methods.TRIGONOMETRIC:
         return f"{problem.resolution} odd cosines"
-    if isinstance(problem, ShootingProblem):
+    if name == methods.SHOOTING:
         return f"{problem.segments} segments, a local tolerance of 1e-{problem.resolution}"
     return f"{problem.resolution} intervals, polynomials of degree {request.degree}"
 

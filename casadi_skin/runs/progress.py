@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from casadi_skin.follow.family import Family
 from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import FAMILY
 
 if TYPE_CHECKING:
     from rich.status import Status
@@ -57,8 +57,8 @@ class Progress:
 
 def _place(solution: Solution) -> str:
     """Place of a solution on its branch, and the end of the branch."""
-    space = solution.space
-    if isinstance(space, Family):
+    space: Any = solution.space
+    if space.connects == FAMILY:
         S, end = space.value("S", solution.point), space.request.amplitude_max
         return f"j = {space.coordinates.mode_number}: S = {S:.6g} of {end:g}"
     if space.parameter:

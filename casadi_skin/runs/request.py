@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec.structs import asdict, astuple
 
-from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.runs.rules import SceneError, check_known, refusal
@@ -66,7 +65,7 @@ class Request:
 
     Attributes:
         scene: the scene.
-        model: the `Chain` or the `OdeModel` as declared.
+        model: the `Chain`, the `LongLattice` or the `OdeModel` as declared.
         parameters: values of all parameters of a model by name.
         path: the file of the model; None for a chain and a lattice.
         source: its text.
@@ -75,7 +74,7 @@ class Request:
     """
 
     scene: Scene
-    model: Chain | LongLattice | OdeModel
+    model: Any
     parameters: Mapping[str, float]
     path: Path | None = None
     source: str = ""
@@ -87,12 +86,19 @@ class Request:
         """The relative error allowed."""
         return self.scene.accuracy.relative_tolerance
 
+    @property
+    def model_parameters(self) -> Mapping[str, float] | None:
+        """Values of parameters of an `OdeModel`; None of a chain and of a lattice with a tail, which have their own."""
+        long = self.scene.lattice is not None and self.scene.lattice.long
+        return None if long or self.scene.chain is not None else self.parameters
+
     @cached_property
     def equations(self) -> OdeModel:
         """The equations of motion in the coordinates of the model; always the same symbols."""
-        if not isinstance(self.model, Chain | OdeModel):
+        if self.scene.lattice is not None and self.scene.lattice.long:
             raise ValueError("[lattice]: given one with a linear tail, whose equations are not written down")
-        return self.model.tunable_model() if isinstance(self.model, Chain) else self.model
+        model: OdeModel = self.model if self.scene.chain is None else self.model.tunable_model()
+        return model
 
     @cached_property
     def ode(self) -> OdeModel:
@@ -113,14 +119,13 @@ class Request:
         if family is None:
             return ()
         targets = Targets(family.at, family.at_Omega, family.at_period, family.period_max, family.max_points)
-        parameters = self.parameters if isinstance(self.model, OdeModel) else None
         export = self.scene.export
         exported, stability = export is not None and export.S is not None, self.scene.stability is not None
         found = []
         for mode in self.scene.modes():
             request = FamilyRequest(
-                self.model, mode, family.amplitude_max, targets, self.tolerance, method_of(self.scene), parameters,
-                self.scene.accuracy.certify, decimals=bool(self.scene.accuracy.certify),
+                self.model, mode, family.amplitude_max, targets, self.tolerance, method_of(self.scene),
+                self.model_parameters, self.scene.accuracy.certify, decimals=bool(self.scene.accuracy.certify),
             )  # fmt: skip
             if exported:
                 request.coordinates.check_whole("[export] S")

@@ -8,10 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.family import Family
-from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.model.files import replacing
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.results.dataset import write_csv
@@ -19,7 +17,7 @@ from casadi_skin.results.quantities import Cell, Place, certified, columns_of, c
 from casadi_skin.runs.branches import Branches
 from casadi_skin.runs.directory import JOURNAL_FILE, SCENE_MODEL, renew
 from casadi_skin.runs.files import write_branches, write_diagram, write_offshoots, write_spectrum
-from casadi_skin.runs.parts import ended_well, mode_of, origin
+from casadi_skin.runs.parts import ended_well, is_orbit, mode_of, origin
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.solve.watch import one_thread
@@ -49,7 +47,7 @@ class Run(Branches):
 
     def show(self, name: str, solutions: Sequence[Solution], space: SolutionSpace) -> None:
         """Add rows of more solutions to a table, which is replaced at most every TABLE_PERIOD."""
-        table, mode = ("family", space.coordinates.mode_number) if isinstance(space, Family) else (name, 0)
+        table, mode = ("family", int(name)) if space.connects == FAMILY else (name, 0)
         rows, known = self._rows.setdefault(table, []), self._shown.get(name, 0)
         for index, solution in enumerate(solutions[known:], start=known):
             quantities = columns_of(Branch(space, (solution,), with_stability=self._with_stability))
@@ -92,8 +90,8 @@ class Run(Branches):
         """Reasons why the run is not as requested, in a line each."""
         reasons = []
         for branch in self.branches:
-            if isinstance(branch.space, Family):
-                part = f"mode {branch.space.coordinates.mode_number}"
+            if branch.space.connects == FAMILY:
+                part = f"mode {mode_of(branch)}"
             else:
                 part = "[continuation]" if branch.parameter else "[stability]"
             if not self._reached_its_end(branch):
@@ -164,7 +162,7 @@ class Run(Branches):
         if self.request.scene.stability is None:
             return
         solutions = [solution for branch in branches for solution in branch.solutions]
-        found = [s.floquet() for s in solutions if isinstance(s, Orbit) or s.known_floquet is not None]
+        found = [s.floquet() for s in solutions if is_orbit(s) or s.known_floquet is not None]
         off = [f for f in found if f.trivial_deviation > f.allowed_deviation]
         if off:
             worst = max(off, key=lambda f: f.trivial_deviation / f.allowed_deviation)

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from casadi_skin.certify.certificate import STABLE, UNDECIDED, UNSTABLE
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.family import Family
-from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.solution import Equilibrium
+from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS
 from casadi_skin.results.quantities import certified, places_of
 from casadi_skin.results.tables import UNRESOLVED
 from casadi_skin.runs.output import print_table
-from casadi_skin.runs.parts import mode_of
+from casadi_skin.runs.parts import is_orbit, mode_of
 from casadi_skin.zero.kinds import count_in_words
 
 if TYPE_CHECKING:
@@ -29,13 +27,13 @@ def print_summary(run: Run) -> None:
         _print_branches(run, branches)
     for task in run.tasks:
         print(*task.words(), sep="\n")
-    families = not run.branches or isinstance(run.branches[0].space, Family)
+    families = not run.branches or run.branches[0].space.connects == FAMILY
     print(f"{'' if families else _counted(branches) + '; '}results in {run.directory}")
 
 
 def _print_branches(run: Run, branches: list[Branch]) -> None:
     """The table of branches, and what it does not show."""
-    if isinstance(run.branches[0].space, Family):
+    if run.branches[0].space.connects == FAMILY:
         stability = ["max |multiplier|", "changes"] if run.request.scene.stability is not None else []
         columns = ["mode", "points", "S", "Omega", "its error", *stability, "seconds"]
         print_table(run.request.scene.title, columns, _family_rows(run))
@@ -112,8 +110,8 @@ def _contents(branch: Branch) -> str:
     """What the solutions of a branch are."""
     if branch.space.kind:
         return "curve"
-    first = branch.solutions[0]
-    return "cycles" if isinstance(first, Orbit) else "equilibria" if isinstance(first, Equilibrium) else "solutions"
+    kinds = {FAMILY: "cycles", ORBITS: "cycles", EQUILIBRIA: "equilibria"}
+    return kinds.get(branch.solutions[0].space.connects, "solutions")
 
 
 def _diagram_points(branch: Branch) -> Iterator[tuple[str, Mapping[str, float], str, str]]:
@@ -159,7 +157,8 @@ def _print_proofs(branches: list[Branch]) -> None:
             width = max((c.Omega[1] - c.Omega[0] for c in proved), default=0.0)
             words = f"; Omega enclosed to {width:.1e}, orbits to {max(c.radius for c in proved):.1e}" if proved else ""
             print(f"mode {mode_of(branch)}: {len(proved)} of {len(asked)} orbits proved to exist{words}")
-        if asked and isinstance(branch.space, Family) and branch.space.request.certify == "all":
+        space: Any = branch.space
+        if asked and space.connects == FAMILY and space.request.certify == "all":
             print(f"mode {mode_of(branch)}: {_proved_curve(branch)}")
         if asked and branch.with_stability:
             verdicts = [orbit.proved_stability.verdict for orbit in asked]
@@ -179,7 +178,7 @@ def _print_points(run: Run, branch: Branch) -> None:
     """A row for the first and the last point, requested points, and folds."""
     first = branch.solutions[0]
     columns = ["point", "", *([branch.parameter] if branch.parameter else [])]
-    columns += ["period"] if isinstance(first, Orbit) else []
+    columns += ["period"] if is_orbit(first) else []
     columns += [f"largest {first.space.state_names[0]}", "its error", *(["max |mult.|"] * branch.with_stability)]
     print_table(run.request.scene.title or run.request.ode.name, columns, _point_rows(branch))
 
@@ -193,7 +192,7 @@ def _point_rows(branch: Branch) -> Iterator[list[str]]:
             continue
         row = [str(place.index), ", ".join(words) if len(branch) > 1 else "alone"]
         row += [f"{solution.parameters[branch.parameter]:.8g}"] if branch.parameter else []
-        row += [f"{solution.period:.10g}"] if isinstance(solution, Orbit) else []
+        row += [f"{solution.value('period'):.10g}"] if is_orbit(solution) else []
         row += [f"{place.extremes[1][0]:.8g}", f"{solution.error:.1e}"]
         if branch.with_stability:
             moduli = np.abs(place.floquet.others)

@@ -10,20 +10,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.lattice.chain import Chain
+from casadi_skin.follow.space import FAMILY
 from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.dataset import Dataset, write_columns, write_netcdf
 from casadi_skin.results.figures.style import number
 from casadi_skin.runs.branches import Branches
@@ -169,10 +166,8 @@ class Dynamics(Task):
         from casadi_skin.runs.first_solution import start_near_rest
 
         asked, model = self.asked, self.request.model
-        if isinstance(model, LongLattice):
-            raise ValueError("lattice: given one with a linear tail; accepted: all its cells, without edge")
-        parameters = self.request.parameters if isinstance(model, OdeModel) else None
-        if isinstance(model, Lattice):
+        parameters = self.request.model_parameters
+        if self.request.scene.lattice is not None:
             fastest = float(np.max(lattice_modes(model, parameters).frequencies.real))
         else:
             fastest = (equations_of_motion(model, parameters).linear_frequencies or (0.0, 0.0))[1]
@@ -198,7 +193,7 @@ class Dynamics(Task):
         near = orbit if asked.size is not None else None
         draw = partial(spacetime_figure, profile=True, energy=True, kicked_site=asked.site, orbit=near)
         picture(request.scene, directory / "dynamics", draw, evolution, title)
-        if isinstance(request.model, Lattice) and request.model.structure.energies is not None:
+        if request.scene.lattice is not None and request.model.structure.energies is not None:
             _write_spreading(request.scene, spreading(evolution), request.model, directory)
 
 
@@ -236,9 +231,10 @@ def _origin_of(orbit: Orbit | None, dynamics: DynamicsTable) -> tuple[dict[str, 
         start: dict[str, float | str] = {"start_size": dynamics.size or 0.0, "start": f"{what} {_direction(dynamics)}"}
         return start, f"{what} of ${number(dynamics.size or 0.0)}$ {_direction(dynamics)}"
     start = {"orbit_Omega": orbit.Omega}
-    if not isinstance(orbit.space, Family):
+    space: Any = orbit.space
+    if space.connects != FAMILY:
         return start, f"period ${number(orbit.period)}$"
-    mode = orbit.space.coordinates.mode_number
+    mode = space.coordinates.mode_number
     return {"orbit_mode": mode, "orbit_S": orbit.S, **start}, f"$j = {mode}$, $S = {number(orbit.S)}$"
 
 
@@ -268,7 +264,7 @@ class Export(Task):
 
     def plan(self) -> Lines:
         """What is exported, and where."""
-        asked, of = self.asked, "the chain" if isinstance(self.request.model, Chain) else "the model"
+        asked, of = self.asked, "the chain" if self.request.scene.chain is not None else "the model"
         if asked.S is not None:
             of = f"the orbit j = {asked.mode or self.request.families[0].mode}, S = {asked.S:g}"
         elif self.request.scene.orbit is not None:
@@ -305,13 +301,12 @@ class Export(Task):
         """Where the exports are."""
         return [f"exported to {path}" for path in self.written]
 
-    def _exported(self, branches: Sequence[Branch]) -> Chain | OdeModel | Orbit:
+    def _exported(self, branches: Sequence[Branch]) -> Any:
         """The orbit at S of its family, or the last orbit of another branch, or the model."""
         if self.asked.S is not None:
             return _at(self.asked.S, self.asked.mode, branches)
         if self.request.scene.orbit is not None and branches:
             return branches[0].orbits[-1]
-        assert not isinstance(self.request.model, LongLattice)
         return self.request.model
 
 
@@ -336,10 +331,9 @@ class Search(Task):
             (held.quantity, *((held.equal, held.equal) if held.equal is not None else (held.lower, held.upper)))
             for held in asked.constraints
         ]
-        if isinstance(model, Chain):
+        if self.request.scene.chain is not None:
             family: ChainFamily | ModelFamily = ChainFamily.of(model, asked.mode)
         else:
-            assert isinstance(model, OdeModel)
             family = ModelFamily.of(model, asked.mode, self.request.parameters)
         return FamilySearch.of(
             family, S=asked.S, objective=asked.objective, free=asked.free, bounds=asked.bounds,
