@@ -6,7 +6,9 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -65,3 +67,33 @@ def killed(records: int, scene: Path, out: Path) -> int:
     )
     process.communicate()
     return process.returncode
+
+
+class Ended(NamedTuple):
+    """How a command ended, and what it said."""
+
+    status: int
+    out: str
+    err: str
+
+    @property
+    def line(self) -> str:
+        """What is on standard error: one line, of input that is wrong."""
+        assert self.status == 2
+        assert (self.err.count("\n"), self.out) == (1, "")
+        return self.err
+
+
+@pytest.fixture
+def cli(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
+    """Runs casadi-skin with some words in this process."""
+
+    def run(*words: object) -> Ended:
+        capsys.readouterr()
+        try:
+            status = main([str(word) for word in words])
+        except SystemExit as stop:  # of argparse
+            status = int(stop.code or 0)
+        return Ended(status, *capsys.readouterr())
+
+    return run

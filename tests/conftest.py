@@ -16,6 +16,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VEC
     os.environ.setdefault(_name, "1")  # each core has a worker of its own
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+from apart import cli as cli
 from kernels import needs_kernels, numpy_alone  # numpy is imported with them, which reads these
 
 from casadi_skin.follow import family

@@ -1,16 +1,13 @@
-"""Scenes of any model and of chains that were scenes of one kind before: files, numbers known independently, kills."""
+"""Scenes of any model and orbits of chains: files, and numbers known independently."""
 
 from __future__ import annotations
 
-import json
-import signal
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from apart import ended, killed
+from apart import Ended
 from drawing import blank_pictures
 from outputs import read_rows
 from scipy.integrate import solve_ivp
@@ -18,7 +15,6 @@ from scipy.special import ellipk
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.model.loading import run_file
-from casadi_skin.results.journal import Journal
 from casadi_skin.runs.program import main
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -39,7 +35,6 @@ def lattice(name, sites, onsite, bond, **declared):
 
 pair = lattice("pair", 2, lambda y, b: y**2 / 2 + b * y**4 / 4, lambda d, b: d**2 / 20)
 fput = lattice("fput", 5, lambda y, b: 0 * y, lambda d, b: d**2 / 2 + b * d**4 / 4)
-pendula = lattice("pendula", 3, lambda y, b: 1 - ca.cos(y), lambda d, b: b * d**2 / 20)
 x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
 van_der_pol = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu, nominal=(1.0,))
 """
@@ -71,17 +66,6 @@ section = { y = 0.0 }
 periods = 2
 samples = 9
 """
-CYCLES = """[orbit]
-start = [2.0, 0.0]
-period = 6.6
-[continuation]
-parameter = "mu"
-to = 3.0
-at = [1.5, 2.0]
-[stability]
-[accuracy]
-tolerance = 1e-6
-"""
 CHAIN_ORBIT = """[chain]
 sites = 3
 alpha = 1.0
@@ -102,7 +86,6 @@ duration = 5.0
 samples = 6
 """
 FPUT = '[family]\nmode = [1, "last"]\namplitude_max = 2.0\nat = [0.5]\n[stability]\nvectors = true\n'
-PENDULA = "[family]\nmode = 3\namplitude_max = 6.0\nat = [2.0]\n[stability]\n[dynamics]\nS = 2.0\nperiods = 1\n"
 
 
 def write_scene(folder: Path, text: str, model: str = "") -> Path:
@@ -216,20 +199,18 @@ def test_time_evolution_of_a_perturbed_mode(pair_run: Path) -> None:
 
 
 @pytest.mark.usefixtures("pictures")
-def test_the_spectrum_of_a_lattice_of_ones_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_spectrum_of_a_lattice_of_ones_own(tmp_path: Path, cli: Callable[..., Ended]) -> None:
     scene, out = write_scene(tmp_path, "[spectrum]\n", "fput"), tmp_path / "out"
     exact = 2.0 * np.sin(np.arange(1, 6) * np.pi / 12.0)
-    assert main(["spectrum", str(scene)]) == 0
-    printed = [float(line.split()[1]) for line in capsys.readouterr().out.splitlines()[1:]]
+    printed = [float(line.split()[1]) for line in cli("spectrum", scene).out.splitlines()[1:]]
     np.testing.assert_allclose(printed, exact, rtol=1e-13)
-    assert main(["run", str(scene), "--out", str(out)]) == 0
+    assert cli("run", scene, "--out", out).status == 0
     np.testing.assert_allclose([float(r["omega"]) for r in read_rows(out / "spectrum.csv")], exact, rtol=1e-14)
     assert {"spectrum.png"} <= {path.name for path in out.iterdir()}
 
 
-def test_the_plan_of_families_of_a_model(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", str(EXAMPLES / "fput_modes.toml"), "--measure"]) == 0
-    plan = capsys.readouterr().out
+def test_the_plan_of_families_of_a_model(cli: Callable[..., Ended]) -> None:
+    plan = cli("check", EXAMPLES / "fput_modes.toml", "--measure").out
     for words in (
         "y_0, y_1, ..., v_23 (48 in all)", "time reversal, half-period symmetry, conserved quantity",
         "j = 1, 2, 24, to S = 2, points exactly at S = 1", "a quarter of the period", "the equations are Hamiltonian",
@@ -242,10 +223,9 @@ def test_the_plan_of_families_of_a_model(capsys: pytest.CaptureFixture[str]) -> 
 
 
 @pytest.mark.usefixtures("pictures")
-def test_time_evolution_of_a_limit_cycle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_time_evolution_of_a_limit_cycle(tmp_path: Path, cli: Callable[..., Ended]) -> None:
     scene, out = write_scene(tmp_path, CYCLE, "van_der_pol"), tmp_path / "out"
-    assert main(["run", str(scene), "--out", str(out)]) == 0
-    assert "dynamics: cvodes in physical coordinates" in capsys.readouterr().out
+    assert "dynamics: cvodes in physical coordinates" in cli("run", scene, "--out", out).out
     table = read_rows(out / "dynamics.csv")
     assert list(table[0]) == ["t", "x", "y"]
     t, states = (np.array([[float(r[n]) for n in names] for r in table]) for names in (["t"], ["x", "y"]))
@@ -290,112 +270,6 @@ def test_an_orbit_of_a_chain_is_followed_in_its_nonreciprocity(tmp_path: Path) -
     assert (out / "special_points.csv").read_text(encoding="utf-8") == "kind,gamma,error,period\n"
 
 
-# Kills and interruptions ------------------------------------------------------------------------------------------
-
-KINDS = {
-    "families of a lattice": ("fput", FPUT, 22, "family.csv"),
-    "a family of pendula": ("pendula", PENDULA, 22, "family.csv"),
-    "cycles": ("van_der_pol", CYCLES, 6, "branch.csv"),
-    "orbits of a chain": ("", CHAIN_ORBIT, 4, "branch.csv"),
-}
-
-
-def kinds(quick: str) -> list[Any]:
-    """All kinds, of which one is quick."""
-    return [pytest.param(kind, marks=() if kind == quick else pytest.mark.slow) for kind in KINDS]
-
-
-@pytest.fixture(scope="module")
-def long_run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int, str]:
-    """A scene beside its uninterrupted run, a number of records at which it is stopped, and its table of points."""
-    model, text, records, table = KINDS[request.param]
-    scene = write_scene(tmp_path_factory.mktemp("long"), text, model)
-    with pytest.MonkeyPatch.context() as patch:
-        blank_pictures(patch)
-        assert main(["run", str(scene), "--out", str(scene.parent / "whole"), "--quiet"]) == 0
-    return scene, records, table
-
-
-def the_same_bytes(directory: Path, whole: Path) -> None:
-    names = sorted(path.name for path in whole.iterdir())
-    assert names == sorted(path.name for path in directory.iterdir())
-    for name in names:
-        if name.endswith((".csv", ".nc", ".toml", ".py")):
-            assert (directory / name).read_bytes() == (whole / name).read_bytes(), name
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("pictures", "interruptible")
-@pytest.mark.parametrize(
-    ("long_run", "stop"),
-    [
-        *(pytest.param(*kind.values, killed, marks=kind.marks) for kind in kinds("cycles")),
-        *(pytest.param(*kind.values, None, marks=kind.marks) for kind in kinds("a family of pendula")),
-    ],
-    ids=[f"{kind}-{word}" for word in ("killed", "interrupted") for kind in KINDS],
-    indirect=["long_run"],
-)
-def test_a_run_that_was_stopped_ends_with_the_bytes_of_one_that_was_not(
-    tmp_path: Path, long_run: tuple[Path, int, str], stop: Callable[[int, Path, Path], int] | None,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    (scene, records, table), out = long_run, tmp_path / "out"
-    whole = scene.parent / "whole"
-    if stop is None:
-        assert ended(signal.SIGINT, records, scene, out) == 130
-        told = capsys.readouterr()
-        assert told.out == ""
-        assert "what was computed is in" in told.err
-        assert told.err.count("\n") == 1
-        reported = read_rows(out / table)
-        assert len(reported) >= 2
-    else:
-        assert stop(records, scene, out) == -signal.SIGKILL
-        reported = read_rows(out / table) if (out / table).exists() else []
-    assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
-    assert capsys.readouterr().out == ""
-    the_same_bytes(out, whole)
-    final = read_rows(whole / table)
-    for row in reported:
-        row.pop("fold", None)  # it shows with the points after it
-        assert any(row.items() <= other.items() for other in final)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("pictures")
-def test_a_run_that_cannot_write_tells_it_in_a_line_and_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scene, out, written = write_scene(tmp_path, CYCLES, "van_der_pol"), tmp_path / "out", iter(range(4))
-    append = Journal.append
-
-    def full(self: Journal, record: object) -> None:
-        if next(written, None) is None:
-            raise OSError(28, "No space left on device")
-        append(self, record)  # type: ignore[arg-type]
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Journal, "append", full)
-        assert main(["run", str(scene), "--out", str(out), "--quiet"]) == 1
-    told = capsys.readouterr().err
-    assert told.startswith(f"casadi-skin: {out}: No space left on device; what was computed is in {out}; go on with")
-    assert told.count("\n") == 1
-    assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("pictures", "interruptible")
-def test_a_journal_of_another_version_is_computed_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene, out = write_scene(tmp_path, CYCLES, "van_der_pol"), tmp_path / "out"
-    assert ended(signal.SIGINT, 4, scene, out) == 130
-    capsys.readouterr()
-    record = json.dumps({"type": "point"}).encode()
-    (out / "journal.msgpack").write_bytes(len(record).to_bytes(4, "little") + record)
-    assert main(["run", str(scene), "--out", str(out), "--resume"]) == 0
-    words = "no record of a journal at byte 0; what follows it is dropped and computed again"
-    assert capsys.readouterr().err == f"casadi-skin: {out}/journal.msgpack: {words}\n"
-
-
 # Refusals ---------------------------------------------------------------------------------------------------------
 
 
@@ -403,23 +277,18 @@ def test_a_journal_of_another_version_is_computed_again(tmp_path: Path, capsys: 
     ("model", "text", "words"),
     [
         ("van_der_pol", FPUT, "[family]: given van der Pol; accepted for families: a model of second order"),
-        ("pair", FPUT.replace('"last"', "7"), "[family] mode: given 7; accepted: 1..2, first, last"),
-        ("pair", FPUT.replace("at =", "intervals = 3\nat ="), "[family] intervals: unknown key"),
         ("pair", FPUT + "[method]\nintervals = 3\n", "[method] intervals: given 3; accepted: beside [orbit] or "),
-        ("", CHAIN_ORBIT + "[method]\nwalker = 'series'\n", '[method] walker: given "series"; accepted: beside [fam'),
         ("", CHAIN_ORBIT.replace("to = 0.4", "to = 1.4"), "[continuation] to: given 1.4 for gamma; accepted: numbers"),
     ],
 )
 def test_what_a_scene_cannot_ask_for_leaves_with_status_2_and_a_line(
-    model: str, text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    model: str, text: str, words: str, tmp_path: Path, cli: Callable[..., Ended]
 ) -> None:
-    scene = write_scene(tmp_path, text, model)
-    for command in (["run", str(scene), "--out", str(tmp_path / "out")], ["check", str(scene)]):
-        assert main(command) == 2
-        told = capsys.readouterr()
-        assert words in told.err
-        assert told.err.startswith(f"casadi-skin: {scene}: [")
-        assert told.err.count("\n") == 1
-        assert told.out == "" or told.out.endswith("is run as Python\n")  # what was run before the fault showed
-        assert told.out.count("\n") <= 1
-    assert not (tmp_path / "out").exists()
+    scene, out = write_scene(tmp_path, text, model), tmp_path / "out"
+    for command in (["run", scene, "--out", out], ["check", scene]):
+        done = cli(*command)
+        assert done.status == 2
+        assert done.err.startswith(f"casadi-skin: {scene}: {words}")
+        assert done.err.count("\n") == 1
+        assert done.out == "" or done.out.endswith("is run as Python\n")  # what was run before the fault showed
+    assert not out.exists()
