@@ -78,9 +78,8 @@ class Ended(NamedTuple):
 
     @property
     def line(self) -> str:
-        """What is on standard error: one line, of input that is wrong."""
-        assert self.status == 2
-        assert (self.err.count("\n"), self.out) == (1, "")
+        """What is on standard error where input is wrong: one line."""
+        assert (self.status, self.err.count("\n")) == (2, 1)
         return self.err
 
 

@@ -185,14 +185,15 @@ def _print_points(run: Run, branch: Branch) -> None:
 
 def _point_rows(branch: Branch) -> Iterator[list[str]]:
     for place in places_of(branch):
-        solution, last = place.solution, place.index == len(branch) - 1
+        solution: Any = place.solution
+        last = place.index == len(branch) - 1
         marks = {"start": place.index == 0, "asked for": place.requested, place.special: place.special, "end": last}
         words = [word for word, holds in marks.items() if holds and word]
         if not words:
             continue
         row = [str(place.index), ", ".join(words) if len(branch) > 1 else "alone"]
         row += [f"{solution.parameters[branch.parameter]:.8g}"] if branch.parameter else []
-        row += [f"{solution.value('period'):.10g}"] if is_orbit(solution) else []
+        row += [f"{solution.period:.10g}"] if is_orbit(solution) else []
         row += [f"{place.extremes[1][0]:.8g}", f"{solution.error:.1e}"]
         if branch.with_stability:
             moduli = np.abs(place.floquet.others)

@@ -85,9 +85,10 @@ def test_bad_scenes_are_refused_in_one_line_and_nothing_is_written(
         return
     out = scene.with_name("out")
     scene.write_text(text, encoding="utf-8")
-    told = cli(command, scene, *(["--out", out] if command == "run" else [])).line
-    assert place in told
-    assert str(scene) in told
+    done = cli(command, scene, *(["--out", out] if command == "run" else []))
+    assert place in done.line
+    assert str(scene) in done.line
+    assert done.out == ""
     assert not out.exists()
 
 

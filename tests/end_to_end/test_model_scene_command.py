@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import signal
-import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from apart import undrawn
+from apart import Ended
 from outputs import read_rows
 
 from casadi_skin import save_model
@@ -18,6 +16,7 @@ from casadi_skin.runs.program import main
 
 pytestmark = pytest.mark.usefixtures("blank")
 
+Cli = Callable[..., Ended]
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MODEL = """
 import casadi as ca
@@ -57,33 +56,31 @@ def period_by_crossings(mu: float, until: float = 90.0) -> float:
 
 
 @pytest.mark.parametrize("command", ["check", "run"])
-def test_the_python_file_of_a_scene_is_named_before_it_runs(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_python_file_of_a_scene_is_named_before_it_runs(command: str, tmp_path: Path, cli: Cli) -> None:
     scene = write_scene(tmp_path, "van_der_pol", ORBIT)
     (tmp_path / "model.py").write_text("print('ran'); raise SystemExit", encoding="utf-8")
-    assert main([command, str(scene)]) == 2
-    assert capsys.readouterr().out.splitlines() == [f"program       {tmp_path / 'model.py'} is run as Python", "ran"]
-    assert main(["run", str(scene), "--quiet"]) == 2
-    assert capsys.readouterr().out == "ran\n"
+    done = cli(command, scene)
+    assert done.status == 2
+    assert done.out.splitlines() == [f"program       {tmp_path / 'model.py'} is run as Python", "ran"]
+    assert cli("run", scene, "--quiet")[:2] == (2, "ran\n")
 
 
-def test_a_saved_model_is_no_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_saved_model_is_no_program(tmp_path: Path, cli: Cli) -> None:
     scene = write_scene(tmp_path, "van_der_pol", ORBIT)
-    names = run_file(tmp_path / "model.py", MODEL)
-    save_model(names["van_der_pol"], tmp_path / "model.json")
+    save_model(run_file(tmp_path / "model.py", MODEL)["van_der_pol"], tmp_path / "model.json")
     text = scene.read_text(encoding="utf-8").replace("model.py", "model.json").replace('name = "van_der_pol"\n', "")
     scene.write_text(text, encoding="utf-8")
-    assert main(["check", str(scene)]) == 0
-    assert "program" not in capsys.readouterr().out
+    done = cli("check", scene)
+    assert done.status == 0
+    assert "program" not in done.out
 
 
 # The examples ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_van_der_pol(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", str(EXAMPLES / "van_der_pol.toml"), "--out", str(tmp_path / "out")]) == 0
+def test_van_der_pol(tmp_path: Path, cli: Cli) -> None:
+    assert "results in" in cli("run", EXAMPLES / "van_der_pol.toml", "--out", tmp_path / "out").out
     table = read_rows(tmp_path / "out" / "branch.csv")
     assert [float(r["mu"]) for r in table if r["requested"] == "1"] == [2.0, 5.0]
     for row in table:
@@ -91,13 +88,11 @@ def test_van_der_pol(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
             assert float(row["period"]) == pytest.approx(period_by_crossings(float(row["mu"])), rel=1e-9)
     assert all(r["stable"] == "1" and r["unstable"] == "0" for r in table)
     assert all(float(r["trivial_deviation"]) < 1e-7 for r in table)
-    assert "results in" in capsys.readouterr().out
 
 
 def check_special_points(out: Path, within: float) -> None:
     """At each fold of the resonance a multiplier passes 1: both are told, in order along the branch."""
-    with (out / "special_points.csv").open(encoding="utf-8", newline="") as file:
-        points = list(csv.DictReader(file))
+    points = read_rows(out / "special_points.csv")
     assert list(points[0]) == ["kind", "omega", "error", "period"]
     kinds = [row["kind"] for row in points]
     assert sorted(kinds) == ["fold", "fold", "stability gained (real)", "stability lost (real)"]
@@ -106,20 +101,6 @@ def check_special_points(out: Path, within: float) -> None:
     assert values == pytest.approx(np.repeat(FOLDS, 2), abs=within)
     assert [float(row["period"]) for row in points] == pytest.approx(2 * np.pi / np.array(values), rel=1e-12)
     assert all(0.0 <= float(row["error"]) < within for row in points)
-
-
-@pytest.mark.slow
-def test_special_points_of_the_resonance_of_duffing(tmp_path: Path, pictures: None) -> None:
-    text = (EXAMPLES / "duffing_resonance.toml").read_text(encoding="utf-8")
-    for old, new in (
-        ('"models/', f'"{EXAMPLES}/models/'), ("omega = 0.5", "omega = 1.3"), ("[0.0, 0.0]", "[1.0, 0.0]"),
-        ("at = [1.8]", ""), ("max_step = 0.1", "max_step = 0.4"), ("1e-9", "1e-7"), ("to = 3.0", "to = 2.3"),
-    ):  # fmt: skip
-        assert old in text
-        text = text.replace(old, new)
-    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
-    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out")]) == 0
-    check_special_points(tmp_path / "out", 1e-6)
 
 
 @pytest.mark.slow
@@ -162,24 +143,6 @@ def test_the_resonance_of_duffing(tmp_path: Path) -> None:
         assert np.array_equal(np.isfinite(edges).sum(axis=1) - 1, data.intervals.values)
 
 
-@pytest.mark.slow
-def test_a_branch_of_cycles_with_their_stability(tmp_path: Path) -> None:
-    xarray = pytest.importorskip("xarray")
-    rest = ORBIT + "[continuation]\nparameter = 'mu'\nto = 1.4\nat = [1.2]\n[stability]\n"
-    out = tmp_path / "out"
-    assert main(["run", str(write_scene(tmp_path, "van_der_pol", rest)), "--out", str(out)]) == 0
-    table = read_rows(out / "branch.csv")
-    assert [float(r["mu"]) for r in table if r["requested"] == "1"] == [1.2]
-    assert float(table[-1]["period"]) == pytest.approx(period_by_crossings(1.4, 40.0), rel=1e-7)
-    assert all(r["stable"] == "1" and r["unstable"] == "0" for r in table)
-    with xarray.open_dataset(out / "branch.nc", engine="scipy") as data:
-        np.testing.assert_array_equal(data.largest.values[:, 0], [float(r["x_max"]) for r in table])
-        np.testing.assert_allclose(data.profile.values[:, 0], data.profile.values[:, -1], atol=1e-7)
-        moduli = np.hypot(*np.moveaxis(data.multipliers.values, -1, 0))
-        assert moduli.max(axis=1) == pytest.approx(1.0, abs=1e-8)  # the trivial one, of which the table is not
-        np.testing.assert_allclose(moduli.min(axis=1), [float(r["max_abs_multiplier"]) for r in table], rtol=1e-14)
-
-
 # Files and status -----------------------------------------------------------------------------------------
 
 
@@ -203,27 +166,24 @@ def test_the_branch_of_a_boundary_value_problem_with_its_fold(tmp_path: Path) ->
 
 
 @pytest.mark.usefixtures("pictures")
-def test_one_orbit_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_orbit_alone(tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "out"
     scene = write_scene(tmp_path, "van_der_pol", ORBIT + "section = { y = 0 }\n")
-    assert main(["run", str(scene), "--out", str(out)]) == 0
-    assert {path.name for path in out.iterdir()} == {
-        "branch.csv", "branch.nc", "orbit.png", "scene.toml", "scene_model.py",
-    }  # fmt: skip
+    assert cli("run", scene, "--out", out).status == 0
+    files = {"branch.csv", "branch.nc", "orbit.png", "scene.toml", "scene_model.py"}
+    assert {path.name for path in out.iterdir()} == files
     (row,) = read_rows(out / "branch.csv")
     assert list(row) == [
         *("point", "requested", "fold", "period", "mu", "x_min", "x_max", "y_min", "y_max"),
         *("error", "parameter_error", "intervals", "residual"),
     ]
-    assert "journal.msgpack" not in {path.name for path in out.iterdir()}
-    assert main(["run", str(scene), "--out", str(out)]) == 2
-    assert "--overwrite" in capsys.readouterr().err
-    assert main(["run", str(scene), "--out", str(out), "--resume"]) == 0
-    assert "complete run already" in capsys.readouterr().out
+    assert "--overwrite" in cli("run", scene, "--out", out).line
+    done = cli("run", scene, "--out", out, "--resume")
+    assert done.status == 0
+    assert "complete run already" in done.out
     (tmp_path / "model.py").write_text(MODEL + "# changed\n", encoding="utf-8")
-    assert main(["run", str(scene), "--out", str(out), "--resume"]) == 2
-    assert "was begun with another model.py" in capsys.readouterr().err
-    assert main(["run", str(scene), "--out", str(out), "--overwrite"]) == 0
+    assert "was begun with another model.py" in cli("run", scene, "--out", out, "--resume").err
+    assert cli("run", scene, "--out", out, "--overwrite").status == 0
     assert (out / "scene_model.py").read_text(encoding="utf-8").endswith("# changed\n")
 
 
@@ -247,15 +207,12 @@ def test_methods_agree(tmp_path: Path) -> None:
         (ORBIT + "[continuation]\nparameter = 'mu'\nto = 2\nmax_points = 3\n", "limit on the number of points"),
     ],
 )
-def test_what_cannot_be_computed_is_told_in_a_line(
-    rest: str, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_computed_is_told_in_a_line(rest: str, reason: str, tmp_path: Path, cli: Cli) -> None:
     scene = write_scene(tmp_path, "van_der_pol", rest)
-    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 1
-    error = capsys.readouterr().err
+    status, _, error = cli("run", scene, "--out", tmp_path / "out")
+    assert (status, error.count("\n")) == (1, 1)
     assert error.startswith(f"{scene}: ")
     assert reason in error
-    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -267,50 +224,25 @@ def test_what_cannot_be_computed_is_told_in_a_line(
         ("van_der_pol = 3\n", "van_der_pol gives an int; accepted: an OdeModel or a BoundaryValueProblem"),
     ],
 )
-def test_what_is_wrong_in_the_model_leaves_with_status_2(
-    source: str, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_wrong_in_the_model_leaves_with_status_2(source: str, reason: str, tmp_path: Path, cli: Cli) -> None:
     scene = write_scene(tmp_path, "van_der_pol", ORBIT)
     (tmp_path / "model.py").write_text(source, encoding="utf-8")
-    for command in (["run", str(scene), "--out", str(tmp_path / "out")], ["check", str(scene)]):
-        assert main(command) == 2
-        error = capsys.readouterr().err
+    for command in (["run", scene, "--out", tmp_path / "out"], ["check", scene]):
+        status, _, error = cli(*command)
+        assert (status, error.count("\n")) == (2, 1)
         assert error.startswith(f"casadi-skin: {scene}: [model] ")
         assert reason in error
-        assert error.count("\n") == 1
     assert {path.name for path in tmp_path.iterdir()} == {"model.py", "scene.toml"}
 
 
-def test_check_prints_the_plan_and_other_commands_refuse(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_prints_the_plan_and_other_commands_refuse(tmp_path: Path, cli: Cli) -> None:
     rest = ORBIT + "[continuation]\nparameter = 'mu'\nto = 2\n[stability]\n"
     scene = write_scene(tmp_path, "van_der_pol", rest)
-    assert main(["check", str(scene)]) == 0
-    plan = capsys.readouterr().out
+    plan = cli("check", scene).out
     for words in ("x, y", "mu = 1", "no symmetry", "integral phase condition", "one period of 6.6", "170 state values"):
         assert words in plan
     for command in ("spectrum", "tradeoff"):
-        assert main([command, str(scene)]) == 2
-        assert capsys.readouterr().err.count("\n") == 1
-    assert main(["check", str(write_scene(tmp_path, "van_der_pol", ""))]) == 0
-    assert "no [family], [equilibrium], [orbit] or [solution]" in capsys.readouterr().out
-    assert main(["run", str(scene)]) == 2
-    assert "asks for nothing to compute" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("interruptible")
-def test_an_interrupted_run_keeps_its_points(tmp_path: Path) -> None:
-    rest = ORBIT + "[continuation]\nparameter = 'mu'\nto = 60\nmax_step = 0.02\n"
-    scene, out = write_scene(tmp_path, "van_der_pol", rest), tmp_path / "out"
-    process = undrawn("run", scene, "--out", out)
-    while not (out / "branch.csv").exists() or len(read_rows(out / "branch.csv")) < 2:
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
-    output, error = process.communicate()
-    assert process.returncode == 130, error
-    assert "Traceback" not in error
-    assert "what was computed is in" in error
-    assert "end" in output
-    assert len(read_rows(out / "branch.csv")) >= 2
-    assert (out / "journal.msgpack").exists()
+        status, _, error = cli(command, scene)
+        assert (status, error.count("\n")) == (2, 1)
+    plan = cli("check", write_scene(tmp_path, "van_der_pol", "")).out
+    assert "no [family], [equilibrium], [orbit] or [solution]" in plan
