@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,20 @@ from casadi_skin import Orbit
 from casadi_skin.dynamics import distance_from_orbit, evolve
 from casadi_skin.runs.program import main
 
+Run = Callable[..., Any]
 PICTURES = Path(__file__).parents[2] / "docs" / "pictures"
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    """Runs an example by name, which draws its picture."""
+
+    def run(name: str, *arguments: object, **options: object) -> Any:
+        found = load(name).main(tmp_path / "picture.png", *arguments, **options)
+        assert drawn(tmp_path / "picture.png")
+        return found
+
+    return run
 
 
 def physical_flow(orbit: Orbit, perturbations: np.ndarray, time: float) -> np.ndarray:
@@ -35,9 +50,8 @@ def physical_flow(orbit: Orbit, perturbations: np.ndarray, time: float) -> np.nd
 
 
 @pytest.mark.slow
-def test_follow_one_family(tmp_path: Path) -> None:
-    branch = load("follow_one_family").main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+def test_follow_one_family(run: Run) -> None:
+    branch = run("follow_one_family")
     reference = {0.2: 1.036393147166972, 1.0: 1.018532435491958, 3.0: 0.765958900020734}  # independent codes
     for S, Omega in reference.items():
         assert abs(branch.at(S=S).Omega / Omega - 1) < 1e-9
@@ -50,18 +64,16 @@ def test_follow_one_family(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_stability_boundary(tmp_path: Path) -> None:
-    found = load("stability_boundary").main(tmp_path / "picture.png", np.array([0.2, 0.3]))
-    assert drawn(tmp_path / "picture.png")
+def test_stability_boundary(run: Run) -> None:
+    found = run("stability_boundary", np.array([0.2, 0.3]))
     # Scans in steps of 1e-5 by another program; windows of 3e-4 and 2e-5 in S.
     np.testing.assert_allclose(found[:, 0, 0], [0.15880, 0.02295], atol=6e-6)
     assert np.all(found[:, 0, 1] < 1e-9)
 
 
 @pytest.mark.slow
-def test_floquet_vectors(tmp_path: Path) -> None:
-    orbit, multipliers, vectors = load("floquet_vectors").main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+def test_floquet_vectors(run: Run) -> None:
+    orbit, multipliers, vectors = run("floquet_vectors")
     assert abs(np.abs(multipliers).max() - 1.1712757348) < 1e-9  # independent code
     chosen = [2, 3, 10, 25, int(np.argmax(np.abs(multipliers)))]
     parts = np.hstack([vectors[:, chosen].real, vectors[:, chosen].imag])
@@ -71,19 +83,17 @@ def test_floquet_vectors(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_proved_orbits(tmp_path: Path) -> None:
+def test_proved_orbits(run: Run) -> None:
     pytest.importorskip("flint")
-    found = load("proved_orbits").main(tmp_path / "picture.png", chains=12)
-    assert drawn(tmp_path / "picture.png")
+    found = run("proved_orbits", chains=12)
     assert len(found) == 12
     assert np.all(found[:, 1] <= found[:, 0])  # every estimate is honest
     assert np.all((found[:, 2] > 0) & (found[:, 2] < 2e-15))
 
 
-def test_kick_from_the_far_end(tmp_path: Path) -> None:
+def test_kick_from_the_far_end(run: Run) -> None:
     example = load("kick_from_the_far_end")
-    orbit, growth = example.main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+    orbit, growth = run("kick_from_the_far_end")
     kicks = np.stack([example.unit_displacement(1), example.unit_displacement(24), growth.optimal], axis=1)
     k = int(np.argmax(growth.log10_bounded))
     norms = np.linalg.norm(physical_flow(orbit, kicks, growth.t[k]), axis=0)
@@ -94,9 +104,8 @@ def test_kick_from_the_far_end(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_smallest_kick(tmp_path: Path) -> None:
-    kick = load("smallest_kick").main(tmp_path / "picture.png", starts=2)
-    assert drawn(tmp_path / "picture.png")
+def test_smallest_kick(run: Run) -> None:
+    kick = run("smallest_kick", starts=2)
     orbit, n = kick.orbit, kick.orbit.model.sites
     assert kick.best.strict
     assert abs(kick.norm / 6.52883e-4 - 1) < 1e-5
@@ -114,10 +123,9 @@ def test_smallest_kick(tmp_path: Path) -> None:
     assert abs(kick.linear_norm * gain / (0.5 * np.sqrt(orbit.S)) - 1) < 1e-5
 
 
-def test_thousand_sites(tmp_path: Path) -> None:
+def test_thousand_sites(run: Run) -> None:
     example = load("thousand_sites")
-    extended, breather = example.main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+    extended, breather = run("thousand_sites")
     # Harmonic balance of the last 120 sites with 5 harmonics and Newton's method in numpy: the rest is at rest.
     assert abs(breather.Omega / 2.227581383482702 - 1) < 1e-11
     # The tail in closed form, from site to site, down to 1e-180.
@@ -145,10 +153,9 @@ def residual(orbit: Orbit) -> float:
 
 
 @pytest.mark.slow
-def test_duffing_check(tmp_path: Path) -> None:
+def test_duffing_check(run: Run) -> None:
     example = load("duffing_check")
-    errors = example.main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+    errors = run("duffing_check")
     mpmath = pytest.importorskip("mpmath")
     with mpmath.workdps(30):  # the closed form that the example compares with, S = 2, g = -1, omega^2 = 3
         exact = mpmath.pi * mpmath.sqrt(1) / (2 * mpmath.ellipk(mpmath.mpf(-1)))
@@ -160,9 +167,8 @@ def test_duffing_check(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_export_c(tmp_path: Path) -> None:
-    numbers, in_c, in_python = load("export_c").main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+def test_export_c(run: Run) -> None:
+    numbers, in_c, in_python = run("export_c")
     assert abs(numbers["period"] / (2 * np.pi / 1.018532435491958) - 1) < 1e-13  # independent codes
     assert abs(numbers["largest_multiplier"] - 1.171275734790) < 1e-12
     assert np.abs(in_c[:, 1] - in_python).max() < 1e-9
@@ -170,17 +176,15 @@ def test_export_c(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_chain_as_fmu(tmp_path: Path) -> None:
-    differences = load("chain_as_fmu").main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+def test_chain_as_fmu(run: Run) -> None:
+    differences = run("chain_as_fmu")
     assert differences["CoSimulation"] < 1e-11
     assert differences["ModelExchange"] < 1e-5
 
 
 @pytest.mark.slow
-def test_foreign_fmu(tmp_path: Path) -> None:
-    branch = load("foreign_fmu").main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+def test_foreign_fmu(run: Run) -> None:
+    branch = run("foreign_fmu")
     assert branch.at(1.0).period == pytest.approx(6.66328685932313, abs=1e-8)
 
     def field(_: float, x: np.ndarray) -> list[float]:
@@ -204,9 +208,8 @@ def test_the_picture_of_the_site_is_there_and_small(path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_overview(tmp_path: Path) -> None:
-    softening, breather, branches, largest = load("overview").main(tmp_path / "picture.png", np.array([0.2, 0.3]))
-    assert drawn(tmp_path / "picture.png")
+def test_overview(run: Run) -> None:
+    softening, breather, branches, largest = run("overview", np.array([0.2, 0.3]))
     assert len(softening.changes) == 47  # as many as in scans in steps of 1e-5 by another program
     corner = breather.profile.reshape(10, 8)[5:, 4:]  # the one that bonds push to
     assert np.sum(corner**2) > 0.95 * breather.S
@@ -219,9 +222,8 @@ def test_overview(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_sine_gordon_kink(tmp_path: Path) -> None:
-    kink, families = load("sine_gordon_kink").main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+def test_sine_gordon_kink(run: Run) -> None:
+    kink, families = run("sine_gordon_kink")
     assert kink.stable
     y = np.concatenate([kink.positions[:1], kink.positions, kink.positions[-1:]])
     balance = 0.4 * (0.98 * (y[2:] - y[1:-1]) - 1.02 * (y[1:-1] - y[:-2])) - np.sin(kink.positions)
@@ -232,9 +234,8 @@ def test_sine_gordon_kink(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_isola(tmp_path: Path) -> None:
-    crossings, sweep, isola = load("isola").main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+def test_isola(run: Run) -> None:
+    crossings, sweep, isola = run("isola")
     # By hand: on an orbit in which both oscillators move alike, x'' + 1.3 x + 0.05 x^3 = 0, what the drive gives at its
     # best phase, F integral of x' cos(omega t + phase), equals 2 c times the integral of (1 - 2 x^2 + 0.6 x^4) x'^2.
     for crossing in crossings:
@@ -257,10 +258,9 @@ def test_isola(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_localised_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_localised_changes(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The script and the scene have the same four; the second is at the extremum of the energy."""
-    branch = load("localised_changes").main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+    branch = run("localised_changes")
     found = branch.localised_diagram
     expected = [0.10182823265077, 2.3316117706867, 2.8691016136668, 2.8693340820587]
     assert found.complete

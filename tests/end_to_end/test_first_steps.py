@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import subprocess
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from apart import Ended
 from drawing import blank_pictures
 from outputs import EXAMPLES, read_rows
 
@@ -16,6 +18,7 @@ from casadi_skin.runs.program import _parser, main
 from casadi_skin.runs.reading import parse_scene, scene_schema
 from casadi_skin.runs.rules import SceneError
 
+Cli = Callable[..., Ended]
 CHAIN = "[chain]\nsites = 3\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
 FAMILY = "[family]\nmode = 1\namplitude_max = 0.1\n"
 VERBS = tuple(_parser()._subparsers._group_actions[0].choices)  # type: ignore[union-attr]
@@ -28,9 +31,8 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_every_verb_has_an_example_that_its_parser_takes(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["help", verb]) == 0
-    told = " ".join(capsys.readouterr().out.split())
+def test_every_verb_has_an_example_that_its_parser_takes(verb: str, cli: Cli) -> None:
+    told = " ".join(cli("help", verb).out.split())
     assert told.startswith(f"usage: casadi-skin {verb}")
     example = told.rpartition("Example: ")[2].removeprefix('eval "$(').removesuffix(')"')
     words = example.split()
@@ -38,23 +40,19 @@ def test_every_verb_has_an_example_that_its_parser_takes(verb: str, capsys: pyte
     assert _parser().parse_args(words[1:]).command == verb
 
 
-def test_help_without_a_verb_names_all(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["help"]) == 0
-    told = capsys.readouterr().out
+def test_help_without_a_verb_names_all(cli: Cli) -> None:
+    told = cli("help").out
     assert all(verb in told for verb in VERBS)
 
 
 @pytest.mark.parametrize("kind", ["chain", "lattice", "model"])
-def test_a_new_scene_is_commented_and_can_be_meant(kind: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["new", kind]) == 0
-    assert capsys.readouterr().out.endswith(f"next: casadi-skin run {kind}.toml\n")
+def test_a_new_scene_is_commented_and_can_be_meant(kind: str, here: Path, cli: Cli) -> None:
+    assert cli("new", kind).out.endswith(f"next: casadi-skin run {kind}.toml\n")
     text = (here / f"{kind}.toml").read_text(encoding="utf-8")
     assert text.count("#") > 10
     parse_scene(text)
-    assert kind != "model" or main(["check", "model.toml", "--quiet"]) == 0
-    assert capsys.readouterr().out == ""
-    assert main(["new", kind]) == 2
-    assert capsys.readouterr().err == f"casadi-skin: new: {kind}.toml is there already; accepted: another --out\n"
+    assert kind != "model" or cli("check", "model.toml", "--quiet") == (0, "", "")
+    assert cli("new", kind).line == f"casadi-skin: new: {kind}.toml is there already; accepted: another --out\n"
 
 
 @pytest.mark.slow
@@ -68,54 +66,47 @@ def test_a_new_scene_runs(kind: str, here: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize(("out", "reason"), [("a.txt", "ends in .toml"), ("no/a.toml", "no is no directory")])
-def test_names_that_no_scene_can_have(out: str, reason: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["new", "chain", "--out", out]) == 2
-    assert reason in capsys.readouterr().err
+def test_names_that_no_scene_can_have(out: str, reason: str, here: Path, cli: Cli) -> None:
+    assert reason in cli("new", "chain", "--out", out).line
     assert not list(here.iterdir())
 
 
-def results(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> Any:
+def results(cli: Cli, *words: str) -> Any:
     """What a command prints with --json, which is all that is on standard output."""
-    main([*arguments, "--json"])
-    return json.loads(capsys.readouterr().out)
+    return json.loads(cli(*words, "--json").out)
 
 
-def test_results_as_json(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.fixture
+def scene(here: Path) -> str:
     (here / "a.toml").write_text(CHAIN + FAMILY, encoding="utf-8")
-    assert len(results(["spectrum", "a.toml"], capsys)["omega"]) == 3
-    assert {"subject": "chain", "words": "N = 3, alpha = 1, gamma = 0.25, g = -1"} in results(
-        ["check", "a.toml"], capsys
-    )
+    return "a.toml"
+
+
+def test_results_as_json(scene: str, cli: Cli) -> None:
+    assert len(results(cli, "spectrum", scene)["omega"]) == 3
+    assert {"subject": "chain", "words": "N = 3, alpha = 1, gamma = 0.25, g = -1"} in results(cli, "check", scene)
+    assert "not allowed with" in cli("run", scene, "--quiet", "--json").line
 
 
 @pytest.mark.usefixtures("pictures")
-def test_a_run_as_json_has_the_numbers_of_its_tables(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (here / "a.toml").write_text(CHAIN + FAMILY, encoding="utf-8")
-    told = results(["run", "a.toml"], capsys)
+def test_a_run_as_json_has_the_numbers_of_its_tables(scene: str, here: Path, cli: Cli) -> None:
+    told = results(cli, "run", scene)
     rows = read_rows(here / "results" / "a" / "family.csv")
     assert (told["directory"], told["complete"], told["reasons"]) == ("results/a", True, [])
     assert "family.nc" in told["files"]
     family = told["tables"]["family"]
     assert [row["Omega"] for row in family] == [float(row["Omega"]) for row in rows]
     assert {type(family[0][name]) for name in ("mode", "S")} == {int, float}
-    assert results(["run", "a.toml", "--resume"], capsys) == told
+    assert results(cli, "run", scene, "--resume") == told
 
 
 @pytest.mark.slow
-def test_a_study_is_quiet_or_prints_json(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (here / "a.toml").write_text(CHAIN + FAMILY, encoding="utf-8")
-    arguments = ["tradeoff", "a.toml", "--quick", "--out", "out"]
-    status = main([*arguments, "--quiet"])
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert (status == 1) == bool(told.err)
-    assert results([*arguments, "--overwrite"], capsys)["tables"]
-
-
-def test_quiet_and_json_do_not_go_together(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["run", "a.toml", "--quiet", "--json"])
-    assert "not allowed with" in capsys.readouterr().err
+def test_a_study_is_quiet_or_prints_json(scene: str, cli: Cli) -> None:
+    words = ["tradeoff", scene, "--quick", "--out", "out"]
+    done = cli(*words, "--quiet")
+    assert done.out == ""
+    assert (done.status == 1) == bool(done.err)
+    assert results(cli, *words, "--overwrite")["tables"]
 
 
 def test_several_unknown_names_are_told_at_once_with_the_names_that_papers_use() -> None:
@@ -132,12 +123,11 @@ def test_several_unknown_names_are_told_at_once_with_the_names_that_papers_use()
     assert len(str(caught.value)) < 500
 
 
-def test_the_schema_has_no_null_and_is_written(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["schema"]) == 0
-    printed = capsys.readouterr().out
+def test_the_schema_has_no_null_and_is_written(here: Path, cli: Cli) -> None:
+    printed = cli("schema").out
     assert printed == json.dumps(scene_schema(), indent=2) + "\n"
     assert "null" not in printed
-    assert main(["schema", "--out", "scene.schema.json"]) == 0
+    assert cli("schema", "--out", "scene.schema.json").status == 0
     assert (here / "scene.schema.json").read_text(encoding="utf-8") == printed
 
 
@@ -154,9 +144,8 @@ def test_editors_take_every_example_by_the_schema_and_mark_a_wrong_key() -> None
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
-def test_completion_knows_every_verb(shell: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["completion", shell]) == 0
-    script = capsys.readouterr().out
+def test_completion_knows_every_verb(shell: str, here: Path, cli: Cli) -> None:
+    script = cli("completion", shell).out
     assert all(verb in script for verb in VERBS)
     if shell == "bash":
         (here / "completion").write_text(script, encoding="utf-8")

@@ -64,27 +64,8 @@ CHAIN_ORBIT: dict[str, Any] = {
     "dynamics": {"duration": 3.0, "size": 0.01, "site": 2},
     "method": {"transcription": "radau", "intervals": 5, "flow": "cvodes"},
 }
-KNOWN = st.sampled_from(
-    [
-        "x",
-        "y",
-        "mu",
-        "y_2",
-        "gamma",
-        "select",
-        "hamiltonian",
-        "pendulum",
-        "pair",
-        "problem",
-        "guess",
-        "ca",
-        "model.json",
-        "first",
-        "last",
-    ]
-)
-
-
+NAMES = "x", "y", "mu", "y_2", "gamma", "select", "hamiltonian", "pendulum", "pair", "problem", "guess", "ca"
+KNOWN = st.sampled_from([*NAMES, "model.json", "first", "last"])
 VALID = [ORBIT, SOLUTION, FAMILY, CHAIN_ORBIT]
 
 
