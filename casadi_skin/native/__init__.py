@@ -8,7 +8,7 @@ how the arguments of its functions and the fields of its structures follow one a
 | source | what it computes | the same by numpy |
 | --- | --- | --- |
 | bordered.c | factors and solutions of bands with borders | `solve.bordered` |
-| splitting.c | Jacobians along orbits, transition matrices | `stability.jacobian`, `stability.splitting` |
+| splitting.c | transition matrices along orbits | `stability.splitting` |
 | decoupling.c | bases that make matrices block diagonal | `stability.tongues.blocks` |
 | elimination.c | cells of a row eliminated from its free end on | `stability.tongues.hill` |
 | equations.c | equations of collocation in odd cosines, from instructions of CasADi | CasADi itself |
@@ -36,16 +36,13 @@ Indices = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
 Pattern = tuple[NDArray[np.int32], NDArray[np.int32]]  # indptr and indices of the rows of J
 Levels = Sequence[tuple[Indices, Indices, Array]]  # nodes known, nodes wanted, weights of these in those
-Sequences = tuple[Indices, Array, Array]  # numbers of kicks, all kicks and drifts, one after the other
 
 LIBRARY = Path(__file__).with_name("kernels.library")
 # By the kinds of arguments or of fields: i an integer, r a real number, a an array or a structure.
 FUNCTIONS = {
     "bordered_solve": "aaia",
     "bordered_steps": "aiaaaiaaaa",
-    "jacobians": "aia",
-    "transitions": "iiiiaaiaaaaiia",
-    "flows": "aiiiaaiaaaaaia",
+    "transitions": "iiiiaaiaaaaia",
     "invariant": "iiiiiaaaiaaairaa",
     "contracts": "iiiiaaairraa",
     "eliminated": "aiaaaaaa",
@@ -56,7 +53,6 @@ FUNCTIONS = {
 }
 TERMS, PROGRAM = "iaaaaaa", "iaaaaa"
 LAYOUT = "iiii" + 4 * "iaa" + "aarraaa"
-ORBITS = "iiiii" + "aaaaaa" + TERMS
 ROW = "iiiiii" + "aa"
 EQUATIONS = "iiii" + "aaaaaaaaa" + 2 * PROGRAM + "aaa"
 SERIES = "iiiii" + "aaaaaaaa" + 2 * (TERMS + "aa")
@@ -213,34 +209,9 @@ def _extents(banded: int, width: int, targets: Indices) -> tuple[Indices, Indice
 # Variational flow along orbits: splitting.c --------------------------------------------------------------------------
 
 
-class JacobianKernel:
-    """Non-zeros of J along orbits, `constant` and terms whose rows are places among the non-zeros."""
-
-    def __init__(self, constant: Array, terms: Sequence[Monomials]) -> None:
-        self._constant, self._terms = constant, _terms(terms)
-
-    def orbits(self, sites: int, values: Array, weights: Array, parameters: Array) -> Structure:
-        """Orbits, each with its parameter, by values at nodes, (orbits, sites * nodes or more).
-
-        These have `weights`, (nodes, phases), in the states at the phases.
-        """
-        (nodes, phases), (orbits, stride) = weights.shape, values.shape
-        assert stride >= sites * nodes
-        assert parameters.shape == (orbits,)
-        data = np.ascontiguousarray(values), weights, np.ascontiguousarray(parameters), self._constant
-        room = np.empty(sites * phases), np.empty(phases)
-        return Structure(ORBITS, sites, nodes, phases, stride, self._constant.size, *data, *room, *self._terms)
-
-    def __call__(self, sites: int, values: Array, weights: Array, parameters: Array, result: Array) -> None:
-        """Fill (orbits, phases, non-zeros) along orbits, see `orbits`."""
-        assert result.shape == (len(values), weights.shape[1], self._constant.size)
-        _call("jacobians", self.orbits(sites, values, weights, parameters), len(values), result)
-
-
 def transitions(
-    pattern: Pattern, reaches: tuple[int, int], sequence: tuple[Array, Array], steps: Array, jacobians: Array,
-    band: int | None = None,
-) -> Array:  # fmt: skip
+    pattern: Pattern, reaches: tuple[int, int], sequence: tuple[Array, Array], steps: Array, jacobians: Array
+) -> Array:
     """Transition matrices, (points, 2n, 2n), by kicks and drifts.
 
     Arguments:
@@ -249,39 +220,17 @@ def transitions(
         sequence: kicks and drifts.
         steps: their lengths, (points,).
         jacobians: non-zeros of J at the kicks, (points, kicks, non-zeros).
-        band: half bandwidth w of blocks that are stored by their bands, (points, 2n, 2(2w + 1)).
     """
     (indptr, indices), (kicks, drifts) = pattern, sequence
     (points, count, nonzeros), size = jacobians.shape, indptr.size - 1
     if not jacobians[:1].flags.c_contiguous:
         jacobians = np.ascontiguousarray(jacobians)
     assert (kicks.size, drifts.size, nonzeros) == (count, count - 1, indices.size)
-    assert band is None or reaches[1] + LANES - 1 <= band
-    result = np.zeros((points, 2 * size, 2 * (size if band is None else 2 * band + 1)))
+    result = np.zeros((points, 2 * size, 2 * size))
     data = indptr, indices, count, kicks, drifts, np.ascontiguousarray(steps), jacobians[:1]
     stride = jacobians.strides[0] // jacobians.itemsize
-    _call("transitions", points, size, *reaches, *data, stride, -1 if band is None else band, result)
+    _call("transitions", points, size, *reaches, *data, stride, result)
     return result
-
-
-def flows(orbits: Structure, pattern: Pattern, reach: int, sequences: Sequences, steps: Array, result: Array) -> None:
-    """Transition matrices along orbits in several numbers of steps, (levels, points, 2n, 2n): part of a larger array.
-
-    Arguments:
-        orbits: of `JacobianKernel`, at the phases of all kicks.
-        pattern: of J.
-        reach: its half bandwidth.
-        sequences: kicks and drifts of the levels.
-        steps: their lengths, (levels, points).
-        result: is filled.
-    """
-    (indptr, indices), (counts, kicks, drifts), (levels, points) = pattern, sequences, steps.shape
-    size = indptr.size - 1
-    assert kicks.size == drifts.size + levels
-    assert result.shape == (levels, points, 2 * size, 2 * size)
-    data = indptr, indices, levels, counts, kicks, drifts, np.ascontiguousarray(steps)
-    room, apart = np.empty(kicks.size * indices.size), result.strides[0] // result.itemsize
-    _call("flows", orbits, points, size, reach, *data, room, apart, result[0])
 
 
 # Blocks of matrices at the nodes of intervals: decoupling.c ----------------------------------------------------------

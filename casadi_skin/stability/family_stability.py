@@ -16,7 +16,7 @@ from casadi_skin.model.arguments import check_name
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.watch import one_thread
-from casadi_skin.stability.flows import CvodesFlow, FlowMap, OrbitState, RelativeFlow, Transition, complement
+from casadi_skin.stability.flows import CvodesFlow, FlowMap, OrbitState, Transition, complement
 from casadi_skin.stability.multipliers import floquet_vectors, floquets, vectors_of_map
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet, ReversibleFloquet
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 STABILITY_BATCH = 32  # points whose stability is computed at a time: an interruption writes none that wait for it
 
 
-FLOWS: Mapping[str, Callable[[OdeModel, float], FlowMap]] = {
+FLOWS: Mapping[str, Callable[[OdeModel, float, Array | None], FlowMap]] = {
     "splitting": SplittingFlow,
     "cvodes": CvodesFlow,
 }
@@ -87,10 +87,7 @@ class FamilyStability(ABC):
         return self._flow(str(self.request.method.flow))
 
     def _flow(self, name: str) -> FlowMap:
-        return self._flow_of_all(name) if self.frame is None else RelativeFlow(self._flow_of_all(name), self.frame)
-
-    def _flow_of_all(self, name: str) -> FlowMap:
-        return FLOWS[name](self.coordinates.scaled, self.tolerance)
+        return FLOWS[name](self.coordinates.scaled, self.tolerance, self.frame)
 
     @cached_property
     def frame(self) -> Array | None:
@@ -221,7 +218,7 @@ class FamilyStability(ABC):
         """Transition matrix of all scaled positions, and q'' at phase zero."""
         whole, all_positions = self.whole, self.on_all_positions(point)
         acceleration = whole.accelerations([orbit_state(all_positions)])[0]
-        flow = whole._flow_of_all(str(self.request.method.flow))
+        flow = FLOWS[str(self.request.method.flow)](whole.coordinates.scaled, self.tolerance, None)
         lifted = acceleration if whole.frame is None else whole.frame @ acceleration
         return flow.transition(all_positions.problem, all_positions.z), np.asarray(lifted)
 

@@ -7,7 +7,7 @@ sensitivities of CVODES, which share nothing with these. Matrices have shape (or
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import groupby
@@ -21,7 +21,7 @@ from casadi_skin.model.conserved import symmetry_class
 from casadi_skin.model.integrators import CvodesError, CvodesOptions, run_cvodes
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.stability.jacobian import JacobianAlong
-from casadi_skin.stability.reduction import frobenius_norms
+from casadi_skin.stability.reduction import blocks_of, frobenius_norms
 from casadi_skin.zero.problem import Array, Problem
 
 
@@ -54,8 +54,7 @@ class Transition:
     `error` estimates the Frobenius norm of the error of Phi that the integration makes; `truncation` is a matrix
     like that error but for its sign, without round-off. Errors of the orbit itself, which leave Phi symplectic, are in
     neither: `pair` holds Phi along the orbit and along the better one, computed with the same steps, where it is known.
-    All of these matrices may be stored by the bands of their blocks, see `stability.banded`. `steps` is the number of
-    equal steps, 0 of flows without such.
+    `steps` is the number of equal steps, 0 of flows without such.
     """
 
     matrix: Array
@@ -67,47 +66,73 @@ class Transition:
 
     def blocks(self) -> tuple[Array, Array, Array, Array]:
         """A, B, C, D of Phi = [[A, B], [C, D]], each (n, n)."""
-        n = self.matrix.shape[0] // 2
-        m = self.matrix
-        return m[:n, :n], m[:n, n:], m[n:, :n], m[n:, n:]
+        return blocks_of(self.matrix)
 
-
-class FlowMap(Protocol):
-    """Computes transition matrices of the variational system along orbits of one model.
-
-    `batch` is the number of orbits that are best given together: more cost no less each.
-    """
-
-    @property
-    def batch(self) -> int: ...
-
-    def transition(self, problem: Problem, z: Array) -> Transition:
-        """Transition matrix along the orbit z of `problem`; raises FlowError where the tolerance is out of reach."""
-        ...
-
-    def transitions(
-        self,
-        orbits: Sequence[OrbitState],
-        tolerance: float | None = None,
-        banded: bool = False,
-        alike: bool = False,
-    ) -> list[Transition]:
-        """Transition matrices along several orbits, to `tolerance` where it is not the flow's own.
-
-        Where `banded`, those of long chains may be stored by the bands of their blocks, see `stability.banded`. Where
-        `alike`, all are computed in one number of steps: their errors are smooth along a branch then. Raises FlowError
-        where the tolerance is out of reach for any of them.
-        """
-        ...
+    def mapped(self, function: Callable[[Array], Array]) -> Transition:
+        """With a linear function of matrices in the place of each."""
+        pair, truncation = self.pair, self.truncation
+        return replace(
+            self,
+            matrix=function(self.matrix),
+            truncation=None if truncation is None else function(truncation),
+            pair=None if pair is None else (function(pair[0]), function(pair[1])),
+        )
 
 
 class FlowError(ArithmeticError):
     """A flow map cannot reach its tolerance."""
 
 
-def duration(orbit: OrbitState, fraction: float) -> float:
-    """Time that a fraction of the orbit's period takes."""
-    return 2.0 * np.pi * fraction / orbit.Omega
+class FlowMap(ABC):
+    """Computes transition matrices of the variational system along orbits of one model.
+
+    They are over the fraction of the period of the model's symmetry class. Where free motions of a model make
+    multipliers trivial, they are those of relative positions, the orthonormal columns of a `frame`, (n, m).
+    """
+
+    batch = 1  # orbits that are best given together: more cost no less each
+
+    def __init__(self, model: OdeModel, tolerance: float, frame: Array | None = None) -> None:
+        self.model, self.tolerance, self.frame = model, tolerance, frame
+        self.fraction = symmetry_class(model).value
+
+    @abstractmethod
+    def _transitions(self, orbits: Sequence[OrbitState], tolerance: float, alike: bool) -> list[Transition]:
+        """Those of all positions."""
+
+    def transitions(
+        self, orbits: Sequence[OrbitState], tolerance: float | None = None, alike: bool = False
+    ) -> list[Transition]:
+        """Transition matrices along several orbits, to `tolerance` where it is not the flow's own.
+
+        Where `alike`, all are computed in one number of steps: their errors are smooth along a branch then. Raises
+        FlowError where the tolerance is out of reach for any of them.
+        """
+        found = self._transitions(orbits, self.tolerance if tolerance is None else tolerance, alike)
+        return found if self.frame is None else [transition.mapped(self._across) for transition in found]
+
+    def transition(self, problem: Problem, z: Array) -> Transition:
+        """Transition matrix along the orbit z of `problem`; raises FlowError where the tolerance is out of reach."""
+        return self.transitions([OrbitState(problem, z)])[0]
+
+    def durations(self, orbits: Sequence[OrbitState]) -> Array:
+        """Times that the fraction of the period takes, shape (orbits,)."""
+        return np.array([2.0 * np.pi * self.fraction / orbit.Omega for orbit in orbits])
+
+    def _across(self, matrix: Array) -> Array:
+        """A matrix of all positions and velocities as one of the relative ones."""
+        assert self.frame is not None
+        n, size = self.frame.shape
+        blocks = matrix.reshape(2, n, 2, n).swapaxes(1, 2)
+        return np.asarray((self.frame.T @ blocks @ self.frame).swapaxes(1, 2).reshape(2 * size, 2 * size))
+
+
+def complement(directions: Array) -> Array:
+    """Orthonormal columns that span what is orthogonal to the columns of (n, m), m < n."""
+    return np.asarray(np.linalg.qr(directions, mode="complete")[0][:, directions.shape[1] :])
+
+
+# Maps in equal steps --------------------------------------------------------------------------------------------------
 
 
 ROUND_OFF = 2e-14
@@ -145,24 +170,21 @@ def _remainder(steps: tuple[int, ...], orders: tuple[int, ...]) -> float:
     return abs(float(np.sum(weights / np.array(steps, dtype=float) ** orders[-1])))
 
 
-class SteppedFlow(ABC):
-    """Transition matrices at neighbouring step numbers of a step_numbers, extrapolated (Richardson).
+class SteppedFlow(FlowMap):
+    """Transition matrices at neighbouring numbers of steps, extrapolated (Richardson).
 
     The method's errors go with h^orders[0], h^orders[1], ... With one step number more than `orders` has entries, all
     maps together give a matrix without any of these errors, and all but the coarsest one without all but the last:
     that is the result, and the difference shows its error. The step numbers are chosen so that it meets the tolerance.
-    The fraction of the period is that of the model's symmetry class. Raises FlowError when the most steps do not
-    suffice.
     """
 
     method: str
     step_numbers: tuple[int, ...]
     orders: tuple[int, ...]
 
-    def __init__(self, model: OdeModel, tolerance: float) -> None:
-        self.model, self.tolerance = model, tolerance
-        self.fraction = symmetry_class(model).value
-        self._maps: dict[tuple[int, int | None], StepMap] = {}
+    def __init__(self, model: OdeModel, tolerance: float, frame: Array | None = None) -> None:
+        super().__init__(model, tolerance, frame)
+        self._maps: dict[int, StepMap] = {}
         self._level = len(self.orders)  # of the finest map where the last orbits with `alike` met the tolerance
 
     @abstractmethod
@@ -175,111 +197,60 @@ class SteppedFlow(ABC):
         return JacobianAlong(self.model)
 
     @property
-    def batch(self) -> int:
-        """Number of orbits that are best given together."""
+    def batch(self) -> int:  # type: ignore[override]
         return max(1, BATCH_ENTRIES // self.model.full_size**2 * self.model.order)
 
-    def _banded(self, steps: int, half_width: int) -> StepMap:
-        """The map with that many steps to the bands of blocks; of flows that have a `half_width` alone."""
-        raise NotImplementedError(self.method)
-
-    def step_map(self, steps: int, half_width: int | None = None) -> StepMap:
+    def step_map(self, steps: int) -> StepMap:
         """The map with that many steps, built when first needed."""
-        key = steps, half_width
-        if key not in self._maps:
-            self._maps[key] = self._build(steps) if half_width is None else self._banded(steps, half_width)
-        return self._maps[key]
+        if steps not in self._maps:
+            self._maps[steps] = self._build(steps)
+        return self._maps[steps]
 
-    def matrices(self, steps: int, orbits: Sequence[OrbitState]) -> Array:
-        """Transition matrices in a fixed number of steps, not extrapolated, shape (orbits, m, m)."""
-        return self.several([(steps, orbits)])[0]
+    def matrices(self, numbers: Sequence[int], orbits: Sequence[OrbitState]) -> list[Array]:
+        """Transition matrices in several numbers of steps, not extrapolated, shape (orbits, m, m) each."""
+        maps = [self.step_map(steps) for steps in numbers]
+        theta = 2.0 * np.pi * self.fraction * np.concatenate([step_map.fractions for step_map in maps])
+        groups = [(problem, list(those)) for problem, those in groupby(orbits, key=lambda orbit: orbit.problem)]
+        sampled = [self.jacobian.along(problem, np.stack([o.z for o in those]), theta) for problem, those in groups]
+        nonzeros = sampled[0] if len(sampled) == 1 else np.concatenate(sampled)
+        durations = self.durations(orbits)
+        ends = np.cumsum([step_map.fractions.size for step_map in maps])[:-1]
+        return [step(part, durations) for step, part in zip(maps, np.split(nonzeros, ends, axis=1), strict=True)]
 
-    def half_width(self, orbits: Sequence[OrbitState]) -> int | None:
-        """Half bandwidth of the blocks of these orbits' matrices; None where these are not stored by their bands."""
-        return None
-
-    def several(self, wanted: Sequence[tuple[int, Sequence[OrbitState]]], half_width: int | None = None) -> list[Array]:
-        """Transition matrices in several numbers of steps, each along orbits of its own, as `matrices`."""
-        found: list[Array] = []
-        for _, group in groupby(wanted, key=lambda item: id(item[1])):  # orbits are sampled once for all their steps
-            those = list(group)
-            orbits, maps = those[0][1], [self.step_map(steps, half_width) for steps, _ in those]
-            nonzeros = self._linearised(orbits, np.concatenate([step_map.fractions for step_map in maps]))
-            ends = np.cumsum([step_map.fractions.size for step_map in maps])[:-1]
-            durations = self._durations(orbits)
-            parts = zip(maps, np.split(nonzeros, ends, axis=1), strict=True)
-            found += [step_map(part, durations) for step_map, part in parts]
-        return found
-
-    def _durations(self, orbits: Sequence[OrbitState]) -> Array:
-        """Times that the fraction of the period takes, shape (orbits,)."""
-        return np.array([duration(orbit, self.fraction) for orbit in orbits])
-
-    def _linearised(self, orbits: Sequence[OrbitState], fractions: Array) -> Array:
-        """J's non-zeros at fractions of the duration, shape (orbits, fractions, non-zeros)."""
-        theta, done = 2.0 * np.pi * self.fraction * fractions, 0
-        found = np.empty((len(orbits), theta.size, self.jacobian.indices.size))
-        for problem, those in groupby(orbits, key=lambda orbit: orbit.problem):
-            z = np.stack([orbit.z for orbit in those])
-            self.jacobian.along(problem, z, theta, found[done : done + len(z)])
-            done += len(z)
-        return found
-
-    def transition(self, problem: Problem, z: Array) -> Transition:
-        """Transition matrix of the full state along the orbit."""
-        return self.transitions([OrbitState(problem, z)])[0]
-
-    def transitions(
-        self,
-        orbits: Sequence[OrbitState],
-        tolerance: float | None = None,
-        banded: bool = False,
-        alike: bool = False,
-    ) -> list[Transition]:
-        """Transition matrices of the full state along several orbits; raises FlowError where one cannot be had."""
-        allowed = self.tolerance if tolerance is None else tolerance
-        results = self._in_batches(orbits, allowed, banded, self._level if alike else len(self.orders))
+    def _transitions(self, orbits: Sequence[OrbitState], tolerance: float, alike: bool) -> list[Transition]:
+        level, results = self._level if alike else len(self.orders), list[Transition]()
+        for first in range(0, len(orbits), self.batch):
+            results += self._adapted(orbits[first : first + self.batch], tolerance, level)
         while alike and len({found.steps for found in results}) > 1:
             most = max(found.steps for found in results)
             fewer = [i for i, found in enumerate(results) if found.steps < most]
-            again = self._in_batches([orbits[i] for i in fewer], allowed, banded, self.step_numbers.index(most))
+            again = self._adapted([orbits[i] for i in fewer], tolerance, self.step_numbers.index(most))
             for i, found in zip(fewer, again, strict=True):
                 results[i] = found
         if alike and results:
             level = self.step_numbers.index(results[0].steps)
-            self._level = self._lower(level, max(found.error for found in results), allowed)
+            self._level = self._lower(level, max(found.error for found in results), tolerance)
         return results
 
-    def _in_batches(self, orbits: Sequence[OrbitState], tolerance: float, banded: bool, level: int) -> list[Transition]:
-        """Those of several orbits, batch by batch; each begins with the `level`."""
-        results: list[Transition] = []
-        for first in range(0, len(orbits), self.batch):
-            part = orbits[first : first + self.batch]
-            half_width = self.half_width(part) if banded else None
-            results += self._adapted(part, tolerance, half_width, min(level, len(self.step_numbers) - 1))
-        return results
-
-    def _adapted(
-        self, orbits: Sequence[OrbitState], tolerance: float, half_width: int | None, level: int
-    ) -> list[Transition]:
-        """One batch, with more steps for those that need more: how many, an orbit's own errors decide.
+    def _adapted(self, orbits: Sequence[OrbitState], tolerance: float, level: int) -> list[Transition]:
+        """Begins with the `level`, with more steps for those that need more: how many, an orbit's own errors decide.
 
         The digits of an orbit then depend neither on the others given with it nor on those before.
         """
         done: dict[int, Transition] = {}
-        waiting: list[tuple[int, NDArray[np.int64], dict[int, Array]]] = [(level, np.arange(len(orbits)), {})]
+        start = min(level, len(self.step_numbers) - 1)
+        waiting: list[tuple[int, NDArray[np.int64], dict[int, Array]]] = [(start, np.arange(len(orbits)), {})]
         while waiting:
             level, places, maps = waiting.pop()
             those = [orbits[i] for i in places.tolist()]
             levels = range(level - len(self.orders), level + 1)
             missing = [r for r in levels if r not in maps]
-            found = self.several([(self.step_numbers[r], those) for r in missing], half_width)
-            maps |= dict(zip(missing, found, strict=True))
+            maps |= dict(zip(missing, self.matrices([self.step_numbers[r] for r in missing], those), strict=True))
             matrices, errors = self._extrapolated(level, maps)
             with np.errstate(over="ignore", invalid="ignore"):
                 truncation, round_off = frobenius_norms(errors), ROUND_OFF * frobenius_norms(matrices)
             met = truncation <= np.maximum(tolerance, round_off)
-            pairs = self._pairs(those, met, self.step_numbers[levels[0]], maps[levels[0]], half_width)
+            pairs = self._pairs(those, met, self.step_numbers[levels[0]], maps[levels[0]])
             for k in np.flatnonzero(met).tolist():
                 total = float(truncation[k] + round_off[k])
                 known = matrices[k], self.fraction, total, errors[k], pairs.get(k)
@@ -303,13 +274,13 @@ class SteppedFlow(ABC):
         return _combined(found[1:], few), _combined(found, EXTRAPOLATION_SAFETY * (all_ - np.append(0.0, few)))
 
     def _pairs(
-        self, orbits: Sequence[OrbitState], met: NDArray[np.bool_], steps: int, maps: Array, half_width: int | None
+        self, orbits: Sequence[OrbitState], met: NDArray[np.bool_], steps: int, maps: Array
     ) -> dict[int, tuple[Array, Array]]:
         """Matrices in so many steps along the orbits that are `met` and along the better ones, by place."""
         better = {k: better for k in np.flatnonzero(met).tolist() if (better := orbits[k].better) is not None}
         if not better:
             return {}
-        (found,) = self.several([(steps, list(better.values()))], half_width)
+        (found,) = self.matrices([steps], list(better.values()))
         return {k: (maps[k], matrix) for k, matrix in zip(better, found, strict=True)}
 
     def _leading(self, level: int) -> float:
@@ -365,36 +336,32 @@ LOCAL_TOLERANCE_RATIO = (
 )
 
 
-class CvodesFlow:
+class CvodesFlow(FlowMap):
     """Transition matrix as the sensitivity of the flow of the nonlinear equations to its start; Adams, functional.
 
     The error is estimated by a second run with local tolerances ten times as large: the global error is about
-    proportional to them. Raises FlowError where CVODES fails.
+    proportional to them. Local tolerances follow the tolerance down from the flow's own, by powers of ten.
     """
 
-    batch = 1
-
-    def __init__(self, model: OdeModel, tolerance: float) -> None:
-        self.model, self.tolerance = model.first_order(), tolerance
-        self.fraction = symmetry_class(model).value
+    def __init__(self, model: OdeModel, tolerance: float, frame: Array | None = None) -> None:
+        super().__init__(model, tolerance, frame)
+        self.first_order = model.first_order()
         self._functions: dict[float, ca.Function] = {}
 
     def _function(self, local: float) -> ca.Function:
         """Sensitivity of the flow at a local tolerance, built when first needed."""
         if local not in self._functions:
-            self._functions[local] = self._build(local)
+            model, time = self.first_order, ca.SX.sym("time")
+            dae = {"x": model.state, "p": ca.vertcat(model.parameters, time), "ode": time * model.rhs}
+            options = CvodesOptions(local, local, MAX_STEPS, sensitivity_errors=True)
+            self._functions[local] = options.transition("flow", dae)
         return self._functions[local]
-
-    def _build(self, local: float) -> ca.Function:
-        model, time = self.model, ca.SX.sym("time")
-        dae = {"x": model.state, "p": ca.vertcat(model.parameters, time), "ode": time * model.rhs}
-        return CvodesOptions(local, local, MAX_STEPS, sensitivity_errors=True).transition("flow", dae)
 
     def _matrix(self, orbit: OrbitState, local: float) -> Array:
         """Transition matrix; velocities of a brake orbit vanish at phase zero."""
         positions = orbit.problem.sample(orbit.z, np.zeros(1))[0]
-        start = np.concatenate([positions, np.zeros(self.model.size - positions.size)])
-        parameters = np.array([orbit.parameter, duration(orbit, self.fraction)])
+        start = np.concatenate([positions, np.zeros(self.first_order.size - positions.size)])
+        parameters = np.append(orbit.parameter, self.durations([orbit]))
         try:
             return np.array(run_cvodes(self._function(local), start, parameters)["jac_xf_x0"])
         except CvodesError as error:
@@ -404,72 +371,14 @@ class CvodesFlow:
                 "tolerance or flow splitting"
             ) from error
 
-    def transition(self, problem: Problem, z: Array) -> Transition:
-        """Transition matrix of the full state along the orbit."""
-        return self.transitions([OrbitState(problem, z)])[0]
-
-    def transitions(
-        self,
-        orbits: Sequence[OrbitState],
-        tolerance: float | None = None,
-        banded: bool = False,
-        alike: bool = False,
-    ) -> list[Transition]:
-        """Transition matrices along several orbits; local tolerances follow `tolerance` down, by powers of ten."""
+    def _transitions(self, orbits: Sequence[OrbitState], tolerance: float, alike: bool) -> list[Transition]:
         local = LOCAL_TOLERANCE_RATIO * self.tolerance
-        if tolerance is not None and tolerance < self.tolerance:
+        if tolerance < self.tolerance:
             local = LOCAL_TOLERANCE_RATIO * 10.0 ** np.floor(np.log10(tolerance))
-        local = max(float(local), TIGHTEST_LOCAL_TOLERANCE)
-        return [self._estimated(orbit, local) for orbit in orbits]
+        return [self._estimated(orbit, max(float(local), TIGHTEST_LOCAL_TOLERANCE)) for orbit in orbits]
 
     def _estimated(self, orbit: OrbitState, local: float) -> Transition:
         fine, coarse = self._matrix(orbit, local), self._matrix(orbit, 10.0 * local)
         pair = None if orbit.better is None else (fine, self._matrix(orbit.better, local))
         difference = EXTRAPOLATION_SAFETY * (fine - coarse)
         return Transition(fine, self.fraction, float(np.linalg.norm(difference)), difference, pair)
-
-
-# Flow maps across the free motions of a model: what a conserved momentum makes trivial is taken out of every map ------
-
-
-def complement(directions: Array) -> Array:
-    """Orthonormal columns that span what is orthogonal to the columns of (n, m), m < n."""
-    return np.asarray(np.linalg.qr(directions, mode="complete")[0][:, directions.shape[1] :])
-
-
-def relative(transition: Transition, frame: Array) -> Transition:
-    """A transition matrix with all that estimates its errors, across what the columns of a frame leave out."""
-
-    def across(matrix: Array) -> Array:
-        n, size = frame.shape
-        blocks = matrix.reshape(2, n, 2, n).swapaxes(1, 2)
-        return np.asarray((frame.T @ blocks @ frame).swapaxes(1, 2).reshape(2 * size, 2 * size))
-
-    pair, truncation = transition.pair, transition.truncation
-    return replace(
-        transition,
-        matrix=across(transition.matrix),
-        truncation=None if truncation is None else across(truncation),
-        pair=None if pair is None else (across(pair[0]), across(pair[1])),
-    )
-
-
-@dataclass(frozen=True)
-class RelativeFlow:
-    """A flow map of relative positions, the `frame` of which has orthonormal columns; see `FlowMap`."""
-
-    flow: FlowMap
-    frame: Array
-
-    @property
-    def batch(self) -> int:
-        return self.flow.batch
-
-    def transition(self, problem: Problem, z: Array) -> Transition:
-        return relative(self.flow.transition(problem, z), self.frame)
-
-    def transitions(
-        self, orbits: Sequence[OrbitState], tolerance: float | None = None, banded: bool = False, alike: bool = False
-    ) -> list[Transition]:
-        found = self.flow.transitions(orbits, tolerance, alike=alike)
-        return [relative(transition, self.frame) for transition in found]

@@ -25,6 +25,7 @@ from casadi_skin.stability.reduction import (
     ComplexArray,
     Eigensystems,
     Reflections,
+    blocks_of,
     eigensystems,
     frobenius_norms,
     half_cosine_errors,
@@ -153,7 +154,7 @@ def floquets(
         return _solve(those, starts[places], better[places])
 
     starts, better = np.split(accelerations([*orbits, *(orbit.better or orbit for orbit in orbits)]), 2)
-    transitions = flow.transitions(orbits, min(NORM_PER_MU * tolerance, COARSEST_ERROR), banded=symplectic)
+    transitions = flow.transitions(orbits, min(NORM_PER_MU * tolerance, COARSEST_ERROR))
     waiting = np.arange(len(orbits))
     solved = solve(transitions, waiting)
     results, flow_errors = solved.results, solved.flow_errors
@@ -167,7 +168,7 @@ def floquets(
         flow_errors = np.empty(waiting.size)
         for share in np.unique(shares).tolist():  # an orbit's own errors decide, not those of its batch
             those = np.flatnonzero(shares == share)
-            again = flow.transitions([orbits[i] for i in waiting[those].tolist()], share * tolerance, banded=symplectic)
+            again = flow.transitions([orbits[i] for i in waiting[those].tolist()], share * tolerance)
             solved = solve(again, waiting[those])
             flow_errors[those] = solved.flow_errors
             for i, transition, result in zip(waiting[those].tolist(), again, solved.results, strict=True):
@@ -240,8 +241,8 @@ def orbit_part_of(
 
 def round_off_of(transitions: Sequence[Transition], matrices: Array) -> Array:
     """Norm of the errors of B^T C from round-off, and from a flow without a matrix of its errors; shape (orbits,)."""
-    n, columns = matrices.shape[1] // 2, matrices.shape[2] // 2
-    norms = frobenius_norms(matrices[:, :n, columns:]) + frobenius_norms(matrices[:, n:, :columns])
+    _, B, C, _ = blocks_of(matrices)
+    norms = frobenius_norms(B) + frobenius_norms(C)
     unknown = ROUND_OFF * frobenius_norms(matrices)
     for i, transition in enumerate(transitions):
         if transition.truncation is None:
@@ -334,9 +335,7 @@ def reduced_matrices(
 
 def _symplectic_matrices(transitions: Array, errors: Array) -> tuple[Array, Array]:
     """K = B^T C, P = A^T C, Q = B^T D, and their first-order changes."""
-    n = transitions.shape[1] // 2
-    A, B, C, D = _blocks(transitions, n)
-    dA, dB, dC, dD = _blocks(errors, n)
+    (A, B, C, D), (dA, dB, dC, dD) = blocks_of(transitions), blocks_of(errors)
     At, Bt, dAt, dBt = (block.swapaxes(1, 2) for block in (A, B, dA, dB))
     values = [half_cosines(transitions), _symmetric(At @ C), _symmetric(Bt @ D)]
     by_P, by_Q = dAt @ C + At @ dC, dBt @ D + Bt @ dD
@@ -346,15 +345,10 @@ def _symplectic_matrices(transitions: Array, errors: Array) -> tuple[Array, Arra
 
 def _reversible_matrices(transitions: Array, errors: Array) -> tuple[Array, Array]:
     """K = -B' C with B' the upper right block of the inverse of Phi, and its first-order change."""
-    n = transitions.shape[1] // 2
-    inverse = np.linalg.inv(transitions)
-    B, dB = inverse[:, :n, n:], -(inverse @ errors @ inverse)[:, :n, n:]
-    C, dC = transitions[:, n:, :n], errors[:, n:, :n]
+    inverse = np.asarray(np.linalg.inv(transitions), dtype=float)
+    B, dB = blocks_of(inverse)[1], -blocks_of(inverse @ errors @ inverse)[1]
+    C, dC = blocks_of(transitions)[2], blocks_of(errors)[2]
     return (-B @ C)[:, None], (-dB @ C - B @ dC)[:, None]
-
-
-def _blocks(matrices: Array, n: int) -> tuple[Array, Array, Array, Array]:
-    return matrices[:, :n, :n], matrices[:, :n, n:], matrices[:, n:, :n], matrices[:, n:, n:]
 
 
 def _symmetric(matrices: Array) -> Array:

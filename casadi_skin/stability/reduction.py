@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.stability.jacobian import transposed_product
 from casadi_skin.zero.problem import Array
 
 ComplexArray = NDArray[np.complex128]
+BLOCK_COLUMNS = 128  # columns of a product of matrices of which zeros are left out
 
 
 @dataclass(frozen=True)
@@ -52,18 +52,42 @@ def frobenius_norms(matrices: Array) -> Array:
     return np.asarray(np.sqrt(np.einsum("kij,kij->k", matrices, matrices)))
 
 
+def blocks_of(matrices: Array) -> tuple[Array, Array, Array, Array]:
+    """A, B, C, D of matrices [[A, B], [C, D]], (points, 2n, 2n) -> (points, n, n) each."""
+    n = matrices.shape[-1] // 2
+    return matrices[..., :n, :n], matrices[..., :n, n:], matrices[..., n:, :n], matrices[..., n:, n:]
+
+
 def half_cosines(transitions: Array) -> Array:
-    """B^T C of Phi = [[A, B], [C, D]], (points, 2n, 2n) or the bands of its blocks -> (points, n, n)."""
-    n, columns = transitions.shape[1] // 2, transitions.shape[2] // 2
-    return transposed_product(transitions[:, :n, columns:], transitions[:, n:, :columns])
+    """B^T C of Phi = [[A, B], [C, D]], (points, 2n, 2n) -> (points, n, n)."""
+    _, B, C, _ = blocks_of(transitions)
+    return _transposed_product(B, C)
 
 
 def half_cosine_errors(transitions: Array, errors: Array) -> Array:
     """First-order change of B^T C for changes of Phi, of one shape with it -> (points, n, n)."""
-    n, columns = transitions.shape[1] // 2, transitions.shape[2] // 2
-    B, C = transitions[:, :n, columns:], transitions[:, n:, :columns]
-    dB, dC = errors[:, :n, columns:], errors[:, n:, :columns]
-    return transposed_product(dB, C) + transposed_product(B, dC)
+    (_, B, C, _), (_, dB, dC, _) = blocks_of(transitions), blocks_of(errors)
+    return _transposed_product(dB, C) + _transposed_product(B, dC)
+
+
+def _transposed_product(left: Array, right: Array) -> Array:
+    """left^T right of blocks (points, n, n); those of long chains, zero far from the diagonal, by columns."""
+    n = left.shape[1]
+    if n <= BLOCK_COLUMNS:
+        return np.asarray(left.swapaxes(1, 2) @ right)
+    product = np.zeros((len(left), n, n))
+    for start in range(0, n, BLOCK_COLUMNS):
+        these = slice(start, start + BLOCK_COLUMNS)
+        rows = _extent(np.any(left[:, :, these] != 0.0, axis=(0, 2)))
+        columns = _extent(np.any(right[:, rows] != 0.0, axis=(0, 1)))
+        product[:, these, columns] = left[:, rows, these].swapaxes(1, 2) @ right[:, rows, columns]
+    return product
+
+
+def _extent(chosen: NDArray[np.bool_]) -> slice:
+    """From the first place that is chosen to the last."""
+    places = np.flatnonzero(chosen)
+    return slice(int(places[0]), int(places[-1]) + 1) if places.size else slice(0, 0)
 
 
 @dataclass(frozen=True)

@@ -159,13 +159,6 @@ class Problem(ABC):
         """The same of several solutions (any, size), shape (any, len(theta), components)."""
         return np.stack([self.sample(one, theta) for one in z])
 
-    def sampling(self, theta: Array) -> Array | None:
-        """Weights, (nodes, len(theta)), of state values in `samples`, where each component has nodes of its own.
-
-        They come one component after the other in z. None where states are no such sums.
-        """
-        return None
-
     @abstractmethod
     def frequency(self, z: Array) -> float:
         """Omega of z; 1 where there is none."""

@@ -249,8 +249,5 @@ class TrigonometricProblem(OrbitProblem):
 
     def samples(self, z: Array, theta: Array) -> Array:
         # One product an orbit: the last bit of a larger one depends on how many there are.
-        values = z[:, : self.states].reshape(len(z), self._sites, self.resolution) @ self.sampling(theta)
-        return np.asarray(values.swapaxes(1, 2))
-
-    def sampling(self, theta: Array) -> Array:
-        return _sampling(self.resolution, theta.tobytes())
+        values = z[:, : self.states].reshape(len(z), self._sites, self.resolution)
+        return np.asarray((values @ _sampling(self.resolution, theta.tobytes())).swapaxes(1, 2))

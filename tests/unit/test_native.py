@@ -23,9 +23,8 @@ from casadi_skin import Branch, Chain, follow_family, native
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import Monomials
 from casadi_skin.solve.bordered import BandFactors, BorderedSolver
-from casadi_skin.stability.flows import OrbitState, SteppedFlow
 from casadi_skin.stability.jacobian import JacobianAlong
-from casadi_skin.stability.splitting import SplittingFlow, SplittingMap
+from casadi_skin.stability.splitting import SplittingMap
 from casadi_skin.zero.recursion import PolynomialForm, TaylorRecursion
 from casadi_skin.zero.request import family_request
 from casadi_skin.zero.trigonometric import TrigonometricProblem
@@ -56,69 +55,6 @@ def both_ways(model: OdeModel, steps: int, orbits: int) -> list[np.ndarray]:
 def test_kernel_and_numpy_agree_to_rounding(model: OdeModel) -> None:
     compiled, plain = both_ways(model, 5, 3)
     np.testing.assert_allclose(compiled, plain, rtol=1e-13, atol=1e-14 * np.max(np.abs(plain)))
-
-
-@needs_kernels
-@pytest.mark.parametrize("sites", [2, 9, 24, 31])
-def test_a_flow_that_samples_orbits_itself_gives_the_same_bits(sites: int) -> None:
-    """Against the kernels of J and of the flow one after the other; orbits of two resolutions, one taken twice."""
-    model, generator = Chain(sites, 1.0, 0.3, -1.0).gauge_model(), np.random.default_rng(5)
-    problems = [TrigonometricProblem(model, harmonics) for harmonics in (5, 5, 7)]
-    orbits = [OrbitState(each, np.append(generator.normal(size=each.states), [1.7, 0.4])) for each in problems]
-    flow, wanted = SplittingFlow(model, 1e-8), [(3, orbits), (4, orbits), (6, orbits[1:2])]
-    inside = flow._sampled_inside(wanted)
-    assert inside is not None
-    for one, other in zip(inside, SteppedFlow.several(flow, wanted), strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
-@needs_kernels
-@pytest.mark.parametrize(
-    "model",
-    [
-        *(Chain(n, 1.0, 0.3, g).gauge_model() for n in (1, 2, 24) for g in (-1.0, 0.0)),
-        family_request(plane((4, 3)), 1, 1.0).coordinates.scaled,
-    ],
-    ids=lambda model: f"{model.name}, {model.size}",
-)
-def test_jacobians_along_orbits_by_the_kernel_are_those_at_their_states(model: OdeModel) -> None:
-    """Orbits in odd cosines, sampled by the kernel; and by the problem itself where there is none."""
-    problem, generator = TrigonometricProblem(model, 5), np.random.default_rng(4)
-    z, theta = generator.normal(size=(3, problem.size)), np.linspace(0.0, 2.0, 7)
-    along = JacobianAlong(model)
-    assert along._kernel is not None
-    found, plain = np.full((2, 3, 7, along.indices.size), np.nan)
-    along.along(problem, z, theta, found)
-    for one, values in zip(z, found, strict=True):
-        exact = np.array(
-            [cosines @ np.cos(np.outer(np.arange(1, 11, 2), theta)) for cosines in problem.coefficients(one)]
-        )
-        at_states = along(exact.T, np.full(7, one[problem.parameter_index]))
-        np.testing.assert_allclose(values, at_states, rtol=0, atol=1e-13 * np.max(np.abs(at_states)))
-    with numpy_alone():
-        JacobianAlong(model).along(problem, z, theta, plain)
-    np.testing.assert_allclose(found, plain, rtol=0, atol=1e-13 * np.max(np.abs(found)))
-
-
-@needs_kernels
-def test_the_kernel_of_jacobians_takes_terms_of_all_degrees() -> None:
-    generator = np.random.default_rng(6)
-    sites, nodes, phases = 4, 3, 6
-    values, weights = generator.normal(size=(2, sites * nodes + 2)), generator.normal(size=(nodes, phases))
-    constant, parameters = generator.normal(size=5), np.array([0.7, -1.3])
-    terms = [
-        Monomials(power, np.array([place]), generator.normal(size=1), np.arange(place)[:, None])
-        for power in range(3)
-        for place in range(5)
-    ]
-    expected = np.tile(constant, (2, phases, 1))
-    states = np.einsum("kam,mi->kia", values[:, : sites * nodes].reshape(2, sites, nodes), weights)
-    for term in terms:
-        products = np.prod(states[:, :, term.factors[:, 0]], axis=2)
-        expected[:, :, term.rows[0]] += term.coefficients[0] * parameters[:, None] ** term.power * products
-    found = np.full(expected.shape, np.nan)
-    native.JacobianKernel(constant, terms)(sites, values, weights, parameters, found)
-    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13)
 
 
 @needs_kernels
