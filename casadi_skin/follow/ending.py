@@ -11,7 +11,7 @@ import numpy as np
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, SolutionSpace
-from casadi_skin.lattice.spectrum import linear_frequencies
+from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.zero.model_coordinates import nearest_resonance
 from casadi_skin.zero.settings import End
@@ -132,12 +132,10 @@ class Ending:
 def near_resonance(family: Any, within: float) -> str:
     """The resonance of a family's linear mode with another one, within a relative distance, in words; empty without."""
     coordinates, request = family.coordinates, family.request
-    try:
-        squares = linear_frequencies(request.model, request.parameters) ** 2
-    except ValueError:
-        return ""
+    squares = linear_spectrum(request.model, request.parameters).squares  # none of long lattices
     odd = family.symmetry is SymmetryClass.QUARTER
-    found = nearest_resonance(squares, coordinates.mode_number, odd) if squares.size else None
+    known = squares.size > 0 and squares[0] >= 0.0
+    found = nearest_resonance(squares, coordinates.mode_number, odd) if known else None
     if found is None or found.off > within:
         return ""
     return f"; its linear mode is within {found.off:.1e} of {found.words}, where no family starts alone"

@@ -122,7 +122,9 @@ class CoreWithTail(ModelCoordinates):
         sites = tuple(dict.fromkeys(p * int(min(cells, most)) for cells in tried))
         ends = [math.sqrt(max(edge.square, 0.0)) for edge in self.tail.edges]
         bands = tuple(zip(ends[::2], ends[1::2], strict=True))
-        return Localised(sites, bands, lattice.at_last, lattice.cell, lattice.coupling, lattice.inlet, lattice.outlet)
+        return Localised(
+            sites, bands, lattice.at_last, lattice.cell, lattice.coupling, lattice.inlet, lattice.outlet, self.attached
+        )
 
     def cut(self, sites: int) -> tuple[EdgeCells, int]:
         return EdgeCells(self._cells_at_edge(sites)), self.mode_number

@@ -36,6 +36,7 @@ UNSEEN_END_DECAY = 7.0  # cells times decay beyond which that is true to 1e-6 of
 BESIDE_EDGE = 1e-8  # of (cells times decay)^2, below which derivatives of its exponentials cancel
 ROUND_OFF = 1e-14
 AT_END = 1e-10  # angle that rounding leaves at an end of a gap
+SAME_AS_FAR_MODE = 1e-13  # of amplitudes at the far wall: less is left of them at the frequency of a mode of that end
 
 
 @dataclass(frozen=True)
@@ -354,7 +355,12 @@ class Tail:
                 return sines(cells) * (P @ wall)[row] - sign * math.exp(-kappa) * sines(cells - 1.0) * wall[row]
 
             size = far(c, 0) * start[0] + far(c, 1) * start[1]
-            ends = np.stack([far(c - bonds[row], row) for row in (0, 1)]) / size
+            ends = np.stack([far(c - bonds[row], row) for row in (0, 1)])
+            # Where the far end is not felt the wave is that of an endless tail. A mode of the far end may have the same
+            # frequency: then the amplitudes from its wall are rounding.
+            unseen = (c - bonds) * kappa > FAR_END_DECAY
+            resonates = abs(size) <= SAME_AS_FAR_MODE * (np.linalg.norm(P @ wall) + np.linalg.norm(wall))
+            ends = np.where(unseen | resonates, start[:, None], ends / size if size else ends)
         ends = ends * sign**bonds * np.array([[math.exp(kappa)], [1.0]])  # all over exp(-kappa n)
         found, i, o = np.empty((n.size, len(self.stiffness))), self.inlet, self.outlet
         found[:, o], found[:, i] = ends

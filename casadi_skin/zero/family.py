@@ -52,9 +52,9 @@ class Localised:
     cut_first: bool
     stiffness: Array
     coupling: float
-    inlet: int = 0
-    outlet: int = 0
-    attached: int = 0
+    inlet: int
+    outlet: int
+    attached: int
 
 
 class Coordinates(ABC):
