@@ -1,22 +1,32 @@
-"""Points of codimension two on curves of special orbits and solutions: where one condition more holds.
+"""Points of codimension two on curves of special points: where one condition more holds.
 
-The coefficient of the normal form vanishes (cusp, generalized period doubling, Chenciner point, degenerate pitchfork or
-transcritical point); another multiplier is 1 or -1, or another pair on the unit circle; on tori the angle is that of a
-strong resonance (Kuznetsov 2004, chapter 9). Or the orbits shrink to an equilibrium.
+Of equilibria and of orbits alike, on a curve of folds, Hopf points, branch points, period doublings or tori,
+
+    the coefficient of the normal form vanishes: g(z) = 0;
+    another eigenvalue lambda, or exponent log mu, is critical: Re lambda = 0 or log |mu| = 0;
+    those that are critical meet: kappa(z) = 0, or the angle of a torus is that of a strong resonance
+
+(Kuznetsov 2004, chapters 8 and 9). A `CurveKind` names what each of these is. Where two eigenvalues of a branch point
+are zero, each with an eigenvector of its own, it is a double one. One search serves all curves; it reads equilibria
+in one way, orbits and solutions of boundary-value problems in another.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.follow.branch_points import double_between, interpolated
+from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.followed import Followed
+from casadi_skin.follow.location import jacobian_of
 from casadi_skin.follow.normal_forms import (
     branching_equation,
     critical_functions,
@@ -24,309 +34,541 @@ from casadi_skin.follow.normal_forms import (
     second_singular,
     terms_of,
 )
+from casadi_skin.follow.point import PointSolver
+from casadi_skin.follow.rest_normal_forms import critical_pair, lyapunov_terms
 from casadi_skin.follow.search import (
     FULL_TURN,
     TANGENT_DIFFERENCE_STEP,
     Exponents,
+    ExponentSampler,
     Sample,
+    Search,
     Stretch,
-    StretchSearch,
     beside_on_tangent,
     height,
     is_real,
     nearest_order,
     turned,
 )
-from casadi_skin.follow.shrinking import shrunk
-from casadi_skin.follow.special_points import NotLocatedError, zero_between
+from casadi_skin.follow.special_points import TEST_ZERO_XTOL, NotLocatedError, zero_between
 from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.zero.augmented import ExtendedSystem, HopfSystem
 from casadi_skin.zero.kinds import (
+    BAUTIN,
     BRANCH_POINT,
     CUSP,
     DEGENERATE_PITCHFORK,
     DEGENERATE_TRANSCRITICAL,
     DOUBLING,
     FOLD,
+    HOPF,
+    HOPF_HOPF,
+    TAKENS,
     TORUS,
+    ZERO_HOPF,
     Unresolved,
 )
 from casadi_skin.zero.problem import EPSILON, Array
 from casadi_skin.zero.settings import End, Point
 from casadi_skin.zero.stated_problem import PERIOD
+from casadi_skin.zero.statics import NullSpace
 
-DEGENERATE_KINDS = {FOLD: "cusp of cycles", DOUBLING: "generalized period doubling", TORUS: "chenciner"}
-RESONANCE_KINDS = {
-    1.0: "1:1 resonance",
-    -1.0: "1:2 resonance",
-    -0.5: "1:3 resonance",
-    0.0: "1:4 resonance",
-}  # by cosine
-ANOTHER_MULTIPLIER_KINDS = {  # by the kind of the curve: another multiplier is 1, is -1; another pair is on the circle
-    FOLD: ("1:1 resonance", "fold-flip", "fold-torus"),
-    DOUBLING: ("fold-flip", "1:2 resonance", "flip-torus"),
-    TORUS: ("fold-torus", "flip-torus", "torus-torus"),
-    BRANCH_POINT: ("1:1 resonance", "fold-flip", "fold-torus"),
+# What a curve of special points may meet ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class CurveKind:
+    """Names of the points that a curve of special points of one kind may meet.
+
+    Attributes:
+        another: where another eigenvalue is zero or multiplier 1, where one is -1, where one more pair is critical.
+        degenerate: where the coefficient of the normal form vanishes.
+        ends: points at which the curve ends.
+    """
+
+    another: tuple[str, str, str]
+    degenerate: str = ""
+    ends: Mapping[str, End] = field(default_factory=dict)
+
+
+RESONANCES = {1.0: "1:1 resonance", -1.0: "1:2 resonance", -0.5: "1:3 resonance", 0.0: "1:4 resonance"}  # by cosine
+EQUILIBRIUM_CURVES = {
+    FOLD: CurveKind((TAKENS, "", ZERO_HOPF), CUSP),
+    BRANCH_POINT: CurveKind((TAKENS, "", ZERO_HOPF)),
+    HOPF: CurveKind((ZERO_HOPF, "", HOPF_HOPF), BAUTIN, {TAKENS: End.TAKENS}),
 }
-VANISHING_TEST_RATIO = 1e-2  # of its values at both ends: a test where it has a root
+ORBIT_CURVES = {
+    FOLD: CurveKind(("1:1 resonance", "fold-flip", "fold-torus"), "cusp of cycles", {BAUTIN: End.BAUTIN}),
+    DOUBLING: CurveKind(("fold-flip", "1:2 resonance", "flip-torus"), "generalized period doubling"),
+    TORUS: CurveKind(
+        ("fold-torus", "flip-torus", "torus-torus"), "chenciner",
+        {"1:1 resonance": End.RESONANCE_ONE, "1:2 resonance": End.RESONANCE_TWO, HOPF_HOPF: End.HOPF_HOPF,
+         ZERO_HOPF: End.ZERO_HOPF},
+    ),
+    BRANCH_POINT: CurveKind(("1:1 resonance", "fold-flip", "fold-torus")),
+}  # fmt: skip
+
+VANISHING_TEST_RATIO = 1e-2  # of its values at both ends: a test where it has a root, and not a pole
 INTERPOLATION_ERROR = 1e-3  # of a step: an error of interpolation with which a point is named
 SHRINKING_AMPLITUDE_RATIO = 0.5  # of the amplitude at the other end of a step: an orbit that is shrinking
 NOISE_FACTOR = 100.0  # times what a finer level changes: a test above it has its sign
-NEAR_END = 4  # divisions of a step after which a point at which a curve ends is on it
+NEAR_END = 5  # divisions of a step after which a point at which a curve ends is on it
 POLE_COEFFICIENT = 0.95  # of a coefficient between -1 and 1: nearly twice what it is at both ends of a step together
-MEETING_DISTANCE = 0.1  # between the logarithms of two multipliers that are about to meet
+MEETING_DISTANCE = 0.1  # between exponents, of usual size, of two that are about to meet
+SYMMETRIC_TERM_RATIO = 1e-6  # of all terms: a quadratic coefficient that a symmetry makes zero
 Test = Callable[[Point], float]
 
 
-def special_on_curve(space: Followed, before: Point, after: Point) -> Iterator[Point | Unresolved]:
+def special_on_curve(search: CurveSearch) -> Iterator[Point | Unresolved]:
     """Points of codimension two between two points of a curve, in order, and parts of it that are not resolved.
 
     Raises NotLocatedError.
     """
-    if space.shrinks(before, after):
-        end = shrunk(space, before, after)
-        if end is not None:
-            yield end
-            return
-    search = _Search(space, before, after)
-    found = list(search.between(search.first, search.last))
+    found = [*search.on_stretch(), *search.found_by_ends()]
     yield from (part for part in found if isinstance(part, Unresolved))
     yield from sorted((point for point in found if isinstance(point, Point)), key=search.sigma)
 
 
-class _Search(StretchSearch[Point | Unresolved]):
-    """Points of codimension two on one stretch of a curve."""
+class CurveSearch(Search[Point | Unresolved]):
+    """Points of codimension two on one stretch of a curve.
 
-    def __init__(self, space: Followed, before: Point, after: Point) -> None:
-        closes = space.periodic is not None or space.repeats
-        ends = [Exponents.from_floquet(space.floquet(end)) for end in (before, after)] if closes else []
-        super().__init__(space.point_solver, before, after, space.multipliers_alone, ends)
-        self.space = space
-        self.tests = dict(_tests(space, before, after))
-        self.closes, self._samples = closes, dict[int, Sample]()
+    Attributes:
+        kind: of the special points that the curve connects.
+        kinds: of the points that it may meet.
+        turn: period of the imaginary parts of exponents.
+        tests: functions of a point that vanish at points of some kinds.
+    """
 
-    def outside(self, point: Point) -> tuple[int, int]:
-        return super().outside(point) if self.closes else (0, 0)
+    turn: ClassVar[float] = np.inf
 
-    def sample(self, point: Point) -> Sample:
-        if id(point) not in self._samples:
-            self._samples[id(point)] = self._sampled(point)
-        return self._samples[id(point)]
+    def __init__(self, solver: PointSolver, kind: str, kinds: CurveKind, before: Point, after: Point) -> None:
+        super().__init__(solver, before, after)
+        self.kind, self.kinds = kind, kinds
 
-    def _sampled(self, point: Point) -> Sample:
+    @cached_property
+    def tests(self) -> dict[str, Test]:
+        found = dict(self.critical_tests())
+        with suppress(RuntimeError, NotImplementedError):  # the model has no third derivatives
+            found |= self.branching_tests() if self.kind == BRANCH_POINT else self.coefficient_tests()
+        return found
+
+    def critical_tests(self) -> Iterator[tuple[str, Test]]:
+        """Those of the place of what is critical."""
+        yield from ()
+
+    @abstractmethod
+    def coefficient_tests(self) -> dict[str, Test]:
+        """That of the coefficient of the normal form; raises RuntimeError without derivatives."""
+
+    @abstractmethod
+    def branching_terms(self, point: Point) -> tuple[Array, Array]:
+        """Terms of the quadratic and of the cubic coefficient of the branching equation; raises RuntimeError."""
+
+    def branching_tests(self) -> dict[str, Test]:
+        """That of the coefficient at whose zero the branching equation degenerates: cubic where a symmetry is lost."""
+        known = [self.branching_terms(end) for end in self.ends]
+        symmetric = int(all(
+            abs(np.sum(quadratic)) <= self.symmetric_ratio(end) * (np.sum(np.abs(quadratic)) + np.sum(np.abs(cubic)))
+            for end, (quadratic, cubic) in zip(self.ends, known, strict=True)
+        ))  # fmt: skip
+        kind = DEGENERATE_PITCHFORK if symmetric else DEGENERATE_TRANSCRITICAL
+        return self.bounded(kind, lambda point: float(np.sum(self.branching_terms(point)[symmetric])))
+
+    def bounded(self, kind: str, test: Test) -> dict[str, Test]:
+        """A test as one between -1 and 1, by its values at both ends: coefficients have poles."""
+        size = sum(abs(value) for end in self.ends if np.isfinite(value := test(end)))
+        return {kind: lambda point: float(np.tanh(test(point) / size))} if size else {}
+
+    def symmetric_ratio(self, point: Point) -> float:
+        """Largest ratio of a quadratic coefficient to all terms that a symmetry and errors of the point leave."""
+        return SYMMETRIC_TERM_RATIO
+
+    @abstractmethod
+    def exponents(self, point: Point) -> tuple[ComplexArray, ComplexArray, Array]:
+        """Eigenvalues, or logarithms of multipliers, but the critical ones, their rates along the curve, and noise."""
+
+    @abstractmethod
+    def others(self, point: Point) -> ComplexArray:
+        """The same values alone."""
+
+    def tracked(self, at: complex) -> Test:
+        """The real part of the value that is nearest to a place on the axis."""
+
+        def test(point: Point) -> float:
+            values = self.others(point)
+            return float(values[np.argmin(np.abs(turned(values - at, self.turn)))].real)
+
+        return test
+
+    @abstractmethod
+    def second_singular(self, point: Point) -> float:
+        """The second smallest singular value of the Jacobian at a branch point."""
+
+    def is_rounding(self, test: Test) -> bool:
+        """Whether a test changes its sign as it goes to zero with the orbit, down to what a finer level changes."""
+        return False
+
+    @abstractmethod
+    def error(self, point: Point, test: Test, slope: float, width: float) -> float:
+        """Estimated relative error of the parameter where a test vanishes, by its slope, within a width."""
+
+    def found_by_ends(self) -> Iterator[Point]:
+        """Points that the signs of noisy coefficients at both ends show."""
+        yield from ()
+
+    def sampled(self, point: Point) -> Sample:
         own = self.own(point)
         ahead = beside_on_tangent(own, TANGENT_DIFFERENCE_STEP)
         values = [(test(own), test(ahead)) for test in self.tests.values()]
         leading = tuple((here, (there - here) / TANGENT_DIFFERENCE_STEP) for here, there in values)
         row = self.metric(point) * point.tangent
-        still = np.zeros_like(point.z)
-        if not self.closes:
-            empty = np.empty(0, dtype=complex)
-            return Sample(point, row, empty, empty, np.empty(0), still, 1.0, leading)
-        here, there = self.sampler.exponents(own)
-        (first, noise), (last, _) = (_others(self.space, end, e) for end, e in ((own, here), (ahead, there)))
-        order = nearest_order(first, last)
-        rates = turned(last[order] - first) / TANGENT_DIFFERENCE_STEP
-        return Sample(point, row, first, rates, noise, still, 1.0, leading, FULL_TURN)
+        return Sample(point, row, *self.exponents(own), np.zeros_like(point.z), 1.0, leading, self.turn)
 
     def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point | Unresolved] | None:
-        settled, changed = stretch.settled.copy(), stretch.changed[: stretch.leading]
-        settled[: stretch.leading] |= self._poles(stretch)
-        ends = np.array([(self.space.kind, kind) in ENDS_BY_KIND for kind in self.tests], dtype=bool)
-        if self._is_beyond(stretch, ends):
+        if self._is_beyond(stretch):
             return ()
-        if depth >= NEAR_END and np.any(changed & settled[: stretch.leading] & ends):
-            settled[: stretch.leading] = True  # beyond it there are no such orbits, and no coefficient
+        settled = stretch.settled.copy()
+        settled[: stretch.leading] |= self._poles(stretch)
+        ending = self._changed(stretch) & settled[: stretch.leading] & self._ends
+        if depth >= NEAR_END and np.any(ending):
+            settled[: stretch.leading] = True  # beyond it there are no such points, and no coefficient
         if not (last or np.all(settled)):
             return None
         passed = list(self._passed(stretch))
         if not (passed or np.all(settled)):
             return list(self.unresolved(stretch))
         before, after = (self.own(end.point) for end in (stretch.first, stretch.last))
-        located = [_root(self.space, before, after, kind, test) for kind, test in passed]
+        located = [self.root(before, after, kind, test) for kind, test in passed]
         return [point for _, point in sorted((one for one in located if one is not None), key=lambda one: one[0])]
 
-    def _is_beyond(self, stretch: Stretch, ends: NDArray[np.bool_]) -> bool:
+    @property
+    def _ends(self) -> NDArray[np.bool_]:
+        """Which of the tests vanish where the curve ends."""
+        return np.array([kind in self.kinds.ends for kind in self.tests], dtype=bool)
+
+    def _is_beyond(self, stretch: Stretch) -> bool:
         """Whether a part lies beyond a point at which the curve ends."""
         start, here = (
             np.array([g for g, _ in sample.leading or ()]) for sample in (self.sample(self.first), stretch.first)
         )
-        return bool(np.any(ends & (start * here < 0.0)))
+        return bool(np.any(self._ends & (start * here < 0.0)))
 
     def _poles(self, stretch: Stretch) -> NDArray[np.bool_]:
         """Which of the leading quantities change their sign through infinity: they are larger there than beside it."""
         ends = np.abs(stretch.quantities[0][[0, -1], : stretch.leading])
         return np.asarray(stretch.changed[: stretch.leading] & (np.min(ends, axis=0) > POLE_COEFFICIENT))
 
+    def _changed(self, stretch: Stretch) -> NDArray[np.bool_]:
+        return stretch.changed[: stretch.leading] & ~self._poles(stretch)
+
     def _passed(self, stretch: Stretch) -> Iterator[tuple[str, Test]]:
         """Kinds of the points that are passed, each with a function that changes its sign there."""
-        poles = self._poles(stretch)
-        for kind, changed in zip(self.tests, stretch.changed[: poles.size] & ~poles, strict=True):
-            if changed and not _is_rounding(self.space, *self.ends, self.tests[kind]):
-                yield kind, self.tests[kind]
-        for kind, angle in self._crossings(stretch):
-            test = _tracked(self.space, angle)
-            if not _is_rounding(self.space, *self.ends, test):
-                yield kind, test
+        changed = self._changed(stretch)
+        if np.any(changed & self._ends):
+            changed &= self._ends
+        passed = [(kind, test) for (kind, test), one in zip(self.tests.items(), changed, strict=True) if one]
+        passed += [(kind, self.tracked(at)) for kind, at in self._crossings(stretch)]
+        yield from (one for one in passed if not self.is_rounding(one[1]))
 
-    def _crossings(self, stretch: Stretch) -> Iterator[tuple[str, float]]:
-        """Kinds of the points at which another multiplier is on the circle, with its angle."""
-        plus, minus, pair = ANOTHER_MULTIPLIER_KINDS[self.space.kind]
+    def _crossings(self, stretch: Stretch) -> Iterator[tuple[str, complex]]:
+        """Kinds of the points at which another eigenvalue or multiplier is critical, with its place."""
+        plus, minus, pair = self.kinds.another
         for k in np.flatnonzero(stretch.changed[stretch.leading :]):
             first, last = stretch.first.values[k], stretch.last.values[stretch.order[k]]
-            if is_real(first) and is_real(last):
-                yield (minus, np.pi) if abs(first.imag) > 1.0 else (plus, 0.0)
+            if is_real(first, stretch.first.turn) and is_real(last, stretch.first.turn):
+                yield (minus, 1j * np.pi) if abs(first.imag) > 1.0 else (plus, 0j)
             elif (angle := height(first, last)) > 0.0:
-                yield pair, float(angle)
+                yield pair, 1j * angle
+
+    # Locating ---------------------------------------------------------------------------------------------------------
+
+    def root(self, before: Point, after: Point, kind: str, test: Test) -> tuple[float, Point] | None:
+        """The point between two where a test vanishes, with its place; None where it has a pole in place of a root.
+
+        Raises NotLocatedError.
+        """
+        if self.kind == BRANCH_POINT and kind == self.kinds.another[0]:
+            double = double_between(self.solver, before, after, test, self.second_singular)
+            if double is not None:
+                return double
+        try:
+            zero, beside, size = zero_between(self.solver, before, after, test, kind)
+        except NotLocatedError:  # another null vector makes the equations singular there
+            found = interpolated(self.solver, before, after, test)
+            if found is None or found[1].error.parameter > INTERPOLATION_ERROR * abs(
+                after.parameter - before.parameter
+            ):
+                raise
+            return found[0], replace(found[1], special=kind)
+        if abs(zero.value) > VANISHING_TEST_RATIO * size:
+            return None
+        point = zero.point if 0.0 < zero.fraction < 1.0 else self.solver.along(before, after, zero.fraction)
+        if point is None:
+            raise NotLocatedError(f"a point of kind {kind} cannot be located: {self.solver.failure}")
+        slope = (beside.value - zero.value) / (beside.fraction - zero.fraction)
+        length = self.solver.curve(before, after)[1]
+        width = length * min(abs(beside.fraction - zero.fraction), 10.0 * TEST_ZERO_XTOL)
+        moved = self.error(point, test, slope / length, width)
+        error = replace(point.error, parameter=moved)
+        return zero.fraction, replace(point, error=error, requested=False, walked=False, special=kind)
+
+
+# Curves of equilibria -------------------------------------------------------------------------------------------------
+
+
+class EquilibriumCurveSearch(CurveSearch):
+    """Of folds, Hopf points and branch points of equilibria."""
+
+    def __init__(self, equations: EquilibriumEquations, kind: str, before: Point, after: Point) -> None:
+        super().__init__(equations.point_solver, kind, EQUILIBRIUM_CURVES[kind], before, after)
+        self.equations, self.statics = equations, equations.statics
+
+    def critical_tests(self) -> Iterator[tuple[str, Test]]:
+        if self.kind == HOPF:
+            yield TAKENS, _kappa
+
+    def coefficient_tests(self) -> dict[str, Test]:
+        if self.kind == FOLD:
+            return self.bounded(CUSP, self._quadratic())
+        if not self.statics.exact:  # noise of differences has roots of its own
+            return {}
+        return self.bounded(BAUTIN, self.lyapunov)
+
+    def _quadratic(self) -> Test:
+        """The quadratic coefficient of a fold; its sign goes on from the start by the normal of the parameters' curve.
+
+        The left null vector itself may turn by more than a right angle within a step, in units in which its largest
+        component passes through zero.
+        """
+        system, names, sizes = (
+            cast(ExtendedSystem, self.ends[0].problem),
+            list(self.statics.values),
+            self.equations.sizes,
+        )
+        courses = [course for course in (*system.free, system.walking) if course is not None]
+        ranges = np.array([course.to - course.start for course in courses])
+        columns = [names.index(course.name) for course in courses]
+
+        def left(point: Point) -> tuple[Array, Array]:
+            psi = _null_space(point).left[:, -1]
+            psi = psi / np.linalg.norm(psi) / sizes
+            return psi, np.asarray(psi @ self.statics.by_parameters(*_place(point))[:, columns] * ranges)
+
+        first = left(self.ends[0])[1]
+
+        def test(point: Point) -> float:
+            (psi, normal), v = left(point), sizes * point.z[sizes.size : 2 * sizes.size]
+            return float(np.copysign(1.0, normal @ first) * (psi @ self.statics.second(*_place(point), v, v).real))
+
+        return test
+
+    def branching_terms(self, point: Point) -> tuple[Array, Array]:
+        if not self.statics.exact:
+            raise NotImplementedError
+        sizes, psi, (x, p) = self.equations.sizes, point.z[self.statics.size : 2 * self.statics.size], _place(point)
+        v = _null_space(point).right[:, -1]
+        v = v / np.linalg.norm(v) * np.sign(v @ self._null_vector)
+        A, d = jacobian_of(cast(ExtendedSystem, point.problem), point.z), sizes * v
+        twice = self.statics.second(x, p, d, d).real / sizes
+        closed = np.block([[A, psi[:, None]], [v[None, :], np.zeros((1, 1))]])
+        bent = sizes * np.linalg.solve(closed, np.append(-twice, 0.0))[:-1]
+        thrice = self.statics.third(x, p, d, d, d).real / sizes
+        curved = self.statics.second(x, p, d, bent).real / sizes
+        return 0.5 * psi * twice, np.concatenate([psi * thrice / 6.0, 0.5 * psi * curved])
+
+    @cached_property
+    def _null_vector(self) -> Array:
+        return _null_space(self.ends[0]).right[:, -1]
+
+    def exponents(self, point: Point) -> tuple[ComplexArray, ComplexArray, Array]:
+        sample = self.equations.sample(point)
+        places = self._critical(point, sample.values)
+        rates, noise = np.delete(sample.rates, places), np.delete(sample.noise, places)
+        return np.delete(sample.values, places), rates, noise
+
+    def _critical(self, point: Point, values: ComplexArray) -> list[int]:
+        """Places of the critical eigenvalues."""
+        if self.kind != HOPF:
+            return [int(np.argmin(np.abs(values)))]
+        system = cast(HopfSystem, point.problem)
+        omega = system.rate * np.sqrt(complex(system.kappa(point.z)))
+        first = int(np.argmin(np.abs(values - 1j * omega)))
+        rest = np.abs(values + 1j * omega)
+        rest[first] = np.inf
+        return [first, int(np.argmin(rest))]
+
+    def others(self, point: Point) -> ComplexArray:
+        matrix = jacobian_of(cast(ExtendedSystem, point.problem), point.z)
+        values = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
+        critical = self._critical(point, values)
+        others = np.delete(values, critical)
+        if self.kind != HOPF:  # the sum with the zero of a fold is smooth where both are one
+            others[np.argmin(np.abs(others))] += values[critical[0]]
+        return others
+
+    def second_singular(self, point: Point) -> float:
+        matrix = jacobian_of(cast(ExtendedSystem, point.problem), point.z)  # in one scale: rows may vanish there
+        return float(np.linalg.svd(matrix, compute_uv=False)[-2])
+
+    def error(self, point: Point, test: Test, slope: float, width: float) -> float:
+        return float(width * abs(point.tangent[-1]) + point.error.relative(1.0))
 
     def unresolved(self, stretch: Stretch) -> Iterator[Unresolved]:
-        start, end = (self.space.parameters(s.point)[self.space.parameter] for s in (stretch.first, stretch.last))
-        yield Unresolved(start, end, "points of codimension two may be missing", self.space.kind, self.space.parameter)
+        yield from ()
+
+    def lyapunov(self, point: Point, widening: float = 1.0) -> float:
+        """Twice the frequency times the first Lyapunov coefficient; infinite where a pair is real."""
+        near, statics = cast(HopfSystem, point.problem), replace(self.statics, widening=widening)
+        if _kappa(point) <= 0.0:
+            return np.inf
+        A = statics.jacobian(*_place(point))
+        try:
+            omega, q, adjoint = critical_pair(A, near.rate * float(np.sqrt(near.kappa(point.z))))
+            return float(np.sum(lyapunov_terms(statics, *_place(point), A, omega, q, adjoint)))
+        except np.linalg.LinAlgError:  # at a pole, where another eigenvalue is zero to the last digit
+            return np.inf
+
+    def found_by_ends(self) -> Iterator[Point]:
+        """The generalized Hopf point between two of a program, whose higher derivatives are differences.
+
+        None is sought where l1 at both ends is smaller than what twice the steps of differences change.
+        """
+        if self.kind != HOPF or self.statics.exact or _kappa(self.ends[1]) <= 0.0:
+            return
+        l1 = [self.lyapunov(end) for end in self.ends]
+
+        def noise(point: Point) -> float:
+            return abs(self.lyapunov(point, 2.0) - self.lyapunov(point))
+
+        larger = self.ends[int(np.argmax(np.abs(l1)))]
+        if not l1[0] * l1[1] < 0.0 or max(np.abs(l1)) <= noise(larger):
+            return
+        located = self.root(*self.ends, BAUTIN, self.lyapunov)
+        if located is not None:
+            slope = (l1[1] - l1[0]) / (self.ends[1].parameter - self.ends[0].parameter)
+            moved = abs((noise(located[1]) + abs(self.lyapunov(located[1]))) / slope)
+            error = located[1].error
+            yield replace(located[1], error=replace(error, parameter=error.parameter + float(moved)))
 
 
-def _tests(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, Test]]:
-    """Functions of a point that vanish at points of some kinds; others are found from multipliers."""
-    if space.kind == BRANCH_POINT:
-        yield from _branching(space, before, after)
-    yield from _resonances(space)
-    for kind, test in _of_normal_form(space, before):
-        with suppress(RuntimeError, NotImplementedError):  # the model has no third derivatives
-            size = abs(test(before)) + abs(test(after))
-            if size:
-                yield kind, _bounded(test, size)
+def _place(point: Point) -> tuple[Array, Array]:
+    """The state and the parameters of an equilibrium."""
+    problem = cast(ExtendedSystem, point.problem)
+    return problem.state(point.z), problem.parameters(point.z)
 
 
-def _bounded(test: Test, size: float) -> Test:
-    """A test of a usual size as one between -1 and 1: coefficients have poles."""
-    return lambda point: float(np.tanh(test(point) / size))
+def _null_space(point: Point) -> NullSpace:
+    """Null vectors of dF/dy, in the sizes of the branch: tests along it have one scale."""
+    problem = cast(ExtendedSystem, point.problem)
+    return NullSpace.of_rates(jacobian_of(problem, point.z), np.ones(problem.statics.size))
 
 
-def _is_rounding(space: Followed, before: Point, after: Point, test: Test) -> bool:
-    """Whether a test changes its sign because it goes to zero with the orbit, down to what a finer level changes."""
-    if PERIOD not in space.statement.free:
-        return False
-    smaller, larger = sorted((before, after), key=space.amplitude)
-    if space.amplitude(smaller) > SHRINKING_AMPLITUDE_RATIO * space.amplitude(larger) or smaller.better is None:
-        return False
-    return abs(test(smaller)) <= NOISE_FACTOR * abs(test(_finer(smaller)) - test(smaller))
+def _kappa(point: Point) -> float:
+    return cast(HopfSystem, point.problem).kappa(point.z)
 
 
-def _branching(space: Followed, before: Point, after: Point) -> Iterator[tuple[str, Test]]:
-    """The coefficient at whose zero the branching equation degenerates, with the kind of that point."""
-    equations = [branching_equation(space, point) for point in (before, after)]
-    try:
-        symmetric = all(one.symmetric(p.error.profile) for one, p in zip(equations, (before, after), strict=True))
-        size = sum(abs(equation.coefficients[int(symmetric)]) for equation in equations)
-    except (RuntimeError, NotImplementedError):  # the model has no third derivatives
-        return
-    kind = DEGENERATE_PITCHFORK if symmetric else DEGENERATE_TRANSCRITICAL
-    if size:
-        yield kind, _bounded(lambda point: branching_equation(space, point).coefficients[int(symmetric)], size)
+# Curves of orbits, and of solutions of boundary-value problems --------------------------------------------------------
 
 
-def _resonances(space: Followed) -> list[tuple[str, Test]]:
-    if space.kind != TORUS:
-        return []
-    return [(name, lambda p, at=cosine: space.kappa(p) - at) for cosine, name in RESONANCE_KINDS.items()]  # type: ignore[misc]
+class OrbitCurveSearch(CurveSearch):
+    """Of folds, branch points, period doublings and tori."""
 
+    turn = FULL_TURN
 
-def _of_normal_form(space: Followed, before: Point) -> list[tuple[str, Test]]:
-    """The kind of points at which the coefficient of the normal form vanishes, where there is one."""
-    if space.kind == FOLD and space.periodic is None:
-        return [(CUSP, quadratic_term(space, before))]
-    known = space.kind in DEGENERATE_KINDS and (space.periodic is not None or space.repeats)
-    return [(DEGENERATE_KINDS[space.kind], _coefficient(space))] if known else []
+    def __init__(self, space: Followed, before: Point, after: Point) -> None:
+        super().__init__(space.point_solver, space.kind, ORBIT_CURVES[space.kind], before, after)
+        self.space = space
+        self.closes = space.periodic is not None or space.repeats
+        ends = [(end, Exponents.from_floquet(space.floquet(end))) for end in self.ends] if self.closes else []
+        self.sampler = ExponentSampler(space.multipliers_alone, self.metric, ends)
 
+    def critical_tests(self) -> Iterator[tuple[str, Test]]:
+        if self.kind == TORUS:
+            for cosine, name in RESONANCES.items():
+                yield name, lambda point, at=cosine: self.space.kappa(point) - at  # type: ignore[misc]
 
-def _others(space: Followed, point: Point, exponents: Exponents) -> tuple[ComplexArray, Array]:
-    """Logarithms of the multipliers but the trivial and the critical ones, and their noise.
+    def coefficient_tests(self) -> dict[str, Test]:
+        if self.kind == FOLD and self.space.periodic is None:
+            return self.bounded(CUSP, quadratic_term(self.space, self.ends[0]))
+        return self.bounded(self.kinds.degenerate, self._coefficient) if self.closes else {}
 
-    Where another one meets a critical one at 1 or -1 the two have half the digits, and their product has all: the
-    nearest other one is taken with what the critical one is off.
-    """
-    values, noise = exponents.values, exponents.noise
-    critical = np.array([1j * np.pi if space.kind == DOUBLING else 0j])
-    if space.kind == TORUS:
-        angle = np.arccos(complex(space.kappa(point)))
-        critical = np.array([1j * angle, -1j * angle])
-    for place in critical:
-        k = int(np.argmin(np.abs(turned(values - place))))
-        off, values, noise = turned(values[k] - place), np.delete(values, k), np.delete(noise, k)
-        if space.kind != TORUS and values.size:
-            nearest = int(np.argmin(np.abs(turned(values - place))))
-            joined = turned(values[nearest] + off - place)
-            if abs(joined) <= MEETING_DISTANCE and abs(joined.imag) <= EPSILON:
-                values[nearest] = place + joined.real
-    return values, noise
-
-
-def _tracked(space: Followed, angle: float) -> Test:
-    """The logarithm of the modulus of the other multiplier that is nearest to a place on the circle."""
-
-    def test(point: Point) -> float:
-        values = _others(space, point, Exponents.from_floquet(space.multipliers_alone(point)))[0]
-        return float(values[np.argmin(np.abs(turned(values - 1j * angle)))].real)
-
-    return test
-
-
-def _coefficient(space: Followed) -> Test:
-    """The coefficient of the normal form, computed once for the last few points."""
-
-    def test(point: Point) -> float:
+    def _coefficient(self, point: Point) -> float:
+        """The coefficient of the normal form, computed once for the last few points."""
+        space = self.space
         for known, found in space.coefficients:
             if known is point:
                 return found
         linear = space.linearised(point)
-        angle = float(np.arccos(np.clip(space.kappa(point), -1.0, 1.0))) if space.kind == TORUS else 0.0
+        angle = float(np.arccos(np.clip(space.kappa(point), -1.0, 1.0))) if self.kind == TORUS else 0.0
         assert space.critical is not None
         turn = space.critical.turn if space.critical.turn.size else None
-        found_there = critical_functions(space.kind, linear, angle, turn)
-        terms = terms_of(space.kind, linear, angle, *found_there, turn)
-        space.coefficients[:] = [*space.coefficients[-7:], (point, float(np.sum(terms)))]
-        return float(np.sum(terms))
+        value = float(
+            np.sum(terms_of(self.kind, linear, angle, *critical_functions(self.kind, linear, angle, turn), turn))
+        )
+        space.coefficients[:] = [*space.coefficients[-7:], (point, value)]
+        return value
 
-    return test
+    def branching_terms(self, point: Point) -> tuple[Array, Array]:
+        return branching_equation(self.space, point).terms
 
+    def symmetric_ratio(self, point: Point) -> float:
+        return max(SYMMETRIC_TERM_RATIO, 100.0 * point.error.profile)
 
-def _root(space: Followed, before: Point, after: Point, kind: str, test: Test) -> tuple[float, Point] | None:
-    """The point between two where a test vanishes, with its place; None where it has a pole in place of a root.
+    def exponents(self, point: Point) -> tuple[ComplexArray, ComplexArray, Array]:
+        if not self.closes:
+            return np.empty(0, dtype=complex), np.empty(0, dtype=complex), np.empty(0)
+        here, there = self.sampler.exponents(point)
+        ahead = beside_on_tangent(point, TANGENT_DIFFERENCE_STEP)
+        (first, noise), (last, _) = self._others(point, here), self._others(ahead, there)
+        return first, turned(last[nearest_order(first, last)] - first) / TANGENT_DIFFERENCE_STEP, noise
 
-    Raises NotLocatedError.
-    """
-    if space.kind == BRANCH_POINT and kind == ANOTHER_MULTIPLIER_KINDS[BRANCH_POINT][0]:
-        second = partial(second_singular, space)
-        double = double_between(space.point_solver, before, after, test, second)
-        if double is not None:
-            return double
-    try:
-        zero, beside, size = zero_between(space.point_solver, before, after, test, kind)
-    except NotLocatedError:  # another null vector makes the equations singular there
-        found = interpolated(space.point_solver, before, after, test)
-        if found is None or found[1].error.parameter > INTERPOLATION_ERROR * abs(after.parameter - before.parameter):
-            raise
-        return found[0], replace(found[1], special=kind)
-    if abs(zero.value) > VANISHING_TEST_RATIO * size:
-        return None
-    point: Point | None = zero.point
-    if zero.point.better is None:  # an end of the stretch, which is no point of the curve
-        point = space.point_solver.along(before, after, zero.fraction)
-    if point is None:
-        raise NotLocatedError(f"a point of kind {kind} cannot be located: {space.point_solver.failure}")
-    slope = (beside.value - zero.value) / (beside.fraction - zero.fraction)
-    moved = _error(space, point, test, slope / _length(space, before, after))
-    error = replace(point.error, parameter=moved)
-    return zero.fraction, replace(point, error=error, requested=False, walked=False, special=kind)
+    def others(self, point: Point) -> ComplexArray:
+        return self._others(point, Exponents.from_floquet(self.space.multipliers_alone(point)))[0]
 
+    def _others(self, point: Point, exponents: Exponents) -> tuple[ComplexArray, Array]:
+        """Logarithms of the multipliers but the trivial and the critical ones, and their noise.
 
-def _length(space: Followed, before: Point, after: Point) -> float:
-    return space.point_solver.curve(before, after)[1]
+        Where another one meets a critical one at 1 or -1 the two have half the digits, and their product has all: the
+        nearest other one is taken with what the critical one is off.
+        """
+        values, noise = exponents.values, exponents.noise
+        critical = np.array([1j * np.pi if self.kind == DOUBLING else 0j])
+        if self.kind == TORUS:
+            angle = np.arccos(complex(self.space.kappa(point)))
+            critical = np.array([1j * angle, -1j * angle])
+        for place in critical:
+            k = int(np.argmin(np.abs(turned(values - place))))
+            off, values, noise = turned(values[k] - place), np.delete(values, k), np.delete(noise, k)
+            if self.kind != TORUS and values.size:
+                nearest = int(np.argmin(np.abs(turned(values - place))))
+                joined = turned(values[nearest] + off - place)
+                if abs(joined) <= MEETING_DISTANCE and abs(joined.imag) <= EPSILON:
+                    values[nearest] = place + joined.real
+        return values, noise
 
+    def second_singular(self, point: Point) -> float:
+        return second_singular(self.space, point)
 
-def _error(space: Followed, point: Point, test: Test, slope: float) -> float:
-    """Estimated relative error of the parameter where a test vanishes, from its value on a finer level."""
-    along = (abs(test(_finer(point))) + abs(test(point))) / abs(slope) if slope else 0.0
-    moved = abs(_finer(point).parameter - point.parameter) + along * abs(float(point.tangent[-1]))
-    return float(moved / point.problem.parameter_size(point.z) + EPSILON)
+    def is_rounding(self, test: Test) -> bool:
+        if PERIOD not in self.space.statement.free:
+            return False
+        smaller, larger = sorted(self.ends, key=self.space.amplitude)
+        if self.space.amplitude(smaller) > SHRINKING_AMPLITUDE_RATIO * self.space.amplitude(larger):
+            return False
+        return smaller.better is not None and abs(test(smaller)) <= NOISE_FACTOR * abs(
+            test(_finer(smaller)) - test(smaller)
+        )
+
+    def error(self, point: Point, test: Test, slope: float, width: float) -> float:
+        """From the value of the test on a finer level."""
+        finer = _finer(point)
+        along = (abs(test(finer)) + abs(test(point))) / abs(slope) if slope else 0.0
+        moved = abs(finer.parameter - point.parameter) + along * abs(float(point.tangent[-1]))
+        return float(moved / point.problem.parameter_size(point.z) + EPSILON)
+
+    def unresolved(self, stretch: Stretch) -> Iterator[Unresolved]:
+        start, end = (self.space.parameters(s.point)[self.space.parameter] for s in (stretch.first, stretch.last))
+        yield Unresolved(start, end, "points of codimension two may be missing", self.kind, self.space.parameter)
 
 
 def _finer(point: Point) -> Point:
@@ -334,12 +576,3 @@ def _finer(point: Point) -> Point:
     better = point.better
     assert better is not None
     return replace(point, problem=better.problem, z=better.z, better=None)
-
-
-ENDS_BY_KIND = {
-    (TORUS, "1:1 resonance"): End.RESONANCE_ONE,
-    (TORUS, "1:2 resonance"): End.RESONANCE_TWO,
-    (FOLD, "generalized hopf"): End.BAUTIN,
-    (TORUS, "hopf-hopf"): End.HOPF_HOPF,
-    (TORUS, "zero-hopf"): End.ZERO_HOPF,
-}

@@ -27,7 +27,7 @@ import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.location import special_orbit
-from casadi_skin.follow.search import Exponents, Sample, Stretch, StretchSearch, height, is_real
+from casadi_skin.follow.search import Exponents, ExponentSampler, Sample, Search, Stretch, height, is_real, turned
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.walk import snapped, target_of
 from casadi_skin.model.conserved import SymmetryClass
@@ -93,7 +93,7 @@ def events_between(space: BoundarySpace, before: Solution, after: Solution) -> I
     if not first.values.size:
         return
     kind = _Free if first.pairs is None or last.pairs is None else _Paired
-    found = list(kind(space, before, after).on_stretch())
+    found = kind(space, before, after).on_stretch()
     merged: list[Event | Unresolved] = []
     for one in sorted(found, key=lambda item: item.place if isinstance(item, Event) else -1.0):
         last_one = merged[-1] if merged else None
@@ -110,17 +110,21 @@ def _is_same(one: Event, other: Event) -> bool:
     return one.kind == other.kind != KREIN and abs(one.place - other.place) <= SAME_EVENT and one.angle == other.angle
 
 
-class _OrbitSearch(StretchSearch[Event | Unresolved]):
+class _OrbitSearch(Search[Event | Unresolved]):
     """The search on one stretch between two orbits."""
 
     def __init__(self, space: BoundarySpace, before: Solution, after: Solution) -> None:
         exponents = [Exponents.from_floquet(end.floquet()) for end in (before, after)]
-        super().__init__(space.point_solver, before.point, after.point, space.multipliers_alone, exponents)
-        self.space = space
+        super().__init__(space.point_solver, before.point, after.point)
+        known = list(zip(self.ends, exponents, strict=True))
+        self.space, self.sampler = space, ExponentSampler(space.multipliers_alone, self.metric, known)
 
-    def on_stretch(self) -> Iterator[Event | Unresolved]:
-        """Events on the stretch, and parts that are not resolved."""
-        yield from self.between(self.first, self.last)
+    def outside(self, point: Point) -> tuple[int, int]:
+        """The number of multipliers outside the circle at a point, and how many errors leave open."""
+        return self.sampler.exponents(self.own(point))[0].outside
+
+    def is_clear(self, point: Point) -> bool:
+        return self.outside(point)[1] <= min(self.outside(end)[1] for end in (self.first, self.last))
 
     def passes(self, stretch: Stretch) -> bool:
         return super().passes(stretch) and self.balanced(stretch)
@@ -169,7 +173,7 @@ class _OrbitSearch(StretchSearch[Event | Unresolved]):
         """The quantity of a crossing at a point on a stretch."""
         sample, k = self.sample(point), crossing.quantity
         first, last = stretch.first.values[k], stretch.last.values[stretch.order[k]]
-        expected = first + fraction * _way(stretch.first, first, last)
+        expected = first + fraction * turned(last - first, stretch.first.turn)
         return float(sample.values[int(np.argmin(stretch.first.apart(np.array([expected]), sample.values)))].real)
 
     def located(self, stretch: Stretch, crossing: Crossing) -> Event | None:
@@ -253,7 +257,7 @@ class _OrbitSearch(StretchSearch[Event | Unresolved]):
 class _Free(_OrbitSearch):
     """Multipliers that move freely: each crosses the circle by itself, or with its complex conjugate."""
 
-    def sample(self, point: Point) -> Sample:
+    def sampled(self, point: Point) -> Sample:
         return self.sampler.free(self.own(point), point)
 
     def crossings(self, stretch: Stretch) -> Iterator[Crossing]:
@@ -277,7 +281,7 @@ class _Paired(_OrbitSearch):
         odd = space.periodic is not None and space.symmetry is SymmetryClass.QUARTER
         self.passed = (1.0,) if odd else (1.0, -1.0)
 
-    def sample(self, point: Point) -> Sample:
+    def sampled(self, point: Point) -> Sample:
         samples = [self.sampler.paired(self.own(point), point, passed) for passed in self.passed]
         parts = zip(*((s.values, s.rates, s.noise) for s in samples), strict=True)
         values, rates, noise = (np.concatenate(part) for part in parts)
@@ -384,12 +388,6 @@ class _Paired(_OrbitSearch):
             return None
         angle = float(np.arccos(np.clip(0.5 * centre, -1.0, 1.0)))
         return [self.event(place, point, Crossing(0, KREIN, angle, 2 if leaves else -2))]
-
-
-def _way(sample: Sample, first: complex, last: complex) -> complex:
-    """The way from one value to another, by the shorter way round where they turn."""
-    way = last - first
-    return way - 1j * sample.turn * np.round(way.imag / sample.turn) if np.isfinite(sample.turn) else way
 
 
 # The account of a branch of orbits: its events in order, and the changes of stability that follow from them -----------

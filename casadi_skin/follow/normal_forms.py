@@ -152,8 +152,6 @@ def _normal(space: Followed, point: Point) -> tuple[Array, Array]:
 
 # The branching equation at branch points that are followed in two parameters: where it degenerates --------------------
 
-SYMMETRIC_TERM_RATIO = 1e-6  # of all terms: a quadratic coefficient that a symmetry makes zero
-
 
 @dataclass(frozen=True, eq=False)
 class BranchingEquation:
@@ -161,20 +159,9 @@ class BranchingEquation:
 
     linear: Linearised
 
-    @property
-    def coefficients(self) -> tuple[float, float]:
-        """The coefficients a and c."""
-        return float(np.sum(self._terms[0])), float(np.sum(self._terms[1]))
-
-    def symmetric(self, error: float) -> bool:
-        """Whether a is zero but for errors of the solution."""
-        quadratic, _ = self.coefficients
-        scale = sum(float(np.sum(np.abs(terms))) for terms in self._terms)
-        return abs(quadratic) <= max(SYMMETRIC_TERM_RATIO, 100.0 * error) * scale
-
     @cached_property
-    def _terms(self) -> tuple[Array, Array]:
-        """The terms of a and c."""
+    def terms(self) -> tuple[Array, Array]:
+        """The terms of a and c; these are zero but for rounding where a symmetry makes them so."""
         from scipy.sparse import bmat, csc_matrix
         from scipy.sparse.linalg import splu
 

@@ -9,15 +9,15 @@ from typing import cast
 
 import numpy as np
 
+from casadi_skin.follow.codimension_two import EQUILIBRIUM_CURVES, EquilibriumCurveSearch, special_on_curve
 from casadi_skin.follow.equilibrium_equations import corrector_of
 from casadi_skin.follow.follow import following_settings
 from casadi_skin.follow.location import EXTENDED_SYSTEMS, jacobian_of
-from casadi_skin.follow.rest_codimension_two import Followed, special_on_curve
 from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.special_points import SpecialPoint, check_second
 from casadi_skin.solve.levels import ExactLevels, Levels
-from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, TAKENS, Unresolved
+from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import AlgebraicProblem, Course, sizes_at
 from casadi_skin.zero.settings import End, Point
@@ -67,11 +67,11 @@ class CurveSpace(EquilibriumSpace):
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
         """Points of codimension two on the stretch between two points, in order, and parts that are not resolved."""
-        yield from special_on_curve(Followed(self, self.kind), before, after)
+        yield from special_on_curve(EquilibriumCurveSearch(self, self.kind, before, after))
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         """Beyond a Bogdanov-Takens point there are neutral saddles in place of Hopf points."""
-        return (End.TAKENS if self.kind == HOPF and point.special == TAKENS else None), ""
+        return EQUILIBRIUM_CURVES[self.kind].ends.get(point.special), ""
 
 
 def curve_space(

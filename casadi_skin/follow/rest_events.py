@@ -196,26 +196,6 @@ def _numbers(rounding: float, matrices: Array, seen: np.ndarray) -> tuple[Indice
     return least, most
 
 
-# The search for special points on branches of equilibria, and on curves of their special points -----------------------
-
-
-class EquilibriumSearch(Search[Point]):
-    """A search among equilibria, or curves of their special points."""
-
-    def __init__(self, equations: EquilibriumEquations, signs: Signs) -> None:
-        super().__init__(signs)
-        self.equations = equations
-
-    def sample(self, point: Point) -> Sample:
-        return self.equations.sample(point)
-
-    def along(self, before: Point, after: Point, fraction: float) -> Point | None:
-        return self.equations.point_solver.along(before, after, fraction)
-
-    def is_clear(self, point: Point) -> bool:
-        return not self.sample(point).blurred
-
-
 # Special points on a stretch of a branch of equilibria: distinguished by their eigenvalues, then located one by one
 
 TOGETHER_DEPTH = 4  # divisions after which a fold and a branch point that cannot be separated are one
@@ -245,7 +225,7 @@ def special_between(equations: EquilibriumEquations, before: Point, after: Point
     search = _Search(equations, before, after)
     counts = counted(equations, before, after) if search.free else None
     if counts is None:
-        yield from search.between(before, after)
+        yield from search.on_stretch()
         if search.free:
             yield _gap(equations, before.parameter, after.parameter, "the branch is not found between two points")
         return
@@ -271,7 +251,7 @@ def _between(equations: EquilibriumEquations, before: Point, after: Point) -> It
     if float(equations.sample(before).row @ after.tangent) < SHARP_TURN_COSINE:
         yield _gap(equations, before.parameter, after.parameter, "the branch turns sharply between two points")
         return
-    yield from _Search(equations, before, after).between(before, after)
+    yield from _Search(equations, before, after).on_stretch()
 
 
 def _gap(equations: EquilibriumEquations, start: float, end: float, words: str) -> Unresolved:
@@ -281,14 +261,26 @@ def _gap(equations: EquilibriumEquations, start: float, end: float, words: str) 
     return Unresolved(low, high, words, "special points", equations.parameter)
 
 
-class _Search(EquilibriumSearch):
+class _Search(Search[Point]):
     """Folds, branch points and Hopf points on one stretch of a branch."""
+
+    deepest, most_parts = 20, 400
 
     def __init__(self, equations: EquilibriumEquations, before: Point, after: Point) -> None:
         conserves = equations.model.order == 1 and all(equations.sample(end).symmetric for end in (before, after))
         self.free = equations.statics.oscillates and not conserves  # whether pairs may cross the axis one by one
         signs: Signs = "real parts" if self.free else "real" if equations.model.order == 2 else "squares"
-        super().__init__(equations, signs)
+        super().__init__(equations.point_solver, before, after, signs)
+        self.equations = equations
+
+    def sampled(self, point: Point) -> Sample:
+        return self.equations.sample(self.own(point))
+
+    def is_clear(self, point: Point) -> bool:
+        return not self.sample(point).blurred
+
+    def passes(self, ends: Stretch) -> bool:
+        return False
 
     def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point] | None:
         reals, pairs = crossings(stretch) if self.free else ([], [])

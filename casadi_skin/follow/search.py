@@ -23,8 +23,6 @@ reversible orbits do, it holds, each of shape (m / 2,) and twice, for c = 2 and 
 
 which is real and vanishes where a pair passes +1 or -1; a pair is on the circle where tau_k is real and in [-2, 2].
 Rates are differences to the point one small step along the tangent: it leaves the branch by the square of the step.
-
-The search for events between two points of a branch of orbits, on the mesh of the second one.
 """
 
 from __future__ import annotations
@@ -90,9 +88,7 @@ class Sample:
 
     def apart(self, values: ComplexArray, others: ComplexArray) -> Array:
         """Distances of values from others, shape (values, others)."""
-        difference = values[:, None] - others
-        if np.isfinite(self.turn):
-            difference -= 1j * self.turn * np.round(difference.imag / self.turn)
+        difference = turned(values[:, None] - others, self.turn)
         if self.groups is not None and difference.shape == (self.groups.size, self.groups.size):
             difference = np.where(self.groups[:, None] == self.groups, difference, GROUP_DISTANCE)
         return np.abs(difference)
@@ -315,14 +311,6 @@ def _unreal(values: ComplexArray) -> NDArray[np.bool_]:
     return np.abs(values.imag) > REAL_EIGENVALUE_RTOL * np.abs(values)
 
 
-def less(sample: Sample, places: list[int]) -> Sample:
-    """A sample without some of its eigenvalues, such as critical ones of a curve."""
-    return replace(
-        sample, values=np.delete(sample.values, places), rates=np.delete(sample.rates, places),
-        noise=np.delete(sample.noise, places),
-    )  # fmt: skip
-
-
 def _looked_at(g: Array, d: Array) -> tuple[Array, Array, Array]:
     """Places on a cubic, its extrema among them, with its values and derivatives there; each (place, quantity)."""
     chord = g[1] - g[0]
@@ -345,37 +333,79 @@ def _cubic(g: Array, d: Array, t: Array) -> tuple[Array, Array]:
 
 # The search for special points on a stretch of a branch, which is divided until each part is resolved ----------------
 
-DEEPEST_DIVISION = 20  # divisions of a stretch between two points of the continuation
+DEEPEST_DIVISION = 14  # divisions of a stretch between two points of the continuation
 SHORTEST_PART = 1e-11  # of a step: shorter parts are not divided
-MOST = 400  # parts that it is divided into
+MOST_PARTS = 120  # parts that it is divided into
 TRIED_PLACES = (SAMPLE_FRACTION, 0.3, 0.7)  # of a stretch, where one point after the other is tried
 
 
+CLEAR_DISTANCE = (
+    0.5  # of the changes of a quantity on a stretch: a distance from zero at both ends that needs no sample
+)
 Event = TypeVar("Event")
 
 
 class Search(ABC, Generic[Event]):
-    """The search on one stretch of the continuation; `parts` counts the parts that it has been divided into.
+    """The search on one stretch between two points of the continuation, in the unknowns of the second.
 
-    `deepest` is how often a part may be divided, `most_parts` how many there may be.
+    Attributes:
+        ends: both ends.
+        first, last: these in the unknowns of the second.
+        row, length: sigma = row . (z - first.z) is the place along the stretch, from 0 to its length.
+        signs: which quantities of samples count.
+        parts: the number of parts that the stretch has been divided into.
+        deepest, most_parts: how often a part may be divided, and how many there may be.
     """
 
-    deepest, most_parts = DEEPEST_DIVISION, MOST
+    deepest, most_parts = DEEPEST_DIVISION, MOST_PARTS
 
-    def __init__(self, signs: Signs) -> None:
-        self.signs, self.parts = signs, 0
+    def __init__(self, solver: PointSolver, before: Point, after: Point, signs: Signs = "real parts") -> None:
+        self.solver, self.ends, self.signs, self.parts = solver, (before, after), signs, 0
+        problem = after.problem
+        z, tangent = (before.problem.prolong(v, problem) for v in (before.z, before.tangent))
+        self.first = replace(before, problem=problem, z=z, tangent=tangent, better=None)
+        self.last = after
+        self.row = self.metric(self.first) * tangent
+        self.length = float(self.row @ (after.z - z))
+        self._samples = dict[int, tuple[Point, Sample]]()
 
-    @abstractmethod
-    def sample(self, point: Point) -> Sample:
-        """The sample at a point."""
+    def metric(self, point: Point) -> Array:
+        """Weights of the unknowns of a point."""
+        return self.solver.metric(point.problem, point.z)
 
-    @abstractmethod
+    def own(self, point: Point) -> Point:
+        """The point at which quantities are computed: the first end on its own mesh."""
+        return self.ends[0] if point is self.first else point
+
+    def sigma(self, point: Point) -> float:
+        """The place of a point along the stretch."""
+        return float(self.row @ (point.problem.prolong(point.z, self.last.problem) - self.first.z))
+
     def along(self, before: Point, after: Point, fraction: float) -> Point | None:
         """The point at a fraction of the way between two points; None where it is not found."""
+        correction, tangent = self.solver.corrected_along(before, after, fraction)
+        if correction is None or tangent is None:
+            return None
+        return replace(self.last, z=correction.z, tangent=tangent, better=None, special="", walked=False)
+
+    def sample(self, point: Point) -> Sample:
+        """The sample at a point, computed once."""
+        if id(point) not in self._samples:
+            self._samples[id(point)] = point, self.sampled(point)
+        return self._samples[id(point)][1]
+
+    @abstractmethod
+    def sampled(self, point: Point) -> Sample:
+        """The sample at a point."""
 
     def passes(self, ends: Stretch) -> bool:
-        """Whether a part has no special points by its ends alone."""
-        return False
+        """Whether every quantity stays far from zero, by its values and rates at both ends."""
+        if not (self.is_clear(ends.first.point) or self.is_clear(ends.last.point)):
+            return False
+        g, d = ends.quantities
+        moves = np.abs(g[-1] - g[0]) + ends.length * (np.abs(d[0]) + np.abs(d[-1]))
+        clear = (np.sign(g[0]) == np.sign(g[-1])) & (np.min(np.abs(g), axis=0) > CLEAR_DISTANCE * moves)
+        return bool(np.all(clear | np.all(g == 0.0, axis=0)))
 
     @abstractmethod
     def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Event] | None:
@@ -393,8 +423,12 @@ class Search(ABC, Generic[Event]):
     def unresolved(self, stretch: Stretch) -> Iterator[Event | Unresolved]:
         """What is known of a part that can be divided no further, and its record."""
 
+    def on_stretch(self) -> list[Event | Unresolved]:
+        """Special points on the stretch in order, and the parts that are not resolved."""
+        return list(self.between(self.first, self.last))
+
     def between(self, before: Point, after: Point, depth: int = 0) -> Iterator[Event | Unresolved]:
-        """Special points between two points in order, and the parts that are not resolved."""
+        """The same between two points of it."""
         self.parts += 1
         if self.passes(Stretch.of((self.sample(before), self.sample(after)), self.signs)):
             return
@@ -498,9 +532,9 @@ class Exponents:
         return np.where(on_axis, tau.real, tau), slope * noise + noise**2
 
 
-def turned(logarithms: ComplexArray) -> ComplexArray:
-    """Logarithms with imaginary parts in [-pi, pi]."""
-    return np.asarray(logarithms - 1j * FULL_TURN * np.round(logarithms.imag / FULL_TURN))
+def turned(values: ComplexArray, turn: float = FULL_TURN) -> ComplexArray:
+    """Logarithms with imaginary parts in [-pi, pi]; eigenvalues, whose turn is infinite, as they are."""
+    return np.asarray(values - 1j * turn * np.round(values.imag / turn)) if np.isfinite(turn) else values
 
 
 @dataclass(frozen=True, eq=False)
@@ -569,76 +603,6 @@ def nearest_order(first: ComplexArray, last: ComplexArray) -> Indices:
     return np.asarray(linear_sum_assignment(np.abs(turned(first[:, None] - last)))[1])
 
 
-def is_real(logarithm: complex) -> bool:
-    """Whether a logarithm is that of a real multiplier."""
-    return logarithm.imag == 0.0 or abs(logarithm.imag) == np.pi
-
-
-# The search for events between two points of a branch of orbits, on the mesh of the second one ------------------------
-
-DEEPEST_OF_ORBITS = 14  # divisions of a stretch between two orbits
-MOST_PARTS = 120  # that such a stretch is divided into
-CLEAR_DISTANCE = (
-    0.5  # of the changes of a quantity on a stretch: a distance from zero at both ends that needs no sample between
-)
-
-
-class StretchSearch(Search[Event]):
-    """The search on one stretch between two points.
-
-    Attributes:
-        ends: both ends.
-        first, last: these in the unknowns of the second.
-        row, length: sigma = row . (z - first.z) is the place along the stretch, from 0 to its length.
-        sampler: multipliers at its points.
-    """
-
-    deepest, most_parts = DEEPEST_OF_ORBITS, MOST_PARTS
-
-    def __init__(
-        self, solver: PointSolver, before: Point, after: Point, alone: Callable[[Point], Floquet],
-        exponents: Sequence[Exponents] = (),
-    ) -> None:  # fmt: skip
-        super().__init__("real parts")
-        self.solver, self.ends = solver, (before, after)
-        problem = after.problem
-        z, tangent = (before.problem.prolong(v, problem) for v in (before.z, before.tangent))
-        self.first = replace(before, problem=problem, z=z, tangent=tangent, better=None)
-        self.last = after
-        self.row = self.metric(self.first) * tangent
-        self.length = float(self.row @ (after.z - z))
-        self.sampler = ExponentSampler(alone, self.metric, tuple(zip(self.ends, exponents, strict=False)))
-
-    def metric(self, point: Point) -> Array:
-        """Weights of the unknowns of a point."""
-        return self.solver.metric(point.problem, point.z)
-
-    def own(self, point: Point) -> Point:
-        """The point at which multipliers are computed: the first end on its own mesh."""
-        return self.ends[0] if point is self.first else point
-
-    def along(self, before: Point, after: Point, fraction: float) -> Point | None:
-        correction, tangent = self.solver.corrected_along(before, after, fraction)
-        if correction is None or tangent is None:
-            return None
-        return replace(self.last, z=correction.z, tangent=tangent, better=None, special="", walked=False)
-
-    def passes(self, ends: Stretch) -> bool:
-        """Whether every quantity stays far from zero, by its values and rates at both ends."""
-        if not (self.is_clear(ends.first.point) or self.is_clear(ends.last.point)):
-            return False
-        g, d = ends.quantities
-        moves = np.abs(g[-1] - g[0]) + ends.length * (np.abs(d[0]) + np.abs(d[-1]))
-        clear = (np.sign(g[0]) == np.sign(g[-1])) & (np.min(np.abs(g), axis=0) > CLEAR_DISTANCE * moves)
-        return bool(np.all(clear | np.all(g == 0.0, axis=0)))
-
-    def sigma(self, point: Point) -> float:
-        """The place of a point along the stretch."""
-        return float(self.row @ (point.problem.prolong(point.z, self.last.problem) - self.first.z))
-
-    def outside(self, point: Point) -> tuple[int, int]:
-        """The number of multipliers outside the circle at a point, and how many errors leave open."""
-        return self.sampler.exponents(self.own(point))[0].outside
-
-    def is_clear(self, point: Point) -> bool:
-        return self.outside(point)[1] <= min(self.outside(end)[1] for end in (self.first, self.last))
+def is_real(value: complex, turn: float = FULL_TURN) -> bool:
+    """Whether an eigenvalue, or the multiplier of a logarithm, is real."""
+    return bool(value.imag == 0.0 or abs(value.imag) == 0.5 * turn)

@@ -12,7 +12,7 @@ import numpy as np
 from casadi_skin.follow import rest_curve as of_equilibria
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.codimension_two import ENDS_BY_KIND, special_on_curve
+from casadi_skin.follow.codimension_two import ORBIT_CURVES, OrbitCurveSearch, special_on_curve
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.follow import following_settings
 from casadi_skin.follow.following import Following, run_following
@@ -20,6 +20,7 @@ from casadi_skin.follow.location import LocatedOrbit, extended_space, locate
 from casadi_skin.follow.normal_forms import on_circle
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.refined import BoundaryError
+from casadi_skin.follow.shrinking import shrunk
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, ORBITS, SolutionSpace
 from casadi_skin.follow.special_points import SpecialPoint, check_second
@@ -98,11 +99,12 @@ class OrbitCurveSpace(BoundarySpace):
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
         """Points of codimension two on the stretch between two points, in order, and parts that are not resolved."""
-        yield from special_on_curve(self, before, after)
+        end = shrunk(self, before, after) if self.shrinks(before, after) else None
+        yield from [end] if end is not None else special_on_curve(OrbitCurveSearch(self, before, after))
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         """Beyond the resonances 1:1 and 1:2 there are no tori, and beyond amplitude zero the curve comes back."""
-        end = ENDS_BY_KIND.get((self.kind, point.special))
+        end = ORBIT_CURVES[self.kind].ends.get(point.special)
         return (end, "") if end is not None else super().stop(point)
 
     def following(
