@@ -15,7 +15,7 @@ from casadi_skin.follow.corners import PassedResonance, passed_resonances
 from casadi_skin.follow.ending import Ending
 from casadi_skin.follow.events import StabilityChange
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.passages import held_passage, passage
+from casadi_skin.follow.passages import passage
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.follow.special_points import SpecialPoint, folds_of_family, special_point
@@ -399,8 +399,6 @@ class Branch(Result):
         ((name, wanted),) = given.items()
         whole("which", which, 0)
         wanted = number(f"at, {name}", wanted)
-        if name in self.space.held_names:
-            return held_passage(self.space, self.solutions, name, wanted, which)
         return passage(self.space, self.solutions, self.quantity_of(name), (name, wanted), which)
 
     certify: ClassVar[Callable[..., Any]]

@@ -65,10 +65,16 @@ class Bordered:
 
 def closed(problem: Problem, nonzeros: Array, row: Array) -> csc_matrix:
     """The Jacobian of these non-zeros, with a row below it."""
+    from scipy.sparse import csc_matrix
+
+    return _below(csc_matrix((nonzeros, problem.pattern), shape=(problem.size - 1, problem.size)), row)
+
+
+def _below(matrix: csc_matrix, row: Array) -> csc_matrix:
+    """A matrix with a row below it."""
     from scipy.sparse import csc_matrix, vstack
 
-    jacobian = csc_matrix((nonzeros, problem.pattern), shape=(problem.size - 1, problem.size))
-    return vstack([jacobian, csc_matrix(row[None, :])]).tocsc()
+    return vstack([matrix, csc_matrix(row[None, :])]).tocsc()
 
 
 def crossings(before: Bordered, after: Bordered) -> int:
@@ -524,8 +530,11 @@ def other_tangent(point_solver: PointSolver, point: Point) -> Array:
 
     J, t = jacobian(z), along / sizes
     t = t / np.linalg.norm(t)
-    across, psi = _null_vectors(J, t)
-    first, _ = _null_vectors(J, across)  # the tangent given may be that of a point beside it
+    across, psi = (vectors[:, 0] for vectors in _kernels(_below(J, t), 1))
+    across, psi = (part / np.linalg.norm(part) for part in (across - t * (t @ across), psi[:-1]))
+    first = _kernels(_below(J, across), 1)[0][:, 0]  # the tangent given may be that of a point beside it
+    first = first - across * (across @ first)
+    first = first / np.linalg.norm(first)
     h = 1e-4
 
     def form(a: Array, b: Array) -> float:
@@ -537,20 +546,3 @@ def other_tangent(point_solver: PointSolver, point: Point) -> Array:
     choices = [-root * first + own * across, curved * first - root * across] if root else [across]
     directions = [sizes * choice / np.linalg.norm(choice) for choice in choices]
     return np.asarray(min(directions, key=lambda direction: abs(float(direction / sizes @ t))))
-
-
-def _null_vectors(J: Any, t: Array) -> tuple[Array, Array]:
-    """The vector across t that a Jacobian annihilates at a branch point, and the one from the left; of norm 1."""
-    from scipy.sparse import csc_matrix, diags, vstack
-    from scipy.sparse.linalg import splu
-
-    closed = vstack([J, csc_matrix(t[None, :])]).tocsc()
-    generator = np.random.default_rng(0)
-    shift = 1e-11 * float(np.max(np.abs(closed.data)))
-    factors = splu((closed + shift * diags(generator.random(t.size))).tocsc())
-    right: Array = generator.normal(size=t.size)
-    for _ in range(4):
-        left = np.asarray(factors.solve(right / np.linalg.norm(right), trans="T"))  # type: ignore[call-overload]
-        right = np.asarray(factors.solve(np.asarray(left / np.linalg.norm(left), dtype=float)))
-    across = right - t * (t @ right)
-    return np.asarray(across / np.linalg.norm(across)), np.asarray(left[:-1] / np.linalg.norm(left[:-1]))

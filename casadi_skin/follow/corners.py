@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from casadi_skin.zero.cosines import cosine_matrix, second_derivative_matrix
 from casadi_skin.zero.problem import EPSILON, Array, Indices, Problem, SingularError
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.trigonometric import TrigonometricProblem
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_matrix
 
 SHARP_TURN_DEGREES = 15.0  # degrees between both sides and their chord at a corner
 IN_LINE = 3.0  # degrees between them where branches cross
@@ -363,6 +367,8 @@ def _on_enough(levels: Levels, point: Point) -> tuple[TrigonometricProblem, Arra
 
 def _positive(problem: TrigonometricProblem, states: Array) -> Indices | None:
     """Numbers of positive eigenvalues of the Jacobians by the orbit at states; None where these are not symmetric."""
+    from scipy.sparse import coo_matrix
+
     alone = [problem.by_itself(z) for z in states]
     core = alone[0][0]
     rows, columns = core.pattern
@@ -375,49 +381,24 @@ def _positive(problem: TrigonometricProblem, states: Array) -> Indices | None:
         return None
     if np.max(np.abs(values[:, order] - values[:, reverse])) > SYMMETRY_RTOL * np.max(np.abs(values)):
         return None
-    blocks = _Blocks.of(rows, columns, values, core.states, core.half_bandwidth or core.states)
-    beyond = np.zeros(len(states), dtype=np.int64)
+    found = np.zeros(len(states), dtype=np.int64)
     for k, z in enumerate(states):
-        block, there, beyond[k] = problem.eliminated(z)
+        block, there, beyond = problem.eliminated(z)
+        matrix = coo_matrix((values[k], (rows, columns)), shape=(core.states, core.states)).tolil()
         if block.size:
-            blocks.inside[k, there.start // blocks.width] += block
-    return np.asarray(beyond + blocks.positive())
+            matrix[there, there] += block
+        found[k] = beyond + positive_eigenvalues(matrix.tocsc())
+    return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Blocks:
-    """Symmetric band matrices by blocks on the diagonal and left of it, shape (matrices, blocks, width, width)."""
+def positive_eigenvalues(matrix: csc_matrix) -> int:
+    """The number of positive eigenvalues of a symmetric matrix: that of its pivots (Sylvester); zero counts as one."""
+    from scipy.sparse import eye
+    from scipy.sparse.linalg import splu
 
-    inside: Array
-    beside: Array
-
-    @classmethod
-    def of(cls, rows: Indices, columns: Indices, values: Array, size: int, width: int) -> _Blocks:
-        """From the places of entries, and their values, shape (matrices, entries)."""
-        shape = (len(values), -(-size // width), width, width)
-        inside, beside = np.zeros(shape), np.zeros(shape)
-        for blocks, apart in ((inside, 0), (beside, 1)):
-            here = rows // width == columns // width + apart
-            blocks[:, rows[here] // width, rows[here] % width, columns[here] % width] = values[:, here]
-        left_over = np.arange(size - (shape[1] - 1) * width, width)
-        inside[:, -1, left_over, left_over] = -1.0
-        return cls(inside, beside)
-
-    @property
-    def width(self) -> int:
-        return int(self.inside.shape[-1])
-
-    def positive(self) -> Indices:
-        """Numbers of positive eigenvalues, from the Schur complements block by block."""
-        found, complement = np.zeros(len(self.inside), dtype=np.int64), np.zeros_like(self.inside[:, 0])
-        for k in range(self.inside.shape[1]):
-            values, vectors = np.linalg.eigh(self.inside[:, k] - complement)
-            values[values == 0.0] = EPSILON
-            found += np.count_nonzero(values > 0.0, axis=1)
-            if k + 1 < self.inside.shape[1]:
-                along = self.beside[:, k + 1] @ vectors
-                complement = (along / values[:, None]) @ along.transpose(0, 2, 1)
-        return found
+    shifted = (matrix + EPSILON * float(np.max(np.abs(matrix.data))) * eye(matrix.shape[0])).tocsc()
+    factors = splu(shifted, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    return int(np.count_nonzero(factors.U.diagonal() > 0.0))
 
 
 def _forces(problem: TrigonometricProblem, z: Array) -> Array:

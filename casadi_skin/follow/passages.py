@@ -102,20 +102,28 @@ def passage(
 ) -> Solution:  # fmt: skip
     """The solution at a passage of a quantity through a wanted value, counted from 0; `wanted` has its name too.
 
-    Raises ValueError where the branch does not pass it that often, ArithmeticError where none is found there.
+    Where the equations hold the quantity the solution has the value but for rounding. Raises ValueError where the
+    branch does not pass it that often, ArithmeticError where none is found there.
     """
     name, value = wanted
-    values = np.array([of(solution) for solution in solutions])
-    found = _sought(space, solutions, lambda point: of(space.solution(point)) - value, values - value)
-    passed = 0
+    values, passed = np.array([of(solution) for solution in solutions]), 0
+    if name in space.held_names:
+        found: Iterator[Solution | None] = _held(space, solutions, name, value)
+    else:
+        found = _sought(space, solutions, lambda point: of(space.solution(point)) - value, values - value)
+    kind = "orbit" if not solutions or isinstance(solutions[0], Orbit) else "solution"
     try:
         for solution in found:
             if passed == which:
+                if solution is None:
+                    raise _NotFoundError(space.point_solver.failure)
                 return solution
             passed += 1
     except _NotFoundError as error:
-        raise ArithmeticError(f"at: no {_kind(solutions)} was found towards {name} = {value:g}: {error}") from error
-    raise ValueError(_not_passed(name, value, which, values, passed))
+        raise ArithmeticError(f"at: no {kind} was found towards {name} = {value:g}: {error}") from error
+    covered = f"{np.nanmin(values):g} to {np.nanmax(values):g}" if np.isfinite(values).any() else "no point"
+    words = f"the branch covers {covered} and passes {name} {passed} times"
+    raise ValueError(f"at: given {name} = {value!r}, which = {which}; {words}")
 
 
 def _sought(
@@ -158,42 +166,17 @@ def _reach(places: Array, values: Array, k: int) -> tuple[float, float]:
     return float(np.min(sampled)), float(np.max(sampled))
 
 
-def held_passage(space: SolutionSpace, solutions: Sequence[Solution], name: str, value: float, which: int) -> Solution:
-    """The same of a quantity that the equations hold: the solution has the value but for rounding."""
-    passed = 0
-    for solution, point in _held(space, solutions, name, value):
-        if passed < which:
-            passed += 1
-            continue
-        if point is None:
-            raise ArithmeticError(f"at: no {_kind(solutions)} was found at {name} = {value:g}, which the branch passes")
-        return solution or space.solution(point, exact={name: value})
-    values = np.array([solution.value(name) for solution in solutions])
-    raise ValueError(_not_passed(name, value, which, values, passed))
-
-
-def _held(
-    space: SolutionSpace, solutions: Sequence[Solution], name: str, value: float
-) -> Iterator[tuple[Solution | None, Point | None]]:
-    """Each passage: a solution, or a point corrected there, None where there is none."""
-    target, point_solver = space.target(name, value), space.point_solver
+def _held(space: SolutionSpace, solutions: Sequence[Solution], name: str, value: float) -> Iterator[Solution | None]:
+    """The solution at each passage, corrected there; None where there is none."""
+    target, solver = space.target(name, value), space.point_solver
     before = space.start if space.start_is_limit else None
     for solution in solutions:
+        points = list[Point | None]()
         if solution.value(name) == value:
-            yield solution, solution.point
+            yield solution
         elif target.meets(solution.point):
-            yield None, point_solver.beside(solution.point, target)
+            points = [solver.beside(solution.point, target)]
         elif before is not None and not target.meets(before):
-            for _, point in point_solver.between(before, solution.point, (target,)):
-                yield None, point
+            points = [point for _, point in solver.between(before, solution.point, (target,))]
+        yield from (None if point is None else space.solution(point, exact={name: value}) for point in points)
         before = solution.point
-
-
-def _kind(solutions: Sequence[Solution]) -> str:
-    return "orbit" if not solutions or isinstance(solutions[0], Orbit) else "solution"
-
-
-def _not_passed(name: str, value: float, which: int, values: Array, passed: int) -> str:
-    covered = f"{np.nanmin(values):g} to {np.nanmax(values):g}" if np.isfinite(values).any() else "no point"
-    words = f"the branch covers {covered} and passes {name} {passed} times"
-    return f"at: given {name} = {value!r}, which = {which}; {words}"
