@@ -16,8 +16,9 @@ from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.location import Located, locate_rest, special_orbit
 from casadi_skin.follow.period_limit import joined_words, unbounded
 from casadi_skin.follow.refined import BoundaryError, refined
+from casadi_skin.follow.search import TEST_ZERO_XTOL, NotLocatedError
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.special_points import TEST_ZERO_XTOL, NotLocatedError, fold_between, turning
+from casadi_skin.follow.special_points import fold_between, turning
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.kinds import BOUND, BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, Unresolved

@@ -39,18 +39,18 @@ from casadi_skin.follow.rest_normal_forms import critical_pair, lyapunov_terms
 from casadi_skin.follow.search import (
     FULL_TURN,
     TANGENT_DIFFERENCE_STEP,
+    TEST_ZERO_XTOL,
     Exponents,
     ExponentSampler,
+    NotLocatedError,
     Sample,
     Search,
     Stretch,
     beside_on_tangent,
-    height,
-    is_real,
     nearest_order,
     turned,
+    zero_between,
 )
-from casadi_skin.follow.special_points import TEST_ZERO_XTOL, NotLocatedError, zero_between
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.zero.augmented import ExtendedSystem, HopfSystem
 from casadi_skin.zero.kinds import (
@@ -273,12 +273,8 @@ class CurveSearch(Search[Point | Unresolved]):
     def _crossings(self, stretch: Stretch) -> Iterator[tuple[str, complex]]:
         """Kinds of the points at which another eigenvalue or multiplier is critical, with its place."""
         plus, minus, pair = self.kinds.another
-        for k in np.flatnonzero(stretch.changed[stretch.leading :]):
-            first, last = stretch.first.values[k], stretch.last.values[stretch.order[k]]
-            if is_real(first, stretch.first.turn) and is_real(last, stretch.first.turn):
-                yield (minus, 1j * np.pi) if abs(first.imag) > 1.0 else (plus, 0j)
-            elif (angle := height(first, last)) > 0.0:
-                yield pair, 1j * angle
+        for one in stretch.crossings():
+            yield (pair if not one.real else minus if one.angle else plus), 1j * one.angle
 
     # Locating ---------------------------------------------------------------------------------------------------------
 

@@ -18,16 +18,16 @@ between two orbits account for its change; stability changes where n_u becomes 0
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.location import special_orbit
-from casadi_skin.follow.search import Exponents, ExponentSampler, Sample, Search, Stretch, height, is_real, turned
+from casadi_skin.follow.search import Exponents, ExponentSampler, Sample, Search, Stretch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.walk import snapped, target_of
 from casadi_skin.model.conserved import SymmetryClass
@@ -39,7 +39,6 @@ from casadi_skin.zero.settings import Point
 if TYPE_CHECKING:
     from scipy.interpolate import BPoly
 
-ROOT_XTOL = 1e-10  # of a stretch, of roots of quantities where no extended equations are solved
 OUTSIDE_STRETCH = 1e-3  # of a stretch: a special orbit farther out is another one
 SAME_EVENT = 1e-8  # of a stretch: events of one kind that near are one, of multipliers that a symmetry keeps together
 ASIDE_FRACTIONS = (0.0, 0.03, 0.2)  # of a stretch, from a root: at a branch point itself no orbit is found
@@ -59,7 +58,7 @@ class Event(NamedTuple):
     jump: int
 
 
-class Crossing(NamedTuple):
+class Passage(NamedTuple):
     """A quantity of a stretch that changes its sign: the event that it means."""
 
     quantity: int
@@ -139,24 +138,25 @@ class _OrbitSearch(Search[Event | Unresolved]):
             return list(self.unresolved(stretch))
         if not np.all(stretch.settled):
             return None
-        crossings = list(self.crossings(stretch))
-        if not self.balanced(stretch, sum(crossing.jump for crossing in crossings)):
-            return self.collision(stretch, crossings) if depth >= KREIN_DEPTH else None
+        passages = list(self.passages(stretch))
+        if not self.balanced(stretch, sum(passage.jump for passage in passages)):
+            return self.collision(stretch, passages) if depth >= KREIN_DEPTH else None
         if not (last or self.is_simple(stretch)):
             return None
-        located = (self.located(stretch, crossing) for crossing in crossings)
+        located = (self.located(stretch, passage) for passage in passages)
         known: list[Event] = sorted((event for event in located if event is not None), key=lambda event: event.place)
-        return known if len(known) == len(crossings) else None
+        twice = any(_is_same(one, other) and one.jump != other.jump for one, other in pairwise(known))
+        return None if twice or len(known) < len(passages) else known
 
     def is_simple(self, stretch: Stretch) -> bool:
         """Whether nothing happens on a stretch but what its quantities show."""
         return True
 
-    def crossings(self, stretch: Stretch) -> Iterator[Crossing]:
+    def passages(self, stretch: Stretch) -> Iterator[Passage]:
         """Quantities that change their sign on a stretch that is resolved."""
         raise NotImplementedError
 
-    def collision(self, stretch: Stretch, crossings: Sequence[Crossing]) -> Sequence[Event] | None:
+    def collision(self, stretch: Stretch, passages: Sequence[Passage]) -> Sequence[Event] | None:
         """The event that is none of a single quantity; None where there is none."""
         return None
 
@@ -169,32 +169,25 @@ class _OrbitSearch(Search[Event | Unresolved]):
 
     # Locating ---------------------------------------------------------------------------------------------------------
 
-    def value(self, stretch: Stretch, crossing: Crossing, point: Point, fraction: float) -> float:
-        """The quantity of a crossing at a point on a stretch."""
-        sample, k = self.sample(point), crossing.quantity
-        first, last = stretch.first.values[k], stretch.last.values[stretch.order[k]]
-        expected = first + fraction * turned(last - first, stretch.first.turn)
-        return float(sample.values[int(np.argmin(stretch.first.apart(np.array([expected]), sample.values)))].real)
-
-    def located(self, stretch: Stretch, crossing: Crossing) -> Event | None:
-        """The orbit at a crossing."""
+    def located(self, stretch: Stretch, passage: Passage) -> Event | None:
+        """The orbit at a passage."""
         if self.space.periodic is None or self.space.symmetry.value == 1.0:
-            root = stretch.root(stretch.leading + crossing.quantity) / stretch.length
+            root = stretch.root(stretch.leading + passage.quantity) / stretch.length
             for aside in ASIDE_FRACTIONS:
                 fraction = root + (aside if root < 0.5 else -aside)
                 near = self.solver.along(stretch.first.point, stretch.last.point, fraction)
                 if near is None:  # beside a branch point rounding decides; the extended equations are regular there
                     near = replace(self.last, z=stretch.curve.at(fraction * stretch.length), better=None, special="")
-                event = self.solved(stretch, crossing, near)
+                event = self.solved(stretch, passage, near)
                 if event is not None:
                     return event
-        return self.by_root(stretch, crossing)
+        return self.by_root(stretch, passage)
 
-    def solved(self, stretch: Stretch, crossing: Crossing, near: Point) -> Event | None:
-        """The orbit at a crossing as a solution of its extended equations; None where they have none there."""
-        point = special_orbit(self.space, crossing.kind, near, crossing.angle)
+    def solved(self, stretch: Stretch, passage: Passage, near: Point) -> Event | None:
+        """The orbit at a passage as a solution of its extended equations; None where they have none there."""
+        point = special_orbit(self.space, passage.kind, near, passage.angle)
         place = None if point is None else self.place(stretch, point)
-        return None if point is None or place is None else self.event(place, point, crossing)
+        return None if point is None or place is None else self.event(place, point, passage)
 
     def place(self, stretch: Stretch, point: Point) -> float | None:
         """The place of a point on the whole stretch by its length; None where it is outside the part of it."""
@@ -202,56 +195,17 @@ class _OrbitSearch(Search[Event | Unresolved]):
         slack = OUTSIDE_STRETCH * (high - low)
         return at / self.length if low - slack <= at <= high + slack else None
 
-    def event(self, place: float, point: Point, crossing: Crossing) -> Event:
+    def event(self, place: float, point: Point, passage: Passage) -> Event:
         solution = self.space.solution(point, self.space.floquets([point])[0])
-        return Event(place, solution, crossing.kind, crossing.angle, crossing.jump)
+        return Event(place, solution, passage.kind, passage.angle, passage.jump)
 
-    def by_root(self, stretch: Stretch, crossing: Crossing) -> Event | None:
+    def by_root(self, stretch: Stretch, passage: Passage) -> Event | None:
         """The orbit at a root of the quantity itself, with the error of the parameter by that of the quantity."""
-
-        def value(point: Point, fraction: float) -> float:
-            return self.value(stretch, crossing, point, fraction)
-
-        noise = float(max(s.noise[k] for s, k in zip(
-            (stretch.first, stretch.last), (crossing.quantity, stretch.order[crossing.quantity]), strict=True
-        )))  # fmt: skip
-        point = self.root_of(stretch, value, noise, crossing.kind)
+        k = passage.quantity
+        noise = max(stretch.first.noise[k], stretch.last.noise[stretch.order[k]])
+        point = self.root_of(stretch, self.quantity(stretch, k), float(noise), passage.kind)
         place = None if point is None else self.place(stretch, point)
-        return None if point is None or place is None else self.event(place, point, crossing)
-
-    def root_of(
-        self, stretch: Stretch, value: Callable[[Point, float], float], noise: float, kind: str
-    ) -> Point | None:
-        """The point of a stretch at which a value vanishes; at a branch point, where none is alone, the nearest one."""
-        from scipy.optimize import brentq
-
-        before, after = stretch.first.point, stretch.last.point
-        known = {0.0: (before, value(before, 0.0)), 1.0: (after, value(after, 1.0))}
-        if not known[0.0][1] * known[1.0][1] < 0.0:
-            return None
-
-        def at(fraction: float) -> float:
-            if fraction not in known:
-                point = self.solver.along(before, after, fraction) or self.solver.coarse_along(before, after, fraction)
-                if point is None:
-                    raise ArithmeticError(self.solver.failure)
-                known[fraction] = point, value(point, fraction)
-            return known[fraction][1]
-
-        with suppress(ArithmeticError):
-            brentq(at, 0.0, 1.0, xtol=ROOT_XTOL)
-        inner = sorted((f for f in known if 0.0 < f < 1.0), key=lambda f: abs(known[f][1]))
-        if not inner:
-            return None
-        root, left = known[inner[0]]
-        beside = min((f for f in known if f != inner[0]), key=lambda f: abs(f - inner[0]))
-        moved = abs(known[beside][0].parameter - root.parameter)
-        slope = abs(known[beside][1] - left)
-        size = root.problem.parameter_size(root.z)
-        error = float((abs(left) + noise) * moved / max(slope, 1e-300) / size + root.error.relative(1.0))
-        return replace(
-            root, error=replace(root.error, parameter=error), special=kind, walked=False, requested=False
-        )  # fmt: skip
+        return None if point is None or place is None else self.event(place, point, passage)
 
 
 class _Free(_OrbitSearch):
@@ -260,15 +214,10 @@ class _Free(_OrbitSearch):
     def sampled(self, point: Point) -> Sample:
         return self.sampler.free(self.own(point), point)
 
-    def crossings(self, stretch: Stretch) -> Iterator[Crossing]:
-        for k in np.flatnonzero(stretch.changed):
-            first, last = stretch.first.values[k], stretch.last.values[stretch.order[k]]
-            sign = 1 if last.real > first.real else -1
-            if is_real(first) and is_real(last):
-                negative = abs(first.imag) > 1.0
-                yield Crossing(int(k), DOUBLING if negative else BRANCH_POINT, np.pi if negative else 0.0, sign)
-            elif (angle := height(first, last)) > 0.0:
-                yield Crossing(int(k), TORUS, float(angle), 2 * sign)
+    def passages(self, stretch: Stretch) -> Iterator[Passage]:
+        for one in stretch.crossings():
+            kind = TORUS if not one.real else DOUBLING if one.angle else BRANCH_POINT
+            yield Passage(one.quantity, kind, one.angle, one.sign if one.real else 2 * one.sign)
 
 
 class _Paired(_OrbitSearch):
@@ -344,25 +293,25 @@ class _Paired(_OrbitSearch):
             root = float(np.clip(root + (off if gap(min(root + off, 1.0)) * gap(root) <= 0.0 else -off), 0.0, 1.0))
         return None
 
-    def crossings(self, stretch: Stretch) -> Iterator[Crossing]:
+    def passages(self, stretch: Stretch) -> Iterator[Passage]:
         g, groups = stretch.quantities[0], stretch.first.groups
         assert groups is not None
         for k in np.flatnonzero(stretch.changed):
             passed = self.passed[groups[k]]
             jump = 1 if (g[-1, k] > 0.0) == (passed > 0.0) else -1
             kind, angle = (BRANCH_POINT, 0.0) if passed > 0.0 else (DOUBLING, np.pi)
-            yield Crossing(int(k), kind, angle, jump)
+            yield Passage(int(k), kind, angle, jump)
 
     def traces(self, point: Point) -> ComplexArray:
         here = self.sampler.exponents(self.own(point))[0]
         pairs = here.pairs
         return np.empty(0, complex) if pairs is None else np.asarray(here.traces(pairs)[0], dtype=complex)
 
-    def collision(self, stretch: Stretch, crossings: Sequence[Crossing]) -> Sequence[Event] | None:
+    def collision(self, stretch: Stretch, passages: Sequence[Passage]) -> Sequence[Event] | None:
         """A Krein collision: two pairs leave the circle where they meet, or come back: a root of (tau_k - tau_l)^2."""
         before, after = (self.traces(end.point) for end in (stretch.first, stretch.last))
         off = [np.flatnonzero(tau.imag > 0.0) for tau in (before, after)]
-        if crossings or abs(off[1].size - off[0].size) != 1:
+        if passages or abs(off[1].size - off[0].size) != 1:
             return None
         leaves = off[1].size > off[0].size
         there, here = (after, before) if leaves else (before, after)
@@ -375,7 +324,8 @@ class _Paired(_OrbitSearch):
         near = np.sort(here.real[np.argsort(np.abs(here - centre))[:2]])
         other_centre = float(np.mean(near))
 
-        def discriminant(point: Point, fraction: float) -> float:
+        def discriminant(point: Point) -> float:
+            fraction = (self.sigma(point) - self.sigma(stretch.first.point)) / stretch.length
             share = fraction if leaves else 1.0 - fraction
             tau = self.traces(point)
             two = tau[np.argsort(np.abs(tau - (other_centre + share * (centre - other_centre))))[:2]]
@@ -387,7 +337,7 @@ class _Paired(_OrbitSearch):
         if point is None or place is None:
             return None
         angle = float(np.arccos(np.clip(0.5 * centre, -1.0, 1.0)))
-        return [self.event(place, point, Crossing(0, KREIN, angle, 2 if leaves else -2))]
+        return [self.event(place, point, Passage(0, KREIN, angle, 2 if leaves else -2))]
 
 
 # The account of a branch of orbits: its events in order, and the changes of stability that follow from them -----------

@@ -341,10 +341,6 @@ class PointSolver:
             return None
         return replace(point, walked=False, at_round_off=True)
 
-    def tangent_along(self, current: Point, following: Point, fraction: float) -> Array | None:
-        """The tangent at a fraction of the way between two points, on the level of the second alone, or None."""
-        return self.corrected_along(current, following, fraction)[1]
-
     def corrected_along(
         self, current: Point, following: Point, fraction: float
     ) -> tuple[Correction | None, Array | None]:

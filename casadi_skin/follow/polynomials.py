@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -48,9 +49,10 @@ class LocalCurve:
         """Point of the curve."""
         return self.z0 + sigma * (self.t0 + sigma * (self.quadratic + sigma * self.cubic))
 
-    def slope(self, sigma: float) -> Array:
-        """Derivative dz/dsigma."""
-        return self.t0 + sigma * (2.0 * self.quadratic + 3.0 * sigma * self.cubic)
+    def slope(self, sigma: float | Array, index: Any = slice(None)) -> Array:
+        """Derivative dz/dsigma, or of one component at places."""
+        bend = 2.0 * self.quadratic[index] + 3.0 * sigma * self.cubic[index]
+        return np.asarray(self.t0[index] + sigma * bend)
 
     def crossings(self, index: int, value: float, end: float) -> list[float]:
         """All sigma in (0, end] at which component `index` equals `value`, ascending."""

@@ -26,9 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
-from casadi_skin.follow.location import Located, locate_rest
+from casadi_skin.follow.location import locate_rest
 from casadi_skin.follow.polynomials import LocalCurve
-from casadi_skin.follow.search import Sample, Search, Signs, Stretch, crossings, height
+from casadi_skin.follow.search import Crossing, Sample, Search, Signs, Stretch
+from casadi_skin.follow.special_points import rate
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved
 from casadi_skin.zero.problem import EPSILON, Array, Indices, SingularError
 from casadi_skin.zero.rest_problem import AlgebraicProblem
@@ -199,20 +200,12 @@ def _numbers(rounding: float, matrices: Array, seen: np.ndarray) -> tuple[Indice
 # Special points on a stretch of a branch of equilibria: distinguished by their eigenvalues, then located one by one
 
 TOGETHER_DEPTH = 4  # divisions after which a fold and a branch point that cannot be separated are one
-MOST_BISECTIONS = 40
 SHARP_TURN_COSINE = 0.5  # cosine of the turn between two points: a step turns by less
+NO_CROSSING = Crossing(0, 0.0, True, 1)  # of a fold or a branch point, which need none
 MOST_RECOUNTS = 3  # divisions of a stretch where special points do not account for eigenvalues
 SAME_POINT_RTOL = 1e-9  # of a step or of a frequency
+OUTSIDE_STRETCH = 1e-6  # of a stretch: a special point farther out is another one
 FARTHEST_FROM_EXPECTED = 0.7  # of a stretch: how far from where it is expected a special point may be found
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """A special point with its place along a stretch and its frequency, 0 where it has none."""
-
-    along: float
-    frequency: float
-    point: Point
 
 
 def special_between(equations: EquilibriumEquations, before: Point, after: Point) -> Iterator[Point | Unresolved]:
@@ -254,11 +247,13 @@ def _between(equations: EquilibriumEquations, before: Point, after: Point) -> It
     yield from _Search(equations, before, after).on_stretch()
 
 
-def _gap(equations: EquilibriumEquations, start: float, end: float, words: str) -> Unresolved:
+def _gap(
+    equations: EquilibriumEquations, start: float, end: float, words: str, kind: str = "special points"
+) -> Unresolved:
     """The record of a stretch by its places along the course of the parameter."""
     assert equations.course is not None
     low, high = (float(equations.course.at(u)) for u in (start, end))
-    return Unresolved(low, high, words, "special points", equations.parameter)
+    return Unresolved(low, high, words, kind, equations.parameter)
 
 
 class _Search(Search[Point]):
@@ -283,115 +278,67 @@ class _Search(Search[Point]):
         return False
 
     def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point] | None:
-        reals, pairs = crossings(stretch) if self.free else ([], [])
-        expected = [FOLD] * stretch.turns + [BRANCH_POINT] * stretch.reorients
-        one = set(expected) == {FOLD, BRANCH_POINT} and not reals and (depth >= TOGETHER_DEPTH or last)
-        if one:  # where a branch leaves another one to one side
-            expected, reals = [BRANCH_POINT], [0]
-        if not (one or last or np.all(stretch.settled)):
+        crossings = self._crossings(stretch)
+        reals, pairs = ([one for one in crossings if one.real is real] for real in (True, False))
+        kinds = [FOLD] * stretch.turns + [BRANCH_POINT] * stretch.reorients
+        if set(kinds) == {FOLD, BRANCH_POINT} and not reals and (depth >= TOGETHER_DEPTH or last):
+            kinds, reals = [BRANCH_POINT], [NO_CROSSING]  # where a branch leaves another one to one side
+        elif not (last or np.all(stretch.settled)):
             return None
-        if not (expected or reals or pairs):
+        if not (kinds or crossings):
             return ()
-        return self._each(stretch, expected, reals, pairs)
+        if len(kinds) > 1 or not (kinds or pairs) or (self.free and len(reals) != len(kinds)):
+            return None
+        wanted = [(kind, (reals or [NO_CROSSING])[0]) for kind in kinds] + [(HOPF, one) for one in pairs]
+        located = [self.located(stretch, kind, crossing) for kind, crossing in wanted]
+        known = sorted((one for one in located if one is not None), key=lambda one: one[:2])
+        twice = any(
+            np.allclose(one[:2], other[:2], rtol=SAME_POINT_RTOL, atol=SAME_POINT_RTOL)
+            for one, other in pairwise(known)
+        )
+        return None if twice or len(known) < len(wanted) else [point for *_, point in known]
+
+    def _crossings(self, stretch: Stretch) -> list[Crossing]:
+        return list(stretch.crossings()) if self.free else []
 
     def unresolved(self, stretch: Stretch) -> Iterator[Point | Unresolved]:
-        reals, pairs = crossings(stretch) if self.free else ([], [])
-        several = len(reals) > 1 and not (stretch.turns or stretch.reorients)  # at once, as where a symmetry keeps them
-        kinds = [FOLD] * stretch.turns + [BRANCH_POINT] * (stretch.reorients or several) + [HOPF] * len(pairs)
-        yield from _unresolved(self.equations, stretch, kinds)
+        """Special points of a stretch that cannot be halved, at its start, with the record of it."""
+        crossings, first, last = self._crossings(stretch), stretch.first.point, stretch.last.point
+        reals = sum(one.real for one in crossings)
+        several = reals > 1 and not (stretch.turns or stretch.reorients)  # at once, as where a symmetry keeps them
+        kinds = [FOLD] * stretch.turns + [BRANCH_POINT] * (stretch.reorients or several)
+        kinds += [HOPF] * (len(crossings) - reals)
+        if not kinds:
+            return  # an eigenvalue that was matched to another one
+        words = " and ".join(dict.fromkeys(kinds)) + (f", {len(kinds)} in all" if len(kinds) > 1 else "")
+        words = f"more than can be distinguished: {words}"
+        yield _gap(self.equations, float(first.z[-1]), float(last.z[-1]), words, kinds[0])
+        error = replace(first.error, parameter=abs(float(last.z[-1] - first.z[-1])))
+        yield from (replace(first, error=error, walked=False, requested=False, special=kind) for kind in kinds)
 
-    def _each(self, stretch: Stretch, expected: list[str], reals: list[int], pairs: list[int]) -> list[Point] | None:
-        """The special points that the ends indicate, each located; None where one cannot be."""
-        if len(expected) > 1 or not (expected or pairs) or (self.free and len(reals) != len(expected)):
+    def located(self, stretch: Stretch, kind: str, crossing: Crossing) -> tuple[float, float, Point] | None:
+        """The special point of a kind at a crossing, with its place on the stretch and its frequency, or None."""
+        equations, solver = self.equations, self.solver
+        guess = stretch.curve.at(stretch.root({FOLD: 0, BRANCH_POINT: None}.get(kind, crossing.quantity + 1)))
+        near = 1j * crossing.angle if kind == HOPF else None
+        found = locate_rest(equations, kind, guess[:-1], float(guess[-1]), near)
+        if found is None:
+            point = None if equations.systems.get(kind, True) else self._by_root(stretch, kind, crossing)
+            return None if point is None else (self.sigma(point), 0.0, point)
+        z, first = np.append(found.y, found.s), stretch.first
+        along = float(first.row @ (z - first.point.z))
+        inside = -OUTSIDE_STRETCH * stretch.length <= along <= (1.0 + OUTSIDE_STRETCH) * stretch.length
+        if solver.distance(equations.problem, guess, z) > FARTHEST_FROM_EXPECTED * stretch.length or not inside:
             return None
-        requested = [(kind, (reals or [0])[0]) for kind in expected] + [(HOPF, place) for place in pairs]
-        found = [_located(self.equations, stretch, kind, place) for kind, place in requested]
-        those = sorted((one for one in found if one is not None), key=lambda one: one.along)
-        return [one.point for one in those] if len(those) == len(requested) and _differ(those) else None
+        slope = stretch.curve.slope(float(np.clip(along, 0.0, stretch.length)))
+        tangent = slope / np.sqrt(np.sum(solver.metric(equations.problem, z) * slope**2))
+        error = ErrorEstimate(0.0, found.profile, parameter=found.error)
+        step = solver.settings.first_step
+        point = Point(equations.problem, z, np.asarray(tangent), error, step, 0, walked=False, special=kind)
+        return along, found.frequency, point
 
-
-def _differ(found: list[Found]) -> bool:
-    """Whether special points differ in place or frequency, so that none is located twice."""
-    return not any(
-        abs(one.along - other.along) <= SAME_POINT_RTOL
-        and abs(one.frequency - other.frequency) <= SAME_POINT_RTOL * one.frequency
-        for i, one in enumerate(found)
-        for other in found[:i]
-    )
-
-
-# Locating -------------------------------------------------------------------------------------------------------------
-
-
-def _located(equations: EquilibriumEquations, stretch: Stretch, kind: str, place: int) -> Found | None:
-    """The special point of a kind at which an eigenvalue crosses, with its place along; None where there is none."""
-    guess = stretch.curve.at(stretch.root(None if kind == BRANCH_POINT else 0 if kind == FOLD else place + 1))
-    ends = stretch.first.values[place], stretch.last.values[stretch.order[place]]
-    near = 1j * abs(height(*ends)) if kind == HOPF else None
-    found = locate_rest(equations, kind, guess[:-1], float(guess[-1]), near)
-    if found is None:
-        point = _by_bisection(equations, stretch, kind) if not equations.systems.get(kind, True) else None
-        return None if point is None else Found(0.0, 0.0, point)
-    z = np.append(found.y, found.s)
-    apart = float(np.sqrt(np.sum(equations.point_solver.metric(equations.problem, guess) * (z - guess) ** 2)))
-    start = stretch.first.point
-    row = equations.point_solver.metric(equations.problem, start.z) * start.tangent
-    along = float(row @ (z - start.z))
-    inside = -1e-6 * stretch.length <= along <= (1.0 + 1e-6) * stretch.length
-    if apart > FARTHEST_FROM_EXPECTED * stretch.length or not inside:
-        return None
-    return Found(along, found.frequency, _point(equations, stretch, kind, found, along))
-
-
-def _point(equations: EquilibriumEquations, stretch: Stretch, kind: str, found: Located, sigma: float) -> Point:
-    """The special point as one of the branch, with the slope of the stretch there for its tangent."""
-    z = np.append(found.y, found.s)
-    slope = stretch.curve.slope(float(np.clip(sigma, 0.0, stretch.length)))
-    tangent = slope / np.sqrt(np.sum(equations.point_solver.metric(equations.problem, z) * slope**2))
-    error = ErrorEstimate(0.0, found.profile, parameter=found.error)
-    step = equations.point_solver.settings.first_step
-    return Point(equations.problem, z, np.asarray(tangent), error, step, 0, walked=False, special=kind)
-
-
-def _by_bisection(equations: EquilibriumEquations, stretch: Stretch, kind: str) -> Point | None:
-    """The special point by bisection of the stretch, for models without second derivatives."""
-    before, after = stretch.first.point, stretch.last.point
-
-    def side(point: Point) -> float:
-        if kind == FOLD:
-            return float(point.tangent[-1])
-        here = equations.sample(point)
-        return here.orientation if kind == BRANCH_POINT else float(np.sum(here.values.real > 0.0)) - 0.5 - threshold
-
-    threshold = 0.0
-    if kind == HOPF:
-        counts = [float(np.sum(end.values.real > 0.0)) for end in (stretch.first, stretch.last)]
-        threshold = 0.5 * sum(counts) - 0.5
-    low, high, known = 0.0, 1.0, before
-    start, last = side(before), after
-    for _ in range(MOST_BISECTIONS):
-        middle = equations.point_solver.along(before, after, 0.5 * (low + high))
-        if middle is None:
-            break
-        if side(middle) * start > 0.0:
-            low, known = 0.5 * (low + high), middle
-        else:
-            high, last = 0.5 * (low + high), middle
-    width = abs(float(last.z[-1] - known.z[-1]))
-    profile = equations.problem.profile_change(known.z, last.z - known.z)
-    error = ErrorEstimate(0.0, profile, parameter=width + known.error.relative(1.0))
-    return replace(known, error=error, walked=False, special=kind)
-
-
-def _unresolved(equations: EquilibriumEquations, stretch: Stretch, kinds: list[str]) -> Iterator[Point | Unresolved]:
-    """Special points of a stretch that cannot be halved, at its start, with the record of it."""
-    assert equations.course is not None
-    low, high = (float(equations.course.at(end.point.z[-1])) for end in (stretch.first, stretch.last))
-    if not kinds:
-        return  # an eigenvalue that was matched to another one
-    words = " and ".join(dict.fromkeys(kinds)) + (f", {len(kinds)} in all" if len(kinds) > 1 else "")
-    yield Unresolved(low, high, f"more than can be distinguished: {words}", kinds[0], equations.parameter)
-    width = abs(float(stretch.last.point.z[-1] - stretch.first.point.z[-1]))
-    for kind in kinds:
-        point = stretch.first.point
-        yield replace(point, error=replace(point.error, parameter=width), walked=False, requested=False, special=kind)
+    def _by_root(self, stretch: Stretch, kind: str, crossing: Crossing) -> Point | None:
+        """The special point as a root of its quantity, for models without second derivatives."""
+        tests = {FOLD: rate, BRANCH_POINT: lambda point: self.sample(point).orientation}
+        noise = 0.0 if kind in tests else float(np.max(stretch.first.noise))
+        return self.root_of(stretch, tests.get(kind) or self.quantity(stretch, crossing.quantity), noise, kind)

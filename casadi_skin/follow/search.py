@@ -32,7 +32,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Generic, Literal, NamedTuple, TypeVar
+from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,6 +122,15 @@ class _Cubics(NamedTuple):
     places: Array
     values: Array
     slopes: Array
+
+
+class Crossing(NamedTuple):
+    """A value that crosses the axis on a stretch: its place at the first end, imaginary part, whether real, and way."""
+
+    quantity: int
+    angle: float
+    real: bool
+    sign: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,6 +250,18 @@ class Stretch:
         g, _ = self.quantities
         return np.asarray(_sign(g[0]) != _sign(g[-1]))
 
+    def crossings(self) -> Iterator[Crossing]:
+        """Values whose real part changes its sign: each real one, and one of each pair."""
+        turn = self.first.turn
+        for k in np.flatnonzero(self.changed[self.leading :]):
+            first, last = self.first.values[k], self.last.values[self.order[k]]
+            share = abs(first.real) / (abs(first.real) + abs(last.real))
+            height = (1.0 - share) * first.imag + share * last.imag
+            real = is_real(first, turn) and is_real(last, turn)
+            if real or height > 0.0:
+                at = abs(first.imag) if real else height
+                yield Crossing(int(k), float(at), real, 1 if last.real > first.real else -1)
+
     def dip(self) -> float | None:
         """A place where a quantity of one sign at the samples seems to have the other one; None where there is none."""
         g, _ = self.quantities
@@ -283,25 +304,6 @@ def matched(first: Sample, last: Sample, length: float, row: Array) -> Indices:
     return np.asarray(linear_sum_assignment(np.minimum(direct, predicted))[1])
 
 
-def crossings(stretch: Stretch) -> tuple[list[int], list[int]]:
-    """Eigenvalues whose real part changes sign, by their place at the first end: real ones, and one of each pair."""
-    order = stretch.order
-    first, last = stretch.first.values, stretch.last.values[order]
-    moved = (np.abs(first.real) > stretch.first.noise) | (np.abs(last.real) > stretch.last.noise[order])
-    places = np.flatnonzero(moved & (_sign(first.real) != _sign(last.real))).tolist()
-    complex_ = [place for place in places if first[place].imag != 0.0 or last[place].imag != 0.0]
-    reals = [place for place in places if place not in complex_]
-    upper = [place for place in complex_ if height(first[place], last[place]) > 0.0]
-    odd = len(complex_) - 2 * len(upper)
-    return reals + [place for place in complex_ if place not in upper][: max(odd, 0)], upper
-
-
-def height(first: complex, last: complex) -> float:
-    """Imaginary part where the line between two eigenvalues meets the imaginary axis."""
-    share = abs(first.real) / (abs(first.real) + abs(last.real))
-    return (1.0 - share) * first.imag + share * last.imag
-
-
 def _sign(values: Array | float) -> Array:
     """1 or -1, at any sample the same for a value that is zero."""
     return np.where(np.asarray(values) >= 0.0, 1.0, -1.0)
@@ -336,6 +338,7 @@ def _cubic(g: Array, d: Array, t: Array) -> tuple[Array, Array]:
 DEEPEST_DIVISION = 14  # divisions of a stretch between two points of the continuation
 SHORTEST_PART = 1e-11  # of a step: shorter parts are not divided
 MOST_PARTS = 120  # parts that it is divided into
+ROOT_XTOL = 1e-10  # of a stretch, of roots of quantities where no extended equations are solved
 TRIED_PLACES = (SAMPLE_FRACTION, 0.3, 0.7)  # of a stretch, where one point after the other is tried
 
 
@@ -383,10 +386,7 @@ class Search(ABC, Generic[Event]):
 
     def along(self, before: Point, after: Point, fraction: float) -> Point | None:
         """The point at a fraction of the way between two points; None where it is not found."""
-        correction, tangent = self.solver.corrected_along(before, after, fraction)
-        if correction is None or tangent is None:
-            return None
-        return replace(self.last, z=correction.z, tangent=tangent, better=None, special="", walked=False)
+        return searched_along(self.solver, before, after, fraction)
 
     def sample(self, point: Point) -> Sample:
         """The sample at a point, computed once."""
@@ -422,6 +422,38 @@ class Search(ABC, Generic[Event]):
     @abstractmethod
     def unresolved(self, stretch: Stretch) -> Iterator[Event | Unresolved]:
         """What is known of a part that can be divided no further, and its record."""
+
+    def quantity(self, stretch: Stretch, k: int) -> Callable[[Point], float]:
+        """The real part of an eigenvalue or logarithm, by its place at the first end, as a function of a point."""
+        first, last = stretch.first.values[k], stretch.last.values[stretch.order[k]]
+        way, start = turned(last - first, stretch.first.turn), self.sigma(stretch.first.point)
+
+        def value(point: Point) -> float:
+            expected = first + (self.sigma(point) - start) / stretch.length * way
+            values = self.sample(point).values
+            return float(values[int(np.argmin(stretch.first.apart(np.array([expected]), values)))].real)
+
+        return value
+
+    def root_of(self, stretch: Stretch, test: Callable[[Point], float], noise: float, kind: str) -> Point | None:
+        """The point of a stretch at which a test vanishes; at a branch point, where none is alone, the nearest one."""
+        before, after = stretch.first.point, stretch.last.point
+
+        def along(*way: Any) -> Point | None:
+            return self.solver.along(*way) or self.solver.coarse_along(*way)
+
+        if not test(before) * test(after) < 0.0:
+            return None
+        try:
+            zero, beside, _ = zero_between(self.solver, before, after, test, kind, ROOT_XTOL, along, nearest=True)
+        except NotLocatedError:
+            return None
+        root, slope = zero.point, abs(beside.value - zero.value)
+        moved = abs(beside.point.parameter - root.parameter) / root.problem.parameter_size(root.z)
+        error = float((abs(zero.value) + noise) * moved / max(slope, 1e-300) + root.error.relative(1.0))
+        return replace(
+            root, error=replace(root.error, parameter=error), special=kind, walked=False, requested=False
+        )  # fmt: skip
 
     def on_stretch(self) -> list[Event | Unresolved]:
         """Special points on the stretch in order, and the parts that are not resolved."""
@@ -460,6 +492,74 @@ class Search(ABC, Generic[Event]):
 def _apart(*points: Point) -> bool:
     """Whether neighbouring points are not the same but for rounding."""
     return all(float(np.max(np.abs(one.z - other.z))) > SHORTEST_PART for one, other in pairwise(points))
+
+
+# Where a function of a point vanishes between two -------------------------------------------------------------------
+
+TEST_ZERO_XTOL = 1e-11  # of a step, to which a zero of a test is found
+
+
+class NotLocatedError(ArithmeticError):
+    """A special point that the branch passes cannot be located; the message gives the reason."""
+
+
+class Place(NamedTuple):
+    """A point on the way between two, at a fraction of it, and the value of a test there."""
+
+    fraction: float
+    point: Point
+    value: float
+
+
+def searched_along(solver: PointSolver, before: Point, after: Point, fraction: float) -> Point | None:
+    """The point at a fraction of the way between two in the unknowns of the second, whatever its error, or None."""
+    correction, tangent = solver.corrected_along(before, after, fraction)
+    if correction is None or tangent is None:
+        return None
+    return replace(after, z=correction.z, tangent=tangent, better=None, special="", walked=False)
+
+
+def zero_between(
+    solver: PointSolver, before: Point, after: Point, test: Callable[[Point], float], kind: str,
+    xtol: float = TEST_ZERO_XTOL, along: Callable[..., Point | None] | None = None, nearest: bool = False,
+) -> tuple[Place, Place, float]:  # fmt: skip
+    """The zero of a test that changes its sign between two points, the place beside it, and its size at both ends.
+
+    Arguments:
+        solver: of points of the branch.
+        before, after: the ends.
+        test: a function of a point.
+        kind: of the point that is sought, for messages.
+        xtol: error of the fraction.
+        along: the point at a fraction of the way between two, or None; by default refined to the tolerance.
+        nearest: whether the place with the smallest value is taken where points beside the zero are missing.
+
+    Raises NotLocatedError.
+    """
+    from scipy.optimize import brentq
+
+    known = {0.0: Place(0.0, before, test(before)), 1.0: Place(1.0, after, test(after))}
+    start, end = (place.value for place in known.values())
+
+    def value(fraction: float) -> float:
+        if fraction not in known:
+            point = (along or solver.along)(before, after, fraction)
+            if point is None:
+                why = solver.failure or "the equations are singular beside it"
+                raise NotLocatedError(f"a point of kind {kind} cannot be located: {why}")
+            known[fraction] = Place(fraction, point, test(point))
+        return known[fraction].value
+
+    try:
+        root = float(brentq(value, 0.0, 1.0, xtol=xtol))
+        value(root)
+    except NotLocatedError:
+        inner = [place for place in known.values() if 0.0 < place.fraction < 1.0]
+        if not (nearest and inner):
+            raise
+        root = min(inner, key=lambda place: abs(place.value)).fraction
+    zero, beside = sorted(known.values(), key=lambda place: abs(place.fraction - root))[:2]
+    return zero, beside, max(abs(start), abs(end))
 
 
 # Floquet exponents along a branch of orbits, as samples of the search for events (see `Search`) ----------

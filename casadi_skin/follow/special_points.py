@@ -12,58 +12,55 @@ Special points of a family, which are located after it was followed: its folds.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from functools import cached_property, partial
+from itertools import pairwise
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.model.result import Result
-from casadi_skin.zero.kinds import DOUBLING, FOLD, HOPF, TORUS
-from casadi_skin.zero.settings import Point
-
-if TYPE_CHECKING:
-    from casadi_skin.follow.solution import Solution
-from collections.abc import Sequence
-from itertools import pairwise
-
+from casadi_skin.follow.polynomials import LocalCurve
+from casadi_skin.follow.search import (
+    HALF_STRETCH_PLACES,
+    TANGENT_DIFFERENCE_STEP,
+    NotLocatedError,
+    Sample,
+    Search,
+    Stretch,
+    beside_on_tangent,
+    searched_along,
+    zero_between,
+)
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
-from casadi_skin.zero.kinds import Unresolved
+from casadi_skin.model.result import Result
+from casadi_skin.zero.kinds import DOUBLING, FOLD, HOPF, TORUS, Unresolved
+from casadi_skin.zero.problem import SingularError
+from casadi_skin.zero.settings import Point
 
 # Turns of the continuation parameter between two points of a branch, also two within one step -------------------------
 
-TURN_WITHIN = 0.47  # of a stretch: where it is looked at; not the middle, where symmetric functions agree by accident
 STEADY_RATE_RATIO = 0.5  # of the largest rate on a stretch: the least one for which nothing turns back within it
-TURN_DEEPEST = 14  # divisions of a stretch
-TURN_BOUND = 0.25  # of the largest difference of both curves: the error of the finer one
-TURN_MARGIN = 0.05  # of the change of the rate on a stretch: is added, for errors that both curves have in common
 STILL_RATE = 1e-9  # rate of a quantity that does not change
-_NEAR_ENDS = 0.5 ** np.arange(7.0, 24.0, 2.0)
-RATE_PLACES = np.concatenate([[0.0], _NEAR_ENDS[::-1], np.linspace(0.0, 1.0, 65)[1:-1], 1.0 - _NEAR_ENDS, [1.0]])
+SMALLEST_RATE = 1e-11  # rate beside a place where it vanishes
+FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
 
 
 def turning(point_solver: PointSolver, before: Point, after: Point) -> list[tuple[Point, Point]]:
     """The parts of a stretch on each of which the quantity that is followed turns back once, in order."""
-    return list(_turning(point_solver, before, after, 0))
-
-
-def _turning(point_solver: PointSolver, before: Point, after: Point, depth: int) -> Iterator[tuple[Point, Point]]:
-    turns = rate(before) * rate(after) < 0.0 and max(abs(rate(before)), abs(rate(after))) > STILL_RATE
-    ends = _through(point_solver, [before, after])
-    known = depth >= TURN_DEEPEST or (not turns and _steady(ends))
-    middle = None if known else _between(point_solver, before, after, TURN_WITHIN)
-    place = None if middle is None else _unsettled(ends, _through(point_solver, [before, middle, after]))
-    if middle is None or place is None:
-        if turns:
-            yield before, after
-        return
-    divided = middle if place == TURN_WITHIN else _between(point_solver, before, after, place) or middle
-    yield from _turning(point_solver, before, divided, depth + 1)
-    yield from _turning(point_solver, divided, after, depth + 1)
+    curve, length = point_solver.curve(before, after)
+    own = LocalCurve(
+        *(part[[after.problem.parameter_index]] for part in (curve.z0, curve.t0, curve.quadratic, curve.cubic))
+    )
+    rates = own.slope(length * HALF_STRETCH_PLACES[:, None])[:, 0]
+    sizes = np.abs(rates)
+    still = np.max(sizes) <= STILL_RATE and max(abs(rate(before)), abs(rate(after))) <= STILL_RATE
+    if still or (np.all(rates * rates[0] > 0.0) and np.min(sizes) >= STEADY_RATE_RATIO * np.max(sizes)):
+        return []
+    search = _Turns(point_solver, before, after)
+    return [part for part in search.on_stretch() if not isinstance(part, Unresolved)]
 
 
 def rate(point: Point) -> float:
@@ -71,64 +68,32 @@ def rate(point: Point) -> float:
     return float(point.tangent[point.problem.parameter_index])
 
 
-def _between(point_solver: PointSolver, before: Point, after: Point, fraction: float) -> Point | None:
-    """The point at a fraction of the way on the level of the second one, for the search alone."""
-    correction, tangent = point_solver.corrected_along(before, after, fraction)
-    if correction is None or tangent is None:
-        return None
-    return replace(after, z=correction.z, tangent=tangent, better=None, special="", walked=False)
+class _Turns(Search[tuple[Point, Point]]):
+    """The search for roots of the rate of the parameter."""
 
+    def sampled(self, point: Point) -> Sample:
+        row, none = self.metric(point) * point.tangent, np.empty(0, dtype=complex)
+        ahead = beside_on_tangent(point, TANGENT_DIFFERENCE_STEP)
+        try:
+            solve = self.solver.factor(point.problem, ahead.z, row)
+            moved = self.solver.tangent(point.problem, ahead.z, solve)[point.problem.parameter_index]
+            bend = (float(moved) - rate(point)) / TANGENT_DIFFERENCE_STEP
+        except SingularError:
+            bend = 0.0
+        here = rate(point)
+        if abs(here) <= STILL_RATE:  # as at a start that is a special point, from where it has the sign of its change
+            here = float(np.copysign(abs(here) + SMALLEST_RATE, bend))
+        leading = ((here, bend),)
+        return Sample(point, row, none, none, none.real, np.zeros_like(row), 1.0, leading)
 
-def _through(point_solver: PointSolver, points: list[Point]) -> Polynomial:
-    """The rate of the continuation parameter from 0 to 1, by the polynomial through values and rates at points."""
-    problem = points[-1].problem
-    index = problem.parameter_index
-    z = [point.problem.prolong(point.z, problem) for point in points]
-    t = [point.problem.prolong(point.tangent, problem) for point in points]
-    row = point_solver.metric(problem, z[0]) * t[0]
-    sigma = np.array([float(row @ (one - z[0])) for one in z])
-    places, powers = sigma / sigma[-1], np.arange(2 * len(points))
-    values = [one[index] - z[0][index] for one in z]
-    rates = [one[index] / float(row @ one) * sigma[-1] for one in t]
-    by_rate = powers * places[:, None] ** np.maximum(powers - 1, 0)
-    matrix = np.vstack([places[:, None] ** powers, by_rate])
-    return Polynomial(np.linalg.solve(matrix, np.concatenate([values, rates]))).deriv()
+    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[tuple[Point, Point]] | None:
+        if not (last or np.all(stretch.settled)):
+            return None
+        ends = self.own(stretch.first.point), stretch.last.point
+        return [ends] if stretch.changed[0] else []
 
-
-def _steady(found: Polynomial) -> bool:
-    """Whether a rate is nowhere less than a share of its largest value, or vanishes throughout."""
-    g = found(RATE_PLACES)
-    size = np.abs(g)
-    return bool(
-        np.max(size) <= STILL_RATE or (np.all(g * g[0] > 0.0) and np.min(size) >= STEADY_RATE_RATIO * np.max(size))
-    )
-
-
-def _unsettled(coarse: Polynomial, fine: Polynomial) -> float | None:
-    """The place to divide a stretch; None where the rate has no root, or a simple one, within the bounds."""
-    g, missed = fine(RATE_PLACES), float(np.max(np.abs(fine(RATE_PLACES) - coarse(RATE_PLACES))))
-    half = np.where(
-        RATE_PLACES < TURN_WITHIN, RATE_PLACES / TURN_WITHIN, (RATE_PLACES - TURN_WITHIN) / (1.0 - TURN_WITHIN)
-    )
-    bound = TURN_BOUND * missed + TURN_MARGIN * float(np.ptp(g))
-    sign = np.sign(g[0] if abs(g[0]) > STILL_RATE * np.max(np.abs(g)) else g[-1])  # a special point may be its start
-    if g[0] * g[-1] < 0.0:
-        shaky = (
-            bound * 4.0 * np.abs(1.0 - 2.0 * half) / np.where(RATE_PLACES < TURN_WITHIN, TURN_WITHIN, 1.0 - TURN_WITHIN)
-        )
-        return None if np.all(np.sign(g[-1]) * fine.deriv()(RATE_PLACES) >= shaky) else TURN_WITHIN
-    if np.all((sign * g > bound * 4.0 * half * (1.0 - half))[1:-1]):
-        return None
-    least = int(np.argmin(sign * g))
-    return float(RATE_PLACES[least]) if sign * g[least] <= 0.0 < sign * fine(TURN_WITHIN) else TURN_WITHIN
-
-
-FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
-TEST_ZERO_XTOL = 1e-11  # of a step, to which a zero of a test is found
-
-
-class NotLocatedError(ArithmeticError):
-    """A special point that the branch passes cannot be located; the message gives the reason."""
+    def unresolved(self, stretch: Stretch) -> Iterator[Unresolved]:
+        yield from ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,60 +220,12 @@ def fold_between(point_solver: PointSolver, before: Point, after: Point) -> Poin
     It is located on one level of resolution: the errors of orbits at a held parameter, by which others are
     refined, are of no use beside a fold.
     """
-    from scipy.optimize import brentq
-
-    def rate_at(fraction: float) -> float:
-        if fraction in (0.0, 1.0):
-            return rate(after if fraction else before)
-        tangent = point_solver.tangent_along(before, after, fraction)
-        if tangent is None:
-            raise _not_located(point_solver)
-        return float(tangent[after.problem.parameter_index])
-
-    root = float(brentq(rate_at, 0.0, 1.0, xtol=FOLD_TOLERANCE))
+    along = partial(searched_along, point_solver)
+    root = zero_between(point_solver, before, after, rate, FOLD, FOLD_TOLERANCE, along)[0].fraction
     point = point_solver.along(before, after, root) or point_solver.coarse_along(before, after, root)
     if point is None:
-        raise _not_located(point_solver)
+        raise NotLocatedError(f"a point of kind {FOLD} cannot be located: {point_solver.failure}")
     return replace(point, special=FOLD)
-
-
-class Place(NamedTuple):
-    """A corrected point on the way between two, at a fraction of it, and the value of a test there."""
-
-    fraction: float
-    point: Point
-    value: float
-
-
-def zero_between(
-    point_solver: PointSolver, before: Point, after: Point, test: Callable[[Point], float], kind: str
-) -> tuple[Place, Place, float]:
-    """The zero of a test that changes its sign between two points, the place beside it, and its size at both ends.
-
-    Raises NotLocatedError.
-    """
-    from scipy.optimize import brentq
-
-    known = {0.0: Place(0.0, before, test(before)), 1.0: Place(1.0, after, test(after))}
-    size = max(abs(end.value) for end in known.values())
-
-    def value(fraction: float) -> float:
-        if fraction not in known:
-            point = point_solver.along(before, after, fraction)
-            if point is None:
-                raise NotLocatedError(f"a point of kind {kind} cannot be located: {point_solver.failure}")
-            known[fraction] = Place(fraction, point, test(point))
-        return known[fraction].value
-
-    root = float(brentq(value, 0.0, 1.0, xtol=TEST_ZERO_XTOL))
-    value(root)
-    zero, beside = sorted(known.values(), key=lambda place: abs(place.fraction - root))[:2]
-    return zero, beside, size
-
-
-def _not_located(point_solver: PointSolver) -> NotLocatedError:
-    why = point_solver.failure or "the equations are singular beside it"
-    return NotLocatedError(f"the parameter turns back at a point that cannot be located: {why}")
 
 
 # Special points of a family, which are located after it was followed: its folds --------------------------------------
