@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.lattice.chain import declared_chain
-from casadi_skin.lattice.declaration import FIXED, Bond, Declaration, Site, Uniform, Value, listed
+from casadi_skin.lattice.declaration import FIXED, Array, Bond, Declaration, Site, Uniform, Value, listed
 from casadi_skin.lattice.equations import Equations, forcing_period_of
 from casadi_skin.lattice.structure import Structure, structure_of
 from casadi_skin.model.arguments import short_repr
@@ -108,7 +108,14 @@ class Lattice(OdeModel):
             checked=False,
         ), numbers  # fmt: skip
 
-    def of_cells(self, cells: int) -> Lattice:
+    def stiffness(self, parameters: Mapping[str, float] | None = None) -> Array:
+        """K of y'' = -K y about rest without damping and drives, shape (sites, sites), at values of the parameters."""
+        equations, values = self.equations, list(named_values(self, parameters or {}).values())
+        derivative = ca.densify(ca.jacobian(equations.accelerations, equations.y))
+        function = ca.Function("K", [equations.y, equations.v, equations.t, equations.parameters], [-derivative])
+        return np.array(function(0, 0, 0, values))
+
+    def of_cells(self, cells: int | Sequence[int]) -> Lattice:
         """The same lattice of another number of cells, which are alike."""
         d = self.declaration
         values = {

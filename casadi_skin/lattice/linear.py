@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import chain
 
@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from casadi_skin.lattice.declaration import Array
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.structure import logs_of
-from casadi_skin.model.expressions import expression
 from casadi_skin.model.result import Result
 from casadi_skin.zero.linear_modes import symmetrising_scale
 from casadi_skin.zero.statement import named_values
@@ -75,7 +74,7 @@ def lattice_modes(lattice: Lattice, parameters: Mapping[str, float] | None = Non
     Raises:
         ValueError: unknown parameters.
     """
-    K, declaration = _stiffness(lattice, parameters or {}), lattice.declaration
+    K, declaration = lattice.stiffness(parameters), lattice.declaration
     log_scale = symmetrising_scale(K)
     if log_scale is not None:
         scale = np.exp(log_scale)
@@ -96,14 +95,6 @@ def lattice_modes(lattice: Lattice, parameters: Mapping[str, float] | None = Non
         np.stack([_centre(density, k) for k in directions], axis=1),
         np.stack([_decay(density, k) for k in directions], axis=1),
     )  # fmt: skip
-
-
-def _stiffness(lattice: Lattice, parameters: Mapping[str, float]) -> Array:
-    """K of y'' = -K y at rest."""
-    equations, values = lattice.equations, list(named_values(lattice, parameters).values())
-    derivative = ca.densify(ca.jacobian(equations.accelerations, equations.y))
-    function = ca.Function("K", [equations.y, equations.v, equations.t, equations.parameters], [-derivative])
-    return np.array(function(0, 0, 0, values))
 
 
 def _along(density: Array, direction: int) -> Array:
@@ -222,43 +213,14 @@ def cell_matrices(lattice: Lattice, betas: ComplexArray, parameters: Mapping[str
     Returns:
         Shape (many, sites of a cell, sites of a cell).
     """
-    onsite, masses = (_of_cell(lattice, parameters or {}, field) for field in ("onsite", "mass"))
-    K = np.zeros((len(betas), onsite.size, onsite.size), complex) + np.diag(onsite)
-    for i, j, offset, first, second in _bond_terms(lattice, parameters or {}):
-        factor = np.prod(betas ** np.array(offset, dtype=float), axis=1)
-        K[:, i, i] += first
-        K[:, j, j] += second
-        K[:, i, j] -= first * factor
-        K[:, j, i] -= second / factor
-    return np.asarray(K / masses[:, None])
-
-
-def _values(lattice: Lattice, parameters: Mapping[str, float]) -> dict[str, ca.SX]:
-    return {name: ca.SX(value) for name, value in named_values(lattice, parameters).items()}
-
-
-def _of_cell(lattice: Lattice, parameters: Mapping[str, float], field: str) -> Array:
-    """Stiffness of the sites of a cell from their restoring forces, or their masses."""
-    values, y = _values(lattice, parameters), ca.SX.sym("y")
-    found: list[float] = []
-    for s in range(len(lattice.declaration.sites)):
-        value = expression(lattice.declaration.formulas["site", s, field], values | {"y": y})
-        value = ca.jacobian(value, y) if field == "onsite" else value
-        found.append(float(ca.evalf(ca.substitute(value, y, 0))))
-    return np.array(found)
-
-
-def _bond_terms(
-    lattice: Lattice, parameters: Mapping[str, float]
-) -> Iterator[tuple[int, int, tuple[int, ...], float, float]]:
-    """Sites of every bond in the cell, its offset, and the stiffness at its two ends."""
-    values, d, declaration = _values(lattice, parameters), ca.SX.sym("d"), lattice.declaration
-    numbers = {site.name: i for i, site in enumerate(declaration.sites)}
-    for b, bond in enumerate(declaration.bonds):
-        force = expression(declaration.formulas["bond", b, "force"], values | {"d": d})
-        slope = float(ca.evalf(ca.substitute(ca.jacobian(force, d), d, 0)))
-        gains = [float(ca.evalf(expression(declaration.formulas["bond", b, f"gain {k}"], values))) for k in (1, 2)]
-        yield numbers[bond.start], numbers[bond.end], bond.offset, slope * gains[0], slope * gains[1]
+    sites, directions = len(lattice.declaration.sites), len(lattice.declaration.cells)
+    reach = [max((abs(bond.offset[k]) for bond in lattice.declaration.bonds), default=0) for k in range(directions)]
+    around = [2 * r + 1 for r in reach]  # cells: the middle one has all of its bonds, whatever the boundary
+    middle = int(np.ravel_multi_index(reach, around)) * sites
+    K = lattice.of_cells(around).stiffness(parameters)[middle : middle + sites].reshape(sites, -1, sites)
+    offsets = np.indices(around).reshape(directions, -1) - np.array(reach)[:, None]
+    factors = np.prod(betas[:, :, None] ** offsets.astype(float), axis=1)
+    return np.asarray(np.einsum("bc,icj->bij", factors, K))
 
 
 def _beta(lattice: Lattice, parameters: Mapping[str, float]) -> Array:

@@ -106,10 +106,7 @@ class LongLattice(WithVerbs):
     @cached_property
     def _symmetric(self) -> tuple[Array, Array]:
         """Stiffness of the sample in the gauge, and the logarithms of its factors."""
-        model = self.sample
-        K = -ca.densify(ca.jacobian(model.rhs, model.state))
-        values = list(named_values(model, {}).values())
-        stiffness = np.array(ca.Function("K", [model.state, model.parameters], [K])(0, values))
+        stiffness = self.sample.stiffness()
         log_scale = symmetrising_scale(stiffness)
         if log_scale is None:
             raise ValueError(

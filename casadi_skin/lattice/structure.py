@@ -10,10 +10,11 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from casadi_skin.lattice.declaration import CELL_INDICES, Array, Link
+from casadi_skin.lattice.declaration import CELL_INDICES, Array, Declaration, Link
 from casadi_skin.lattice.equations import Equations
 from casadi_skin.model.expressions import antiderivative
 from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
+from casadi_skin.zero.problem import Indices
 
 # Random points at which the properties of a lattice are checked -------------------------------------------------------
 
@@ -35,6 +36,11 @@ class Trial:
     y: Array
     v: Array
     t: float
+    field: ca.Function
+
+    def accelerations(self, y: Array, v: Array) -> Array:
+        """Accelerations in another state at the same time and parameters, shape (sites,)."""
+        return np.array(self.field(y, v, self.t, self.parameters)).ravel()
 
 
 def trials_of(equations: Equations) -> Iterator[Trial]:
@@ -43,7 +49,8 @@ def trials_of(equations: Equations) -> Iterator[Trial]:
     spread = np.array([PARAMETER_SPREAD if name.isidentifier() else 0.0 for name in equations.symbols])  # numbers stay
     gains = [gain for pair in equations.gains for gain in pair]
     evaluate = ca.Function("f", [equations.parameters], [ca.vertcat(ca.SX(0, 1), *gains), equations.masses])
-    accelerations = field_of(equations)
+    arguments = [equations.y, equations.v, equations.t, equations.parameters]
+    field = ca.Function("a", arguments, [ca.densify(equations.accelerations)])
     for k in range(RANDOM_POINTS):
         parameters = nominal * (1.0 + (spread * generator.uniform(-1, 1, nominal.size) if k else 0.0))
         found = [np.array(value).ravel() for value in evaluate(parameters)]
@@ -53,14 +60,15 @@ def trials_of(equations: Equations) -> Iterator[Trial]:
             generator.normal(),
         )
         for amplitude in RANDOM_AMPLITUDES:
-            if np.all(np.isfinite(np.array(accelerations(amplitude * y, v, t, parameters)))):
+            trial = Trial(parameters, found[0].reshape(-1, 2), found[1], amplitude * y, v, t, field)
+            if np.all(np.isfinite(trial.accelerations(trial.y, v))):
                 break
-        yield Trial(parameters, found[0].reshape(-1, 2), found[1], amplitude * y, v, t)
+        yield trial
 
 
-def field_of(equations: Equations) -> ca.Function:
-    arguments = [equations.y, equations.v, equations.t, equations.parameters]
-    return ca.Function("a", arguments, [ca.densify(equations.accelerations)])
+def _is_zero(array: Array, beside: Array, count: int = 1) -> bool:
+    """Whether the largest entry is rounding beside that of another array; false where one is not finite."""
+    return bool(np.max(np.abs(array), initial=0.0) <= SAME_VALUE_RTOL * count * np.max(np.abs(beside), initial=0.0))
 
 
 # The gauge of a lattice: weights with which the forces are a gradient, and the energy that these give -----------------
@@ -154,7 +162,7 @@ def is_gradient(equations: Equations, trials: list[Trial]) -> bool:
         i, j = J.nonzero()
         entries = np.asarray(J[i, j]).ravel() * np.exp(half[i] - half[j])
         opposite = np.asarray(J[j, i]).ravel() * np.exp(half[j] - half[i])
-        if not np.all(np.abs(entries - opposite) <= SAME_VALUE_RTOL * half.size * np.max(np.abs(entries), initial=0.0)):
+        if not _is_zero(entries - opposite, entries, half.size):
             return False
     return True
 
@@ -215,46 +223,31 @@ def is_conserved(equations: Equations, energy: ca.SX, log_weights: Array, trials
     return True
 
 
-def is_odd(equations: Equations, trials: list[Trial]) -> bool:
-    field = field_of(equations)
-    for trial in trials:
-        there = np.array(field(trial.y, trial.v, trial.t, trial.parameters))
-        back = np.array(field(-trial.y, -trial.v, trial.t, trial.parameters))
-        if equations.driven:  # the forces beside the drive
-            rest = np.array(field(0 * trial.y, 0 * trial.v, trial.t, trial.parameters))
-            there, back = there - rest, back - rest
-        if not np.max(np.abs(there + back)) <= SAME_VALUE_RTOL * np.max(np.abs(there)):
-            return False
-    return True
+def is_odd(trial: Trial, driven: bool) -> bool:
+    """Whether the forces beside the drive change their sign with the state."""
+    rest = trial.accelerations(0.0 * trial.y, 0.0 * trial.v) if driven else 0.0
+    there, back = (trial.accelerations(sign * trial.y, sign * trial.v) - rest for sign in (1.0, -1.0))
+    return _is_zero(there + back, there)
 
 
-def keeps_momentum(equations: Equations, trials: list[Trial]) -> bool:
+def keeps_momentum(trial: Trial) -> bool:
     """Whether the weighted forces add up to zero; in a lattice without gauge envelope."""
-    field = field_of(equations)
-    for trial in trials:
-        if np.any(trial.gains[:, 0] != trial.gains[:, 1]):
-            return False
-        forces = trial.masses * np.array(field(trial.y, trial.v, trial.t, trial.parameters)).ravel()
-        if not abs(forces.sum()) <= SAME_VALUE_RTOL * np.sum(np.abs(forces)):
-            return False
-    return True
+    forces = trial.masses * trial.accelerations(trial.y, trial.v)
+    alike = np.array_equal(trial.gains[:, 0], trial.gains[:, 1])
+    return alike and bool(abs(forces.sum()) <= SAME_VALUE_RTOL * np.sum(np.abs(forces)))
 
 
-def mirrors_of(equations: Equations, trials: list[Trial]) -> tuple[int, ...]:
+def is_mirrored(trial: Trial, order: Indices) -> bool:
+    """Whether the lattice is the same with its sites in another order."""
+    there, image = trial.accelerations(trial.y, trial.v), trial.accelerations(trial.y[order], trial.v[order])
+    return _is_zero(image - there[order], there)
+
+
+def mirrors_of(declaration: Declaration, trials: list[Trial]) -> tuple[int, ...]:
     """Directions along which the mirrored lattice, with the sites of a cell in reversed order, is the same."""
-    declaration, field = equations.declaration, field_of(equations)
     numbers = np.arange(declaration.size).reshape(*declaration.cells, len(declaration.sites))
-    found = []
-    for k in range(len(declaration.cells)):
-        order = np.flip(np.flip(numbers, axis=k), axis=-1).ravel()
-        holds = True
-        for trial in trials:
-            there = np.array(field(trial.y, trial.v, trial.t, trial.parameters)).ravel()
-            image = np.array(field(trial.y[order], trial.v[order], trial.t, trial.parameters)).ravel()
-            holds = holds and bool(np.max(np.abs(image - there[order])) <= SAME_VALUE_RTOL * np.max(np.abs(there)))
-        if holds:
-            found.append(k + 1)
-    return tuple(found)
+    orders = [np.flip(np.flip(numbers, axis=k), axis=-1).ravel() for k in range(len(declaration.cells))]
+    return tuple(k for k, order in enumerate(orders, start=1) if all(is_mirrored(trial, order) for trial in trials))
 
 
 def is_polynomial(equations: Equations) -> bool:
@@ -352,13 +345,10 @@ def structure_of(equations: Equations) -> Structure:
     energies, energy = site_energies(equations, log_weights, scale), None
     if energies is not None and log_weights is not None and equations.autonomous:
         total = ca.sum1(energies)
-        energy = (
-            total
-            if np.max(log_weights) <= LARGEST_LOG_WEIGHT and is_conserved(equations, total, log_weights, trials)
-            else None
-        )
+        if np.max(log_weights) <= LARGEST_LOG_WEIGHT and is_conserved(equations, total, log_weights, trials):
+            energy = total
     return Structure(
-        log_weights, energy, energies, is_odd(equations, trials), is_polynomial(equations),
-        log_weights is not None and equations.autonomous and keeps_momentum(equations, trials),
-        mirrors_of(equations, trials), equations.damped, equations.driven,
+        log_weights, energy, energies, all(is_odd(trial, equations.driven) for trial in trials),
+        is_polynomial(equations), log_weights is not None and equations.autonomous and all(map(keeps_momentum, trials)),
+        mirrors_of(equations.declaration, trials), equations.damped, equations.driven,
     )  # fmt: skip
