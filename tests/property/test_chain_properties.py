@@ -98,19 +98,18 @@ def test_only_the_product_of_nonlinearity_and_amplitude_matters(
 
 @quick
 @given(chain=chains, S=amplitudes, seed=seeds)
-def test_the_gauge_force_is_the_gradient_of_an_energy_and_its_linear_part_symmetric(
-    chain: Chain, S: float, seed: int
-) -> None:
-    (q,) = points(chain, seed)
-    kappa = chain.g * S
-    model = chain.gauge_model()
+def test_the_gauge_force_is_the_gradient_of_an_energy_that_is_conserved(chain: Chain, S: float, seed: int) -> None:
+    model, kappa, x = chain.gauge_model(), chain.g * S, np.concatenate(points(chain, seed, 2))
+    model.check_symmetries(trials=2, seed=seed)  # reversal, oddness and energy
+    chain.physical_model().check_symmetries(trials=2, seed=seed)
     L = -evaluate(model, ca.jacobian(model.rhs, model.state), np.zeros(chain.sites), kappa)
     np.testing.assert_array_equal(L, L.T)
-    rest = np.concatenate([q, np.zeros(chain.sites)])
-    gradient = evaluate(model, ca.gradient(model.hamiltonian, model.full_state), rest, kappa)
-    force = evaluate(model, model.rhs, q, kappa)
-    assert np.all(np.abs(gradient[: chain.sites] + force) <= 1e-14 * force_scale(chain, q, kappa))
-    assert not gradient[chain.sites :].any()
+    gradient = evaluate(model, ca.gradient(model.hamiltonian, model.full_state), x, kappa)
+    field = evaluate(model, model.full_rhs, x, kappa)
+    scale = 1e-14 * force_scale(chain, x[: chain.sites], kappa)
+    assert np.all(np.abs(gradient[: chain.sites] + field[chain.sites :]) <= scale)
+    np.testing.assert_array_equal(gradient[chain.sites :], x[chain.sites :])
+    assert abs(gradient @ field) <= 1e-14 * (np.abs(gradient) @ np.abs(field))
 
 
 @quick
@@ -129,37 +128,6 @@ def test_variational_matrices_are_similar_and_the_gauge_one_is_hamiltonian(chain
 
 
 @quick
-@given(chain=chains, coordinates=st.sampled_from(["physical", "gauge"]), seed=seeds)
-def test_the_variational_matrix_is_the_derivative_of_the_flow(chain: Chain, coordinates: str, seed: int) -> None:
-    """A cubic field's central difference errs by the step squared alone; Richardson takes that out."""
-    q, direction = points(chain, seed, 2)
-    model = chain.physical_model() if coordinates == "physical" else chain.gauge_model()
-
-    def difference(step: float) -> Array:
-        ahead, behind = (evaluate(model, model.rhs, q + sign * step * direction, chain.g) for sign in (1, -1))
-        return (ahead - behind) / (2 * step)
-
-    expected = (4 * difference(0.5) - difference(1.0)) / 3
-    found = variational(chain, coordinates, q, chain.g)[chain.sites :, : chain.sites] @ direction
-    size = np.abs(q) + np.abs(direction)
-    scale = 8 * (4 + chain.alpha) * size.max() + 8 * abs(chain.g) * size**3
-    assert np.all(np.abs(found - expected) <= 1e-13 * scale)
-
-
-@quick
-@given(chain=chains, seed=seeds)
-def test_every_chain_is_reversible_and_odd(chain: Chain, seed: int) -> None:
-    """f(R x) = -R f(x) with R = diag(1, -1), and f(-x) = -f(x): exact in floating point."""
-    x = np.concatenate(points(chain, seed, 2))
-    R = np.repeat([1.0, -1.0], chain.sites)
-    for model in (chain.physical_model(), chain.gauge_model()):
-        rate = evaluate(model, model.full_rhs, x, chain.g)
-        np.testing.assert_array_equal(evaluate(model, model.full_rhs, R * x, chain.g), -R * rate)
-        np.testing.assert_array_equal(evaluate(model, model.full_rhs, -x, chain.g), -rate)
-        assert (model.reversal, model.half_period) == (tuple(R), (-1,) * (2 * chain.sites))
-
-
-@quick
 @given(chain=chains, seed=seeds)
 def test_the_opposite_nonreciprocity_is_the_mirror_image(chain: Chain, seed: int) -> None:
     (q,) = points(chain, seed)
@@ -174,15 +142,9 @@ def test_the_opposite_nonreciprocity_is_the_mirror_image(chain: Chain, seed: int
         assert np.all(np.abs(there - back) <= 1e-15 * scale)
     np.testing.assert_array_equal(mirrored(chain).rho[::-1], chain.rho)
     np.testing.assert_array_equal(mirrored(chain).linear_frequencies(), chain.linear_frequencies())
-
-
-@quick
-@given(chain=chains, data=st.data())
-def test_the_mirrored_mode_has_the_reversed_profile(chain: Chain, data: st.DataObject) -> None:
-    mode = data.draw(st.integers(1, chain.sites))
-    parity = 1 if mode % 2 else -1
+    mode = 1 + seed % chain.sites
     there, back = chain.right_eigenvector(mode), mirrored(chain).right_eigenvector(mode)[::-1]
-    np.testing.assert_allclose(back / envelope(chain), parity * there / envelope(chain), atol=5e-15)
+    np.testing.assert_allclose(back / chain.rho, (-1) ** (mode + 1) * there / chain.rho, atol=5e-15)
 
 
 @quick
@@ -198,16 +160,3 @@ def test_the_spectrum_of_the_equations_is_the_papers_closed_form(chain: Chain) -
     np.testing.assert_allclose(chain.linear_frequencies() ** 2, closed_form, rtol=0, atol=5e-15)
     low, high = chain.band()
     assert low < closed_form[0] <= closed_form[-1] < high
-
-
-@quick
-@given(chain=chains, seed=seeds)
-def test_energy_is_conserved_in_the_gauge_for_every_parameter(chain: Chain, seed: int) -> None:
-    model = chain.gauge_model()
-    model.check_symmetries(trials=2, seed=seed)
-    chain.physical_model().check_symmetries(trials=2, seed=seed)
-    x = np.concatenate(points(chain, seed, 2))
-    rate = ca.jacobian(model.hamiltonian, model.full_state) @ model.full_rhs
-    gradient = evaluate(model, ca.gradient(model.hamiltonian, model.full_state), x, chain.g)
-    field = evaluate(model, model.full_rhs, x, chain.g)
-    assert abs(evaluate(model, rate, x, chain.g)[0]) <= 1e-14 * (np.abs(gradient) @ np.abs(field))

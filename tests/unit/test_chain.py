@@ -1,4 +1,4 @@
-"""The nonreciprocal chain against the equations and matrices of arXiv:2512.17483, typed out independently."""
+"""The nonreciprocal chain and its closed forms against arXiv:2512.17483: equations typed out, 50 digits, shooting."""
 
 from __future__ import annotations
 
@@ -10,10 +10,14 @@ import mpmath as mp
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.optimize import fsolve
 
-from casadi_skin.lattice.chain import Chain
+from casadi_skin import Chain
+from casadi_skin.lattice import closed_forms
 
 EPS = float(np.finfo(float).eps)
+DIGITS = 50
 Array = NDArray[np.float64]
 
 
@@ -23,80 +27,83 @@ def numbers(value: Any) -> Array:
     return array.ravel() if array.shape[1] == 1 else array
 
 
-def physical_rhs(chain: Chain, y: Array, g: float) -> Array:
-    model = chain.physical_model()
-    return numbers(ca.Function("f", [model.state, model.parameters], [model.rhs])(y, g))
-
-
-def gauge_rhs(chain: Chain, q: Array, kappa: float) -> Array:
-    model = chain.gauge_model()
-    return numbers(ca.Function("f", [model.state, model.parameters], [model.rhs])(q, kappa))
+def force(model: Any, positions: Array, parameter: float) -> Array:
+    return numbers(ca.Function("f", [model.state, model.parameters], [model.rhs])(positions, parameter))
 
 
 def paper_rhs(y: Array, alpha: float, gamma: float, g: float) -> Array:
     """The paper's first equation, site by site, y_0 = y_{N+1} = 0."""
-    a_plus, a_minus = 1 - gamma, 1 + gamma
     x = [0.0, *y, 0.0]
-    sites = range(1, len(y) + 1)
-    return np.array([a_minus * x[n - 1] - 2 * x[n] + a_plus * x[n + 1] - alpha * x[n] - g * x[n] ** 3 for n in sites])
+    return np.array([
+        (1 + gamma) * x[n - 1] - 2 * x[n] + (1 - gamma) * x[n + 1] - alpha * x[n] - g * x[n] ** 3
+        for n in range(1, len(y) + 1)
+    ])  # fmt: skip
 
 
-# Parameters -------------------------------------------------------------------------------------------------
+def paper_matrix(sites: int, alpha: float, gamma: float) -> Array:
+    """D of the paper's appendix: 2 + alpha on, -a_+ above and -a_- below the diagonal, a_+- = 1 -+ gamma."""
+    beside = np.ones(sites - 1)
+    return (2 + alpha) * np.eye(sites) - np.diag((1 - gamma) * beside, 1) - np.diag((1 + gamma) * beside, -1)
 
 
-@pytest.mark.parametrize("sites", [0, -3, 2.5, True, False])
-def test_a_number_of_sites_that_is_not_a_positive_whole_number_is_refused(sites: Any) -> None:
-    with pytest.raises(ValueError, match=f"sites: given {sites!r}; accepted: a whole number >= 1"):
-        Chain(sites, 1.0, 0.25, 1.0)
+def exact_square(sites: int, alpha: float, gamma: float, mode: int) -> mp.mpf:
+    """omega_j^2 of the paper at 50 digits, as printed."""
+    with mp.workdps(DIGITS):
+        return 2 + mp.mpf(alpha) - 2 * mp.sqrt(1 - mp.mpf(gamma) ** 2) * mp.cos(mp.pi * mode / (sites + 1))
 
 
-@pytest.mark.parametrize("sites", [float("nan"), -float("inf"), 3.0, None])
-def test_a_number_of_sites_that_no_chain_can_be_built_with_is_refused_by_name(sites: Any) -> None:
-    with pytest.raises(ValueError, match="sites: given"):
-        Chain(sites, 1.0, 0.25, 1.0)
+def exact_sine(sites: int, mode: int, site: int) -> mp.mpf:
+    """sin(n j pi/(N+1)) at 50 digits, the product n j an integer of any size."""
+    with mp.workdps(DIGITS):
+        return mp.sin(mp.pi * mp.mpf(site * mode) / (sites + 1))
 
 
-def test_a_numpy_integer_is_a_number_of_sites() -> None:
-    assert Chain(np.int64(3), 1.0, 0.25, 1.0).gauge_model().full_size == 6
+def exact_slope(sites: int, alpha: float, gamma: float, g: float, mode: int) -> mp.mpf:
+    """dOmega_j/dS of the paper: sums of r^n sin^4 and r^n sin^2, over the 60 sites at the edge: others are 1e-70."""
+    with mp.workdps(DIGITS):
+        r = (1 + abs(mp.mpf(gamma))) / (1 - abs(mp.mpf(gamma)))
+        far = min(sites, 60) if abs(gamma) > 0.6 else sites
+        sine = [exact_sine(sites, mode, m) for m in range(1, far + 1)]
+        ratio = mp.fsum(r**-m * s**4 for m, s in enumerate(sine)) / mp.fsum(r**-m * s**2 for m, s in enumerate(sine))
+        return 3 * mp.mpf(g) * ratio / (4 * (sites + 1) * mp.sqrt(exact_square(sites, alpha, gamma, mode)))
 
 
-@pytest.mark.parametrize("name", ["alpha", "gamma", "g"])
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
-def test_a_parameter_that_is_not_finite_is_refused_by_name(name: str, value: float) -> None:
-    parameters = {"sites": 3, "alpha": 1.0, "gamma": 0.25, "g": 1.0, name: value}
-    with pytest.raises(ValueError, match=f"{name}: given {value!r}; accepted: a finite number"):
-        Chain(**parameters)
+def off(found: float, exact: mp.mpf) -> float:
+    """Relative error."""
+    return float(abs(mp.mpf(float(found)) / exact - 1))
 
 
-@pytest.mark.parametrize("gamma", [1.0000001, -1.0000001, 2.0])
-def test_a_nonreciprocity_beyond_one_is_refused(gamma: float) -> None:
-    with pytest.raises(ValueError, match=f"gamma: given {gamma!r}; accepted: -1 <= gamma <= 1"):
-        Chain(3, 1.0, gamma, 1.0)
+# Parameters ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mode", [0, 5, -1])
-def test_a_mode_that_is_not_there_is_refused(mode: int) -> None:
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        *(({"sites": n}, f"sites: given {n!r}; accepted: a whole number >= 1") for n in (0, -3, 2.5, True, -np.inf)),
+        *(({"sites": n}, "sites: given") for n in (float("nan"), 3.0, None)),
+        *(({k: v}, f"{k}: given {v!r}; accepted: a finite number") for k in ("alpha", "gamma", "g")
+          for v in (float("nan"), float("inf"))),
+        *(({"gamma": v}, f"gamma: given {v!r}; accepted: -1 <= gamma <= 1") for v in (1.0000001, -2.0)),
+    ],
+)  # fmt: skip
+def test_parameters_out_of_range_are_refused_by_name(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Chain(**{"sites": 3, "alpha": 1.0, "gamma": 0.25, "g": 1.0} | given)
+
+
+@pytest.mark.parametrize("mode", [0, 5, -1, 1.5])
+def test_a_mode_that_is_not_there_is_refused(mode: Any) -> None:
     with pytest.raises(ValueError, match=f"mode: given {mode}; accepted: 1..4"):
         Chain(4, 1.0, 0.25, 1.0).linear_frequency(mode)
-
-
-def test_a_mode_between_two_modes_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"mode: given 1\.5"):
-        Chain(4, 1.0, 0.25, 1.0).linear_frequency(1.5)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("mode", "bound"), [(1, -1.2), (2, -2.8)])
 def test_a_mode_that_does_not_oscillate_is_refused_with_the_bound_on_alpha(mode: int, bound: float) -> None:
     """Two sites and s = 0.8: omega_j^2 = 2 + alpha -+ 0.8."""
     with pytest.raises(ValueError, match=rf"mode {mode} does not oscillate: .*; accepted: alpha > {bound}$"):
-        Chain(2, -3.5, 0.6, 1.0).linear_frequency(mode)
-    with pytest.raises(ValueError, match=f"alpha > {bound}$"):
         Chain(2, bound - 1e-9, 0.6, 1.0).linear_frequency(mode)
     found = Chain(2, bound + 1e-9, 0.6, 1.0).linear_frequency(mode)
     assert found == pytest.approx(np.sqrt(1e-9), rel=1e-6)
-
-
-def test_frequencies_are_refused_together_when_the_lowest_does_not_oscillate() -> None:
     with pytest.raises(ValueError, match="mode 1 does not oscillate"):
         Chain(2, -2.0, 0.6, 1.0).linear_frequencies()
 
@@ -106,91 +113,39 @@ def test_a_chain_is_immutable_and_compares_by_its_parameters() -> None:
     with pytest.raises(FrozenInstanceError):
         chain.gamma = 0.5  # type: ignore[misc]
     assert chain.rho.shape == (3,)  # cached values take no part in the comparison
-    assert chain == Chain(3, 1.0, 0.25, -1.0)
+    assert chain == Chain(np.int64(3), 1.0, 0.25, -1.0)
     assert chain != Chain(3, 1.0, 0.25, 1.0)
     assert hash(chain) == hash(Chain(3, 1.0, 0.25, -1.0))
 
 
-# Equations of motion ----------------------------------------------------------------------------------------
+# Equations of motion ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("gamma", [0.25, -0.25, 0.0, 1.0, -1.0])
 @pytest.mark.parametrize("sites", [1, 2, 3, 24])
-def test_physical_equations_are_the_papers(sites: int, gamma: float) -> None:
-    y = np.random.default_rng(sites).normal(size=sites)
-    found = physical_rhs(Chain(sites, 0.7, gamma, 99.0), y, -1.3)
+def test_physical_equations_and_their_matrix_are_the_papers(sites: int, gamma: float) -> None:
+    chain, y = Chain(sites, 0.7, gamma, 99.0), np.random.default_rng(sites).normal(size=sites)
+    found = force(chain.physical_model(), y, -1.3)
     np.testing.assert_allclose(found, paper_rhs(y, 0.7, gamma, -1.3), rtol=0, atol=2e-14)
+    np.testing.assert_array_equal(chain.dynamical_matrix(), paper_matrix(sites, 0.7, gamma))
 
 
-def test_dynamical_matrix_is_the_papers_entry_by_entry() -> None:
-    alpha, a_plus, a_minus = 1.0, 0.75, 1.25
-    expected = [
-        [2 + alpha, -a_plus, 0, 0],
-        [-a_minus, 2 + alpha, -a_plus, 0],
-        [0, -a_minus, 2 + alpha, -a_plus],
-        [0, 0, -a_minus, 2 + alpha],
-    ]
-    np.testing.assert_array_equal(Chain(4, alpha, 0.25, -1.0).dynamical_matrix(), expected)
-
-
-def test_dynamical_matrices_of_one_and_two_sites() -> None:
-    np.testing.assert_array_equal(Chain(1, 0.5, 0.25, 1.0).dynamical_matrix(), [[2.5]])
-    np.testing.assert_array_equal(Chain(2, 0.5, -0.25, 1.0).dynamical_matrix(), [[2.5, -1.25], [-0.75, 2.5]])
-
-
-def test_the_opposite_nonreciprocity_transposes_the_dynamical_matrix_and_mirrors_it() -> None:
-    forward, backward = (Chain(7, 1.0, gamma, 1.0).dynamical_matrix() for gamma in (0.4, -0.4))
-    np.testing.assert_array_equal(backward, forward.T)
-    np.testing.assert_array_equal(backward, forward[::-1, ::-1])
-
-
-def test_the_physical_variational_matrix_is_the_papers_entry_by_entry() -> None:
-    alpha, a_plus, a_minus, g = 1.0, 0.75, 1.25, -2.0
-    y1, y2, y3 = 0.5, -1.0, 0.25
-    z21 = [
-        [-2 - alpha - 3 * g * y1**2, a_plus, 0],
-        [a_minus, -2 - alpha - 3 * g * y2**2, a_plus],
-        [0, a_minus, -2 - alpha - 3 * g * y3**2],
-    ]
-    expected = np.block([[np.zeros((3, 3)), np.eye(3)], [np.array(z21), np.zeros((3, 3))]])
-    found = Chain(3, alpha, 0.25, g).variational_matrix()([y1, y2, y3], g)
-    np.testing.assert_array_equal(numbers(found), expected)
-    assert found.nnz() == 3 + 7  # sparse: the identity and a tridiagonal block
-
-
-def test_the_gauge_variational_matrix_is_the_papers_with_equal_off_diagonals() -> None:
-    """[W_21]_{n,n+-1} = sqrt(a_+ a_-), diagonal -2 - alpha - 3 g y_n^2 at y_n = sqrt(S) rho_n q_n."""
-    alpha, g, S, gamma = 1.0, -2.0, 0.3, 0.6
+def test_the_variational_matrices_are_the_papers_entry_by_entry() -> None:
+    """Z_21 has a_+-, W_21 their root; the diagonal is -2 - alpha - 3 g y_n^2 at y_n = sqrt(S) rho_n q_n."""
+    alpha, gamma, g, S = 1.0, 0.6, -2.0, 0.3
     q = np.array([0.5, -1.0, 0.25])
     y = np.sqrt(S) * np.array([1 / 4, 1 / 2, 1.0]) * q  # r = 4, favoured edge 3
-    s = np.sqrt(0.4 * 1.6)
-    w21 = [
-        [-2 - alpha - 3 * g * y[0] ** 2, s, 0],
-        [s, -2 - alpha - 3 * g * y[1] ** 2, s],
-        [0, s, -2 - alpha - 3 * g * y[2] ** 2],
-    ]
-    expected = np.block([[np.zeros((3, 3)), np.eye(3)], [np.array(w21), np.zeros((3, 3))]])
-    found = Chain(3, alpha, gamma, g).variational_matrix("gauge")(q, g * S)
-    np.testing.assert_allclose(numbers(found), expected, rtol=4 * EPS, atol=0)
-
-
-@pytest.mark.parametrize(("coordinates", "hamiltonian"), [("gauge", True), ("physical", False)])
-def test_the_variational_flow_is_symplectic_in_the_gauge_only(coordinates: str, hamiltonian: bool) -> None:
-    """J^-1 W is symmetric, J^-1 Z is not: the paper's V and U."""
-    zero, one = np.zeros((5, 5)), np.eye(5)
-    J = np.block([[zero, -one], [one, zero]])
-    q = np.linspace(-1, 1, 5)
-    matrix = numbers(Chain(5, 1.0, 0.25, 1.0).variational_matrix(coordinates)(q, 0.7))
-    symmetric_part = np.linalg.solve(J, matrix)
-    assert np.array_equal(symmetric_part, symmetric_part.T) is hamiltonian
-
-
-def test_unknown_coordinates_are_refused() -> None:
+    chain, diagonal = Chain(3, alpha, gamma, g), np.diag(-2 - alpha - 3 * g * y**2)
+    for coordinates, at, parameter, above, below in (
+        ("physical", y, g, 0.4, 1.6), ("gauge", q, g * S, np.sqrt(0.64), np.sqrt(0.64)),
+    ):  # fmt: skip
+        lower = diagonal + np.diag([above] * 2, 1) + np.diag([below] * 2, -1)
+        expected = np.block([[np.zeros((3, 3)), np.eye(3)], [lower, np.zeros((3, 3))]])
+        found = chain.variational_matrix(coordinates)(at, parameter)
+        np.testing.assert_allclose(numbers(found), expected, rtol=4 * EPS, atol=0)
+        assert found.nnz() == 3 + 7  # sparse: the identity and a tridiagonal block
     with pytest.raises(ValueError, match="coordinates: given 'polar'; accepted: physical, gauge"):
-        Chain(3, 1.0, 0.25, 1.0).variational_matrix("polar")
-
-
-# The gauge --------------------------------------------------------------------------------------------------
+        chain.variational_matrix("polar")
 
 
 def test_the_gauge_of_three_sites_by_hand() -> None:
@@ -199,23 +154,14 @@ def test_the_gauge_of_three_sites_by_hand() -> None:
     assert right.coupling == pytest.approx(0.8, rel=2 * EPS)
     np.testing.assert_allclose(right.rho, [0.25, 0.5, 1.0], rtol=4 * EPS)
     np.testing.assert_allclose(right.weights, [1 / 16, 1 / 4, 1.0], rtol=8 * EPS)
-    np.testing.assert_allclose(np.exp(right.log_rho), right.rho, rtol=EPS)
     np.testing.assert_array_equal(left.rho, right.rho[::-1])
-    q, kappa = np.array([0.3, -0.7, 0.9]), 0.5
-    w = np.array([1 / 16, 1 / 4, 1.0])
-    expected = -3 * q + 0.8 * np.array([q[1], q[0] + q[2], q[1]]) - kappa * w * q**3
-    np.testing.assert_allclose(gauge_rhs(right, q, kappa), expected, atol=8 * EPS)
-
-
-def test_the_hamiltonian_and_the_normalisation_of_the_gauge_by_hand() -> None:
-    """H = |q'|^2/2 + q.L.q/2 + kappa sum(w q^4)/4 and sum(w q^2) - 1, gamma = 0.6."""
-    model = Chain(3, 1.0, 0.6, 1.0).gauge_model()
+    q, v, kappa = np.array([0.3, -0.7, 0.9]), np.array([0.2, 0.4, -0.6]), 0.5
+    L, w = np.array([[3.0, -0.8, 0.0], [-0.8, 3.0, -0.8], [0.0, -0.8, 3.0]]), np.array([1 / 16, 1 / 4, 1.0])
+    model = right.gauge_model()
+    np.testing.assert_allclose(force(model, q, kappa), -L @ q - kappa * w * q**3, atol=8 * EPS)
     evaluate = ca.Function(
         "h", [model.state, model.velocity, model.parameters], [model.hamiltonian, model.normalisation]
     )
-    q, v, kappa = np.array([0.3, -0.7, 0.9]), np.array([0.2, 0.4, -0.6]), 0.5
-    L = np.array([[3.0, -0.8, 0.0], [-0.8, 3.0, -0.8], [0.0, -0.8, 3.0]])
-    w = np.array([1 / 16, 1 / 4, 1.0])
     energy, normalisation = (float(value) for value in evaluate(q, v, kappa))
     assert energy == pytest.approx(v @ v / 2 + q @ L @ q / 2 + kappa * np.sum(w * q**4) / 4, rel=4 * EPS)
     assert normalisation == pytest.approx(np.sum(w * q**2) - 1, rel=8 * EPS)
@@ -234,55 +180,66 @@ def test_both_models_have_the_symmetries_that_they_declare(sites: int, gamma: fl
     assert chain.physical_model().hamiltonian is None
 
 
-def test_the_reciprocal_energy_is_not_conserved_by_a_nonreciprocal_chain() -> None:
-    chain = Chain(4, 1.0, 0.25, -1.0)
-    model = chain.physical_model()
-    y, v, g = model.state, model.velocity, model.parameters
-    stretch = ca.vertcat(y, 0) - ca.vertcat(0, y)
-    energy = ca.dot(v, v) / 2 + ca.dot(stretch, stretch) / 2 + ca.dot(y, y) / 2 + g * ca.sum1(y**4) / 4
+def test_the_reciprocal_energy_is_conserved_by_a_reciprocal_chain_alone() -> None:
+    def with_energy(gamma: float) -> Any:
+        model = Chain(4, 1.0, gamma, -1.0).physical_model()
+        y, v, g = model.state, model.velocity, model.parameters
+        stretch = ca.vertcat(y, 0) - ca.vertcat(0, y)
+        energy = ca.dot(v, v) / 2 + ca.dot(stretch, stretch) / 2 + ca.dot(y, y) / 2 + g * ca.sum1(y**4) / 4
+        return replace(model, hamiltonian=energy)
+
+    with_energy(0.0).check_symmetries()
     with pytest.raises(ValueError, match="hamiltonian is not conserved"):
-        replace(model, hamiltonian=energy).check_symmetries()
-    reciprocal = Chain(4, 1.0, 0.0, -1.0).physical_model()
-    swapped = ca.substitute(energy, ca.vertcat(y, v, g), ca.vertcat(reciprocal.full_state, reciprocal.parameters))
-    replace(reciprocal, hamiltonian=swapped).check_symmetries()
+        with_energy(0.25).check_symmetries()
 
 
-def test_one_site_is_the_same_duffing_oscillator_in_both_coordinates() -> None:
-    chain = Chain(1, 0.5, 0.8, 1.0)
-    expected = -2.5 * 0.3 - 2.0 * 0.3**3
-    assert physical_rhs(chain, np.array([0.3]), 2.0)[0] == pytest.approx(expected, rel=2 * EPS)
-    assert gauge_rhs(chain, np.array([0.3]), 2.0)[0] == pytest.approx(expected, rel=2 * EPS)
-    assert chain.rho.tolist() == [1.0]
+@pytest.mark.parametrize(("gamma", "edge"), [(1.0, 3), (-1.0, 0)])
+def test_one_way_coupling_is_a_jordan_block_whose_gauge_keeps_the_edge_alone(gamma: float, edge: int) -> None:
+    chain, alone = Chain(4, 1.0, gamma, 1.0), np.eye(4)[edge]
+    shifted = chain.dynamical_matrix() - 3 * np.eye(4)
+    assert np.abs(np.linalg.matrix_power(shifted, 3)).max() == 8.0
+    assert not np.linalg.matrix_power(shifted, 4).any()
+    assert chain.coupling == 0.0
+    np.testing.assert_array_equal(chain.rho, alone)
+    np.testing.assert_array_equal(chain.log_rho, np.where(alone == 1, 0.0, -np.inf))
+    assert chain.linear_frequencies().tolist() == [np.sqrt(3.0)] * 4
+    assert chain.band() == (3.0, 3.0)
+    q = np.array([0.4, -0.2, 0.7, -0.9])
+    np.testing.assert_allclose(force(chain.gauge_model(), q, 0.5), -3 * q - 0.5 * alone * q**3, rtol=2 * EPS)
+    values, vectors = chain.diagonalise()
+    assert values.tolist() == [3.0] * 4
+    assert np.isfinite(vectors).all()
+    right, left = chain.right_eigenvector(2), chain.left_eigenvector(2)
+    assert np.flatnonzero(right).tolist() == [edge]
+    assert np.flatnonzero(left).tolist() == [3 - edge]
 
 
-# The linear chain -------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("gamma", [0.25, -0.25, 0.0])
-def test_frequencies_and_cutoffs_are_the_papers(gamma: float) -> None:
-    chain = Chain(24, 1.0, gamma, 1.0)
-    j = np.arange(1, 25)
-    expected = np.sqrt(3 - 2 * np.sqrt(1 - gamma**2) * np.cos(j * np.pi / 25))
-    np.testing.assert_allclose(chain.linear_frequencies(), expected, rtol=4 * EPS)
-    assert chain.linear_frequency(7) == pytest.approx(expected[6], rel=4 * EPS)
-    low, high = chain.band()
-    assert low == pytest.approx(3 - 2 * np.sqrt(1 - gamma**2), rel=4 * EPS)
-    assert high == pytest.approx(3 + 2 * np.sqrt(1 - gamma**2), rel=4 * EPS)
-    assert low < expected[0] ** 2 < expected[-1] ** 2 < high
+# The linear chain ---------------------------------------------------------------------------------------------------
 
 
 def test_the_numbers_that_the_paper_states_for_its_chain() -> None:
     """Lowest frequency 1.04 (that is omega_1; the cutoff itself is 1.031), mean spacing about 0.05."""
     chain = Chain(24, 1.0, 0.25, 1.0)
     assert chain.linear_frequency(1) == pytest.approx(1.04, abs=0.005)
-    assert np.sqrt(chain.band()[0]) == pytest.approx(1.0313, abs=5e-5)
+    assert np.sqrt(chain.band()) == pytest.approx([np.sqrt(3 - 2 * np.sqrt(0.9375)), np.sqrt(3 + 2 * np.sqrt(0.9375))])
     assert np.mean(np.diff(chain.linear_frequencies())) == pytest.approx(0.05, abs=0.005)
 
 
-def test_the_lower_cutoff_keeps_its_digits_in_a_soft_chain() -> None:
-    with mp.workdps(50):
-        exact = 2 - 2 * mp.sqrt(1 - mp.mpf(1e-4) ** 2)
-    assert abs(mp.mpf(Chain(24, 0.0, 1e-4, 1.0).band()[0]) / exact - 1) < 4 * EPS
+@pytest.mark.parametrize("alpha", [0.0, 1e-12, 1e-6, 1.0])
+@pytest.mark.parametrize("gamma", [0.0, 1e-9, -1e-5, 0.25, -0.6, 0.999, 1 - 1e-12])
+@pytest.mark.parametrize(("sites", "modes"), [(1, (1,)), (2, (1, 2)), (24, (1, 12, 24)), (10**6, (1, 2, 3))])
+def test_squared_frequencies_keep_every_digit(sites: int, modes: tuple[int, ...], gamma: float, alpha: float) -> None:
+    found = closed_forms.squared_frequency(sites, alpha, gamma, np.array(modes))
+    assert max(off(f, exact_square(sites, alpha, gamma, j)) for f, j in zip(found, modes, strict=True)) < 4 * EPS
+    lower, _ = Chain(sites, alpha, gamma, 1.0).band()
+    limit = exact_square(1, alpha, gamma, 0)
+    assert lower == limit == 0 or off(lower, limit) < 4 * EPS
+
+
+@pytest.mark.parametrize("gamma", [1 - 1e-15, -(1 - 1e-9), 0.5, 1e-8])
+def test_gauge_coupling_keeps_its_digits_near_one_way_coupling(gamma: float) -> None:
+    with mp.workdps(DIGITS):
+        assert off(closed_forms.gauge_coupling(gamma), mp.sqrt(1 - mp.mpf(gamma) ** 2)) < 2 * EPS
 
 
 @pytest.mark.parametrize("gamma", [0.25, -0.7, 0.0])
@@ -293,9 +250,8 @@ def test_diagonalisation_in_the_gauge_gives_frequencies_and_eigenvectors_of_the_
     chain = Chain(sites, 0.3, gamma, 1.0)
     values, vectors = chain.diagonalise()
     np.testing.assert_allclose(values, chain.linear_frequencies() ** 2, rtol=1e-14)
-    matrix = chain.dynamical_matrix()
     # Row by row relative to the envelope, so that the far edge counts as much as the near one.
-    residual = (matrix @ vectors - vectors * values) / chain.rho[:, None]
+    residual = (paper_matrix(sites, 0.3, gamma) @ vectors - vectors * values) / chain.rho[:, None]
     assert np.abs(residual).max() < 5e-14
     for column, mode in zip(vectors.T, range(1, sites + 1), strict=True):
         closed_form = chain.right_eigenvector(mode)
@@ -303,44 +259,43 @@ def test_diagonalisation_in_the_gauge_gives_frequencies_and_eigenvectors_of_the_
         np.testing.assert_allclose(column / chain.rho, scale * closed_form / chain.rho, atol=1e-12)
 
 
-@pytest.mark.parametrize("mode", [1, 5])
-@pytest.mark.parametrize("gamma", [0.25, -0.6])
-def test_left_and_right_eigenvectors_belong_to_the_physical_matrix(gamma: float, mode: int) -> None:
-    chain = Chain(5, 1.0, gamma, 1.0)
-    matrix, omega = chain.dynamical_matrix(), chain.linear_frequency(mode)
-    right, left = chain.right_eigenvector(mode), chain.left_eigenvector(mode)
-    np.testing.assert_allclose(matrix @ right, omega**2 * right, atol=2e-15)
-    np.testing.assert_allclose(left @ matrix, omega**2 * left, atol=2e-15)
+@pytest.mark.parametrize("gamma", [0.25, -0.25, 1e-10, 0.9999999, -(1 - 1e-12)])
+def test_log_envelope_is_half_the_logarithm_of_r_times_the_distance_to_the_favoured_edge(gamma: float) -> None:
+    found, favoured = closed_forms.log_envelope(40, gamma), 40 if gamma > 0 else 1
+    with mp.workdps(DIGITS):
+        log_r = mp.log((1 + mp.mpf(gamma)) / (1 - mp.mpf(gamma)))
+        for n in range(1, 41):
+            exact = log_r * (n - favoured) / 2
+            assert abs(mp.mpf(float(found[n - 1])) - exact) <= 3 * EPS * abs(exact)
 
 
-# One-way coupling -------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("mode", [1, 5, 10])
+@pytest.mark.parametrize("gamma", [0.25, -0.7, 0.999, 0.0])
+def test_eigenvectors_have_the_papers_profiles_at_fifty_digits(gamma: float, mode: int) -> None:
+    """u_n = r^(n/2) sin, v_n = r^(-n/2) sin: the sign of the appendix belongs to v."""
+    sites = 10
+    right, left = closed_forms.right_eigenvector(sites, gamma, mode), closed_forms.left_eigenvector(sites, gamma, mode)
+    with mp.workdps(DIGITS):
+        root_r = mp.sqrt((1 + mp.mpf(gamma)) / (1 - mp.mpf(gamma)))
+        right_edge, left_edge = (sites, 1) if gamma > 0 else (1, sites)
+        for n in range(1, sites + 1):
+            sine = exact_sine(sites, mode, n)
+            assert off(right[n - 1], root_r ** (n - right_edge) * sine) < 2e-14
+            assert off(left[n - 1], root_r ** (left_edge - n) * sine) < 2e-14
+    matrix, square = paper_matrix(sites, 1.0, gamma), float(exact_square(sites, 1.0, gamma, mode))
+    for operator, vector in ((matrix, right), (matrix.T, left)):
+        row_size = np.abs(operator) @ np.abs(vector)
+        assert np.all(np.abs(operator @ vector - square * vector) < 1e-14 * row_size)
 
 
-@pytest.mark.parametrize(("gamma", "edge"), [(1.0, 3), (-1.0, 0)])
-def test_one_way_coupling_is_a_jordan_block_whose_gauge_keeps_the_edge_alone(gamma: float, edge: int) -> None:
-    chain = Chain(4, 1.0, gamma, 1.0)
-    shifted = chain.dynamical_matrix() - 3 * np.eye(4)
-    assert np.abs(np.linalg.matrix_power(shifted, 3)).max() == 8.0
-    assert not np.linalg.matrix_power(shifted, 4).any()
-
-    alone = np.eye(4)[edge]
-    assert chain.coupling == 0.0
-    np.testing.assert_array_equal(chain.rho, alone)
-    np.testing.assert_array_equal(chain.weights, alone)
-    np.testing.assert_array_equal(chain.log_rho, np.where(alone == 1, 0.0, -np.inf))
-    assert chain.linear_frequencies().tolist() == [np.sqrt(3.0)] * 4
-    assert chain.band() == (3.0, 3.0)
-
-    q = np.array([0.4, -0.2, 0.7, -0.9])
-    np.testing.assert_allclose(gauge_rhs(chain, q, 0.5), -3 * q - 0.5 * alone * q**3, rtol=2 * EPS)
-    W = numbers(chain.variational_matrix("gauge")(q, 0.5))
-    np.testing.assert_allclose(W[4:, :4], np.diag(-3 - 1.5 * alone * q**2), rtol=2 * EPS)
-    values, vectors = chain.diagonalise()
-    assert values.tolist() == [3.0] * 4
-    assert np.isfinite(vectors).all()
-
-
-# Large chains -----------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("mode", [1, 17, 499_999, 999_983, 10**6])
+def test_standing_waves_of_a_million_sites_agree_with_fifty_digits(mode: int) -> None:
+    """n j reaches 1e12: left unreduced, the argument alone would cost ten digits."""
+    wave = closed_forms.standing_wave(10**6, mode)
+    for n in (1, 2, 3, 1001, 499_999, 500_000, 777_777, 999_998, 10**6):
+        exact = exact_sine(10**6, mode, n)
+        assert abs(mp.mpf(float(wave[n - 1])) - exact) < 6 * EPS
+        assert mode > 17 or n in range(4, 999_998) or off(wave[n - 1], exact) < 4 * EPS  # where skin modes live
 
 
 @pytest.mark.parametrize(
@@ -350,22 +305,126 @@ def test_one_way_coupling_is_a_jordan_block_whose_gauge_keeps_the_edge_alone(gam
 def test_a_long_strongly_nonreciprocal_chain_builds_without_overflow_or_nan(sites: int, gamma: float) -> None:
     """rho_1 would be 10^-638, or 10^-1918; warnings are errors in this suite."""
     chain = Chain(sites, 1.0, gamma, 1.0)
-    assert chain.rho.max() == 1.0
-    assert chain.rho.min() == 0.0
+    assert (chain.rho.min(), chain.rho.max()) == (0.0, 1.0)
     assert chain.log_rho.min() == pytest.approx(-(sites - 1) * np.arctanh(0.9), rel=1e-14)
-    for array in (
-        chain.rho,
-        chain.weights,
-        chain.log_rho,
-        chain.right_eigenvector(1),
-        chain.linear_frequencies(),
-    ):
-        assert np.isfinite(array).all()
-
+    for mode in (1, sites // 2, sites):
+        right, left = chain.right_eigenvector(mode), chain.left_eigenvector(mode)
+        assert 0 < np.abs(right).max() <= 1
+        np.testing.assert_allclose(np.abs(right[::-1]), np.abs(left), rtol=1e-9, atol=1e-300)
+    assert np.isfinite([chain.weights, chain.linear_frequencies()]).all()
     q = np.random.default_rng(5).normal(size=sites)
     s, w = np.sqrt(1 - 0.81), 19.0 ** -np.arange(sites, dtype=float)[:: -1 if gamma > 0 else 1]
     neighbours = np.append(q[1:], 0) + np.insert(q[:-1], 0, 0)
-    np.testing.assert_allclose(gauge_rhs(chain, q, 0.8), -3 * q + s * neighbours - 0.8 * w * q**3, atol=1e-13)
-    jacobian = chain.gauge_model().rhs_and_jacobian()
-    assert jacobian.nnz_out("df_dstate") == 3 * sites - 2
-    assert np.isfinite(np.array(jacobian(q, 0.8)[1].nonzeros())).all()
+    model = chain.gauge_model()
+    np.testing.assert_allclose(force(model, q, 0.8), -3 * q + s * neighbours - 0.8 * w * q**3, atol=1e-13)
+    assert model.rhs_and_jacobian().nnz_out("df_dstate") == 3 * sites - 2
+
+
+# Weakly nonlinear modes by multiple scales --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("sites", "alpha", "gamma", "mode"),
+    [
+        *((24, 1.0, 0.25, mode) for mode in (1, 6, 10, 14, 18, 24)), (1, 1.0, 0.25, 1), (2, 0.5, -0.4, 2),
+        (5, 0.0, 0.0, 3), (7, 1.0, 1e-7, 4), (60, 2.0, 0.9, 1), (60, 2.0, -0.99, 60), (9, 1.0, 0.6, 4),
+        (9, 1.0, -0.6, 4), *((3000, 1.0, gamma, mode) for gamma in (0.9, -0.9) for mode in (1, 1500, 3000)),
+    ],
+)  # fmt: skip
+def test_the_slope_of_the_frequency_is_that_of_the_papers_sums(
+    sites: int, alpha: float, gamma: float, mode: int
+) -> None:
+    exact = exact_slope(sites, alpha, gamma, -0.7, mode)
+    assert off(closed_forms.frequency_slope(sites, alpha, gamma, -0.7, mode), exact) < (1e-12 if sites > 60 else 4e-14)
+    relative = abs(exact) / mp.sqrt(exact_square(sites, alpha, gamma, mode))
+    assert off(closed_forms.sensitivity(sites, alpha, gamma, -0.7, mode), relative) < 1e-12
+
+
+@pytest.mark.parametrize("mode", [1, 3, 6])
+@pytest.mark.parametrize("gamma", [0.25, -0.5])
+def test_the_slope_agrees_with_the_appendix_in_numerical_eigenvectors(gamma: float, mode: int) -> None:
+    """3 g/(8 omega) sum(v u^3)/(sum(u^2) sum(v u)), u and v diagonalise D and its transpose."""
+    matrix = paper_matrix(6, 1.0, gamma)
+    values, right = np.linalg.eig(matrix)
+    transposed_values, left = np.linalg.eig(matrix.T)
+    u, v = right[:, np.argsort(values)[mode - 1]], left[:, np.argsort(transposed_values)[mode - 1]]
+    omega = np.sqrt(np.sort(values)[mode - 1])
+    expected = 3 * 2.0 / (8 * omega) * (v @ u**3) / ((u @ u) * (v @ u))
+    assert closed_forms.frequency_slope(6, 1.0, gamma, 2.0, mode) == pytest.approx(expected, rel=1e-13)
+
+
+@pytest.mark.parametrize("mode", [1, 2, 3])
+def test_one_way_coupling_gives_the_limit_of_the_papers_sums(mode: int) -> None:
+    """As gamma -> 1 the edge site alone is left in both sums: the ratio is sin^2(N j pi/(N+1))."""
+    found = closed_forms.frequency_slope(3, 1.0, 1.0, 1.0, mode)
+    assert found == pytest.approx(3 / (4 * 4 * np.sqrt(3.0)) * np.sin(3 * mode * np.pi / 4) ** 2, rel=1e-14)
+
+
+def shoot(matrix: Array, g: float, mode: int, S: float) -> tuple[float, Array]:
+    """Omega and y(0)/sqrt(S) of the orbit with y'(0) = 0, y(T/4) = 0 and |y(0)|^2 = S, from numpy's linear mode."""
+    values, vectors = np.linalg.eig(matrix)
+    chosen, sites = np.argsort(values)[mode - 1], len(matrix)
+
+    def defect(unknown: Array) -> Array:
+        start = unknown[:-1]
+        end = solve_ivp(
+            lambda _, x: np.concatenate([x[sites:], -matrix @ x[:sites] - g * S * x[:sites] ** 3]),
+            (0.0, unknown[-1]), np.concatenate([start, np.zeros(sites)]), method="DOP853", rtol=1e-13, atol=1e-15,
+        ).y[:sites, -1]  # fmt: skip
+        return np.append(end, start @ start - 1)
+
+    guess = np.append(vectors[:, chosen], np.pi / 2 / np.sqrt(values[chosen]))
+    solution, _, status, message = fsolve(defect, guess, xtol=1e-13, full_output=True)
+    assert status == 1, message
+    return np.pi / 2 / solution[-1], solution[:-1]
+
+
+@pytest.mark.parametrize(("g", "mode"), [(1.0, 3), (-1.0, 1)])
+def test_small_orbits_found_by_shooting_have_the_predicted_slope_and_profile(g: float, mode: int) -> None:
+    S, chain = 2e-3, (3, 1.0, 0.25)
+    found = [shoot(paper_matrix(*chain), g, mode, factor * S) for factor in (1, 2)]
+    Omega, omega = np.array([frequency for frequency, _ in found]), float(mp.sqrt(exact_square(*chain, mode)))
+    # The two difference quotients extrapolated to S = 0, which leaves an error of order S^2.
+    measured = 2 * (Omega[0] - omega) / S - (Omega[1] - omega) / (2 * S)
+    assert closed_forms.frequency_slope(*chain, g, mode) == pytest.approx(measured, rel=2e-7)
+    # The prediction misses by order S^2 in frequency and by order S in relative profile: doubling S tells.
+    miss = Omega - closed_forms.frequency(*chain, g, mode, [S, 2 * S])
+    assert miss[1] / miss[0] == pytest.approx(4.0, rel=2e-3)
+    profile = closed_forms.displacement(*chain, g, mode, S, 0.0)[0] / np.sqrt(S)
+    deviation = [np.linalg.norm(start * np.sign(start @ profile) - profile) for _, start in found]
+    assert deviation[1] / deviation[0] == pytest.approx(2.0, rel=2e-3)
+
+
+@pytest.mark.parametrize(("g", "mode", "period"), [(1.0, 24, 2.83), (-1.0, 1, 6.06)])
+def test_periods_at_small_amplitude_are_those_that_the_paper_states(g: float, mode: int, period: float) -> None:
+    found = 2 * np.pi / closed_forms.frequency(24, 1.0, 0.25, g, mode, 0.2)
+    assert float(found) == pytest.approx(period, abs=0.006)
+
+
+@pytest.mark.parametrize("gamma", [0.25, -0.25, 0.0])
+def test_displacement_is_the_normalised_mode_times_a_cosine(gamma: float) -> None:
+    sites, mode, S, t = 5, 2, 0.3, np.linspace(0.0, 20.0, 13)
+    u = ((1 + gamma) / (1 - gamma)) ** (np.arange(1, 6) / 2) * np.sin(np.arange(1, 6) * mode * np.pi / 6)
+    slope = exact_slope(sites, 1.0, gamma, 1.0, mode)
+    Omega = float(mp.sqrt(exact_square(sites, 1.0, gamma, mode)) + S * slope)
+    expected = np.sqrt(S) * np.outer(np.cos(Omega * t), u / np.linalg.norm(u))
+    found = closed_forms.displacement(sites, 1.0, gamma, 1.0, mode, S, t)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
+    assert closed_forms.displacement(sites, 1.0, gamma, 1.0, mode, S, 3.0).shape == (1, sites)
+    grid = closed_forms.frequency(sites, 1.0, gamma, 1.0, mode, [[0.0, S], [S, 1.0]])
+    np.testing.assert_allclose(grid[:, 1], [Omega, Omega + (1.0 - S) * float(slope)], rtol=1e-15)
+
+
+@pytest.mark.parametrize(("gamma", "limit"), [(0.25, 320.2), (0.4, 106.2), (0.55, 44.1), (0.7, 19.4)])
+def test_sensitivity_falls_as_the_inverse_cube_of_the_size_in_the_end(gamma: float, limit: float) -> None:
+    """Near the favoured edge sin(m pi/(N+1)) ~ m pi/(N+1); sums of m^4 r^-m and m^2 r^-m are rational in r."""
+    closed_form = closed_forms.sensitivity_limit(1.0, gamma, 1.0, 1)
+    omega_min_squared = 3 - 2 * np.sqrt(1 - gamma**2)
+    assert closed_form == pytest.approx(3 * np.pi**2 * (3 - 2 * gamma**2) / (4 * gamma**2 * omega_min_squared))
+    assert closed_form == pytest.approx(limit, abs=0.06)  # measured independently
+    sites = np.array([1000, 2000, 4000])
+    sizes = np.array([closed_forms.sensitivity(n, 1.0, gamma, 1.0, 1) for n in sites])
+    deviation = (sites + 1) ** 3 * sizes / closed_form - 1
+    # Corrections are even in 1/(N+1).
+    np.testing.assert_allclose(deviation[:-1] / deviation[1:], ((sites[1:] + 1) / (sites[:-1] + 1)) ** 2, rtol=1e-2)
+    assert abs(deviation[2]) < 5e-5
