@@ -88,6 +88,12 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
         "quantity_of": "results.quantities:sought",
     },
     "Statement": {"solve": "optimise.boundary_nlp:solve"},
+    "OdeModel": {
+        "equations_of_motion": "dynamics.evolution:model_equations",
+        "family_coordinates": "zero.model_coordinates:coordinates_of_model",
+        "linear_frequencies": "lattice.spectrum:frequencies_of_model",
+        "linear_spectrum": "lattice.spectrum:spectrum_of_model",
+    },
     "Chain": {
         "equations_of_motion": "dynamics.evolution:chain_equations",
         "family_coordinates": "lattice.chain_coordinates:chain_coordinates",

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq
 
-from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.chain import Chain, check_no_parameters
 from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.expressions import at_instants, instants
@@ -164,13 +164,14 @@ def equations_of_motion(model: Any, parameters: Mapping[str, float] | None = Non
     Raises:
         ValueError, TypeError: the model or a parameter is not accepted.
     """
-    if not isinstance(model, OdeModel):
-        if not hasattr(model, "equations_of_motion"):
-            raise TypeError(f"model: given {short_repr(model)}; accepted: a Chain or an OdeModel")
-        if parameters:
-            raise ValueError(f"parameters: given {short_repr(parameters)}; accepted: with an OdeModel alone")
-        own: EquationsOfMotion = model.equations_of_motion()
-        return own
+    if not hasattr(model, "equations_of_motion"):
+        raise TypeError(f"model: given {short_repr(model)}; accepted: a Chain or an OdeModel")
+    found: EquationsOfMotion = model.equations_of_motion(parameters)
+    return found
+
+
+def model_equations(model: OdeModel, parameters: Mapping[str, float] | None = None) -> EquationsOfMotion:
+    """`equations_of_motion` of an `OdeModel`."""
     known = named_values(model, parameters)
     values = np.array(list(known.values()))
     gauge = _gauge_of(model, values)
@@ -194,11 +195,12 @@ def _gauge_of(model: OdeModel, values: Array) -> Gauge | None:
     return Gauge(scaled, np.empty(0), log_scale)
 
 
-def chain_equations(chain: Chain) -> EquationsOfMotion:
+def chain_equations(chain: Chain, parameters: Mapping[str, float] | None = None) -> EquationsOfMotion:
     """Displacements y_n and velocities v_n of all sites of a chain; the energy is that of the gauge.
 
     Raises ValueError for an infinite chain.
     """
+    check_no_parameters(parameters)
     if chain.infinite:
         raise ValueError("sites: given an infinite chain; accepted for time evolution: a whole number >= 1")
     escape, well, values = "", np.inf, np.array([chain.g], dtype=float)

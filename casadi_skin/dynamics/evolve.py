@@ -296,8 +296,6 @@ def orbit_equations(orbit: Orbit) -> EquationsOfMotion:
     """The equations of an orbit, in the model's own coordinates, at the values of its parameters."""
     periodic = getattr(orbit.space, "periodic", None)
     model = orbit.model if periodic is None else periodic.given
-    if hasattr(model, "equations_of_motion"):
-        return equations_of_motion(model)
     # The parameter for S in the normalisation of a family is none of its orbits, and not in the equations.
     values = {name: orbit.parameters.get(name, 0.0) for name in model.parameter_names}
     return equations_of_motion(model, values)

@@ -56,7 +56,7 @@ class ExportedModel:
     @cached_property
     def model(self) -> OdeModel:
         """The equations of motion; a chain's in physical coordinates with parameters alpha, gamma, g."""
-        return self._given.tunable_model() if isinstance(self._given, Chain) else self._given
+        return self._given.tunable_model()
 
     @property
     def parameters(self) -> tuple[float, ...] | None:

@@ -24,7 +24,7 @@ from casadi_skin.zero.settings import ContinuationSettings, Target
 
 
 def follow_family(
-    model: FamilyModel | OdeModel,
+    model: FamilyModel,
     mode: int | str,
     amplitude_max: float,
     *,

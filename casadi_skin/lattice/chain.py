@@ -33,6 +33,12 @@ def _is_whole(number: object) -> bool:
     return isinstance(number, int | np.integer) and not isinstance(number, bool)
 
 
+def check_no_parameters(given: Mapping[str, float] | None) -> None:
+    """Raises ValueError for values of parameters that are given beside a chain, which has its own."""
+    if given:
+        raise ValueError(f"parameters: given {short_repr(given)}; accepted: with an OdeModel alone")
+
+
 @dataclass(frozen=True)
 class Chain(WithVerbs):
     """A chain of `sites` oscillators with fixed ends; a_+- = 1 -+ gamma, |gamma| <= 1; dimensionless.
@@ -46,6 +52,8 @@ class Chain(WithVerbs):
     alpha: float
     gamma: float
     g: float
+    parameter_names: ClassVar[tuple[str, ...]] = ()
+    """Names of parameters that may be given values beside it: none."""
 
     def __post_init__(self) -> None:
         endless = isinstance(self.sites, float) and self.sites == np.inf
@@ -114,7 +122,7 @@ class Chain(WithVerbs):
 
     # The linear chain -----------------------------------------------------------------------------------------------
 
-    def linear_frequencies(self) -> Array:
+    def linear_frequencies(self, parameters: Mapping[str, float] | None = None) -> Array:
         """Frequencies omega_j, j = 1..N, closed form, (sites,); raises ValueError where one does not oscillate."""
         if self.infinite:
             raise ValueError("linear_frequencies: given infinitely many sites; accepted: a number of sites")
@@ -146,7 +154,7 @@ class Chain(WithVerbs):
         """Left eigenvector of D in closed form, largest envelope 1, shape (sites,)."""
         return linear.left_eigenvector(self.sites, self.gamma, mode)
 
-    def linear_spectrum(self) -> LinearSpectrum:
+    def linear_spectrum(self, parameters: Mapping[str, float] | None = None) -> LinearSpectrum:
         """Squared frequencies and modes in closed form; of an infinite chain the ends of its band alone."""
         if self.infinite:
             return LinearSpectrum(np.empty(0), self.band(), lambda _: np.empty(0), self.band())

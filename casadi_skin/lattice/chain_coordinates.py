@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.lattice.chain import FIRST, LAST, Chain
+from casadi_skin.lattice.chain import FIRST, LAST, Chain, check_no_parameters
 from casadi_skin.lattice.closed_forms import frequency, standing_wave
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.lattice.declaration import FIXED
@@ -38,13 +38,16 @@ TAIL_PAYS_FACTOR = 8  # times the core's sites from which on the elimination of 
 LONGEST_CORE = 5000
 
 
-def chain_coordinates(chain: Chain, mode: int | str, amplitude_max: float, method: Method) -> Coordinates:
+def chain_coordinates(
+    chain: Chain, mode: int | str, amplitude_max: float, method: Method, parameters: Mapping[str, float] | None = None
+) -> Coordinates:
     """Coordinates of the family that grows from a linear mode to S = `amplitude_max`.
 
     Every site is an unknown; at |gamma| = 1 the edge site alone; and of a long chain the nonlinear core at its edge
     where the elimination of its linear tail is requested, or pays and `method.tail` leaves it open. Raises
     ValueError, naming the argument, for a chain or a mode without such a family.
     """
+    check_no_parameters(parameters)
     number = chain.mode_number(mode)
     _check(chain, number)
     if abs(chain.gamma) == 1.0:

@@ -8,12 +8,14 @@ cells up to there are a core, whose positions are unknowns; the others answer it
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from casadi_skin.lattice.chain import check_no_parameters
 from casadi_skin.lattice.long_lattice import Core, EdgeMode, LongLattice, core_model, core_of
 from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
@@ -341,18 +343,23 @@ class EdgeCells:
 
     coordinates: CellsAtEdge
 
-    def family_coordinates(self, mode: int | str, amplitude_max: float, method: Method) -> CellsAtEdge:
+    def family_coordinates(self, *_: Any) -> CellsAtEdge:
         """Those given, whatever the mode and the method."""
         return self.coordinates
 
 
 def long_lattice_coordinates(
-    lattice: LongLattice, mode: int | str, amplitude_max: float, method: Method
+    lattice: LongLattice,
+    mode: int | str,
+    amplitude_max: float,
+    method: Method,
+    parameters: Mapping[str, float] | None = None,
 ) -> CoreWithTail:
     """Coordinates of the family that grows from an edge mode of a long lattice to S = `amplitude_max`.
 
     Raises ValueError, naming the argument, for a mode or a method without such a family.
     """
+    check_no_parameters(parameters)
     number = lattice.mode_number(mode)
     if method.transcription not in (None, TRIGONOMETRIC):
         raise ValueError("method: accepted with a linear tail: transcription trigonometric")

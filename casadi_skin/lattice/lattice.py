@@ -123,22 +123,22 @@ class Lattice(OdeModel):
         }
         return Lattice(cells, d.sites, d.bonds, d.boundary, values, self.name)
 
-    def own_coordinates(
-        self, mode: int | str, amplitude_max: float, method: Method, parameters: Mapping[str, float]
-    ) -> Coordinates | None:
-        """Those of the chain where the lattice declares one with such a family, else None; see `follow_family`."""
-        values = named_values(self, parameters)
+    def family_coordinates(
+        self, mode: int | str, amplitude_max: float, method: Method, parameters: Mapping[str, float] | None = None
+    ) -> Coordinates:
+        """Those of the chain where the lattice declares one with such a family; see `follow_family`."""
+        values = named_values(self, parameters or {})
         chain = declared_chain(self.declaration, self.equations.autonomous, values)
-        if chain is None:
-            return None
-        try:
-            found = chain.family_coordinates(mode, amplitude_max, method)
-        except ValueError:
-            if method.tail is not None:
-                raise
-            return None
-        found.declared = self, values
-        coordinates: Coordinates = found
+        if chain is not None:
+            try:
+                found: Any = chain.family_coordinates(mode, amplitude_max, method)
+            except ValueError:
+                if method.tail is not None:
+                    raise
+            else:
+                found.declared = self, values
+                return found  # type: ignore[no-any-return]
+        coordinates: Coordinates = super().family_coordinates(mode, amplitude_max, method, parameters)
         return coordinates
 
     def __repr__(self) -> str:

@@ -67,6 +67,8 @@ class LongLattice(WithVerbs):
     parameters: Mapping[str, float] = field(default_factory=dict)
     edge: str | None = None
     name: str = "lattice"
+    parameter_names: ClassVar[tuple[str, ...]] = ()
+    """Names of parameters that may be given values beside it: none."""
 
     def __post_init__(self) -> None:
         whole = isinstance(self.cells, int) and not isinstance(self.cells, bool)
@@ -251,12 +253,16 @@ class LongLattice(WithVerbs):
             found.append(EdgeMode(gap, place, tail.square(place), phi, True))
         return found
 
-    def linear_spectrum(self) -> LinearSpectrum:
+    def linear_spectrum(self, parameters: Mapping[str, float] | None = None) -> LinearSpectrum:
         """The ends of the bands; the lattice has too many modes for more."""
         squares = [edge.square for edge in self.tail(1).edges]
         ends = squares[0], squares[-1]
         bands = tuple(zip(squares[::2], squares[1::2], strict=True))
         return LinearSpectrum(np.empty(0), ends, lambda _: np.empty(0), ends, bands)
+
+    def tunable_model(self) -> OdeModel:
+        """Raises ValueError: there are too many equations."""
+        raise ValueError("[lattice]: given one with a linear tail, whose equations are not written down")
 
     def mode_number(self, mode: int | str) -> int:
         """The number of a mode that may be named "first" or "last"; raises ValueError for one that is not there."""

@@ -46,9 +46,12 @@ def linear_spectrum(model: Any, parameters: Mapping[str, float] | None = None) -
     Raises:
         ValueError: the model has no such modes.
     """
-    if not isinstance(model, OdeModel):
-        own: LinearSpectrum = model.linear_spectrum()
-        return own
+    found: LinearSpectrum = model.linear_spectrum(parameters)
+    return found
+
+
+def spectrum_of_model(model: OdeModel, parameters: Mapping[str, float] | None = None) -> LinearSpectrum:
+    """`linear_spectrum` of an `OdeModel`."""
     modes = modes_of(model, parameters or {})
     scale = np.exp(modes.log_scale)
 
@@ -77,9 +80,12 @@ def linear_frequencies(model: Any, parameters: Mapping[str, float] | None = None
     Raises:
         ValueError: the model has no such modes, or the lowest does not oscillate.
     """
-    if not isinstance(model, OdeModel):
-        return np.asarray(model.linear_frequencies(), dtype=float)
-    squares = linear_spectrum(model, parameters).squares
+    return np.asarray(model.linear_frequencies(parameters), dtype=float)
+
+
+def frequencies_of_model(model: OdeModel, parameters: Mapping[str, float] | None = None) -> Array:
+    """`linear_frequencies` of an `OdeModel`."""
+    squares = spectrum_of_model(model, parameters).squares
     if squares[0] < 0:
         words = f"mode 1 of {model.name} does not oscillate: omega^2 = {squares[0]:.6g}"
         raise ValueError(f"{words}; accepted: omega^2 >= 0")

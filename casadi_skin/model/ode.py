@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -18,13 +18,14 @@ from casadi_skin.model.expressions import Expression
 from casadi_skin.model.jumps import Jumps
 from casadi_skin.model.pickled import reduced
 from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
+from casadi_skin.model.result import WithVerbs
 from casadi_skin.model.symmetries import check_symmetries
 
 EPSILON = sys.float_info.epsilon
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OdeModel(Equations):
+class OdeModel(Equations, WithVerbs):
     """An ODE in CasADi symbols, of first order x' = f(t, x, p) or second order q'' = f(t, q, p).
 
     `state` is x or q, `velocity` the symbol of q' (second order only), `parameters` p (none by default), `time` the
@@ -58,6 +59,19 @@ class OdeModel(Equations):
         """Without the expressions: CasADi writes them by recursion, and deep ones end the process."""
         parameters = ", ".join(self.parameter_names) or "none"
         return f"{type(self).__name__}({self.name!r}: {self.full_size} states; parameters {parameters})"
+
+    equations_of_motion: ClassVar[Callable[..., Any]]
+    """Its equations of motion at values of its parameters; see `dynamics.evolve`."""
+    family_coordinates: ClassVar[Callable[..., Any]]
+    """Coordinates of the family that grows from a linear mode; see `follow_family`."""
+    linear_frequencies: ClassVar[Callable[..., Any]]
+    """Frequencies of its linear modes; see `lattice.spectrum`."""
+    linear_spectrum: ClassVar[Callable[..., Any]]
+    """Its linear modes; see `lattice.spectrum`."""
+
+    def tunable_model(self) -> OdeModel:
+        """The model with its parameters as symbols, as every other model hands it in: itself."""
+        return self
 
     @property
     def rounding(self) -> float:

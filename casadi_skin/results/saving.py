@@ -155,7 +155,7 @@ def _of_space(value: Any, writer: Writer) -> Any:
 
 @written_once.register
 def _(value: EquationsOfMotion, writer: Writer) -> Any:
-    values = dict(value.parameters) if isinstance(value.model, OdeModel) else None
+    values = {name: value.parameters[name] for name in value.model.parameter_names if name in value.parameters}
     return ["motion", writer.value(value.model), values]
 
 

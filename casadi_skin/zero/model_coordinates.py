@@ -16,7 +16,7 @@ from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
 from casadi_skin.zero.cosines import quarter_phases
-from casadi_skin.zero.family import Coordinates, shift_by_projection
+from casadi_skin.zero.family import Coordinates, Method, shift_by_projection
 from casadi_skin.zero.linear_modes import SYMMETRY_RTOL, LinearModes, linear_modes, with_small_amplitudes
 from casadi_skin.zero.problem import EPSILON, Array, Problem
 from casadi_skin.zero.statement import named_values
@@ -411,6 +411,19 @@ class ModelCoordinates(Coordinates):
         size = float(np.linalg.norm(fundamental) * np.linalg.norm(left))
         nonlinear, Omega = -float(cosine @ forces @ left), problem.frequency(z)
         return shift_by_projection(Omega, self.frequency, nonlinear, float(fundamental @ left), size)
+
+
+def coordinates_of_model(
+    model: OdeModel,
+    mode: int | str,
+    amplitude_max: float,
+    method: Method,
+    parameters: Mapping[str, float] | None = None,
+) -> ModelCoordinates:
+    """Coordinates of the family of an `OdeModel` that grows from a linear mode to S = `amplitude_max`."""
+    if method.tail is not None:
+        raise ValueError(f"tail: given {short_repr(method.tail)}; accepted: with a chain alone")
+    return ModelCoordinates(model, mode, parameters, amplitude_max)
 
 
 def _homogeneous(force: ca.SX, state: ca.SX) -> dict[int, ca.SX] | None:

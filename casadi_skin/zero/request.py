@@ -10,9 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.methods import COLLOCATION_TABLES, FLOWS, TRIGONOMETRIC
-from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.family import TOLERANCE_RANGE, TWO_PI, Coordinates, Method, Targets
-from casadi_skin.zero.model_coordinates import ModelCoordinates
 from casadi_skin.zero.problem import Scalar
 from casadi_skin.zero.settings import ContinuationSettings, Target
 
@@ -24,21 +22,12 @@ QUICK_LOOK = 1e-5  # tolerance from which on points are for a quick look
 
 @runtime_checkable
 class FamilyModel(Protocol):
-    """A model that hands in the coordinates of its families itself, as `Chain` does."""
+    """A model that hands in the coordinates of its families."""
 
-    def family_coordinates(self, mode: int | str, amplitude_max: float, method: Method) -> Coordinates:
+    def family_coordinates(
+        self, mode: int | str, amplitude_max: float, method: Method, parameters: Mapping[str, float] | None
+    ) -> Coordinates:
         """Coordinates of the family that grows from a linear mode; raises ValueError where there is none."""
-        ...
-
-
-@runtime_checkable
-class DeclaredModel(Protocol):
-    """An `OdeModel` that may have coordinates of its own, as a `Lattice` that is a chain."""
-
-    def own_coordinates(
-        self, mode: int | str, amplitude_max: float, method: Method, parameters: Mapping[str, float]
-    ) -> Coordinates | None:
-        """Coordinates of the family that grows from a linear mode; None where they are those of any model."""
         ...
 
 
@@ -60,7 +49,7 @@ class FamilyRequest:
     Raises ValueError and TypeError, naming the argument, its value and the accepted values.
     """
 
-    model: FamilyModel | OdeModel
+    model: FamilyModel
     mode: int | str
     amplitude_max: float
     targets: Targets = field(default_factory=Targets)
@@ -71,7 +60,7 @@ class FamilyRequest:
     decimals: bool = False
 
     def __post_init__(self) -> None:
-        if not isinstance(self.model, FamilyModel | OdeModel):
+        if not isinstance(self.model, FamilyModel):
             raise TypeError(f"model: given {short_repr(self.model)}; accepted: a Chain, or an OdeModel of second order")
         if not number("amplitude_max", self.amplitude_max, "a finite number > 0") > 0:
             raise ValueError(f"amplitude_max: given {self.amplitude_max!r}; accepted: a finite number > 0")
@@ -80,8 +69,6 @@ class FamilyRequest:
             raise ValueError(f"tolerance: given {self.tolerance!r}; accepted: {low:g} to {high:g}")
         if not isinstance(self.parameters, Mapping | None):
             raise TypeError(f"parameters: given {short_repr(self.parameters)}; accepted: numbers by name")
-        if self.parameters and not isinstance(self.model, OdeModel):
-            raise ValueError(f"parameters: given {short_repr(self.parameters)}; accepted: with an OdeModel alone")
         coordinates = self.coordinates
         object.__setattr__(self, "mode", coordinates.mode_number)
         object.__setattr__(self, "method", self._completed(self.method))
@@ -105,15 +92,7 @@ class FamilyRequest:
     @cached_property
     def coordinates(self) -> Coordinates:
         """The coordinates that the family is solved in."""
-        if isinstance(self.model, DeclaredModel):
-            own = self.model.own_coordinates(self.mode, self.amplitude_max, self.method, self.parameters or {})
-            if own is not None:
-                return own
-        if isinstance(self.model, OdeModel):
-            if self.method.tail is not None:
-                raise ValueError(f"tail: given {short_repr(self.method.tail)}; accepted: with a chain alone")
-            return ModelCoordinates(self.model, self.mode, self.parameters, self.amplitude_max)
-        return self.model.family_coordinates(self.mode, self.amplitude_max, self.method)
+        return self.model.family_coordinates(self.mode, self.amplitude_max, self.method, self.parameters)
 
     def _completed(self, method: Method) -> Method:
         """The method with every choice made; raises ValueError for one that is not for families."""
@@ -213,7 +192,7 @@ def is_polynomial(coordinates: Coordinates) -> bool:
 
 
 def family_request(
-    model: FamilyModel | OdeModel,
+    model: FamilyModel,
     mode: int | str,
     amplitude_max: float,
     *,
