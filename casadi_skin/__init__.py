@@ -93,10 +93,12 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
         "family_coordinates": "zero.model_coordinates:coordinates_of_model",
         "linear_frequencies": "lattice.spectrum:frequencies_of_model",
         "linear_spectrum": "lattice.spectrum:spectrum_of_model",
+        "searched_family": "optimise.families:model_family",
     },
     "Chain": {
         "equations_of_motion": "dynamics.evolution:chain_equations",
         "family_coordinates": "lattice.chain_coordinates:chain_coordinates",
+        "searched_family": "optimise.families:chain_family",
         "threshold": "dynamics.resonances:threshold",
     },
     "LongLattice": {"family_coordinates": "lattice.core_with_tail:long_lattice_coordinates"},

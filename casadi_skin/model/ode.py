@@ -69,6 +69,9 @@ class OdeModel(Equations, WithVerbs):
     linear_spectrum: ClassVar[Callable[..., Any]]
     """Its linear modes; see `lattice.spectrum`."""
 
+    searched_family: ClassVar[Callable[..., Any]]
+    """One mode's family with parameters free; see `search_orbit`."""
+
     def tunable_model(self) -> OdeModel:
         """The model with its parameters as symbols, as every other model hands it in: itself."""
         return self

@@ -22,7 +22,7 @@ from casadi_skin.follow.first import solve as without_objective
 from casadi_skin.follow.refined import BoundaryError
 from casadi_skin.model.pickled import programs_in
 from casadi_skin.optimise.nlp import FLAT_CURVATURE, Limits, Nlp, Optimality, Solution, optimality
-from casadi_skin.optimise.search_arguments import Condition
+from casadi_skin.optimise.search_problem import Condition
 from casadi_skin.solve.ipopt import SOLVED_STATUS, nlp_reason
 from casadi_skin.solve.levels import ERROR_SAFETY
 from casadi_skin.zero.guesses import Guess

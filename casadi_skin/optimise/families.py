@@ -8,18 +8,19 @@ of the period (bvp.trigonometric), and Omega^2 is an unknown.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import partial
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.chain import Chain, check_no_parameters
 from casadi_skin.model.arguments import accepted_names, short_repr
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.cosines import cosine_matrix, second_derivative_matrix
@@ -78,19 +79,8 @@ class FamilyEquations:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all quantities."""
-        return tuple(dict.fromkeys((*orbit_quantities(self.energy is not None), *self.shared, *self.own)))
-
-
-def orbit_quantities(conservative: bool) -> tuple[str, ...]:
-    """Names of the quantities that every orbit has; energy and its slope where one is conserved."""
-    return (
-        "S",
-        "Omega",
-        "period",
-        "participation",
-        "Omega_slope",
-        *(("energy", "energy_slope") if conservative else ()),
-    )
+        every = (name for name in QUANTITIES if self.energy is not None or not name.startswith("energy"))
+        return tuple(dict.fromkeys((*every, *self.shared, *self.own)))
 
 
 class Observables:
@@ -186,41 +176,90 @@ class Observables:
         return ca.sqrt(self.S) * ca.sqrt(self._equations.weights) * self._rest
 
 
+# The family of one mode, with parameters free -------------------------------------------------------------------------
+
+
+class Family(ABC):
+    """One mode's family of a model: its equations at any values of its parameters, and its members."""
+
+    model: Any
+    mode: int
+    method: ClassVar[Mapping[str, Any]]  # of `follow_family`, for members
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Number of components."""
+
+    @property
+    @abstractmethod
+    def columns(self) -> tuple[str, ...]:
+        """Parameters that tables show."""
+
+    @property
+    @abstractmethod
+    def free(self) -> Mapping[str, FreeNumber]:
+        """Parameters that may be free."""
+
+    def limited(self, bounds: Mapping[str, tuple[float, float]]) -> Family:
+        """The family for parameters within bounds; raises ValueError for bounds that cannot be."""
+        return self
+
+    @abstractmethod
+    def equations(self, values: Mapping[str, ca.SX], S: ca.SX) -> FamilyEquations:
+        """The equations of an orbit; parameters that are missing have the model's own values."""
+
+    @abstractmethod
+    def at(self, values: Mapping[str, Any]) -> Any:
+        """The model with these parameters; None where it is of no kind that has families."""
+
+    @abstractmethod
+    def scale(self, values: Mapping[str, Any], S: float) -> Array:
+        """Factors that make displacements of q, shape (components,)."""
+
+    def plain(self, values: Mapping[str, Any]) -> OdeModel:
+        """The equations of q at these parameters, with S as the parameter that is left."""
+        S, n = ca.SX.sym("S"), self.size
+        equations = self.equations({name: ca.SX(value) for name, value in values.items()}, S)
+        normalisation = ca.dot(equations.weights, equations.state**2) - 1
+        return OdeModel(
+            "orbit", equations.state, equations.acceleration, S, 2, ca.SX.sym("v", n),
+            reversal=(1,) * n + (-1,) * n, half_period=(-1,) * (2 * n), normalisation=normalisation, checked=False,
+        )  # fmt: skip
+
+    def members(self, values: Mapping[str, Any], amplitudes: Sequence[float], tolerance: float) -> list[Orbit] | None:
+        """The orbits at amplitudes; None where `at` is None. Raises ValueError and ArithmeticError."""
+        at, model = sorted(set(amplitudes)), self.at(values)
+        if model is None:
+            return None
+        branch = follow_family(model, self.mode, at[-1], at=at, tolerance=tolerance, **self.method)
+        return [branch.at(S=S) for S in amplitudes]
+
+
 # The family of one mode of a chain, in the gauge, with gamma, alpha, g or the stiffness of every site free ------------
 
 STEEPEST_GAMMA = 0.99  # |gamma| where no bound is given: beyond it the band is nearly a point
 
 
 @dataclass(frozen=True)
-class ChainFamily:
+class ChainFamily(Family):
     """One mode's family of a chain; `mirrored` says that modes lean to the first site (gamma <= 0)."""
 
     model: Chain
     mode: int
     mirrored: bool = False
-
-    @classmethod
-    def of(cls, chain: Chain, mode: int | str | None) -> ChainFamily:
-        """Of the end breather's mode unless one is given; raises ValueError for a chain that a search does not take."""
-        if chain.infinite:
-            raise ValueError("chain: given an infinite chain; accepted: a whole number of sites")
-        if chain.g == 0:
-            raise ValueError("g: given 0; accepted: not 0 (every orbit would be a linear mode)")
-        return cls(chain, chain.mode_number(mode if mode is not None else "last" if chain.g > 0 else "first"))
+    method: ClassVar[Mapping[str, Any]] = {"tail": "full"}
 
     @property
     def size(self) -> int:
-        """Number of components."""
         return self.model.sites
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Parameters that tables show."""
         return ("gamma", "alpha", "g")
 
     @property
     def free(self) -> Mapping[str, FreeNumber]:
-        """Parameters that may be free."""
         chain = self.model
         gammas = (0.0, STEEPEST_GAMMA) if chain.gamma >= 0 else (-STEEPEST_GAMMA, 0.0)
         signs = (0.0, math.inf) if chain.g > 0 else (-math.inf, 0.0)
@@ -233,7 +272,6 @@ class ChainFamily:
         }
 
     def limited(self, bounds: Mapping[str, tuple[float, float]]) -> ChainFamily:
-        """The family for parameters within bounds; raises ValueError for bounds that cannot be."""
         if "alpha" in bounds and "alpha_n" in bounds:
             raise ValueError("free: given alpha and alpha_n; accepted: one of them")
         lower, upper = bounds.get("gamma", (self.model.gamma, self.model.gamma))
@@ -248,10 +286,7 @@ class ChainFamily:
             raise ValueError(f"bounds[g]: given {short_repr([low, high])}; accepted: bounds {side}, as the chain's g")
         return replace(self, mirrored=upper <= 0 if "gamma" in bounds else self.model.gamma < 0)
 
-    # Expressions ----------------------------------------------------------------------------------------------------
-
     def equations(self, values: Mapping[str, ca.SX], S: ca.SX) -> FamilyEquations:
-        """The equations of an orbit; parameters that are missing have the chain's own values."""
         chain, N = self.model, self.model.sites
         gamma, g = values.get("gamma", ca.SX(chain.gamma)), values.get("g", ca.SX(chain.g))
         alpha_n = values.get("alpha_n", ca.repmat(values.get("alpha", ca.SX(chain.alpha)), N, 1))
@@ -285,10 +320,7 @@ class ChainFamily:
             own={"above_band": lambda o: o.Omega - upper, "below_band": lambda o: lower - o.Omega},
         )
 
-    # Numbers --------------------------------------------------------------------------------------------------------
-
     def at(self, values: Mapping[str, Any]) -> Chain | None:
-        """The chain of these parameters; None of a nonuniform one."""
         uniform = len(set(np.atleast_1d(values.get("alpha_n", 0.0)).tolist())) == 1
         return self._mean(values) if uniform else None
 
@@ -299,63 +331,30 @@ class ChainFamily:
         return replace(self.model, alpha=alpha, gamma=gamma, g=g)
 
     def scale(self, values: Mapping[str, Any], S: float) -> Array:
-        """Factors that make displacements of q, shape (components,)."""
         return np.asarray(np.sqrt(S) * self._mean(values).rho)
 
-    def plain(self, values: Mapping[str, Any], S: float) -> tuple[OdeModel, float]:
-        """The equations of q as a model with one parameter, and the value of that at S."""
-        chain = self._mean(values)
-        model = chain.gauge_model()
-        if "alpha_n" in values:
-            uneven = ca.SX(np.asarray(values["alpha_n"]) - chain.alpha)
-            model = replace(model, rhs=model.rhs - uneven * model.state, hamiltonian=None)
-        return model, chain.g * S
 
-    def members(self, values: Mapping[str, Any], amplitudes: Sequence[float], tolerance: float) -> list[Orbit] | None:
-        """The orbits at amplitudes; None of a nonuniform chain. Raises ValueError and ArithmeticError."""
-        at, chain = sorted(set(amplitudes)), self.at(values)
-        if chain is None:
-            return None
-        branch = follow_family(chain, self.mode, at[-1], at=at, tolerance=tolerance, tail="full")
-        return [branch.at(S=S) for S in amplitudes]
-
-    def nodes(self, orbit: Orbit, theta: Array) -> Array:
-        """q of a member at phases, shape (components, phases)."""
-        return orbit.point.problem.sample(orbit.point.z, theta).T
+def chain_family(chain: Chain, mode: int | str | None, parameters: Mapping[str, float] | None = None) -> ChainFamily:
+    """Of the end breather's mode unless one is given; raises ValueError for a chain that a search does not take."""
+    check_no_parameters(parameters)
+    if chain.infinite:
+        raise ValueError("chain: given an infinite chain; accepted: a whole number of sites")
+    if chain.g == 0:
+        raise ValueError("g: given 0; accepted: not 0 (every orbit would be a linear mode)")
+    return ChainFamily(chain, chain.mode_number(mode if mode is not None else "last" if chain.g > 0 else "first"))
 
 
 # The family of one linear mode of a second-order model, with its parameters free --------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
-class ModelFamily:
-    """One mode's family of a model, by ascending linear frequency from 1, with the interface of `ChainFamily`.
-
-    `values` are those of all parameters.
-    """
+class ModelFamily(Family):
+    """One mode's family of a model, by ascending linear frequency from 1; `values` are those of all parameters."""
 
     model: OdeModel
     mode: int = 1
     values: Mapping[str, float] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, model: OdeModel, mode: int | str | None, parameters: Mapping[str, float] | None) -> ModelFamily:
-        """By default of the first mode; raises ValueError for a model without such families, or a mode it has not."""
-        even = model.reversal == (1,) * model.size + (-1,) * model.size
-        if model.order != 2 or not even or model.half_period != (-1,) * model.full_size or model.forced:
-            accepted = "a guess of an orbit, or a model of second order that declares reversal with even positions and "
-            raise ValueError(f"guess: given none for {model.name}; accepted: {accepted}half_period with all signs -1")
-        if model.normalisation is not None:
-            accepted = "a model without: S is the sum of squares"
-            raise ValueError(f"normalisation: given with {model.name}; accepted in a search: {accepted}")
-        energy = () if model.hamiltonian is None else ("energy", "energy_slope")
-        reserved = {*QUANTITIES, *RESERVED_NAMES} - {"energy", "energy_slope"} | set(energy)
-        for name in (*model.parameter_names, *model.outputs):
-            if name in reserved:
-                raise ValueError(f"{model.name}: given a parameter or output called {name}; accepted: other names")
-        values = named_values(model, parameters)
-        number = FamilyRequest(model, 1 if mode is None else mode, 1.0, parameters=values).mode
-        return cls(model, int(number), values)
+    method: ClassVar[Mapping[str, Any]] = {"corrector": "newton"}
 
     def __reduce__(self) -> tuple[Any, ...]:
         return ModelFamily, (self.model, self.mode, dict(self.values))
@@ -371,9 +370,6 @@ class ModelFamily:
     @property
     def free(self) -> Mapping[str, FreeNumber]:
         return {name: FreeNumber(value, -math.inf, math.inf, (name,)) for name, value in self.values.items()}
-
-    def limited(self, bounds: Mapping[str, tuple[float, float]]) -> ModelFamily:
-        return self
 
     def equations(self, values: Mapping[str, ca.SX], S: ca.SX) -> FamilyEquations:
         model, q, scale = self.model, ca.SX.sym("q", self.model.size), ca.sqrt(S)
@@ -401,25 +397,20 @@ class ModelFamily:
     def scale(self, values: Mapping[str, Any], S: float) -> Array:
         return np.full(self.size, math.sqrt(S))
 
-    def plain(self, values: Mapping[str, Any], S: float) -> tuple[OdeModel, float]:
-        return _scaled(self, tuple(sorted(values.items()))), S
 
-    def members(self, values: Mapping[str, Any], amplitudes: Sequence[float], tolerance: float) -> list[Orbit]:
-        at = sorted(set(amplitudes))
-        branch = follow_family(self.at(values), self.mode, at[-1], at=at, tolerance=tolerance, corrector="newton")
-        return [branch.at(S=S) for S in amplitudes]
-
-    def nodes(self, orbit: Orbit, theta: Array) -> Array:
-        return np.asarray(orbit.evaluate(theta / orbit.Omega).T / math.sqrt(orbit.S))
-
-
-@lru_cache(maxsize=4)
-def _scaled(family: ModelFamily, values: tuple[tuple[str, float], ...]) -> OdeModel:
-    """The equations of q at these parameters, with S as the parameter that is left."""
-    S = ca.SX.sym("S")
-    equations = family.equations({name: ca.SX(value) for name, value in values}, S)
-    model, q = family.model, equations.state
-    return OdeModel(
-        model.name, q, equations.acceleration, S, 2, ca.SX.sym("v", model.size), reversal=model.reversal,
-        half_period=model.half_period, normalisation=ca.dot(q, q) - 1, checked=False,
-    )  # fmt: skip
+def model_family(model: OdeModel, mode: int | str | None, parameters: Mapping[str, float] | None) -> ModelFamily:
+    """Of the first mode unless one is given; raises ValueError for a model without such families, or without it."""
+    even = model.reversal == (1,) * model.size + (-1,) * model.size
+    if model.order != 2 or not even or model.half_period != (-1,) * model.full_size or model.forced:
+        accepted = "a guess of an orbit, or a model of second order that declares reversal with even positions and "
+        raise ValueError(f"guess: given none for {model.name}; accepted: {accepted}half_period with all signs -1")
+    if model.normalisation is not None:
+        accepted = "a model without: S is the sum of squares"
+        raise ValueError(f"normalisation: given with {model.name}; accepted in a search: {accepted}")
+    reserved = {*QUANTITIES, *RESERVED_NAMES} - ({"energy", "energy_slope"} if model.hamiltonian is None else set())
+    for name in (*model.parameter_names, *model.outputs):
+        if name in reserved:
+            raise ValueError(f"{model.name}: given a parameter or output called {name}; accepted: other names")
+    values = named_values(model, parameters)
+    number = FamilyRequest(model, 1 if mode is None else mode, 1.0, parameters=values).mode
+    return ModelFamily(model, int(number), values)

@@ -14,11 +14,21 @@ import numpy as np
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.model.arguments import accepted_names, number, short_repr
 from casadi_skin.model.expressions import is_comparison, real_array
-from casadi_skin.optimise.families import ChainFamily, FreeNumber, ModelFamily, Observables
+from casadi_skin.optimise.families import Family, FreeNumber, Observables
 from casadi_skin.optimise.nlp import FLAT_CURVATURE, Limits, Nlp, Solution, optimality
 from casadi_skin.optimise.optimum import CosineOrbit, Optimum, PlainCheck
-from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
-from casadi_skin.optimise.search_problem import Ending, Outcome, Start, judged, sampled_starts
+from casadi_skin.optimise.search_problem import (
+    Condition,
+    Ending,
+    Outcome,
+    SearchProblem,
+    Start,
+    checked_bounds,
+    checked_conditions,
+    free_names,
+    judged,
+    sampled_starts,
+)
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.cosines import prolongation_matrix
 from casadi_skin.zero.problem import Array, Indices
@@ -26,17 +36,20 @@ from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 # Statement of a search among the orbits of one mode's family, in odd cosines, of a chain or of a model ----------------
 
-Family = ChainFamily | ModelFamily
 Quantity = str | Callable[..., Any]  # a name, or a function of Observables (of several orbits: a tuple of them)
 
 FAINTEST_S = 1e-6  # S where no lower bound is given
+HARMONICS_OFFERED = (6, 8, 10, 12, 15, 18, 24, 32, 48, 64, 96)
+UNKNOWN_HARMONICS = 12  # where the first start has no orbit that shows how many it needs
+MOVED_OMEGA_RTOL = 1e-2  # relative change of Omega by more harmonics of what is an optimum on the coarse grid alone
 
 
 @dataclass(frozen=True)
-class FamilyStatement:
+class FamilySearch(SearchProblem):
     """Search among the orbits of a family at the amplitudes S, which share the parameters.
 
-    Where "S" is free, `amplitudes` has that of the first start; `several` is true where S is a list.
+    Where "S" is free, `amplitudes` has that of the first start; `several` is true where S is a list; `harmonics` are
+    those on which starts are solved.
     """
 
     family: Family
@@ -48,6 +61,8 @@ class FamilyStatement:
     bounds: tuple[tuple[float, float], ...]
     conditions: tuple[Condition, ...]
     tolerance: float = 1e-8
+    harmonics: int = 0
+    resolution_name: ClassVar[str] = "harmonics"
 
     @classmethod
     def of(
@@ -176,156 +191,18 @@ class FamilyStatement:
             raise ValueError(f"{place}: given {given}; accepted: a scalar or a column")
         return expression
 
-
-# The orbits of a search in odd cosines as a nonlinear programme -------------------------------------------------------
-
-SLOWEST_SQUARE = 1e-6  # Omega^2 beside the largest stiffness: the square root is kept above it
-IPOPT_OPTIONS: Mapping[str, Any] = {
-    "ipopt.tol": 1e-10,
-    "ipopt.constr_viol_tol": 1e-10,
-    "ipopt.compl_inf_tol": 1e-9,
-    "ipopt.max_iter": 400,  # rounding of the start alone makes 120 to 250 of a chain with every stiffness free
-    "ipopt.theta_max_fact": 1.0,  # no iterate violates more than the start, or 1: far from orbits nothing is bounded
-    "ipopt.diverging_iterates_tol": 1e8,
-}
-
-
-class FamilyNlp(Nlp):
-    """The nonlinear programme of a search on a number of harmonics."""
-
-    def __init__(self, search: FamilyStatement, harmonics: int) -> None:
-        self.search, self.harmonics = search, harmonics
-        free, orbits = search.symbols(harmonics)
-        objective = ca.SX(search.evaluated(search.objective, orbits))
-        conditions = [ca.SX(search.evaluated(c.quantity, orbits)) for c in search.conditions]
-        self.has_tangent = any(orbit.tangent is not None for orbit in orbits)
-        if self.has_tangent:
-            _ = [orbit.slope(orbit.S) for orbit in orbits]  # all orbits have the same unknowns
-        equations = [orbit.residual() for orbit in orbits]
-        self.free_count, self._orbits = int(free.numel()), orbits
-        self._shape = (len(orbits), 1 + self.has_tangent, search.family.size * harmonics + 1)
-        held = [] if "S" in search.free else [orbit.S for orbit in orbits]
-        super().__init__(
-            ca.vertcat(free, *(orbit.unknowns for orbit in orbits)), objective, ca.vertcat(*equations, *conditions),
-            self._limits([c.numel() for c in conditions]), p=ca.vertcat(*held) if held else ca.SX(0, 1),
-            values=search.amplitudes if held else (), jacobian=self._by_blocks(free, equations, conditions),
-            maximise=search.maximise, options=IPOPT_OPTIONS,
-        )  # fmt: skip
-        scales = [high - low if np.isfinite(high - low) else 1.0 for low, high in search.limits]
-        squares = [orbit.Omega_squared for orbit in orbits]
-        self.place = ca.vertcat(free / ca.DM(scales), *squares)
-
-    def _limits(self, rows: Sequence[int]) -> Limits:
-        """Bounds of the free numbers and of Omega^2; equations first, then the conditions."""
-        search, size = self.search, int(np.prod(self._shape))
-        lower, upper = np.full(self.free_count + size, -np.inf), np.full(self.free_count + size, np.inf)
-        lower[: self.free_count], upper[: self.free_count] = np.array(search.limits).T
-        self._parts(lower)[:, 0, -1] = SLOWEST_SQUARE
-        held, first, conditions = search.conditions, size, dict[str, Indices]()
-        for item, (condition, count) in enumerate(zip(held, rows, strict=True), start=1):
-            name = condition.name if condition.name not in conditions else f"{condition.name} ({item})"
-            conditions[name] = np.arange(first, first := first + count)
-        low, high = (np.append(np.zeros(size), np.repeat(ends, rows)) for ends in
-                     ([c.lower for c in held], [c.upper for c in held]))  # fmt: skip
-        unknowns = {name: np.array([i]) for i, name in enumerate(search.free_names)}
-        return Limits(lower, upper, low, high, unknowns, conditions)
-
-    def _by_blocks(self, free: ca.SX, equations: list[ca.SX], conditions: list[ca.SX]) -> ca.SX:
-        """Derivative of the constraints, block by block: dense rows beside dense columns would spoil the colouring."""
-
-        def blocks(columns: Sequence[ca.SX]) -> list[ca.SX]:
-            states = [part for column in columns for part in ca.vertsplit(column, self._shape[2])]
-            return [block for part in states for block in (part[:-1], part[-1])]
-
-        rows, columns = (*blocks(equations), *conditions), (free, *blocks([o.unknowns for o in self._orbits]))
-        return ca.vertcat(*(ca.horzcat(*(ca.jacobian(row, column) for column in columns)) for row in rows))
-
-    # Places of the unknowns -----------------------------------------------------------------------------------------
-
-    @property
-    def measured(self) -> Indices:
-        return np.arange(self.free_count)
-
-    def _parts(self, x: Array) -> Array:
-        """A view of the orbits' unknowns, shape (orbits, 1 or 2 with the tangent, values with Omega^2)."""
-        return x[self.free_count :].reshape(self._shape)
-
-    def state_of(self, x: Array, orbit: int) -> Array:
-        """Values at the nodes of one orbit, shape (components, harmonics)."""
-        return self._parts(x)[orbit, 0, :-1].reshape(-1, self.harmonics)
-
-    def frequencies(self, x: Array) -> Array:
-        """Omega of every orbit, shape (orbits,)."""
-        return np.asarray(np.sqrt(self._parts(x)[:, 0, -1]))
-
-    def amplitude(self, x: Array, orbit: int) -> float:
-        """S of one orbit."""
-        search = self.search
-        return float(x[search.free_names.index("S")]) if "S" in search.free else search.amplitudes[orbit]
-
-    # Points ---------------------------------------------------------------------------------------------------------
-
-    def packed(self, free: Sequence[float], members: Sequence[Orbit]) -> Array:
-        """Unknowns from the free numbers and the orbits; tangents are solved for."""
-        from scipy.sparse.linalg import splu
-
-        theta = (np.arange(self.harmonics) + 0.5) * np.pi / (2 * self.harmonics)
-        x = np.concatenate([free, np.zeros(int(np.prod(self._shape)))])
-        for part, member in zip(self._parts(x), members, strict=True):
-            part[0] = np.append(self.search.family.nodes(member, theta).ravel(), member.Omega**2)
-        if self.has_tangent:
-            residual, jacobian, state = self.residual(x), self.jacobian(x), self._shape[2]
-            for k, part in enumerate(self._parts(x)):
-                rows = slice((2 * k + 1) * state, (2 * k + 2) * state)
-                columns = slice(rows.start + self.free_count, rows.stop + self.free_count)
-                part[1] = -splu(jacobian[rows, columns]).solve(residual[rows])
-        return x
-
-    def prolonged(self, x: Array, finer: FamilyNlp) -> Array:
-        """The same point on another number of harmonics."""
-        parts, matrix = self._parts(x), prolongation_matrix(self.harmonics, finer.harmonics)
-        states = parts[..., :-1].reshape(*self._shape[:2], -1, self.harmonics) @ matrix
-        return np.append(
-            x[: self.free_count], np.dstack([states.reshape(*self._shape[:2], -1), parts[..., -1:]]).ravel()
-        )
-
-    def values(self, x: Array) -> list[dict[str, Any]]:
-        """Quantities of every orbit by name, numbers or arrays; slopes only where there are tangents."""
-        found = []
-        for orbit in self._orbits:
-            names = [n for n in orbit.names if self.has_tangent or not n.endswith("_slope")]
-            function = ca.Function("values", [self._x, self._p], [ca.densify(orbit.value(n)) for n in names])
-            results = [np.array(value).ravel() for value in function.call([x, self.p])]
-            found.append({n: float(v[0]) if v.size == 1 else v for n, v in zip(names, results, strict=True)})
-        return found
-
-
-HARMONICS_OFFERED = (6, 8, 10, 12, 15, 18, 24, 32, 48, 64, 96)
-UNKNOWN_HARMONICS = 12  # where the first start has no orbit that shows how many it needs
-MOVED_OMEGA_RTOL = 1e-2  # relative change of Omega by more harmonics of what is an optimum on the coarse grid alone
-
-
-@dataclass(frozen=True)
-class FamilySearch(FamilyStatement):
-    """A search among the orbits of a family (see `SearchProblem`); `harmonics` are those on which starts are solved."""
-
-    harmonics: int = 0
-    resolution_name: ClassVar[str] = "harmonics"
+    # The search -------------------------------------------------------------------------------------------------------
 
     @property
     def wanted(self) -> str:
         return f"on the family of mode {self.family.mode}"
 
     @property
-    def hint(self) -> str:
-        return ""
-
-    @property
     def columns(self) -> tuple[str, ...]:
         return ("S", "Omega", *self.family.columns)
 
     def members(self, free: Sequence[float] | Array, amplitudes: Sequence[float] | None = None) -> list[Orbit] | None:
-        """The orbits of the family at these free numbers, see `ChainFamily.members`; raises ArithmeticError."""
+        """The orbits of the family at these free numbers, see `Family.members`; raises ArithmeticError."""
         values = self.values(free)
         S = values.pop("S", None)
         wanted = self.amplitudes if S is None else (S,)
@@ -405,12 +282,11 @@ class FamilySearch(FamilyStatement):
     def _check(self, nlp: FamilyNlp, x: Array, orbit: int) -> PlainCheck:
         """One orbit solved again by Newton's method on more harmonics, and beside the family from S = 0."""
         values, S, Omega = self.values(x[: nlp.free_count]), nlp.amplitude(x, orbit), float(nlp.frequencies(x)[orbit])
-        model, parameter = self.family.plain(values, S)
         harmonics = next(h for h in HARMONICS_OFFERED if h > nlp.harmonics or h == HARMONICS_OFFERED[-1])
-        problem = TrigonometricProblem(model, harmonics)
+        problem = TrigonometricProblem(self.family.plain(values), harmonics)
         state = (nlp.state_of(x, orbit) @ prolongation_matrix(nlp.harmonics, harmonics)).ravel()
-        guess = np.concatenate([state, [Omega, parameter]])
-        correction = NewtonCorrector(problem).correct(guess, problem.parameter_row(), parameter)
+        guess = np.concatenate([state, [Omega, S]])
+        correction = NewtonCorrector(problem).correct(guess, problem.parameter_row(), S)
         turned = problem.frequency(correction.z) - Omega
         moved = problem.profile_change(guess, correction.z - guess)
         residual = problem.relative_residual(correction.z)
@@ -425,6 +301,131 @@ class FamilySearch(FamilyStatement):
         except ArithmeticError as error:
             return None, " ".join(str(error).split())
         return None if members is None else Omega - members[0].Omega, ""
+
+
+# The orbits of a search in odd cosines as a nonlinear programme -------------------------------------------------------
+
+SLOWEST_SQUARE = 1e-6  # Omega^2 beside the largest stiffness: the square root is kept above it
+IPOPT_OPTIONS: Mapping[str, Any] = {
+    "ipopt.tol": 1e-10,
+    "ipopt.constr_viol_tol": 1e-10,
+    "ipopt.compl_inf_tol": 1e-9,
+    "ipopt.max_iter": 400,  # rounding of the start alone makes 120 to 250 of a chain with every stiffness free
+    "ipopt.theta_max_fact": 1.0,  # no iterate violates more than the start, or 1: far from orbits nothing is bounded
+    "ipopt.diverging_iterates_tol": 1e8,
+}
+
+
+class FamilyNlp(Nlp):
+    """The nonlinear programme of a search on a number of harmonics."""
+
+    def __init__(self, search: FamilySearch, harmonics: int) -> None:
+        self.search, self.harmonics = search, harmonics
+        free, orbits = search.symbols(harmonics)
+        objective = ca.SX(search.evaluated(search.objective, orbits))
+        conditions = [ca.SX(search.evaluated(c.quantity, orbits)) for c in search.conditions]
+        self.has_tangent = any(orbit.tangent is not None for orbit in orbits)
+        if self.has_tangent:
+            _ = [orbit.slope(orbit.S) for orbit in orbits]  # all orbits have the same unknowns
+        equations = [orbit.residual() for orbit in orbits]
+        self.free_count, self._orbits = int(free.numel()), orbits
+        self._shape = (len(orbits), 1 + self.has_tangent, search.family.size * harmonics + 1)
+        held = [] if "S" in search.free else [orbit.S for orbit in orbits]
+        super().__init__(
+            ca.vertcat(free, *(orbit.unknowns for orbit in orbits)), objective, ca.vertcat(*equations, *conditions),
+            self._limits([c.numel() for c in conditions]), p=ca.vertcat(*held) if held else ca.SX(0, 1),
+            values=search.amplitudes if held else (), jacobian=self._by_blocks(free, equations, conditions),
+            maximise=search.maximise, options=IPOPT_OPTIONS,
+        )  # fmt: skip
+        scales = [high - low if np.isfinite(high - low) else 1.0 for low, high in search.limits]
+        squares = [orbit.Omega_squared for orbit in orbits]
+        self.place = ca.vertcat(free / ca.DM(scales), *squares)
+
+    def _limits(self, rows: Sequence[int]) -> Limits:
+        """Bounds of the free numbers and of Omega^2; equations first, then the conditions."""
+        search, size = self.search, int(np.prod(self._shape))
+        lower, upper = np.full(self.free_count + size, -np.inf), np.full(self.free_count + size, np.inf)
+        lower[: self.free_count], upper[: self.free_count] = np.array(search.limits).T
+        self._parts(lower)[:, 0, -1] = SLOWEST_SQUARE
+        held, first, conditions = search.conditions, size, dict[str, Indices]()
+        for item, (condition, count) in enumerate(zip(held, rows, strict=True), start=1):
+            name = condition.name if condition.name not in conditions else f"{condition.name} ({item})"
+            conditions[name] = np.arange(first, first := first + count)
+        low, high = (np.append(np.zeros(size), np.repeat(ends, rows)) for ends in
+                     ([c.lower for c in held], [c.upper for c in held]))  # fmt: skip
+        unknowns = {name: np.array([i]) for i, name in enumerate(search.free_names)}
+        return Limits(lower, upper, low, high, unknowns, conditions)
+
+    def _by_blocks(self, free: ca.SX, equations: list[ca.SX], conditions: list[ca.SX]) -> ca.SX:
+        """Derivative of the constraints, block by block: dense rows beside dense columns would spoil the colouring."""
+
+        def blocks(columns: Sequence[ca.SX]) -> list[ca.SX]:
+            states = [part for column in columns for part in ca.vertsplit(column, self._shape[2])]
+            return [block for part in states for block in (part[:-1], part[-1])]
+
+        rows, columns = (*blocks(equations), *conditions), (free, *blocks([o.unknowns for o in self._orbits]))
+        return ca.vertcat(*(ca.horzcat(*(ca.jacobian(row, column) for column in columns)) for row in rows))
+
+    # Places of the unknowns -----------------------------------------------------------------------------------------
+
+    @property
+    def measured(self) -> Indices:
+        return np.arange(self.free_count)
+
+    def _parts(self, x: Array) -> Array:
+        """A view of the orbits' unknowns, shape (orbits, 1 or 2 with the tangent, values with Omega^2)."""
+        return x[self.free_count :].reshape(self._shape)
+
+    def state_of(self, x: Array, orbit: int) -> Array:
+        """Values at the nodes of one orbit, shape (components, harmonics)."""
+        return self._parts(x)[orbit, 0, :-1].reshape(-1, self.harmonics)
+
+    def frequencies(self, x: Array) -> Array:
+        """Omega of every orbit, shape (orbits,)."""
+        return np.asarray(np.sqrt(self._parts(x)[:, 0, -1]))
+
+    def amplitude(self, x: Array, orbit: int) -> float:
+        """S of one orbit."""
+        search = self.search
+        return float(x[search.free_names.index("S")]) if "S" in search.free else search.amplitudes[orbit]
+
+    # Points ---------------------------------------------------------------------------------------------------------
+
+    def packed(self, free: Sequence[float], members: Sequence[Orbit]) -> Array:
+        """Unknowns from the free numbers and the orbits; tangents are solved for."""
+        from scipy.sparse.linalg import splu
+
+        theta = (np.arange(self.harmonics) + 0.5) * np.pi / (2 * self.harmonics)
+        x = np.concatenate([free, np.zeros(int(np.prod(self._shape)))])
+        search, values = self.search, self.search.values(free)
+        for part, member in zip(self._parts(x), members, strict=True):
+            q = member.evaluate(theta / member.Omega) / search.family.scale(values, member.S)
+            part[0] = np.append(q.T.ravel(), member.Omega**2)
+        if self.has_tangent:
+            residual, jacobian, state = self.residual(x), self.jacobian(x), self._shape[2]
+            for k, part in enumerate(self._parts(x)):
+                rows = slice((2 * k + 1) * state, (2 * k + 2) * state)
+                columns = slice(rows.start + self.free_count, rows.stop + self.free_count)
+                part[1] = -splu(jacobian[rows, columns]).solve(residual[rows])
+        return x
+
+    def prolonged(self, x: Array, finer: FamilyNlp) -> Array:
+        """The same point on another number of harmonics."""
+        parts, matrix = self._parts(x), prolongation_matrix(self.harmonics, finer.harmonics)
+        states = parts[..., :-1].reshape(*self._shape[:2], -1, self.harmonics) @ matrix
+        return np.append(
+            x[: self.free_count], np.dstack([states.reshape(*self._shape[:2], -1), parts[..., -1:]]).ravel()
+        )
+
+    def values(self, x: Array) -> list[dict[str, Any]]:
+        """Quantities of every orbit by name, numbers or arrays; slopes only where there are tangents."""
+        found = []
+        for orbit in self._orbits:
+            names = [n for n in orbit.names if self.has_tangent or not n.endswith("_slope")]
+            function = ca.Function("values", [self._x, self._p], [ca.densify(orbit.value(n)) for n in names])
+            results = [np.array(value).ravel() for value in function.call([x, self.p])]
+            found.append({n: float(v[0]) if v.size == 1 else v for n, v in zip(names, results, strict=True)})
+        return found
 
 
 @lru_cache(maxsize=16)

@@ -21,8 +21,16 @@ from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.optimise.boundary_nlp import BoundaryNlp, Refined, refined
 from casadi_skin.optimise.optimum import Optimum, PlainCheck
-from casadi_skin.optimise.search_arguments import Condition, checked_bounds, checked_conditions, free_names
-from casadi_skin.optimise.search_problem import Outcome, Start, sampled_starts
+from casadi_skin.optimise.search_problem import (
+    Condition,
+    Outcome,
+    SearchProblem,
+    Start,
+    checked_bounds,
+    checked_conditions,
+    free_names,
+    sampled_starts,
+)
 from casadi_skin.zero.guesses import Guess, sampled
 from casadi_skin.zero.orbit import Sizes
 from casadi_skin.zero.problem import Array
@@ -40,7 +48,7 @@ Quantity = str | Expression
 
 
 @dataclass(frozen=True, eq=False)
-class OrbitSearch:
+class OrbitSearch(SearchProblem):
     """A search for orbits near a guess: states at times over the unknown part of a period (see `SearchProblem`).
 
     `objective`, at phase zero, `running`, whose mean over the period is added, and the conditions are names: of a
@@ -61,7 +69,6 @@ class OrbitSearch:
     options: Mapping[str, Any]  # of find_orbit, beyond expressions
     accuracy: Mapping[str, Any]  # tolerance and methods, options of find_orbit too
     resolution_name: ClassVar[str] = "intervals"
-    wanted: ClassVar[str] = "near the guess"
 
     @classmethod
     def of(
@@ -133,8 +140,11 @@ class OrbitSearch:
 
     @property
     def free_names(self) -> tuple[str, ...]:
-        """Names of the free numbers."""
         return self.free
+
+    @property
+    def wanted(self) -> str:
+        return "near the guess"
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -168,9 +178,6 @@ class OrbitSearch:
         values = [self.parameters[name] for name in self.free] if first is None else first
         rows = sampled_starts(values, [self.limits[name] for name in self.free], count, seed)
         return tuple(Start(k, row) for k, row in enumerate(rows, start=1))
-
-    def prepared(self, first: Start) -> OrbitSearch:
-        return self
 
     def plain(self, free: Sequence[float] | Array, t: Array, states: Array, intervals: int | None = None) -> Orbit:
         """The orbit near states at free numbers, without objective; raises BoundaryError where none is found."""

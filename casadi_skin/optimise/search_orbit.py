@@ -13,8 +13,7 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.arguments import check_options, short_repr, truth, whole
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import Result
-from casadi_skin.optimise.families import ChainFamily, ModelFamily
-from casadi_skin.optimise.family_search import FamilySearch, FamilyStatement
+from casadi_skin.optimise.family_search import FamilySearch
 from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.optimise.orbit_search import OrbitSearch
 from casadi_skin.optimise.search import SearchResult, SearchStatus, search
@@ -91,20 +90,29 @@ def search_orbit(
     return search(problem, first, deflate=deflate, progress=progress, workers=workers, executor=executor)
 
 
-def stated_search(chain_or_model: Chain | OdeModel, **stated: Any) -> SearchProblem:
+def stated_search(chain_or_model: Any, **stated: Any) -> SearchProblem:
     """The search of `search_orbit`'s arguments, checked but not run; raises ValueError and TypeError."""
     if isinstance(chain_or_model, OdeModel) and stated.get("guess") is not None:
         return OrbitSearch.of(chain_or_model, **stated)
-    mode, S, parameters = stated.pop("mode", None), stated.pop("S", 1.0), stated.pop("parameters", None)
     stated.pop("guess", None)
-    check_options("search_orbit", stated, search_orbit, FamilyStatement.of)
+    return stated_family_search(chain_or_model, **stated)
+
+
+def stated_family_search(
+    chain_or_model: Any,
+    *,
+    mode: int | str | None = None,
+    S: object = 1.0,
+    parameters: Mapping[str, float] | None = None,
+    **stated: Any,
+) -> FamilySearch:
+    """The same among the orbits of one mode's family."""
+    check_options("search_orbit", stated, search_orbit, FamilySearch.of)
     if stated.get("objective") is None:
         raise ValueError("objective: given none; accepted: the name of a quantity, or a function of observables")
-    if isinstance(chain_or_model, Chain):
-        return FamilySearch.of(ChainFamily.of(chain_or_model, mode), S=S, **stated)
-    if isinstance(chain_or_model, OdeModel):
-        return FamilySearch.of(ModelFamily.of(chain_or_model, mode, parameters), S=S, **stated)
-    raise TypeError(f"chain_or_model: given {short_repr(chain_or_model)}; accepted: a Chain or an OdeModel")
+    if not hasattr(chain_or_model, "searched_family"):
+        raise TypeError(f"chain_or_model: given {short_repr(chain_or_model)}; accepted: a Chain or an OdeModel")
+    return FamilySearch.of(chain_or_model.searched_family(mode, parameters), S=S, **stated)
 
 
 # The Pareto front of two quantities: points where neither improves unless the other worsens ---------------------------

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Any, Protocol, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from casadi_skin.model.arguments import accepted_names, number, short_repr
 from casadi_skin.optimise.nlp import STOPPED_STATUS, Nlp, Solution, optimality
 from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.solve.ipopt import Monitor
@@ -97,7 +100,7 @@ class Outcome:
         return self.violation <= FEASIBLE_VIOLATION
 
 
-class SearchProblem(Protocol):
+class SearchProblem(ABC):
     """A search as its engine uses it, a `FamilySearch` or an `OrbitSearch`; it can be pickled where its parts can.
 
     Attributes:
@@ -110,39 +113,41 @@ class SearchProblem(Protocol):
         hint: possible reason where no optimum is found; empty without one.
     """
 
+    model: Any
+    maximise: bool
+    resolution_name: ClassVar[str]
+
     @property
-    def model(self) -> Any: ...
-    @property
-    def maximise(self) -> bool: ...
-    @property
+    @abstractmethod
     def free_names(self) -> tuple[str, ...]: ...
     @property
+    @abstractmethod
     def columns(self) -> tuple[str, ...]: ...
     @property
-    def resolution_name(self) -> str: ...
-    @property
+    @abstractmethod
     def wanted(self) -> str: ...
     @property
-    def hint(self) -> str: ...
+    def hint(self) -> str:
+        return ""
 
+    @abstractmethod
     def starts(self, count: int, seed: int, first: Sequence[float] | None = None) -> tuple[Start, ...]:
         """The starts of a seed; the first has the model's own parameters, or the free numbers `first`."""
-        ...
 
     def prepared(self, first: Start) -> Self:
         """This search with the choices that all starts share, made for the first of them."""
-        ...
+        return self
 
+    @abstractmethod
     def nlp_at(self, start: Start) -> tuple[Nlp, Array]:
         """The nonlinear programme of a start, and an orbit at its parameters as a point of it.
 
         Raises ArithmeticError where there is no orbit.
         """
-        ...
 
+    @abstractmethod
     def polish(self, outcome: Outcome, starts: tuple[int, ...]) -> Optimum | None:
         """The optimum of an outcome at the tolerance, checked; None where finer discretisations do not confirm it."""
-        ...
 
 
 def solve_start(
@@ -219,3 +224,114 @@ def sampled_starts(
     drawn = qmc.Halton(len(ranges), scramble=True, seed=np.random.default_rng(seed)).random(max(count - 1, 0))
     rows = [np.clip(values, lows, highs), *(lows + drawn * (highs - lows))]
     return [tuple(row.tolist()) for row in rows]
+
+
+# Arguments of a search, checked before anything is solved: free names, bounds, conditions -----------------------------
+
+PAIR_WORDS = "a pair (lower, upper) of numbers, None where there is no bound"
+CONDITION_WORDS = "what is to vanish, or (quantity, lower, upper); a quantity is a name or {}"
+
+
+@dataclass(frozen=True)
+class Condition:
+    """lower <= quantity <= upper; an equality where the two are equal."""
+
+    quantity: Any
+    lower: float
+    upper: float
+    name: str
+
+    @property
+    def equality(self) -> bool:
+        """Whether the two bounds are equal."""
+        return self.lower == self.upper
+
+
+def free_names(free: Sequence[str] | str, known: Iterable[str]) -> tuple[str, ...]:
+    """The names of free numbers; raises ValueError for unknown names, for none, and for one that comes twice."""
+    accepted = tuple(known)
+    if not isinstance(free, str | list | tuple):
+        raise TypeError(f"free: given {short_repr(free)}; accepted: a list of {', '.join(accepted)}")
+    names = (free,) if isinstance(free, str) else tuple(free)
+    for name in names:
+        if not isinstance(name, str) or name not in accepted:
+            raise ValueError(f"free: given {short_repr(name)}; {accepted_names(name, accepted)}")
+    if not names or len(set(names)) < len(names):
+        given = short_repr(list(names)) if names else "none"
+        raise ValueError(f"free: given {given}; accepted: one or more of {', '.join(accepted)}, each once")
+    return names
+
+
+def pair(place: str, given: object) -> tuple[float, float]:
+    """Two bounds; raises TypeError and ValueError unless they are a pair of ascending numbers."""
+    ends = tuple(given) if isinstance(given, list | tuple) else ()
+    if len(ends) != 2:
+        raise TypeError(f"{place}: given {short_repr(given)}; accepted: {PAIR_WORDS}")
+    lower, upper = (
+        absent if value is None or (isinstance(value, float) and value == absent) else number(place, value, PAIR_WORDS)
+        for value, absent in zip(ends, (-math.inf, math.inf), strict=True)
+    )
+    if lower > upper:
+        raise ValueError(f"{place}: given {short_repr(given)}; accepted: (lower, upper), lower <= upper")
+    return lower, upper
+
+
+def checked_bounds(
+    bounds: Mapping[str, object] | None,
+    free: Mapping[str, tuple[float, float]],
+    fixed: Iterable[str],
+    quantities: Iterable[str],
+) -> tuple[dict[str, tuple[float, float]], tuple[Condition, ...]]:
+    """Limits of the free numbers, and conditions from the bounds on quantities.
+
+    Arguments:
+        bounds: pairs by name.
+        free: default ranges of the free numbers.
+        fixed: parameters that are not free: they take no bounds.
+        quantities: other names that may have bounds.
+
+    Raises:
+        ValueError, TypeError: names and pairs that cannot be used.
+    """
+    if not isinstance(bounds, Mapping | None):
+        raise TypeError(f"bounds: given {short_repr(bounds)}; accepted: a mapping of names to pairs (lower, upper)")
+    limits, conditions, held = dict(free), list[Condition](), tuple(fixed)
+    known = tuple(dict.fromkeys((*free, *held, *quantities)))
+    for name, given in (bounds or {}).items():
+        place = f"bounds[{name}]"
+        if not isinstance(name, str) or name not in known:
+            raise ValueError(f"bounds: given {short_repr(name)}; {accepted_names(name, known)}")
+        lower, upper = pair(place, given)
+        if name in free:
+            if lower == upper:
+                raise ValueError(f"{place}: given {short_repr(given)}; accepted: different bounds, or {name} not free")
+            least, most = free[name]
+            limits[name] = (lower if lower > -math.inf else least, upper if upper < math.inf else most)
+        elif name in held:
+            accepted = f"{', '.join(free)}, or quantities of the orbit"
+            raise ValueError(f"{place}: given a bound on {name}, which is not free; accepted: {accepted}")
+        else:
+            conditions.append(Condition(name, lower, upper, name))
+    return limits, tuple(conditions)
+
+
+def checked_conditions(constraints: Sequence[object], kinds: tuple[Any, ...], what: str) -> tuple[Condition, ...]:
+    """Conditions from a list of items, each a quantity that has to vanish or one with its bounds.
+
+    A quantity is a name or of one of `kinds`, which error messages call `what`.
+    """
+    accepted = CONDITION_WORDS.format(what)
+    if not isinstance(constraints, list | tuple):
+        raise TypeError(f"constraints: given {short_repr(constraints)}; accepted: a list of items, each {accepted}")
+    found = []
+    for item, given in enumerate(constraints, start=1):
+        place, (quantity, lower, upper) = f"constraints, item {item}", (given, 0.0, 0.0)
+        if not isinstance(given, kinds):
+            if not isinstance(given, tuple | list) or len(given) != 3:
+                raise TypeError(f"{place}: given {short_repr(given)}; accepted: {accepted}")
+            quantity, (lower, upper) = given[0], pair(place, given[1:])
+        if not isinstance(quantity, (str, *kinds)):
+            raise TypeError(f"{place}: given {short_repr(quantity)}; accepted: {accepted}")
+        name = quantity if isinstance(quantity, str) else getattr(quantity, "__name__", "<lambda>")
+        found.append(Condition(quantity, lower, upper, name if name != "<lambda>" else f"constraint {item}"))
+    return tuple(found)

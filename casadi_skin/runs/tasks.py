@@ -323,21 +323,17 @@ class Search(Task):
     @cached_property
     def problem(self) -> FamilySearch:
         """What is searched; raises ValueError or TypeError for values that are not accepted."""
-        from casadi_skin.optimise.families import ChainFamily, ModelFamily
-        from casadi_skin.optimise.family_search import FamilySearch
+        from casadi_skin.optimise.search_orbit import stated_family_search
 
-        asked, model = self.asked, self.request.model
+        asked, request = self.asked, self.request
         constraints = [
             (held.quantity, *((held.equal, held.equal) if held.equal is not None else (held.lower, held.upper)))
             for held in asked.constraints
         ]
-        if self.request.scene.chain is not None:
-            family: ChainFamily | ModelFamily = ChainFamily.of(model, asked.mode)
-        else:
-            family = ModelFamily.of(model, asked.mode, self.request.parameters)
-        return FamilySearch.of(
-            family, S=asked.S, objective=asked.objective, free=asked.free, bounds=asked.bounds,
-            constraints=constraints, maximise=asked.maximise, tolerance=self.request.tolerance,
+        return stated_family_search(
+            request.model, mode=asked.mode, parameters=request.model_parameters, S=asked.S, objective=asked.objective,
+            free=asked.free, bounds=asked.bounds, constraints=constraints, maximise=asked.maximise,
+            tolerance=request.tolerance,
         )  # fmt: skip
 
     def plan(self) -> Lines:
