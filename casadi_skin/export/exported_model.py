@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 from casadi_skin.export.codegen import c_name
 from casadi_skin.follow.family import Family
@@ -75,9 +75,7 @@ class ExportedModel:
         """The collocation equations: those that the orbit was solved with, or a chain's."""
         if self.orbit is None:
             return TrigonometricProblem(self.flow_model, self.harmonics)
-        problem = self.orbit.point.problem
-        assert isinstance(problem, TrigonometricProblem)
-        return problem
+        return cast(TrigonometricProblem, self.orbit.point.problem)
 
     @property
     def _given(self) -> Chain | OdeModel:
@@ -100,7 +98,7 @@ class ExportedModel:
         if part in EQUATIONS_OF_ORBITS and orbit is not None:
             if isinstance(orbit.space, Family) and isinstance(orbit.space.coordinates, CoreWithTail):
                 return 'the linear tail of its chain was eliminated; with tail="full" in follow_family it can'
-            if not isinstance(orbit.point.problem, TrigonometricProblem):
+            if not orbit.point.problem.cosines:
                 return "its equations are not in odd cosines; with transcription trigonometric it can"
         return None
 

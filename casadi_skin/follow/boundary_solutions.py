@@ -36,7 +36,7 @@ from casadi_skin.zero.family import TWO_PI, Method, numbered
 from casadi_skin.zero.orbit import FIRST_INTERVALS, Periodic, Sizes
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
 from casadi_skin.zero.settings import ContinuationSettings, Point, Refinement, Target
-from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
 from casadi_skin.zero.statement import Statement
 
 MESH_INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
@@ -144,8 +144,7 @@ class BoundarySolutions(SolutionSpace):
         return np.arange(1, len(self.state_names) + 1)
 
     def parameters(self, point: Point) -> dict[str, float]:
-        problem = point.problem
-        assert isinstance(problem, BoundaryProblem)
+        problem = stated(point.problem)
         return dict(zip(self.statement.model.parameter_names, map(float, problem.parameters(point.z)), strict=True))
 
     def interval(self, point: Point) -> tuple[float, float]:
@@ -162,10 +161,9 @@ class BoundarySolutions(SolutionSpace):
 
         A jump in time alone counts where no edge of the mesh is at it: between edges its error shows nowhere.
         """
-        jumps, problem = self.model.jumps, point.problem
+        jumps, problem = self.model.jumps, stated(point.problem)
         if not jumps.found:
             return ""
-        assert isinstance(problem, BoundaryProblem)
         (start, end), values = self.span(point), BoundarySolutions.parameters(self, point)  # added ones too
         model = jumps.model  # without parameters that are added to make its orbits isolated
         p = np.array([values[name] for name in model.parameter_names])
@@ -304,9 +302,8 @@ class BoundarySolutions(SolutionSpace):
 
     def moves_freely(self, point: Point) -> bool:
         """Whether a solution that closes does so from any phase: its velocity has the multiplier 1."""
-        assert isinstance(point.problem, BoundaryProblem)
         if self.closure is not None:
-            return Returned(point.problem, point.z, self.closure).moves_freely
+            return Returned(stated(point.problem), point.z, self.closure).moves_freely
         return PERIOD in self.statement.free
 
     def _better(self, point: Point) -> Refinement | None:
@@ -327,15 +324,14 @@ class BoundarySolutions(SolutionSpace):
     def _floquet(self, point: Point, by: str, with_errors: bool = True) -> Floquet:
         better = self._better(point) if with_errors else None
 
-        def closed(problem: Problem, z: Array) -> Closed | Returned:
-            assert isinstance(problem, BoundaryProblem)
+        def closed(problem: BoundaryProblem, z: Array) -> Closed | Returned:
             if self.closure is not None:
                 return Returned(problem, z, self.closure)
             periodic, period = self._orbit_of(), self.interval(replace(point, problem=problem, z=z))[1]
             return Closed(problem, z, periodic.model, periodic.symmetry, period)
 
-        finer = None if better is None else closed(better.problem, better.z)
-        found: Floquet = FULL_PERIOD_FLOWS[by](closed(point.problem, point.z), finer, self.tolerance)
+        finer = None if better is None else closed(stated(better.problem), better.z)
+        found: Floquet = FULL_PERIOD_FLOWS[by](closed(stated(point.problem), point.z), finer, self.tolerance)
         return found
 
     def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:

@@ -26,7 +26,7 @@ from casadi_skin.zero.orbit import Sizes
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import AlgebraicProblem, sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point
-from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
 from casadi_skin.zero.statics import Statics
 
 if TYPE_CHECKING:
@@ -66,8 +66,7 @@ def margin(space: BoundarySolutions, point: Point) -> Margin:
 
 def margins(space: BoundarySolutions, point: Point) -> list[Margin]:
     """The margins of all finite bounds."""
-    problem, names, values = point.problem, space.state_names, space.parameters(point)
-    assert isinstance(problem, BoundaryProblem)
+    problem, names, values = stated(point.problem), space.state_names, space.parameters(point)
     turns = _turns(space, problem)
     states = _states(space, point, turns)
     start, end = space.interval(point)
@@ -206,8 +205,7 @@ def _hopf_near(space: BoundarySolutions, orbit: Point) -> tuple[EquilibriumEquat
 
 def _as_orbit(space: BoundarySolutions, orbit: Point, equilibria: EquilibriumEquations, found: Located) -> Point:
     """A Hopf point as an orbit of amplitude zero of the branch that ends there."""
-    problem = orbit.problem
-    assert isinstance(problem, BoundaryProblem)
+    problem = stated(orbit.problem)
     algebraic: AlgebraicProblem = equilibria.problem
     x = algebraic.state(np.append(found.y, found.s))
     z = at_rest(problem, x, 2.0 * np.pi / found.frequency, found.s)
@@ -234,11 +232,9 @@ class BoundarySpace(BoundarySolutions):
         """The first solution as a point of the branch; raises BoundaryError where it cannot be solved again."""
         first = self.first
         assert first is not None
-        assert isinstance(first.problem, BoundaryProblem)
         if self.leaves:
             return replace(first, step=self.point_solver.settings.first_step)
-        problem = self.levels.problem(first.problem.resolution).with_constants(first.problem.constants)
-        assert isinstance(problem, BoundaryProblem)
+        problem = stated(self.levels.problem(first.problem.resolution).with_constants(first.problem.constants))
         z = first.z.copy()
         z[-1] = 0.0
         correction = self.levels.corrector(problem).correct(z, problem.parameter_row(), 0.0)
@@ -329,8 +325,7 @@ class BoundarySpace(BoundarySolutions):
         jumps = self.jump(point)
         if jumps:
             return End.JUMP, jumps
-        problem = point.problem
-        assert isinstance(problem, BoundaryProblem)
+        problem = stated(point.problem)
         words = problem.backwards(point.z)
         return (End.NO_STEP if words else None), words
 

@@ -24,7 +24,6 @@ from casadi_skin.solve.watch import heed
 from casadi_skin.zero.cosines import cosine_matrix, second_derivative_matrix
 from casadi_skin.zero.problem import EPSILON, Array, Indices, Problem, SingularError
 from casadi_skin.zero.settings import Point
-from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
@@ -324,7 +323,7 @@ class _Counted:
     The number may be one up to a constant where sites are eliminated.
     """
 
-    problem: TrigonometricProblem
+    problem: Problem
     z: Array
     positive: int
     direction: float
@@ -350,10 +349,10 @@ def _counted(levels: Levels, points: Sequence[Point]) -> list[_Counted] | None:
     return [found[k] for k in range(len(points))] if len(known) == len(points) else None
 
 
-def _on_enough(levels: Levels, point: Point) -> tuple[TrigonometricProblem, Array] | None:
+def _on_enough(levels: Levels, point: Point) -> tuple[Problem, Array] | None:
     """The level for a point with its unknowns there; None where there is none, or no odd cosines."""
     problem, z = point.problem, point.z
-    if not isinstance(problem, TrigonometricProblem):
+    if not problem.cosines:
         return None
     core, own = problem.by_itself(z)
     highest = HIGHEST_FREQUENCY_FACTOR * float(np.sqrt(np.max(np.sum(np.abs(_forces(core, own)), axis=1))))
@@ -361,11 +360,10 @@ def _on_enough(levels: Levels, point: Point) -> tuple[TrigonometricProblem, Arra
     if not enough:
         return None
     finer = levels.problem(enough[0])
-    assert isinstance(finer, TrigonometricProblem)
     return finer, problem.prolong(z, finer)
 
 
-def _positive(problem: TrigonometricProblem, states: Array) -> Indices | None:
+def _positive(problem: Problem, states: Array) -> Indices | None:
     """Numbers of positive eigenvalues of the Jacobians by the orbit at states; None where these are not symmetric."""
     from scipy.sparse import coo_matrix
 
@@ -401,7 +399,7 @@ def positive_eigenvalues(matrix: csc_matrix) -> int:
     return int(np.count_nonzero(factors.U.diagonal() > 0.0))
 
 
-def _forces(problem: TrigonometricProblem, z: Array) -> Array:
+def _forces(problem: Problem, z: Array) -> Array:
     """Derivatives of restoring forces over Omega^2 by positions, shape (sites, sites, nodes)."""
     H, N = problem.resolution, problem.states // problem.resolution
     rows, columns = problem.pattern
@@ -415,7 +413,7 @@ def _forces(problem: TrigonometricProblem, z: Array) -> Array:
     return found
 
 
-def _by_harmonic(problem: TrigonometricProblem, z: Array) -> Array:
+def _by_harmonic(problem: Problem, z: Array) -> Array:
     """Eigenvalues of the Jacobian of each harmonic alone, shape (harmonics, sites), descending."""
     H = problem.resolution
     shares = (2.0 / H) * cosine_matrix(H) ** 2

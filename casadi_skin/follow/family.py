@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -137,11 +137,10 @@ class Family(FamilyStability, SolutionSpace):
 
     def _corrector(self, problem: Problem) -> Corrector:
         tolerance, name = self.corrector_tolerance, self.request.method.corrector
-        if isinstance(problem, ShootingProblem):
-            tolerance = max(tolerance, SHOOTING_NOISE * 10.0**-problem.resolution)
+        tolerance = max(tolerance, SHOOTING_NOISE * problem.noise)
         if name == "ipopt":
             tolerance = max(tolerance, ROUND_OFF * problem.resolution**2)
-        if name == "ipopt" and not isinstance(problem, ShootingProblem):
+        if name == "ipopt" and not problem.noise:
             series = self.request.method.walker == "series"
             return ConfirmedCorrector(
                 problem, tolerance, CONFIRMED_TOGETHER if series and problem.size <= SMALL_UNKNOWNS else 1
@@ -178,9 +177,9 @@ class Family(FamilyStability, SolutionSpace):
 
     def _recursion(self, problem: Problem) -> Recursion:
         """Power series at one resolution, made once."""
-        assert isinstance(problem, TrigonometricProblem)
         if problem.resolution not in self._recursions:
-            self._recursions[problem.resolution] = problem.recursion(self._polynomial_form, SERIES_ORDERS)
+            own = cast(TrigonometricProblem, problem)
+            self._recursions[problem.resolution] = own.recursion(self._polynomial_form, SERIES_ORDERS)
         return self._recursions[problem.resolution]
 
     @cached_property

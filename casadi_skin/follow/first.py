@@ -29,7 +29,7 @@ from casadi_skin.zero.guesses import Guess, along_the_guess, is_straight, sample
 from casadi_skin.zero.orbit import Sizes, boundary_method
 from casadi_skin.zero.problem import Array, Problem, SingularError
 from casadi_skin.zero.settings import Point
-from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
 from casadi_skin.zero.statement import Statement
 
 EASIER_PARAMETER_FACTORS = (10.0, 0.1)  # of a parameter, and their squares, at which the problem may be easier
@@ -277,23 +277,19 @@ def _first_problems(
         and isinstance(guess.point.problem, BoundaryProblem)
         and guess.intervals in levels.resolutions
     ):
-        problem = levels.problem(guess.intervals).with_constants(guess.problem.constants)
-        assert isinstance(problem, BoundaryProblem)
+        problem = stated(levels.problem(guess.intervals).with_constants(guess.problem.constants))
         yield problem, packed(problem, guess)
     for resolution, lengths in zip(JUMP_RESOLUTIONS, along_the_guess(statement, guess, JUMP_RESOLUTIONS), strict=False):
         if np.min(lengths) < STEEP_INTERVAL_RATIO / resolution:
-            problem = levels.problem(resolution)
-            assert isinstance(problem, BoundaryProblem)
+            problem = stated(levels.problem(resolution))
             steep = problem.with_constants(lengths)
             yield steep, packed(steep, guess)
     for resolution in resolutions:
-        problem = levels.problem(resolution)
-        assert isinstance(problem, BoundaryProblem)
+        problem = stated(levels.problem(resolution))
         z = packed(problem, guess)
         if not is_straight(guess) and problem.imbalance(z) > 1.0:
-            placed = problem.placed(z, problem)
-            assert isinstance(placed, BoundaryProblem)
-            problem, z = placed, packed(placed, guess)
+            problem = problem.placed(z, problem)
+            z = packed(problem, guess)
         yield problem, z
 
 

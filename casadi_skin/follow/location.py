@@ -30,7 +30,7 @@ from casadi_skin.zero.orbit import Sizes
 from casadi_skin.zero.problem import EPSILON, Array, Scalar, SingularError
 from casadi_skin.zero.rest_problem import AlgebraicProblem
 from casadi_skin.zero.settings import Point
-from casadi_skin.zero.stated_problem import BoundaryProblem
+from casadi_skin.zero.stated_problem import stated
 from casadi_skin.zero.statics import balanced
 
 # A special point located to rounding, by Newton's method on the extended system of which it is a regular solution -----
@@ -168,8 +168,7 @@ def extended_space(
 
 def critical_of(kind: str, space: BoundarySolutions, point: Point, angle: float, first: str) -> Critical:
     """Equations of a critical orbit beside those of any orbit, linearised at an orbit near it."""
-    problem = point.problem
-    assert isinstance(problem, BoundaryProblem)
+    problem = stated(point.problem)
     values = point.z[: problem.states].reshape(problem.columns, -1)
     sizes = component_sizes(values)
     normal, turn = np.zeros(values.shape[1]), np.zeros((0, 0))
@@ -203,8 +202,7 @@ def solved(
     space: BoundarySolutions, critical: Critical, point: Point, unit: float, angle: float = np.pi
 ) -> LocatedOrbit | None:
     """The solution of an extended problem near an orbit; `unit` is a usual change of the parameter found with it."""
-    value, problem = space.parameters(point)[critical.first], point.problem
-    assert isinstance(problem, BoundaryProblem)
+    value, problem = space.parameters(point)[critical.first], stated(point.problem)
     extended = extended_space(critical, space, {critical.first: value}, unit)
     finer = extended.levels.problem(problem.resolution).with_constants(problem.constants)
     z, row = started(critical, problem, point.z, value, angle), finer.parameter_row()

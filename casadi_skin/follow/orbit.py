@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,13 +21,10 @@ from casadi_skin.stability.growth import TransientGrowth, transient_growth
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.zero.cosines import cosine_matrix, quarter_phases
 from casadi_skin.zero.family import LOG10
-from casadi_skin.zero.orbit import FirstOrderProblem
-from casadi_skin.zero.problem import Array, Indices
-from casadi_skin.zero.trigonometric import TrigonometricProblem
+from casadi_skin.zero.problem import Array, Indices, OrbitProblem
 
 MOST_QUARTERS = 10_000  # periods are followed as products of matrices
 MOST_HARMONICS = 4096  # of coefficients
-WITH_PHASES = (FirstOrderProblem, TrigonometricProblem)  # problems of families
 TIE_RTOL = 1e-10  # relative difference of displacements that count as equal
 
 
@@ -106,8 +103,7 @@ class Orbit(Solution):
     @cached_property
     def t(self) -> Array:
         """Times of the unknowns: of an orbit of a family those of the phases at which its equations are solved."""
-        problem = self.point.problem
-        return problem.phases() / self.Omega if isinstance(problem, WITH_PHASES) else super().t
+        return cast(OrbitProblem, self.point.problem).phases() / self.Omega if self._grown else super().t
 
     @cached_property
     def states(self) -> Array:
@@ -177,8 +173,7 @@ class Orbit(Solution):
     @property
     def harmonics(self) -> int:
         """Number of odd harmonics that carry the orbit at its tolerance."""
-        problem = self.point.problem
-        return problem.resolution if isinstance(problem, TrigonometricProblem) else 64
+        return self.point.problem.cosines or 64
 
     def coefficients(self, harmonics: int, sites: ArrayLike | None = None) -> Array:
         """Coefficients c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), shape (harmonics, sites); see `evaluate`.

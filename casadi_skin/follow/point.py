@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
+from typing import cast
 
 import numpy as np
 
@@ -16,7 +17,6 @@ from casadi_skin.solve.levels import Levels, Measured, step_error
 from casadi_skin.solve.newton import Correction, confirmations
 from casadi_skin.zero.problem import Array, OrbitProblem, Problem, Scalar, SingularError, Solve
 from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point, Target
-from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 ROUND_OFF = 1e-7  # an estimate below this that a finer level does not halve
 COARSENING_ERROR_RATIO = (
@@ -72,8 +72,7 @@ class PointSolver:
         """
         direction = float(np.sign(self.settings.parameter_max))
         for resolution in self.levels.resolutions:
-            problem = self.levels.problem(resolution)
-            assert isinstance(problem, OrbitProblem)
+            problem = cast(OrbitProblem, self.levels.problem(resolution))
             z = problem.pack(positions, Omega, 0.0)
             solve = self.factor(problem, z, direction * problem.parameter_row())
             own = step_error(problem, z, solve(np.append(problem.evaluate(z)[0], 0.0)))
@@ -406,7 +405,7 @@ def with_small_components(point_solver: PointSolver, point: Point) -> tuple[Arra
     Small components are left out of the guess of a Newton step, which then does not correct them but solves for them.
     """
     problem = point.problem
-    if not isinstance(problem, TrigonometricProblem):
+    if not problem.cosines:
         return point.z, SMALL_COMPONENT_RATIO
     states = np.abs(point.z[: problem.states])
     small = np.flatnonzero(states < SMALL_COMPONENT_RATIO * np.max(states))

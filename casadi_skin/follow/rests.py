@@ -21,7 +21,7 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.orbit import Extended, Sizes
 from casadi_skin.zero.problem import Array, SingularError
-from casadi_skin.zero.stated_problem import BoundaryProblem
+from casadi_skin.zero.stated_problem import BoundaryProblem, stated
 from casadi_skin.zero.statement import Statement
 
 if TYPE_CHECKING:
@@ -96,8 +96,7 @@ class Course:
     @classmethod
     def of(cls, space: BoundarySolutions, orbit: Point) -> Course:
         """Of an orbit of a space, at even times and on the mesh."""
-        problem, periodic = orbit.problem, space._orbit_of()
-        assert isinstance(problem, BoundaryProblem)
+        problem, periodic = stated(orbit.problem), space._orbit_of()
         fractions = periodic.symmetry.value * problem._fractions()
         turn = np.unique(np.concatenate([np.linspace(0.0, 1.0, PERIOD_PLACES)[:-1], fractions[fractions < 1.0]]))
         states = space.states_at(orbit, TWO_PI * turn, None)
@@ -315,7 +314,7 @@ class Connection:
             periodic=None, parameter="", at=(), first=None, settings=None, leaves=False,
             left=None,
         )  # fmt: skip
-        problem = space.levels.problem(FIRST_MESH_INTERVALS)
+        problem = stated(space.levels.problem(FIRST_MESH_INTERVALS))
         problem = problem.placed(self._guess(problem, statement, start, end), problem)
         z = self._guess(problem, statement, start, end)
         try:
@@ -413,9 +412,8 @@ class Connection:
         states = self._states(start + (end - start) * problem._fractions())
         return np.concatenate([states.ravel(), [statement.values[name] for name in statement.free], [0.0]])
 
-    def _apart(self, problem: Any, z: Array, guess: Array) -> float:
+    def _apart(self, problem: BoundaryProblem, z: Array, guess: Array) -> float:
         """Root mean square of the difference of two solutions relative to the extent of the orbit."""
-        assert isinstance(problem, BoundaryProblem)
         change = (z - guess)[: problem.states].reshape(problem.columns, -1) / self.course.extent
         return float(np.sqrt(np.mean(np.sum(change**2, axis=1))))
 

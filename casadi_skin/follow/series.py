@@ -21,7 +21,7 @@ from casadi_skin.follow.polynomials import Stretch
 from casadi_skin.solve.bordered import StackedSolver, Steps
 from casadi_skin.solve.levels import Measured
 from casadi_skin.solve.newton import Correction, Status
-from casadi_skin.zero.problem import Array, OrbitProblem, Problem, Scalar, SingularError
+from casadi_skin.zero.problem import Array, Problem, Scalar, SingularError
 from casadi_skin.zero.settings import End, Point, Target, known_end
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ class Guesses:
                 rows[i] = problem.row_of(target.held) * float(np.sign(slopes[i, index]))
                 values[i] = wanted * rows[i, index]
         states = z[:, : problem.states]  # a view
-        faint, scale = _is_faint(states), problem.output_scale if isinstance(problem, OrbitProblem) else None
+        faint, scale = _is_faint(states), problem.output_scale
         states[faint if scale is None else faint & _is_faint(scale * states)] = 0.0
         return cls(z, weights, rows, values, targets)
 

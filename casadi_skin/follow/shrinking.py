@@ -19,7 +19,7 @@ from casadi_skin.zero.kinds import FOLD, HOPF, TORUS
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import sizes_of
 from casadi_skin.zero.settings import ErrorEstimate, Point
-from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.zero.stated_problem import PERIOD, stated
 from casadi_skin.zero.statics import Statics
 
 ENDING_KINDS = {FOLD: ("generalized hopf",), TORUS: ("hopf-hopf", "zero-hopf")}  # at which curves of orbits end
@@ -74,8 +74,7 @@ def _hopf_near(space: Followed, orbit: Point) -> SpecialPoint | None:
 
 def _as_orbit(space: Followed, orbit: Point, end: SpecialPoint) -> Point:
     """The end as an orbit of amplitude zero of the curve."""
-    problem = orbit.problem
-    assert isinstance(problem, BoundaryProblem)
+    problem = stated(orbit.problem)
     assert space.critical is not None
     n, z = space.critical.states, orbit.z.copy()
     states = z[: problem.states].reshape(problem.columns, -1)

@@ -20,7 +20,7 @@ from casadi_skin.zero.collocation import CollocationEquations
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import AlgebraicProblem
 from casadi_skin.zero.settings import Point
-from casadi_skin.zero.stated_problem import BoundaryProblem
+from casadi_skin.zero.stated_problem import BoundaryProblem, stated
 from casadi_skin.zero.statement import Statement
 from casadi_skin.zero.statics import ComplexArray, Spectrum
 
@@ -130,10 +130,7 @@ class Solution(Result):
     @property
     def problem(self) -> BoundaryProblem:
         """The stated equations on their mesh; raises NoQuantityError for an orbit of a family and an equilibrium."""
-        problem = self.point.problem
-        if not isinstance(problem, BoundaryProblem):
-            raise NoQuantityError("problem: no boundary-value problem was stated; accepted: point.problem")
-        return problem
+        return stated(self.point.problem)
 
     @property
     def _collocation(self) -> CollocationEquations:

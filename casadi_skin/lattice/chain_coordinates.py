@@ -25,7 +25,6 @@ from casadi_skin.zero.family import Coordinates, Localised, normalised, numbered
 from casadi_skin.zero.model_coordinates import check_harmonics
 from casadi_skin.zero.problem import Array, Indices, Problem
 from casadi_skin.zero.settings import Point
-from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 if TYPE_CHECKING:
     from casadi_skin.lattice.lattice import Lattice
@@ -136,7 +135,7 @@ def continued_logarithms(core: Chain, point: Point, z: Array, smallest: float) -
     Sites below `smallest` times the largest are computed in closed form from those above.
     """
     problem = point.problem
-    harmonics = problem.resolution if isinstance(problem, TrigonometricProblem) else GAUSS_HARMONICS
+    harmonics = problem.cosines or GAUSS_HARMONICS
     theta = (np.arange(harmonics) + 0.5) * np.pi / (2 * harmonics)
     start, values = np.split(problem.sample(z, np.concatenate([[0.0], theta])), [1])
     with np.errstate(divide="ignore"):

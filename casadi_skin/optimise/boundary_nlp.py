@@ -28,7 +28,7 @@ from casadi_skin.solve.levels import ERROR_SAFETY
 from casadi_skin.zero.guesses import Guess
 from casadi_skin.zero.problem import Array, Indices
 from casadi_skin.zero.settings import ErrorEstimate, Point
-from casadi_skin.zero.stated_problem import BoundaryProblem
+from casadi_skin.zero.stated_problem import BoundaryProblem, stated
 from casadi_skin.zero.statement import Statement
 
 ENOUGH_INTERVALS = 200  # intervals where a bound holds a state, and errors fall with the distance of the points only
@@ -202,8 +202,7 @@ def refined(space: BoundarySpace, nlp: BoundaryNlp, solution: Solution, flat: bo
         above = space.levels.finer(nlp.problem, solution.x)
         if above is None or space.levels.finer(above) is None:
             raise BoundaryError(f"{name}: more than {nlp.problem.resolution} intervals are needed")
-        assert isinstance(above, BoundaryProblem)
-        start, finer = nlp.problem.prolong(solution.x, above), BoundaryNlp(above, space.tolerance, **more)
+        start, finer = nlp.problem.prolong(solution.x, above), BoundaryNlp(stated(above), space.tolerance, **more)
         better = finer.solved(start, warm=True)
         moved = better.x - start
         scalars, profile = above.frequency_step(better.x, moved), above.profile_change(better.x, moved)
@@ -226,8 +225,7 @@ def _first(space: BoundarySpace, guess: Guess) -> tuple[BoundaryNlp, Solution]:
     failure: BoundaryError | None = None
     first = int(space.method.intervals or 1)
     for resolution in [r for r in space.levels.resolutions if r >= first][:FIRST_MESHES]:
-        problem = space.levels.problem(resolution)
-        assert isinstance(problem, BoundaryProblem)
+        problem = stated(space.levels.problem(resolution))
         start, nlp = packed(problem, guess), BoundaryNlp(problem, space.tolerance)
         try:
             solution = nlp.solved(start)

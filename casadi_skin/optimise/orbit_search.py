@@ -34,7 +34,7 @@ from casadi_skin.optimise.search_problem import (
 from casadi_skin.zero.guesses import Guess, sampled
 from casadi_skin.zero.orbit import Sizes
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.zero.stated_problem import PERIOD, stated
 from casadi_skin.zero.statement import Statement, check_expressions, named_values
 
 GUESS_SAMPLES = 401  # of the guess over a period
@@ -195,8 +195,7 @@ class OrbitSearch(SearchProblem):
         """The programme on the mesh of a plain orbit, with that orbit as a point of it."""
         statement = self._statement(plain)
         space = replace(cast(BoundarySpace, plain.space), statement=statement, sizes=Sizes.of(statement, plain.states))
-        problem = space.levels.problem(plain.intervals).with_constants(plain.problem.constants)
-        assert isinstance(problem, BoundaryProblem)
+        problem = stated(space.levels.problem(plain.intervals).with_constants(plain.problem.constants))
         conditions = [replace(c, quantity=self._at_phase_zero(statement, plain, c.quantity)) for c in self.conditions]
         scales = {name: high - low for name, (low, high) in self.limits.items() if name in self.free}
         scales = {name: s if math.isfinite(s) else max(1.0, abs(self.parameters[name])) for name, s in scales.items()}

@@ -37,10 +37,8 @@ from casadi_skin.stability.tongues.diagram import LocalisedDiagram, Place, Stabi
 from casadi_skin.stability.tongues.find_changes import POWERS_BY_FRACTION
 from casadi_skin.zero.family import Targets
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE, Unresolved
-from casadi_skin.zero.orbit import FirstOrderProblem
-from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
+from casadi_skin.zero.problem import Array, Indices, OrbitProblem, Problem, Scalar, SingularError
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point
-from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 DIFFERENCE_STEP = 1e-3  # of the sizes: that of derivatives
 LAST_NEWTON_STEP = 1e-7  # of the sizes: a step of Newton's method after which an edge is one
@@ -827,7 +825,6 @@ SECANT_OFFSET = 1e-4  # of S: the second place of the secant method
 SOLVED_S_RTOL = 1e-13  # of S
 LONGEST_CROSSING_MOVE = 0.02  # of S: how far a crossing may be from where it is expected
 REAL_MU_ATOL = 1e-9  # imaginary part of a mu that is real
-PHASE_DIFFERENCE_STEP = 1e-5  # of a phase, for velocities
 
 
 class CrossingWalk(EdgeWalk):
@@ -886,17 +883,6 @@ class CrossingWalk(EdgeWalk):
 def shortened(point: Point, turns: int) -> Point:
     """A guess of the orbit of a shorter period that an orbit of a family runs through several times."""
     problem, z = point.problem, point.z.copy()
-    if isinstance(problem, TrigonometricProblem):
-        phases = (np.arange(problem.resolution) + 0.5) * np.pi / (2 * problem.resolution)
-        states: Array = problem.sample(z, phases / turns).T
-    elif isinstance(problem, FirstOrderProblem):
-        phases = problem.phases() / turns
-        states = problem.sample(z, phases)
-        if problem.model.order == 2:
-            ends = [problem.sample(z, phases + side * PHASE_DIFFERENCE_STEP) for side in (-1.0, 1.0)]
-            states = np.hstack([states, problem.frequency(z) * (ends[1] - ends[0]) / (2.0 * PHASE_DIFFERENCE_STEP)])
-    else:
-        raise ArithmeticError(f"the orbit of the shorter period is not known to {type(problem).__name__}")
-    z[: problem.states] = states.ravel()
+    z[: problem.states] = cast(OrbitProblem, problem).of_shorter_period(z, turns)
     z[problem.Omega_index] *= turns
     return replace(point, z=z, better=None)

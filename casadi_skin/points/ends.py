@@ -12,7 +12,7 @@ from casadi_skin.zero import mesh
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point
-from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.zero.stated_problem import PERIOD, stated
 
 # The place where orbits that left others, at a period doubling or where a symmetry is lost, rejoin them ---------------
 
@@ -61,8 +61,7 @@ class Left:
         found = special_orbit(self.space, kind, self._mean(own, near))
         if found is None:
             return None
-        problem, z = near.problem, near.z.copy()
-        assert isinstance(problem, BoundaryProblem)
+        problem, z = stated(near.problem), near.z.copy()
         turned = self.turns * problem._fractions()
         states = found.problem.sample(found.z, np.where(turned <= 1.0, turned, turned - 1.0))
         if self.space.periodic is not None and any(self.space.periodic.turns):
@@ -80,14 +79,12 @@ class Left:
 
     def _mean(self, own: BoundarySolutions, near: Point) -> Point:
         """Half the sum of an orbit and its image as a point of the branch that was left."""
-        space, old = self.space, near.problem
-        assert isinstance(old, BoundaryProblem)
+        space, old = self.space, stated(near.problem)
         parts = old.constants[: (old.constants.size + self.turns - 1) // self.turns]
         fitting = [r for r in space.levels.resolutions if r >= parts.size]
         resolution = fitting[0] if fitting else space.levels.resolutions[-1]
         lengths = mesh.resampled(parts / np.sum(parts), resolution)
-        problem = space.levels.problem(resolution).with_constants(lengths)
-        assert isinstance(problem, BoundaryProblem)
+        problem = stated(space.levels.problem(resolution).with_constants(lengths))
         places = problem._fractions() / self.turns
         reached = np.minimum(places, 1.0 - self.shift)  # beyond half a period: the image of half a period before
         states = self._parts(own, near, reached)[0]

@@ -23,7 +23,7 @@ from casadi_skin.zero.orbit import FIRST_INTERVALS, Periodic, Sizes, boundary_me
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
-from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
 from casadi_skin.zero.statics import Statics
 
 ACCEPTED_ORBITS = (
@@ -122,9 +122,7 @@ def _problem(space: BoundarySpace, orbit: Orbit, turns: int) -> BoundaryProblem:
     resolutions = [r for r in space.levels.resolutions if r >= turns * orbit.intervals]
     resolution = resolutions[0] if resolutions else space.levels.resolutions[-1]
     lengths = np.tile(orbit.problem.constants / np.sum(orbit.problem.constants), turns) / turns
-    problem = space.levels.problem(resolution).with_constants(mesh.resampled(lengths, resolution))
-    assert isinstance(problem, BoundaryProblem)
-    return problem
+    return stated(space.levels.problem(resolution)).with_constants(mesh.resampled(lengths, resolution))
 
 
 def _perturbation(orbit: Orbit, values: dict[str, float], t: Array) -> Array:
@@ -179,8 +177,7 @@ def born_at(
     space = BoundarySpace(
         statement, tolerance, method, sizes, periodic, parameter, to, at, None, settings, leaves=True
     )  # fmt: skip
-    problem = space.levels.problem(FIRST_INTERVALS)
-    assert isinstance(problem, BoundaryProblem)
+    problem = stated(space.levels.problem(FIRST_INTERVALS))
     z = at_rest(problem, x, period, 0.0)
     tangent = np.zeros(problem.size)
     turns = np.exp(2j * np.pi * problem._fractions())[:, None] * q

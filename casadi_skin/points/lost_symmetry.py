@@ -28,7 +28,7 @@ from casadi_skin.zero.kinds import BRANCH_POINT
 from casadi_skin.zero.orbit import OrbitRequest, Periodic, Sizes, statement_of
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
-from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
 
 # Orbits that leave a family of reversible orbits where a real tongue of instability opens or closes -------------------
 
@@ -169,9 +169,8 @@ def _problem(space: BoundarySpace, start: Orbit, part: float) -> BoundaryProblem
     lengths = np.concatenate([there[k % 2] for k in range(round(part / start.symmetry.value))])
     fitting = [r for r in space.levels.resolutions if r >= lengths.size]
     resolution = fitting[0] if fitting else space.levels.resolutions[-1]
-    found = space.levels.problem(resolution).with_constants(mesh.resampled(lengths / np.sum(lengths), resolution))
-    assert isinstance(found, BoundaryProblem)
-    return found
+    lengths = mesh.resampled(lengths / np.sum(lengths), resolution)
+    return stated(space.levels.problem(resolution)).with_constants(lengths)
 
 
 def _course(orbit: Orbit, space: BoundarySpace, problem: BoundaryProblem, t: Array) -> Array:

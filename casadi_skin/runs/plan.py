@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from casadi_skin.runs.scene import LEAVING, ContinuationTable, EquilibriumTable
 from casadi_skin.runs.tasks import tasks_of
 from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.problem import Problem
-from casadi_skin.zero.request import FamilyRequest
 from casadi_skin.zero.settings import ErrorEstimate
 
 TYPICAL_SAMPLES = (60, 450)  # orbits of a family that its changes of stability are sought with
@@ -98,7 +96,7 @@ def _measured(request: Request, family: Family) -> Lines:
     started = time.perf_counter()
     problem, error = _first_problem(family)
     building = time.perf_counter() - started
-    sizes = f"{problem.size} at the start ({_resolution(family.request, problem)}); {problem.size - 1} equations"
+    sizes = f"{problem.size} at the start ({problem.resolution_in_words()}); {problem.size - 1} equations"
     return [
         ("unknowns", f"{sizes}; more where the tolerance asks for it"),
         ("non-zeros", f"{problem.function.nnz_out(1)} in the Jacobian"),
@@ -120,15 +118,6 @@ def _first_problem(family: Family) -> tuple[Problem, ErrorEstimate]:
         if finer is None or at_top or error.relative(problem.frequency(z)) <= family.tolerance:
             return problem, error
         problem, z = finer, problem.prolong(correction.z, finer)
-
-
-def _resolution(request: FamilyRequest, problem: Any) -> str:
-    name = str(request.method.transcription)
-    if name == methods.TRIGONOMETRIC:
-        return f"{problem.resolution} odd cosines"
-    if name == methods.SHOOTING:
-        return f"{problem.segments} segments, a local tolerance of 1e-{problem.resolution}"
-    return f"{problem.resolution} intervals, polynomials of degree {request.degree}"
 
 
 def _cost(request: Request, family: Family, problem: Problem, building: float) -> str:

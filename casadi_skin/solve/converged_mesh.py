@@ -13,7 +13,7 @@ from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import Correction
 from casadi_skin.zero import mesh
 from casadi_skin.zero.problem import Array, SingularError
-from casadi_skin.zero.stated_problem import BoundaryProblem
+from casadi_skin.zero.stated_problem import BoundaryProblem, stated
 
 UNRESOLVED_ERROR = 0.1  # relative error beyond which a first mesh has missed something
 RESOLVED_ERROR = 1e-2  # a smaller one needs no finer mesh to be believed
@@ -31,8 +31,11 @@ def converged_mesh(
     if _error(levels, problem, first) <= UNRESOLVED_ERROR:
         return None
     for resolution in [r for r in MESH_SIZES if r > problem.resolution]:
-        target = levels.problem(resolution)
-        starts = (problem.transferred(target), target.with_constants(mesh.graded(resolution, SMALLEST_INTERVAL)))
+        target = stated(levels.problem(resolution))
+        starts = (
+            problem.transferred(target),
+            target.with_constants(mesh.graded(resolution, SMALLEST_INTERVAL)),
+        )
         found, errors = [], []
         for start in starts:
             solution = _placed(levels, problem, z, start)
@@ -47,11 +50,10 @@ def converged_mesh(
 
 
 def _placed(
-    levels: Levels, problem: BoundaryProblem, z: Array, target: object
+    levels: Levels, problem: BoundaryProblem, z: Array, target: BoundaryProblem
 ) -> tuple[BoundaryProblem, Correction] | None:
     """The solution near z on a mesh placed until it has settled."""
     for _ in range(PLACEMENT_ROUNDS):
-        assert isinstance(target, BoundaryProblem)
         correction = levels.corrector(target).correct(problem.prolong(z, target), target.parameter_row(), 0.0)
         if not correction.converged:
             return None

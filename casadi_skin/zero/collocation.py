@@ -21,7 +21,7 @@ from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.discretisation import Discretisation
 from casadi_skin.zero.formulation import Formulation
 from casadi_skin.zero.mesh import defect_table, missed
-from casadi_skin.zero.problem import Array, Evaluate, Indices, Problem, Solve, sparse_matrix
+from casadi_skin.zero.problem import Array, Evaluate, Indices, Other, Problem, Solve, sparse_matrix
 
 NO_VALUES: Array = np.zeros(0)
 NEARBY_FACTORS_RATIO = 0.1  # of a step: the largest part that factors of another Jacobian may have left
@@ -154,6 +154,9 @@ class CollocationEquations(Problem):
         shape = self.equations, self.size
         return z, ca.vertcat(*residual), sparse_matrix(shape, structure.rows, structure.columns, nonzeros)
 
+    def resolution_in_words(self) -> str:
+        return f"{self.resolution} intervals, polynomials of degree {self.degree}"
+
     @property
     def places(self) -> ca.MX:
         """Places of the stages in [0, 1], shape (1, K d)."""
@@ -226,10 +229,10 @@ class CollocationEquations(Problem):
         noise = MESH_NOISE * float(np.sum(np.abs(weights)))
         return mesh.density(self.constants, np.einsum("j,kjn->kn", weights, values[columns]), d, noise)
 
-    def transferred(self, other: Problem) -> Problem:
+    def transferred(self, other: Other) -> Other:
         return other.with_constants(mesh.resampled(self.constants, other.resolution))
 
-    def placed(self, z: Array, other: Problem) -> Problem:
+    def placed(self, z: Array, other: Other) -> Other:
         return other.with_constants(mesh.equidistributed(self.constants, self._density(z), other.resolution))
 
     def imbalance(self, z: Array) -> float:

@@ -10,7 +10,6 @@ phase of its own.
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -45,6 +44,7 @@ LARGEST_GUESS_STATE = 1e150  # state of a guess
 REFERENCE_HARMONICS = 12  # of the reference of the phase
 DEPENDENT_GRADIENTS = 0.05  # relative: gradients of conserved quantities along a guess that count as dependent
 TWO_PI = 2.0 * np.pi
+PHASE_DIFFERENCE_STEP = 1e-5  # of a phase, for velocities
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -421,9 +421,13 @@ class FirstOrderProblem(OrbitProblem):
         """Place of the unfolding parameter among the unknowns (full period only)."""
         return self.states + 2
 
-    @abstractmethod
-    def phases(self) -> Array:
-        """Phases theta of the full states among the unknowns, in their order."""
+    def of_shorter_period(self, z: Array, turns: int) -> Array:
+        phases = self.phases() / turns
+        states = self.sample(z, phases)
+        if self.model.order == 2:
+            ends = [self.sample(z, phases + side * PHASE_DIFFERENCE_STEP) for side in (-1.0, 1.0)]
+            states = np.hstack([states, self.frequency(z) * (ends[1] - ends[0]) / (2.0 * PHASE_DIFFERENCE_STEP)])
+        return states.ravel()
 
     def _spread(self, factors: Array) -> Array:
         return np.tile(factors, self.states // factors.size)  # velocities are shown as positions are

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from enum import Enum
 from functools import cached_property, lru_cache
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -19,6 +19,8 @@ from casadi_skin.model.ode import OdeModel
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Evaluate = Callable[[Array, Array], tuple[Array, Array]]  # of unknowns and numbers: residual, non-zeros of its Jacobian
+
+Other = TypeVar("Other", bound="Problem")
 
 EPSILON = float(np.finfo(float).eps)
 
@@ -93,6 +95,10 @@ class Problem(ABC):
     states: int  # number of state values in z
     half_bandwidth: int | None = None  # of dR/d(state values), when rows and columns are ordered to make it small
     in_order: bool = False  # whether unknowns and equations come in an order of `elimination_order`
+    cosines: int = 0  # number of odd cosines by whose values at nodes the state is known; 0 in other transcriptions
+    noise: float = 0.0  # error of residuals beyond rounding, as of an integrator, relative to the state
+    holds_linear_modes: bool = False  # exactly, at every resolution
+    output_scale: Array | None = None  # factors from state values to those that users see
     constants: Array = np.zeros(0)
 
     @abstractmethod
@@ -273,11 +279,11 @@ class Problem(ABC):
 
     # Adaptation: where the unknowns of a transcription should lie ------------------------------------
 
-    def transferred(self, other: Problem) -> Problem:
+    def transferred(self, other: Other) -> Other:
         """The problem `other`, of another resolution, with its unknowns placed as they are here."""
         return other
 
-    def placed(self, z: Array, other: Problem) -> Problem:
+    def placed(self, z: Array, other: Other) -> Other:
         """The problem `other`, of any resolution, with its unknowns placed where the solution z needs them."""
         return other
 
@@ -295,6 +301,21 @@ class Problem(ABC):
         None where this discretisation has no such step of its own; `solve` has the factors of a closed Jacobian near z.
         """
         return None
+
+    def resolution_in_words(self) -> str:
+        """The resolution, in words."""
+        return f"resolution {self.resolution}"
+
+    def by_itself(self, z: Array) -> tuple[Problem, Array]:
+        """The equations of unknown sites alone where others are eliminated, and z in their unknowns."""
+        return self, z
+
+    def eliminated(self, z: Array) -> tuple[Array, slice, int]:
+        """The contribution of eliminated sites to the derivative by states: a block, its place, and a number.
+
+        It is the number of positive eigenvalues of the eliminated equations, up to one that is the same for all z.
+        """
+        return np.zeros((0, 0)), slice(0), 0
 
     @property
     def probe(self) -> Array:
@@ -367,18 +388,25 @@ class OrbitProblem(Problem):
 
     model: OdeModel
     symmetry: SymmetryClass
-    holds_linear_modes: bool = False  # exactly, at every resolution
 
     @abstractmethod
     def pack(self, positions: Array, Omega: float, parameter: float) -> Array:
         """Unknowns of the orbit with q(theta) = positions cos(theta), shape (size,)."""
 
     @abstractmethod
+    def phases(self) -> Array:
+        """Phases theta of the states among the unknowns, in their order."""
+
+    @abstractmethod
+    def of_shorter_period(self, z: Array, turns: int) -> Array:
+        """A guess of the state values of the orbit that z runs through `turns` times, shape (states,)."""
+
+    @abstractmethod
     def _spread(self, factors: Array) -> Array:
         """Factors of the model's state components, shape (model.size,), for all state values in z, shape (states,)."""
 
     @cached_property
-    def output_scale(self) -> Array | None:
+    def output_scale(self) -> Array | None:  # type: ignore[override]
         """Factors from the state values to those that users see, shape (states,); None where these are the same."""
         factors = self.model.output_scale
         return None if factors is None or len(set(factors)) == 1 else self._spread(np.array(factors))

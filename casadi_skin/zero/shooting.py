@@ -163,6 +163,7 @@ class ShootingProblem(FirstOrderProblem):
             raise ValueError(f"segments: given {segments}; accepted: a whole number >= 1")
         self.states = model.full_size * (self.segments + 1)
         self.flow = SegmentFlow(model, digits)
+        self.noise = 10.0**-digits
         self._paths: dict[bytes, dict[int, OdeSolution]] = {}
 
     # Equations ------------------------------------------------------------------------------------------------------
@@ -212,6 +213,9 @@ class ShootingProblem(FirstOrderProblem):
         assert isinstance(finer, ShootingProblem)
         assert finer.segments == self.segments
         return z.copy()
+
+    def resolution_in_words(self) -> str:
+        return f"{self.segments} segments, a local tolerance of 1e-{self.resolution}"
 
     def rounding(self, z: Array) -> float:
         return CVODES_ROUNDING * float(np.max(np.abs(z[: self.states])))

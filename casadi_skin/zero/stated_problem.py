@@ -10,11 +10,12 @@ import numpy as np
 
 from casadi_skin.model.arguments import cut
 from casadi_skin.model.expressions import Expression
+from casadi_skin.model.result import NoQuantityError
 from casadi_skin.zero import mesh
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.collocation import CollocationEquations
 from casadi_skin.zero.formulation import Formulation
-from casadi_skin.zero.problem import Array, Scalar
+from casadi_skin.zero.problem import Array, Problem, Scalar
 from casadi_skin.zero.statement import Statement
 
 LONGEST_CONDITION = 40  # characters of a condition in a message
@@ -177,6 +178,13 @@ class BoundaryProblem(CollocationEquations):
         if condition < ends:
             return f"condition {condition + 1} ({_entry(self.statement.conditions, condition)})"
         return f"integral {condition - ends + 1} ({_entry(self.statement.integrals, condition - ends)})"
+
+
+def stated(problem: Problem) -> BoundaryProblem:
+    """A problem that was stated; raises NoQuantityError for one of a family or of equilibria."""
+    if not isinstance(problem, BoundaryProblem):
+        raise NoQuantityError("problem: no boundary-value problem was stated; accepted: point.problem")
+    return problem
 
 
 def _entry(expressions: Sequence[Expression], index: int) -> str:

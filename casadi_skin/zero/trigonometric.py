@@ -115,6 +115,7 @@ class TrigonometricProblem(OrbitProblem):
         if model.parameters.numel() != 1 or model.normalisation is None:
             raise ValueError(f"{model.name}: a family needs one free parameter and a normalisation")
         self.model, self.resolution, self.symmetry = model, harmonics, SymmetryClass.QUARTER
+        self.cosines = harmonics
         self._sites = model.size
         self.states = self._sites * harmonics
         self._to_coefficients = (2.0 / harmonics) * cosine_matrix(harmonics)
@@ -181,16 +182,11 @@ class TrigonometricProblem(OrbitProblem):
         """Power series of branches."""
         return TaylorRecursion(self, form, orders)
 
-    def by_itself(self, z: Array) -> tuple[TrigonometricProblem, Array]:
-        """The equations of unknown sites alone where others are eliminated, and z in their unknowns."""
-        return self, z
+    def resolution_in_words(self) -> str:
+        return f"{self.resolution} odd cosines"
 
-    def eliminated(self, z: Array) -> tuple[Array, slice, int]:
-        """The contribution of eliminated sites to the derivative by states: a block, its place, and a number.
-
-        It is the number of positive eigenvalues of the eliminated equations, up to one that is the same for all z.
-        """
-        return np.zeros((0, 0)), slice(0), 0
+    def of_shorter_period(self, z: Array, turns: int) -> Array:
+        return self.sample(z, self.phases() / turns).T.ravel()
 
     def place(self, equation: int) -> str:
         """Place of an equation, counted from 0, in words."""
