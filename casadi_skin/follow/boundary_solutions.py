@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, ClassVar, Protocol
+from functools import cached_property, partial
+from typing import ClassVar, Protocol
 
 import casadi as ca
 import numpy as np
@@ -106,9 +106,10 @@ class BoundarySolutions(SolutionSpace):
         """The corrector, for a hundredth of the tolerance where rounding allows it; every orbit is put to Ipopt."""
         tolerance = float(np.clip(1e-2 * self.tolerance, 1e-12, 1e-6))
         name = self.method.corrector
-        more: dict[str, Any] = {"always": self.statement.always_confirmed} if name == "ipopt" else {}
-        make: Any = ArbitratedCorrector if name == "ipopt" else CORRECTORS[name]
-        return RoundedCorrector(make(problem, tolerance, MOST_IPOPT_ITERATIONS, **more))
+        make = CORRECTORS[name]
+        if name == "ipopt":
+            make = partial(ArbitratedCorrector, always=self.statement.always_confirmed, far=True)
+        return RoundedCorrector(make(problem, tolerance, MOST_IPOPT_ITERATIONS))
 
     @cached_property
     def levels(self) -> Levels:

@@ -19,7 +19,7 @@ from casadi_skin.follow.special_points import folds_between
 from casadi_skin.model import methods
 from casadi_skin.model.conserved import SymmetryClass, symmetry_class
 from casadi_skin.model.expressions import site_numbers
-from casadi_skin.solve.arbiter import ConfirmedCorrector
+from casadi_skin.solve.arbiter import ArbitratedCorrector
 from casadi_skin.solve.ipopt import CORRECTORS
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import Corrector
@@ -142,9 +142,8 @@ class Family(FamilyStability, SolutionSpace):
             tolerance = max(tolerance, ROUND_OFF * problem.resolution**2)
         if name == "ipopt" and not problem.noise:
             series = self.request.method.walker == "series"
-            return ConfirmedCorrector(
-                problem, tolerance, CONFIRMED_TOGETHER if series and problem.size <= SMALL_UNKNOWNS else 1
-            )
+            together = CONFIRMED_TOGETHER if series and problem.size <= SMALL_UNKNOWNS else 1
+            return ArbitratedCorrector(problem, tolerance, together=together)
         return CORRECTORS[name](problem, tolerance)
 
     # The branch -----------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ import numpy as np
 
 from casadi_skin.follow.polynomials import LocalCurve
 from casadi_skin.solve.levels import Levels, Measured, step_error
-from casadi_skin.solve.newton import Correction, confirmations
+from casadi_skin.solve.newton import Correction
 from casadi_skin.zero.problem import Array, OrbitProblem, Problem, Scalar, SingularError, Solve
 from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point, Target
 
@@ -156,7 +156,7 @@ class PointSolver:
             some = list(these)
             rows = self._rows(problem, some)
             held_states = [(point.z, row, float(row @ point.z)) for (point, _), row in zip(some, rows, strict=True)]
-            corrections = confirmations(self.levels.corrector(problem), held_states)
+            corrections = self.levels.corrector(problem).confirm_all(held_states)
             for (point, held), row, correction in zip(some, rows, corrections, strict=True):
                 found.append(self._last_word(point, held, row, correction))
         return found

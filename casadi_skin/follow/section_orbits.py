@@ -8,7 +8,7 @@ import numpy as np
 
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.series import STACKED_UNKNOWNS
-from casadi_skin.solve.bordered import StackedSolver
+from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
 from casadi_skin.zero.problem import Array, Problem, SingularError, Solve
 
@@ -65,8 +65,8 @@ def find_all(
 ) -> list[SectionOrbit | None]:
     """As `find_one` from several guesses, (guesses, unknowns); None where one has to be sought by itself."""
     found: list[SectionOrbit | None] = [None] * len(guesses)
-    stack = StackedSolver.of(problem) if problem.size <= STACKED_UNKNOWNS else None
-    if stack is None:
+    solver = BorderedSolver.of(problem)
+    if problem.size > STACKED_UNKNOWNS or not solver.takes_several:
         return found
     z, values, active = guesses.copy(), guesses @ row, np.arange(len(guesses))
     weights = point_solver.metrics(problem, guesses)
@@ -76,7 +76,7 @@ def find_all(
             residuals, nonzeros = problem.evaluate_all(here)
         except (ArithmeticError, RuntimeError):  # those that fail do so again by themselves
             return found
-        steps = stack.steps(here, np.column_stack([residuals, here @ row - values[active]]), nonzeros, rows)
+        steps = solver.steps(here, np.column_stack([residuals, here @ row - values[active]]), nonzeros, rows)
         if steps is None:
             return found
         z[active] = here - steps.newton

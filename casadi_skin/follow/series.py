@@ -18,7 +18,7 @@ from casadi_skin.follow.arclength import START_FRACTION
 from casadi_skin.follow.corners import CORNER_STEP_FRACTION, Corner, Side, point_before, shifts, side_of, turned
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import Stretch
-from casadi_skin.solve.bordered import StackedSolver, Steps
+from casadi_skin.solve.bordered import BorderedSolver, Steps
 from casadi_skin.solve.levels import Measured
 from casadi_skin.solve.newton import Correction, Status
 from casadi_skin.zero.problem import Array, Problem, Scalar, SingularError
@@ -107,13 +107,13 @@ def polished(point_solver: PointSolver, problem: Problem, guesses: Guesses) -> P
 
 def all_polished(point_solver: PointSolver, problem: Problem, guesses: Guesses) -> list[Polished] | None:
     """All places after a Newton step, with their errors; None where they have to be polished one by one."""
-    stack = StackedSolver.of(problem) if problem.size <= STACKED_UNKNOWNS else None
-    if stack is None:
+    solver = BorderedSolver.of(problem)
+    if problem.size > STACKED_UNKNOWNS or not solver.takes_several:
         return None
     try:
         residuals, nonzeros = problem.evaluate_all(guesses.z)
         defects = np.einsum("ij,ij->i", guesses.rows, guesses.z) - guesses.values
-        steps = stack.steps(guesses.z, np.column_stack([residuals, defects]), nonzeros, guesses.rows)
+        steps = solver.steps(guesses.z, np.column_stack([residuals, defects]), nonzeros, guesses.rows)
         return None if steps is None else _after(point_solver, problem, guesses, steps)
     except (ArithmeticError, RuntimeError):  # at a place that the walk may not come to; if it does, they come again
         return None
@@ -270,7 +270,7 @@ class SeriesContinuation:
 
     def _together(self, problem: Problem) -> int:
         """Number of points that the corrector confirms at a time."""
-        return int(getattr(self.point_solver.levels.corrector(problem), "together", 1))
+        return self.point_solver.levels.corrector(problem).together
 
     def _confirmed(self, some: list[_Reached]) -> list[tuple[_Reached, Point | SingularError | None]]:
         """Stops with the corrector's last word on their points."""

@@ -234,6 +234,20 @@ class _Places:
         return cls(order, closing, opened, taken, closed.astype(np.intc), bounds.astype(np.intc))  # as SuperLU has them
 
 
+@dataclass(frozen=True)
+class Steps:
+    """Solutions of [dR/dz; row] x = b at several states, each (states, unknowns), and the signs of the determinants.
+
+    `newton` is that for the residuals, that of the closing row among them, `along` for the closing row alone, and
+    `response` for residuals of size 1 in general position.
+    """
+
+    newton: Array
+    along: Array
+    response: Array
+    orientation: Array
+
+
 class BorderedSolver:
     """Factorises [dR/dz; row] for one problem; the structure is analysed once, the numbers at each call."""
 
@@ -309,6 +323,23 @@ class BorderedSolver:
             )
         return solve
 
+    @cached_property
+    def takes_several(self) -> bool:
+        """Whether several states are solved for at once: a band, and no equation without an unknown."""
+        return self._kernel is not None and np.unique(self.problem.pattern[0]).size == self.problem.size - 1
+
+    def steps(self, z: Array, residuals: Array, nonzeros: Array, rows: Array) -> Steps | None:
+        """Solutions at states z, by residuals (states, unknowns), where it `takes_several`.
+
+        None where a matrix is singular but for rounding.
+        """
+        assert self._kernel is not None
+        x = np.zeros((len(z), 3, z.shape[1]))
+        x[:, 0], x[:, 1, :-1], x[:, 2, -1] = residuals, self.problem.probe, 1.0
+        signs = self._kernel.steps(z, nonzeros, rows, x)
+        newton, response, along = x.swapaxes(0, 1)
+        return None if signs is None else Steps(newton, along, response, signs)
+
     def orientation(self, nonzeros: Array, row: Array) -> float:
         """The sign of the determinant of [dR/dz; row], which a branch that crosses changes; 0 where it is singular."""
         try:
@@ -356,45 +387,3 @@ class BorderedSolver:
 def long_rows(rows: NDArray[np.integer[Any]], size: int) -> Indices:
     """Those of the rows of all non-zeros that go through most unknowns."""
     return np.flatnonzero(np.bincount(rows) > 0.5 * size)
-
-
-# Newton steps at several states of one banded problem, as `BorderedSolver` takes them one by one ----------------------
-
-
-@dataclass(frozen=True)
-class Steps:
-    """Solutions of [dR/dz; row] x = b at several states, each (states, unknowns), and the signs of the determinants.
-
-    `newton` is that for the residuals, that of the closing row among them, `along` for the closing row alone, and
-    `response` for residuals of size 1 in general position.
-    """
-
-    newton: Array
-    along: Array
-    response: Array
-    orientation: Array
-
-
-class StackedSolver:
-    """Solves for states of one problem at once."""
-
-    def __init__(self, problem: Problem, layout: BandLayout) -> None:
-        self._problem, self._kernel = problem, layout.kernel(problem)
-
-    @staticmethod
-    def of(problem: Problem) -> StackedSolver | None:
-        """The one that serves all problems that differ in their constants only; None where there is no band."""
-        if "stacked" not in problem.shared:
-            layout = BandLayout.of(problem)
-            full = np.unique(problem.pattern[0]).size == problem.size - 1  # no equation without an unknown
-            problem.shared["stacked"] = StackedSolver(problem, layout) if layout is not None and full else None
-        found: StackedSolver | None = problem.shared["stacked"]
-        return found
-
-    def steps(self, z: Array, residuals: Array, nonzeros: Array, rows: Array) -> Steps | None:
-        """Solutions at states z, by residuals (states, unknowns); None where a matrix is singular but for rounding."""
-        x = np.zeros((len(z), 3, z.shape[1]))
-        x[:, 0], x[:, 1, :-1], x[:, 2, -1] = residuals, self._problem.probe, 1.0
-        signs = self._kernel.steps(z, nonzeros, rows, x)
-        newton, response, along = x.swapaxes(0, 1)
-        return None if signs is None else Steps(newton, along, response, signs)

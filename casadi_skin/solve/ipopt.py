@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.solve.newton import Correction, Corrector, NewtonCorrector, Status
+from casadi_skin.solve.newton import Correction, Corrector, HeldState, NewtonCorrector, Status
 from casadi_skin.solve.watch import heed, is_over
 from casadi_skin.zero.problem import Array, Evaluate, Problem
 
@@ -196,16 +195,27 @@ def _square_nlp(
     return nlp_solver("corrector", nlp, tolerance, options)
 
 
-class SquareSolver:
-    """Ipopt on the equations of `count` points, each closed by a row of its own, as one nonlinear programme.
+class IpoptCorrector(Corrector):
+    """The nonlinear programme min 0 subject to R(z) = 0 and row . z = value, of one point or of `count` at once.
 
-    Arguments and result are arrays of our own, with a row a point: no conversion, at a third of the cost. `held` has
-    the row, its value, and the scale of the residuals; with `one_scalar` rows hold scalars alone.
+    Its parameters are the row, the value and the scale of the residuals of each point, then the problem's numbers. With
+    `one_scalar` rows hold scalars alone, which makes sparser matrices.
+
+    Residuals are made relative to the largest state, so that `tolerance` does not depend on the chain. Ipopt gets the
+    Jacobian assembled by the problem and a structurally empty Hessian of the Lagrangian: with no objective the
+    multipliers stay zero, and each iteration is a Newton step with MUMPS. Arguments and result are arrays of our own,
+    with a row a point: no conversion, at a third of the cost.
     """
 
     def __init__(
-        self, problem: Problem, count: int, tolerance: float, max_iterations: int, one_scalar: bool = False
+        self,
+        problem: Problem,
+        tolerance: float = 1e-12,
+        max_iterations: int = 20,
+        one_scalar: bool = False,
+        count: int = 1,
     ) -> None:
+        self.problem = problem
         evaluate = _Once(problem)
         g, jac_g = (
             _Constraints(problem, evaluate, count, with_jacobian, one_scalar) for with_jacobian in (False, True)
@@ -215,64 +225,39 @@ class SquareSolver:
         parameters = np.zeros(points + problem.numbers.size)
         z, p = ca.MX.sym("z", guess.size), ca.MX.sym("p", parameters.size)
         solver = _square_nlp(z, p, g(z, p), jac_g, tolerance, max_iterations)
-        self.guess, self._found = guess.reshape(count, size), found.reshape(count, size)
-        self.held, self.numbers = parameters[:points].reshape(count, size + 2), parameters[points:]
+        self._guess, self._found = guess.reshape(count, size), found.reshape(count, size)
+        self._held, self._numbers = parameters[:points].reshape(count, size + 2), parameters[points:]
         without, zero = np.full(guess.size, np.inf), np.zeros(guess.size)
         self._buffer, self._trigger = solver.buffer()
         arguments = {"x0": guess, "p": parameters, "lbx": -without, "ubx": without, "lbg": zero, "ubg": zero}
-        self._held = solver, g, jac_g, arguments  # CasADi holds no reference
+        self._kept = solver, g, jac_g, arguments  # CasADi holds no reference
         for name, values in (arguments | {"lam_x0": zero, "lam_g0": zero}).items():
             self._buffer.set_arg(solver.index_in(name), values.data)
         self._buffer.set_res(solver.index_out("x"), found.data)
 
-    def solve(self) -> tuple[Array, str, int]:
-        """Solutions from `guess` with `held` and `numbers`, Ipopt's own words for how it ended, and the iterations."""
+    def all_corrected(self, points: Sequence[HeldState]) -> list[Correction]:
+        """Corrections of up to `count` points, which share their status; the last point fills the rest."""
+        count, size = self._guess.shape
+        heed(f"Ipopt, {size * count} unknowns")
+        for k in range(count):
+            z, row, value = points[min(k, len(points) - 1)]
+            self._guess[k], self._held[k, :size], self._held[k, size] = z, row, value
+            self._held[k, size + 1] = residual_scale(self.problem, z)
+        self._numbers[:] = self.problem.numbers
         with interrupts_deferred():
             self._trigger()
-        stats = self._buffer.stats()
-        return self._found.copy(), str(stats["return_status"]), int(stats["iter_count"])
-
-
-class IpoptCorrector:
-    """The nonlinear programme min 0 subject to R(z) = 0 and row . z = value.
-
-    Its parameters are row, value and the problem's constants.
-
-    With `one_scalar` rows hold scalars alone, which makes sparser matrices.
-
-    Residuals are made relative to the largest state, so that `tolerance` does not depend on the chain.
-    Ipopt gets the Jacobian assembled by the problem and a structurally empty Hessian of the Lagrangian: with no
-    objective the multipliers stay zero, and each iteration is a Newton step with MUMPS.
-    """
-
-    def __init__(
-        self, problem: Problem, tolerance: float = 1e-12, max_iterations: int = 20, one_scalar: bool = False
-    ) -> None:
-        self.problem = problem
-        self._solver = SquareSolver(problem, 1, tolerance, max_iterations, one_scalar)
-
-    def on(self, problem: Problem) -> IpoptCorrector:
-        """This corrector for a problem that differs in its constants only; the solver built is shared."""
-        other = copy.copy(self)
-        other.problem = problem
-        return other
-
-    def correct(self, guess: Array, row: Array, value: float) -> Correction:
-        """Corrected point with row . z = value, or a named failure."""
-        words = f"Ipopt, {self.problem.size} unknowns"
-        heed(words)
-        scale = residual_scale(self.problem, guess)
-        solver, size = self._solver, self.problem.size
-        solver.guess[0], solver.numbers[:] = guess, self.problem.numbers
-        solver.held[0, :size], solver.held[0, size], solver.held[0, size + 1] = row, value, scale
-        (z,), words, iterations = solver.solve()
-        heed(f"Ipopt, {size} unknowns")
+        heed(f"Ipopt, {size * count} unknowns")
+        stats, found = self._buffer.stats(), self._found[: len(points)].copy()
+        words = str(stats["return_status"])
         status = STATUS_BY_WORDS.get(words, Status.DIVERGED)
-        if status is Status.CONVERGED and not np.all(np.isfinite(z)):
+        if status is Status.CONVERGED and not np.all(np.isfinite(found)):
             status = Status.DIVERGED
         if status is not Status.CONVERGED:
-            words = f"Ipopt: {words}; {self.problem.worst(guess)}"
-        return Correction(z, status, iterations, words)
+            words = f"Ipopt: {words}; {self.problem.worst(points[0][0])}"
+        return [Correction(z, status, int(stats["iter_count"]), words) for z in found]
+
+    def correct(self, guess: Array, row: Array, value: float) -> Correction:
+        return self.all_corrected([(guess, row, value)])[0]
 
 
 CORRECTORS: Mapping[str, Callable[..., Corrector]] = {

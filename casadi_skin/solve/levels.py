@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.solve.bordered import BorderedSolver, StackedSolver
+from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.solve.newton import Corrector
 from casadi_skin.zero.problem import EPSILON, Array, Problem, Scalar, Solve
 from casadi_skin.zero.settings import ErrorEstimate, Refinement
@@ -34,13 +34,15 @@ def step_error(problem: Problem, z: Array, step: Array, with_parameter: bool = F
 class OnFiner:
     """States prolonged to the next level `problem`, (states, size), with a Newton step from each.
 
-    `response` gives the responses to residuals of the size of their rounding, where these are needed.
+    `response` gives the responses to residuals of the size of their rounding, where these are needed; `profiles` are
+    the changes of the states by the steps where they are known, between the unknowns too.
     """
 
     problem: Problem
     z: Array
     steps: Array
     response: Callable[[], Array]
+    profiles: Array | None = None
 
 
 def estimated(
@@ -61,7 +63,7 @@ def estimated(
     Omega = np.array([problem.frequency(one) for one in z])
     steps = _at_parameter(finer, long_z, on_finer.steps, along, free)
     moves = by_Omega | (free & (along is not None) & (steps[:, finer.parameter_index] != 0.0))
-    errors, floors = _step_errors(finer, long_z, steps, moves), np.zeros(len(z))
+    errors, floors = _step_errors(finer, long_z, steps, moves, on_finer.profiles), np.zeros(len(z))
     errors[0] = np.maximum(errors[0], problem.round_off * Omega)
     near = _largest(errors, Omega) < NEAR_ROUND_OFF
     if near.any():  # no better than the response to rounding, and than what rounded constants do
@@ -89,11 +91,13 @@ def _at_parameter(problem: Problem, z: Array, steps: Array, along: Array | None,
     return found
 
 
-def _step_errors(problem: Problem, z: Array, steps: Array, with_parameter: NDArray[np.bool_]) -> Array:
+def _step_errors(
+    problem: Problem, z: Array, steps: Array, with_parameter: NDArray[np.bool_], profiles: Array | None = None
+) -> Array:
     """As `step_error` of several states: errors of Omega, of the profile and of the parameter, shape (3, states)."""
     errors = np.zeros((3, len(z)))
     errors[0] = [abs(problem.frequency_step(*one)) for one in zip(z, steps, strict=True)]
-    errors[1] = problem.profile_changes(z, steps)
+    errors[1] = problem.profile_changes(z, steps) if profiles is None else profiles
     for i in np.flatnonzero(with_parameter).tolist():
         errors[2, i] = abs(steps[i, problem.parameter_index]) / problem.parameter_size(z[i])
     errors *= ERROR_SAFETY
@@ -103,22 +107,6 @@ def _step_errors(problem: Problem, z: Array, steps: Array, with_parameter: NDArr
 def _largest(errors: Array, Omega: Array) -> Array:
     """The largest of the three errors of each state, with that of Omega made relative."""
     return np.asarray(np.max([errors[0] / Omega, errors[1], errors[2]], axis=0))
-
-
-def no_better(error: ErrorEstimate, response: ErrorEstimate, problem: Problem, z: Array) -> ErrorEstimate:
-    """The error, but not below the response to rounding, also of constants."""
-    Omega = problem.frequency(z)
-    floor = replace(
-        response,
-        Omega=max(response.Omega, problem.round_off * Omega),
-        profile=max(response.profile, problem.round_off),
-    )
-    return ErrorEstimate(
-        max(error.Omega, floor.Omega),
-        max(error.profile, floor.profile),
-        floor.relative(Omega),
-        max(error.parameter, floor.parameter),
-    )
 
 
 def _by_constants(problem: Problem, z: Array, tangent: Array) -> float:
@@ -226,15 +214,12 @@ class Levels:
         if improved is None:
             return None
         step, size = improved
-        error, Omega = (
-            ErrorEstimate(ERROR_SAFETY * abs(problem.frequency_step(z, step)), ERROR_SAFETY * size),
-            problem.frequency(z),
-        )
-        error = replace(error, Omega=max(error.Omega, problem.round_off * Omega))
-        if error.relative(Omega) < NEAR_ROUND_OFF:
-            noise = solve(np.append(problem.rounding(z) * problem.probe, 0.0))
-            error = no_better(error, step_error(problem, z, noise), problem, z)
-        return error, Refinement(problem, z - step)
+
+        def response() -> Array:
+            return solve(np.append(problem.rounding(z) * problem.probe, 0.0))[None]
+
+        better = OnFiner(problem, z[None], step[None], response, np.array([size]))
+        return estimated(problem, z[None], better, None, None, [Scalar.PARAMETER])[0]
 
     def refined(self, problem: Problem, z: Array, tangent: Array | None = None, held: Scalar | None = None) -> Measured:
         """Error of z and the better orbit that shows it: one Newton step on the next finer level, from z prolonged.
@@ -280,8 +265,7 @@ class Levels:
     ) -> list[Measured] | None:
         """As `refined` of several states (states, unknowns), in arrays; None where that does not do for all of them."""
         finer = self.finer(problem)
-        stack = None if finer is None else StackedSolver.of(finer)
-        if finer is None or stack is None:
+        if finer is None or not self.solver(finer).takes_several:
             return None
         long_z, along = (problem.all_prolonged(values, finer) for values in (z, tangents))
         rows = finer.metrics(long_z, 1.0) * along
@@ -289,7 +273,7 @@ class Levels:
             if which is not None:
                 rows[i] = finer.row_of(which)
         residuals, nonzeros = finer.evaluate_all(long_z)
-        steps = stack.steps(long_z, np.column_stack([residuals, np.zeros(len(z))]), nonzeros, rows)
+        steps = self.solver(finer).steps(long_z, np.column_stack([residuals, np.zeros(len(z))]), nonzeros, rows)
         if steps is None:
             return None
         better = OnFiner(finer, long_z, steps.newton, lambda: problem.roundings(z)[:, None] * steps.response)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import copy
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Protocol
+from typing import Self
 
 import numpy as np
 
@@ -49,26 +50,25 @@ class Correction:
 HeldState = tuple[Array, Array, float]  # unknowns z, and a row with the value of row . z
 
 
-class Corrector(Protocol):
+class Corrector(ABC):
     """Solves R(z) = 0 together with one held linear condition row . z = value."""
 
     problem: Problem
+    together: int = 1  # number of solutions that it confirms at a time
 
-    def on(self, problem: Problem) -> Corrector:
+    def on(self, problem: Problem) -> Self:
         """This corrector for a problem that differs in its constants only; nothing is built again."""
-        ...
+        other = copy.copy(self)
+        other.problem = problem
+        return other
 
+    @abstractmethod
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
-        """Corrected point near `guess`, or a named failure; `row` has shape (size,)."""
-        ...
+        """Corrected point near `guess` with row . z = value, or a named failure; `row` has shape (size,)."""
 
-
-def confirmations(corrector: Corrector, points: Sequence[HeldState]) -> list[Correction]:
-    """The last word of a corrector on solutions: each as it is where the corrector agrees, or has no other word."""
-    several, one = getattr(corrector, "confirm_all", None), getattr(corrector, "confirm", None)
-    if several is not None:
-        return list(several(points))
-    return [Correction(z, Status.CONVERGED, 0) if one is None else one(z, row, value) for z, row, value in points]
+    def confirm_all(self, points: Sequence[HeldState]) -> list[Correction]:
+        """The last word on solutions: each as it is where the corrector agrees, or has no other word."""
+        return [Correction(z, Status.CONVERGED, 0) for z, _, _ in points]
 
 
 CHORD_STEP = 1e-3  # step, relative to the state, after which the factors at hand serve the next: they cost the most
@@ -84,7 +84,7 @@ NEGLIGIBLE_STEP = 1e-3  # of the tolerance: such a step need not be taken
 STEP_HALVINGS = 6  # of a step
 
 
-class NewtonCorrector:
+class NewtonCorrector(Corrector):
     """Full Newton steps until the step, relative to the state, is below `tolerance` and no longer shrinks fast.
 
     A step longer than `shrink` times the one before ends them where it is given: they may lead anywhere then. With
@@ -103,14 +103,7 @@ class NewtonCorrector:
         self._shrink, self._decreasing = np.inf if shrink is None else shrink, decreasing
         self._solver = BorderedSolver.of(problem)
 
-    def on(self, problem: Problem) -> NewtonCorrector:
-        """This corrector for a problem that differs in its constants only; the structure analysed is shared."""
-        other = copy.copy(self)
-        other.problem = problem
-        return other
-
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
-        """Corrected point with row . z = value, or a named failure."""
         if self.problem.frequency(guess) <= 0:
             return Correction(guess, Status.DIVERGED, 0, "the guess has no positive frequency")
         z, weights = guess.copy(), self.problem.metric(guess, max(1.0, abs(guess[self.problem.parameter_index])))
@@ -168,7 +161,7 @@ TO_ROUNDING = "to rounding"
 ROUNDING_FACTOR = 4.0  # times the rounding of the largest term
 
 
-class RoundedCorrector:
+class RoundedCorrector(Corrector):
     """Another corrector, whose tolerance may lie below the rounding errors of residuals with large terms.
 
     Where it stops at residuals that are rounding alone the equations are solved: the estimated error of the point
@@ -179,20 +172,17 @@ class RoundedCorrector:
         self.inner, self.problem = inner, inner.problem
 
     def on(self, problem: Problem) -> RoundedCorrector:
-        """This corrector for a problem that differs in its constants only; nothing is built again."""
         return RoundedCorrector(self.inner.on(problem))
 
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
-        """Corrected point near `guess`, or a named failure; `row` has shape (size,)."""
         return self._rounded(self.inner.correct(guess, row, value), row, value)
 
-    def confirm(self, z: Array, row: Array, value: float) -> Correction:
-        """A solution as the last word has it: z itself where the inner corrector has none, or agrees."""
-        confirm = getattr(self.inner, "confirm", None)
-        if confirm is None:
-            return Correction(z, Status.CONVERGED, 0)
-        found = self._rounded(confirm(z, row, value), row, value)
-        return replace(found, z=z) if found.message == TO_ROUNDING else found
+    def confirm_all(self, points: Sequence[HeldState]) -> list[Correction]:
+        found = list[Correction]()
+        for (z, row, value), verdict in zip(points, self.inner.confirm_all(points), strict=True):
+            rounded = self._rounded(verdict, row, value)
+            found.append(replace(rounded, z=z) if rounded.message == TO_ROUNDING else rounded)
+        return found
 
     def _rounded(self, correction: Correction, row: Array, value: float) -> Correction:
         if correction.converged or correction.status is Status.SINGULAR:

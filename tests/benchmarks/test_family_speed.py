@@ -19,8 +19,8 @@ from stopwatch import seconds
 from casadi_skin import Chain
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following
-from casadi_skin.solve.arbiter import ConfirmedCorrector
-from casadi_skin.solve.bordered import BorderedSolver, StackedSolver
+from casadi_skin.solve.arbiter import ArbitratedCorrector
+from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.solve.levels import Levels
 from casadi_skin.stability import family_stability
 from casadi_skin.zero.recursion import TaylorRecursion
@@ -96,11 +96,11 @@ def test_where_the_time_goes(unit: float, walker: str, monkeypatch: pytest.Monke
 
         monkeypatch.setattr(owner, method, timed)
 
-    watch(ConfirmedCorrector, "confirm_all", "Ipopt's last word, with its evaluations")
+    watch(ArbitratedCorrector, "confirm_all", "Ipopt's last word, with its evaluations")
     for method in ("evaluate", "evaluate_all"):
         watch(TrigonometricProblem, method, "residuals and Jacobians outside Ipopt")
     watch(BorderedSolver, "factor", "factorisations outside Ipopt")
-    watch(StackedSolver, "steps", "Newton steps at places of stretches")
+    watch(BorderedSolver, "steps", "Newton steps at places of stretches")
     watch(TaylorRecursion, "series", "series")
     watch(Levels, "refined", "error estimates, but for the two above")
     watch(family_stability, "floquets", "multipliers")

@@ -18,7 +18,7 @@ from casadi_skin.follow.following import Following
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import LocalCurve, predictor
 from casadi_skin.lattice.closed_forms import duffing_displacement, duffing_frequency
-from casadi_skin.solve.arbiter import ConfirmedCorrector
+from casadi_skin.solve.arbiter import ArbitratedCorrector
 from casadi_skin.solve.newton import Correction, HeldState, NewtonCorrector, Status
 from casadi_skin.zero.request import family_request
 from casadi_skin.zero.settings import End, Point
@@ -621,14 +621,14 @@ def test_a_corrector_that_fails_at_a_requested_point_leaves_it_named(
 def test_ipopt_that_refuses_one_of_several_points_leaves_it_named(
     wanted: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    true_confirm = ConfirmedCorrector.confirm_all
+    true_confirm = ArbitratedCorrector.confirm_all
 
-    def confirm_all(self: ConfirmedCorrector, points: Sequence[HeldState]) -> list[Correction]:
+    def confirm_all(self: ArbitratedCorrector, points: Sequence[HeldState]) -> list[Correction]:
         found = true_confirm(self, points)
         refused = [abs(value) == wanted and np.count_nonzero(row) == 1 for _, row, value in points]
         return [replace(c, status=Status.INFEASIBLE) if no else c for c, no in zip(found, refused, strict=True)]
 
-    monkeypatch.setattr(ConfirmedCorrector, "confirm_all", confirm_all)
+    monkeypatch.setattr(ArbitratedCorrector, "confirm_all", confirm_all)
     branch = follow_family(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, at=[0.3, 0.6], walker="series")
     check_missed(branch, wanted)
 

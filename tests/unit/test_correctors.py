@@ -17,7 +17,7 @@ from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.lattice.tail_parameter import TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.model.conserved import SymmetryClass
-from casadi_skin.solve.arbiter import ConfirmedCorrector
+from casadi_skin.solve.arbiter import ArbitratedCorrector
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.solve.ipopt import IpoptCorrector
 from casadi_skin.solve.newton import Corrector, NewtonCorrector, Status
@@ -83,7 +83,7 @@ def test_ipopt_confirms_several_orbits_at_once_and_moves_what_is_none(kind: str,
     orbits = [newton.correct(mode, row, kappa).z for kappa in (0.1, 0.2, 0.3)]
     mixed = np.cos(np.arange(problem.size))
     off = orbits[1] * (1.0 + 1e-3 * np.sin(np.arange(problem.size)))
-    corrector = ConfirmedCorrector(problem, 1e-11, together)
+    corrector = ArbitratedCorrector(problem, 1e-11, together=together)
     held = [(orbits[0], row, 0.1), (off, mixed, float(mixed @ orbits[1])), (orbits[2], mixed, float(mixed @ orbits[2]))]
     first, moved, last = corrector.confirm_all(held)
     assert all(correction.converged for correction in (first, moved, last))
@@ -98,7 +98,7 @@ def test_ipopt_names_the_one_of_several_points_that_it_cannot_solve() -> None:
     row = problem.parameter_row()
     orbit = NewtonCorrector(problem).correct(linear_mode(problem, chain, 1), row, -0.1).z
     nowhere = np.zeros(problem.size)
-    good, bad = ConfirmedCorrector(problem, 1e-11, 3).confirm_all([(orbit, row, -0.1), (orbit, nowhere, 1.0)])
+    good, bad = ArbitratedCorrector(problem, 1e-11, together=3).confirm_all([(orbit, row, -0.1), (orbit, nowhere, 1.0)])
     assert good.z is orbit
     assert not bad.converged
     assert "Ipopt" in bad.message
@@ -107,9 +107,9 @@ def test_ipopt_names_the_one_of_several_points_that_it_cannot_solve() -> None:
 def test_newton_gives_way_to_ipopt_where_its_steps_do_not_shrink(monkeypatch: pytest.MonkeyPatch) -> None:
     chain = Chain(4, 1.0, 0.25, 1.0)
     problem = problem_of(chain, "trigonometric")
-    row, corrector = problem.parameter_row(), ConfirmedCorrector(problem, 1e-11)
+    row, corrector = problem.parameter_row(), ArbitratedCorrector(problem, 1e-11)
     expected = NewtonCorrector(problem).correct(linear_mode(problem, chain, 2), row, 0.2).z
-    monkeypatch.setattr(corrector._newton, "_shrink", 1e-9)
+    monkeypatch.setattr("casadi_skin.solve.arbiter.STEP_SHRINKAGE", 1e-9)
     found = corrector.correct(linear_mode(problem, chain, 2), row, 0.2)
     assert found.converged
     assert found.message == "Solve_Succeeded"

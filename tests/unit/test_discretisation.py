@@ -77,8 +77,7 @@ def test_ipopt_on_assembled_equations_finds_what_newton_finds() -> None:
 def test_ipopt_takes_over_where_newton_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     problem, guess = line()
     corrector = ArbitratedCorrector(problem)
-    failed = Correction(guess, Status.DIVERGED, 1)
-    monkeypatch.setattr(corrector._newton, "correct", lambda *_: failed)
+    monkeypatch.setattr(NewtonCorrector, "correct", lambda *_: Correction(guess, Status.DIVERGED, 1))
     assert corrector.correct(guess, problem.parameter_row(), 0.0).converged
 
 
@@ -95,10 +94,10 @@ def test_newton_is_left_where_its_steps_grow() -> None:
 def test_the_last_word_is_ipopts(monkeypatch: pytest.MonkeyPatch) -> None:
     """A solution stays as it is where Ipopt agrees, becomes Ipopt's where it moves it, and is refused with it."""
     problem, guess = line()
-    corrector, row = ArbitratedCorrector(problem), problem.parameter_row()
+    corrector, row = ArbitratedCorrector(problem, far=True), problem.parameter_row()
     z = corrector.correct(guess, row, 0.0).z
-    assert corrector.confirm(z, row, 0.0).z is z
-    moved = corrector.confirm(z + 1e-4 * (row == 0.0), row, 0.0)
+    assert corrector.confirm_all([(z, row, 0.0)])[0].z is z
+    (moved,) = corrector.confirm_all([(z + 1e-4 * (row == 0.0), row, 0.0)])
     np.testing.assert_allclose(moved.z, z, atol=1e-11)
     refuse = lambda self, z, *_: Correction(z + 1e-6, Status.INFEASIBLE, 3, "Ipopt: no")  # noqa: E731
     monkeypatch.setattr(IpoptCorrector, "correct", refuse)
@@ -123,10 +122,10 @@ def test_what_meets_ipopts_own_test_is_not_handed_to_it(monkeypatch: pytest.Monk
     for part, called in ((0.0, 0), (0.99, 0), (1.01, 1)):
         near = z + part * size * along
         calls.clear()
-        assert ArbitratedCorrector(problem, tolerance, always=False).confirm(near, row, 0.0).converged
+        assert ArbitratedCorrector(problem, tolerance, always=False).confirm_all([(near, row, 0.0)])[0].converged
         assert len(calls) == called
         assert (IpoptCorrector(problem, tolerance).correct(near, row, 0.0).iterations > 0) == bool(called)
-        ArbitratedCorrector(problem, tolerance).confirm(near, row, 0.0)
+        ArbitratedCorrector(problem, tolerance).confirm_all([(near, row, 0.0)])
         assert len(calls) == called + 2
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow.polynomials import Stretch
-from casadi_skin.solve.bordered import StackedSolver
+from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.trigonometric import TrigonometricProblem
 
@@ -19,9 +19,9 @@ def dense(problem: TrigonometricProblem, nonzeros: Array, row: Array) -> Array:
     return matrix
 
 
-def solver_of(problem: TrigonometricProblem) -> StackedSolver:
-    found = StackedSolver.of(problem)
-    assert found is not None
+def solver_of(problem: TrigonometricProblem) -> BorderedSolver:
+    found = BorderedSolver.of(problem)
+    assert found.takes_several
     return found
 
 
@@ -99,14 +99,8 @@ def test_the_last_bits_of_a_state_do_not_depend_on_the_others(others: int) -> No
 def test_a_family_is_the_same_where_its_places_are_polished_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
     chain = Chain(24, 1.0, 0.25, -1.0)
     at_once = follow_family(chain, 1, 3.0, at=(0.2, 1.0), corrector="newton")
-    calls = []
-
-    def without(problem: TrigonometricProblem) -> None:
-        calls.append(problem)
-
-    monkeypatch.setattr("casadi_skin.follow.series.StackedSolver.of", without)
+    monkeypatch.setattr(BorderedSolver, "takes_several", False)
     one_by_one = follow_family(chain, 1, 3.0, at=(0.2, 1.0), corrector="newton")
-    assert calls
     assert at_once.complete
     assert one_by_one.complete
     np.testing.assert_allclose(at_once.S, one_by_one.S, rtol=0, atol=1e-10)
