@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from casadi_skin.results.saving import save_result as save_result
     from casadi_skin.runs.map import run_map as run_map
     from casadi_skin.runs.map_result import read_map as read_map
-    from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem as BoundaryValueProblem
+    from casadi_skin.zero.statement import BoundaryValueProblem as BoundaryValueProblem
 
 PLACES = {  # modules of public names, each imported when one of its names is first used
     "dynamics.evolve": ("simulate",),
@@ -57,7 +57,7 @@ PLACES = {  # modules of public names, each imported when one of its names is fi
     "results.saving": ("read_result", "save_result"),
     "runs.map": ("run_map",),
     "runs.map_result": ("read_map",),
-    "zero.boundary_value_problem": ("BoundaryValueProblem",),
+    "zero.statement": ("BoundaryValueProblem",),
 }
 __all__ = ["__version__", *sorted(name for names in PLACES.values() for name in names)]
 

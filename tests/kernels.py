@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from casadi_skin import native
-from casadi_skin.zero import cosines, trigonometric
+from casadi_skin.zero import cosines
 
 needs_kernels = pytest.mark.skipif(not native.kernels(), reason="the package was built without a C compiler")
 
@@ -26,5 +26,5 @@ def numpy_alone(library: Path = Path("none")) -> Iterator[None]:
 
 def forget() -> None:
     """The kernels, and programs that hold them."""
-    for kept in (native.kernels, trigonometric._kept, cosines._programs):
+    for kept in (native.kernels, cosines._kept, cosines._programs):
         kept.cache_clear()

@@ -15,7 +15,7 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.model.arguments import check_name, short_repr, whole
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.zero.trigonometric import TrigonometricProblem
+from casadi_skin.zero.cosines import TrigonometricProblem
 
 Source: TypeAlias = Chain | OdeModel | Orbit
 EXPORTED_PARTS: Mapping[str, str] = MappingProxyType({

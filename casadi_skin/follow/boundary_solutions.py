@@ -21,8 +21,7 @@ from casadi_skin.model.integrators import IntegrationError
 from casadi_skin.model.jumps import STATE, TIME, JumpError
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import NoQuantityError
-from casadi_skin.solve.arbiter import ArbitratedCorrector
-from casadi_skin.solve.ipopt import CORRECTORS
+from casadi_skin.solve.ipopt import CORRECTORS, ArbitratedCorrector
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import Corrector, RoundedCorrector
 from casadi_skin.stability.flows import FlowError

@@ -19,20 +19,19 @@ from casadi_skin.follow.special_points import folds_between
 from casadi_skin.model import methods
 from casadi_skin.model.conserved import SymmetryClass, symmetry_class
 from casadi_skin.model.expressions import site_numbers
-from casadi_skin.solve.arbiter import ArbitratedCorrector
-from casadi_skin.solve.ipopt import CORRECTORS
+from casadi_skin.solve.ipopt import CORRECTORS, ArbitratedCorrector
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import Corrector
 from casadi_skin.stability.family_stability import FamilyStability
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.butcher import TABLES
+from casadi_skin.zero.cosines import TrigonometricProblem
 from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.orbit_collocation import CollocationProblem
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar
 from casadi_skin.zero.request import FamilyRequest
 from casadi_skin.zero.settings import Continuation, End, Point, Target
 from casadi_skin.zero.shooting import ShootingProblem
-from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 if TYPE_CHECKING:
     from casadi_skin.zero.recursion import PolynomialForm, Recursion

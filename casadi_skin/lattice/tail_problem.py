@@ -12,10 +12,9 @@ import numpy as np
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter, TailSeries, TailValues
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.native import TAIL, Structure
-from casadi_skin.zero.cosines import cosine_matrix
+from casadi_skin.zero.cosines import TrigonometricProblem, cosine_matrix
 from casadi_skin.zero.problem import FREQUENCY_WEIGHT, Array, Evaluate, Indices, Problem, Scalar, SingularError, Solve
 from casadi_skin.zero.recursion import PolynomialForm, TaylorRecursion
-from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 
 @dataclass(frozen=True)

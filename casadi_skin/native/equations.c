@@ -1,4 +1,4 @@
-/* Equations of collocation in odd cosines and their Jacobian at several states; see zero/trigonometric.py.
+/* Equations of collocation in odd cosines and their Jacobian at several states; see zero/cosines.py.
 
    A model is a list of instructions on scalars, as CasADi has them. Each is carried out at all nodes of a state before
    the next one: results are those of CasADi to the last bit, but for sums over the nodes. */

@@ -30,9 +30,8 @@ from casadi_skin.optimise.search_problem import (
     sampled_starts,
 )
 from casadi_skin.solve.newton import NewtonCorrector
-from casadi_skin.zero.cosines import prolongation_matrix
+from casadi_skin.zero.cosines import TrigonometricProblem, prolongation_matrix
 from casadi_skin.zero.problem import Array, Indices
-from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 # Statement of a search among the orbits of one mode's family, in odd cosines, of a chain or of a model ----------------
 

@@ -28,9 +28,9 @@ from casadi_skin.runs.scene import (
     OrbitTable,
     Scene,
 )
-from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
 from casadi_skin.zero.guesses import Guess
 from casadi_skin.zero.problem import Array
+from casadi_skin.zero.statement import BoundaryValueProblem
 
 IN_SCENES = {  # words of messages about arguments of find_orbit
     "an expression": "a table with one number",
@@ -161,7 +161,7 @@ def _bound_lattice(scene: Scene, table: LatticeTable) -> Request:
 
 def _bound_file(scene: Scene, table: ModelTable, scene_path: Path, files: Files) -> Request:
     from casadi_skin.model.saved import loads
-    from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
+    from casadi_skin.zero.statement import BoundaryValueProblem
 
     path, kinds = scene_path.parent / table.file, (OdeModel, BoundaryValueProblem)
     try:

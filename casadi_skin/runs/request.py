@@ -22,8 +22,8 @@ from casadi_skin.zero.request import FamilyRequest
 if TYPE_CHECKING:
     from casadi_skin.lattice.lattice import Lattice
     from casadi_skin.lattice.long_lattice import LongLattice
-    from casadi_skin.zero.boundary_value_problem import BoundaryValueProblem
     from casadi_skin.zero.guesses import Guess
+    from casadi_skin.zero.statement import BoundaryValueProblem
 
 
 # Values and states as a scene gives them, by name or in order ---------------------------------------------------------

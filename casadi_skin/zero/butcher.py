@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -90,3 +90,73 @@ def _integrals(x: Array, degree: int) -> Array:
 
 
 TABLES: Mapping[str, Callable[..., CollocationTable]] = {"gauss": gauss_table, "radau": radau_table}
+
+
+# The error of a collocation solution from its defect, on its own mesh and with the factors at hand --------------------
+
+
+@dataclass(frozen=True, eq=False)
+class DefectTable:
+    """Weights of the defect at check points of an interval of length 1: its start, inner ones, its end if no stage.
+
+    Attributes:
+        inner: the inner points, halfway between each two stages.
+        values: weights of the start and the stages in the polynomial at the inner points.
+        slopes: the same in its derivative at all points.
+        increments: weights of the defects in their integral to the method's ends.
+        between: the same to the inner points, less the polynomial through those at the start and the stages.
+        quadrature: weights of values at the stages, then at all points, in the integral over the interval.
+    """
+
+    inner: Array
+    values: Array
+    slopes: Array
+    increments: Array
+    between: Array
+    quadrature: tuple[Array, Array]
+
+    @property
+    def points(self) -> int:
+        """Number of check points."""
+        return int(self.slopes.shape[0])
+
+
+@lru_cache(maxsize=16)
+def defect_table(table: CollocationTable) -> DefectTable:
+    """The weights that belong to a collocation method."""
+    stages, targets = table.nodes, table.ends
+    d, support, inner = stages.size, np.append(0.0, stages), 0.5 * (stages[1:] + stages[:-1])
+    points = np.concatenate([[0.0], inner, np.ones(targets.size - d)])
+    values, at_points = _polynomials(support, inner), _node_polynomial(stages, points)
+
+    def defects(t: Array) -> Array:
+        return np.asarray(_node_polynomial(stages, t)[:, None] * _polynomials(points, t) / at_points)
+
+    increments, to_inner = (_integrals_of(defects, ends, 2 * d) for ends in (targets, inner))
+    whole = _integrals_of(lambda t: _polynomials(np.concatenate([stages, points]), t), np.ones(1), 2 * d)[0]
+    between = to_inner - values[:, 1:] @ increments[:d]
+    slopes = _polynomials(support, points, derivative=1)
+    return DefectTable(inner, values, slopes, increments, between, (whole[:d], whole[d:]))
+
+
+def _polynomials(support: Array, t: Array, derivative: int = 0) -> Array:
+    """Weights of values at `support` in the polynomial through them at t, or in its derivative, a row each."""
+    degree = support.size - 1
+    coefficients = np.linalg.inv(legendre.legvander(2.0 * support - 1.0, degree))
+    if derivative:
+        coefficients, degree = 2.0 * legendre.legder(coefficients), max(degree - 1, 0)
+    return np.asarray(legendre.legvander(2.0 * t - 1.0, degree) @ coefficients)
+
+
+def _node_polynomial(stages: Array, t: Array) -> Array:
+    return np.asarray(np.prod(t[:, None] - stages, axis=1))
+
+
+def _integrals_of(weights: Callable[[Array], Array], ends: Array, degree: int) -> Array:
+    """Integrals of the polynomials that the weights are, of a degree, from 0 to each end, a row each."""
+    x, quadrature = legendre.leggauss(degree // 2 + 1)
+    return (
+        np.stack([0.5 * end * quadrature @ weights(0.5 * end * (x + 1.0)) for end in ends])
+        if ends.size
+        else (np.zeros((0, weights(ends).shape[1])))
+    )

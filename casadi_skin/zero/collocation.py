@@ -17,10 +17,9 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.zero import mesh
-from casadi_skin.zero.butcher import CollocationTable
-from casadi_skin.zero.discretisation import Discretisation
+from casadi_skin.zero.butcher import CollocationTable, defect_table
+from casadi_skin.zero.discretisation import Discretisation, missed
 from casadi_skin.zero.formulation import Formulation
-from casadi_skin.zero.mesh import defect_table, missed
 from casadi_skin.zero.problem import Array, Evaluate, Indices, Other, Problem, Solve, sparse_matrix
 
 NO_VALUES: Array = np.zeros(0)

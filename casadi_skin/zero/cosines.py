@@ -1,17 +1,38 @@
-"""Values of odd cosines at the nodes theta_i = (i + 1/2) pi/(2H): transform, prolongation, second derivative."""
+"""Collocation in odd cosines: positions only, on a quarter of the period, for odd reversible models of second order.
+
+q(theta) = sum_k c_k cos((2k+1) theta), k < H, satisfies q'' = f(q, p)/Omega^2 at theta_i = (i + 1/2) pi/(2H). The
+values at these nodes, (sites, H), are the unknowns; they and the coefficients are related by the type-IV cosine
+transform, which is its own inverse up to 2/H. See Boyd, Chebyshev and Fourier Spectral Methods (2001), sections 3.1 and
+8.
+"""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from casadi_skin.model.conserved import SymmetryClass
+from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import Program, lifted
 from casadi_skin.native import EquationsKernel, has_kernel
-from casadi_skin.zero.problem import Array, Indices, Scalar, sparse_matrix
+from casadi_skin.zero.problem import (
+    EPSILON,
+    Array,
+    Buffers,
+    Evaluate,
+    Indices,
+    OrbitProblem,
+    Problem,
+    Scalar,
+    sparse_matrix,
+)
+from casadi_skin.zero.recursion import PolynomialForm, Recursion, TaylorRecursion
 
 
 def quarter_phases(nodes: int) -> Array:
@@ -203,3 +224,228 @@ def _second_derivative(values: ca.MX) -> ca.MX:
     cosine = ca.DM(cosine_matrix(H)[:, 0])
     amplitude = ca.DM((2.0 / H) * cosine_matrix(H)[0]).T @ values
     return ca.DM(second_derivative_matrix(H)) @ (values - cosine @ amplitude) - cosine @ amplitude
+
+
+# The problem of a family ------------------------------------------------------------------------------------------
+
+LONGEST_COMPARED_PROGRAM = (
+    4000  # instructions of a model up to which it is worth while to compare them with those of others
+)
+KEPT_RESOLUTIONS = 32  # resolutions of models whose functions are kept
+ALIASING_FACTOR = 4.0  # error of a coarser orbit per size of the harmonics that it leaves out: measured
+
+
+@lru_cache(maxsize=KEPT_RESOLUTIONS)
+def _sampling(harmonics: int, theta: bytes) -> Array:
+    """Weights of the values at the nodes in those at phases, given as bytes, shape (harmonics, phases)."""
+    phases = np.outer(2 * np.arange(harmonics) + 1, np.frombuffer(theta))
+    weights = (2.0 / harmonics) * cosine_matrix(harmonics) @ np.cos(phases)
+    weights.flags.writeable = False  # kept and shared
+    return np.asarray(weights)
+
+
+@lru_cache(maxsize=8)
+def _lifted(model: OdeModel) -> tuple[Program, Array] | None:
+    """The force and the normalisation of a model without their numbers, and these; None where they are long."""
+    found = lifted(
+        [model.state, model.velocity, model.parameters], [model.rhs, model.normalisation], LONGEST_COMPARED_PROGRAM
+    )
+    return None if found is None else (_first(found[0]), found[1])
+
+
+@lru_cache(maxsize=KEPT_RESOLUTIONS)
+def _first(program: Program) -> Program:
+    """The first of all programs that are equal to this one, so that the others are not compared again."""
+    return program
+
+
+@lru_cache(maxsize=8)
+def _half_bandwidth(model: OdeModel) -> int:
+    """Largest distance of a non-zero of the derivative of a force from the diagonal, at least 1."""
+    rows, columns = ca.jacobian_sparsity(model.rhs, model.state).get_triplet()
+    return int(np.max(np.abs(np.subtract(rows, columns)), initial=1))
+
+
+class _Kept:
+    """Functions and buffers that all models of one program share, at one resolution."""
+
+    def __init__(self, program: Program, harmonics: int) -> None:
+        self._program, self._harmonics = program, harmonics
+        self.shared: dict[Any, Any] = {}
+
+    @cached_property
+    def compiled(self) -> CompiledEquations | None:
+        """The equations by the compiled kernel; None where there is none."""
+        return CompiledEquations.of(self._program, self._harmonics)
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """The equations by CasADi."""
+        program = self._program
+        sizes = (*program.inputs, program.numbers)
+        symbols = tuple(ca.SX.sym(name, size) for name, size in zip("qvpc", sizes, strict=True))
+        force, normalisation = program.expressions(symbols[:3], symbols[3])
+        numbers = ca.MX.sym("numbers", program.numbers)
+        z, residual, jacobian = odd_cosine_equations(self._harmonics, symbols, force, normalisation, numbers)
+        return ca.Function("equations", [z, numbers], [ca.densify(residual), jacobian])
+
+    @cached_property
+    def buffers(self) -> Buffers:
+        return Buffers(self.function)
+
+
+@lru_cache(maxsize=KEPT_RESOLUTIONS)
+def _kept(program: Program, harmonics: int, thread: int) -> _Kept:
+    """Those of a thread: the arguments of functions are arrays of their own."""
+    return _Kept(program, harmonics)
+
+
+class TrigonometricProblem(OrbitProblem):
+    """Equations q''(theta) - f(q, p)/Omega^2 = 0 at the nodes; unknowns ordered by site, then node.
+
+    Raises ValueError for a model that is not of second order, reversible with even positions, and odd.
+    """
+
+    holds_linear_modes = True
+
+    def __init__(self, model: OdeModel, harmonics: int) -> None:
+        even_positions = model.reversal == (1,) * model.size + (-1,) * model.size
+        odd = model.half_period == (-1,) * model.full_size
+        if model.order != 2 or not (even_positions and odd):
+            raise ValueError(f"{model.name}: odd cosines need a second-order, reversible and odd model; use gauss")
+        if model.parameters.numel() != 1 or model.normalisation is None:
+            raise ValueError(f"{model.name}: a family needs one free parameter and a normalisation")
+        self.model, self.resolution, self.symmetry = model, harmonics, SymmetryClass.QUARTER
+        self.cosines = harmonics
+        self._sites = model.size
+        self.states = self._sites * harmonics
+        self._to_coefficients = (2.0 / harmonics) * cosine_matrix(harmonics)
+        self.second_derivative, self.at_zero = second_derivative_matrix(harmonics), self._to_coefficients.sum(axis=0)
+        self.half_bandwidth = harmonics * _half_bandwidth(model)
+
+    @property
+    def size(self) -> int:
+        return self.states + 2
+
+    def phases(self) -> Array:
+        """Phases theta of the positions among the unknowns."""
+        return quarter_phases(self.resolution)
+
+    def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
+        model = self.model
+        symbols = model.state, model.velocity, model.parameters
+        return odd_cosine_equations(self.resolution, symbols, model.rhs, model.normalisation)
+
+    # Functions are shared with models that differ in numbers alone --------------------------------------------------
+
+    @cached_property
+    def _kept(self) -> _Kept | None:
+        lifted = _lifted(self.model)
+        return None if lifted is None else _kept(lifted[0], self.resolution, threading.get_ident())
+
+    @cached_property
+    def compiled(self) -> ca.Function:
+        return self.function if self._kept is None else self._kept.function
+
+    @cached_property
+    def numbers(self) -> Array:
+        lifted = None if self._kept is None else _lifted(self.model)
+        return self.constants if lifted is None else lifted[1]
+
+    @cached_property
+    def _buffers(self) -> Buffers:
+        return Buffers(self.compiled) if self._kept is None else self._kept.buffers
+
+    @property
+    def shared(self) -> dict[Any, Any]:
+        return super().shared if self._kept is None else self._kept.shared
+
+    @cached_property
+    def _kernel(self) -> CompiledEquations | None:
+        return None if self._kept is None else self._kept.compiled
+
+    @cached_property
+    def pattern(self) -> tuple[Indices, Indices]:
+        return super().pattern if self._kernel is None else self._kernel.pattern
+
+    def evaluate(self, z: Array) -> tuple[Array, Array]:
+        if self._kernel is None:
+            return super().evaluate(z)
+        residuals, nonzeros = self._kernel.kernel(z[None], self.numbers)
+        return residuals[0], nonzeros[0]
+
+    def evaluate_all(self, z: Array) -> tuple[Array, Array]:
+        return super().evaluate_all(z) if self._kernel is None else self._kernel.kernel(z, self.numbers)
+
+    def evaluator_of_all(self) -> Evaluate | None:
+        return None if self._kernel is None else self._kernel.kernel
+
+    def recursion(self, form: PolynomialForm, orders: int) -> Recursion:
+        """Power series of branches."""
+        return TaylorRecursion(self, form, orders)
+
+    def resolution_in_words(self) -> str:
+        return f"{self.resolution} odd cosines"
+
+    def of_shorter_period(self, z: Array, turns: int) -> Array:
+        return self.sample(z, self.phases() / turns).T.ravel()
+
+    def place(self, equation: int) -> str:
+        """Place of an equation, counted from 0, in words."""
+        if equation >= self.states:
+            return super().place(equation)
+        site, node = divmod(equation, self.resolution)
+        return f"site {site + 1}, node {node + 1} of {self.resolution}"
+
+    def pack(self, positions: Array, Omega: float, parameter: float) -> Array:
+        theta = (np.arange(self.resolution) + 0.5) * np.pi / (2 * self.resolution)
+        return np.concatenate([np.outer(positions, np.cos(theta)).ravel(), [Omega, parameter]])
+
+    def _spread(self, factors: Array) -> Array:
+        return np.repeat(factors, self.resolution)
+
+    def coefficients(self, z: Array) -> Array:
+        """Coefficients c_k of cos((2k+1) theta), shape (model.size, harmonics)."""
+        return z[: self.states].reshape(self._sites, self.resolution) @ self._to_coefficients
+
+    def prolong(self, z: Array, finer: Problem) -> Array:
+        return np.asarray(self.all_prolonged(z[None], finer)[0])
+
+    def all_prolonged(self, z: Array, finer: Problem) -> Array:
+        # One product a state, as in `samples`.
+        H, found = self.resolution, np.empty((len(z), finer.size))
+        values = z[:, : self.states].reshape(len(z), self._sites, H) @ prolongation_matrix(H, finer.resolution)
+        found[:, : finer.states], found[:, finer.states :] = values.reshape(len(z), -1), z[:, self.states :]
+        return found
+
+    def rounding(self, z: Array) -> float:
+        return float(self.roundings(z[None])[0])
+
+    def roundings(self, z: Array) -> Array:
+        beyond = z.copy()
+        values = beyond[:, : self.states].reshape(len(z), self._sites, self.resolution)
+        amplitudes = np.einsum("ijk,k->ij", values, self._to_coefficients[0])
+        values -= amplitudes[:, :, None] * cosine_matrix(self.resolution)[0]
+        products = np.abs(self.evaluate_all(beyond)[1] * np.take(beyond, self.pattern[1], axis=1))
+        return np.asarray(EPSILON * (products.max(axis=1) + np.abs(z[:, : self.states]).max(axis=1)))
+
+    @property
+    def round_off(self) -> float:
+        return EPSILON * (10.0 + 0.2 * self.resolution)
+
+    def expected_error(self, z: Array, error: float, other: Problem) -> float:
+        lost = np.sum(np.abs(self.coefficients(z)[:, other.resolution :]), axis=1)
+        sizes = np.max(np.abs(z[: self.states].reshape(self._sites, -1)), axis=1)
+        ratio = np.max(lost) / np.max(sizes)
+        if self.model.output_scale is not None:
+            scale = np.array(self.model.output_scale)
+            ratio = max(ratio, np.max(scale * lost) / np.max(scale * sizes))
+        return error + ALIASING_FACTOR * float(ratio)
+
+    def sample(self, z: Array, theta: Array) -> Array:
+        return np.asarray(self.samples(z[None], theta)[0])
+
+    def samples(self, z: Array, theta: Array) -> Array:
+        # One product an orbit: the last bit of a larger one depends on how many there are.
+        values = z[:, : self.states].reshape(len(z), self._sites, self.resolution)
+        return np.asarray((values @ _sampling(self.resolution, theta.tobytes())).swapaxes(1, 2))

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.zero.butcher import CollocationTable
+from casadi_skin.zero.butcher import CollocationTable, DefectTable, defect_table
 from casadi_skin.zero.formulation import Formulation, Pattern
 from casadi_skin.zero.problem import Array, Buffers, Indices
 
@@ -232,3 +232,43 @@ class Discretisation:
         if not self._integrals:
             return field, np.zeros((len(field), 0))
         return field, self._integrands(*arguments)[0].reshape(-1, self._integrals).copy()
+
+
+def missed(equations: Discretisation, z: Array, numbers: Array) -> tuple[Array, Array]:
+    """The residual of the solution z in a method of twice as many stages, on its own mesh.
+
+    Arguments:
+        equations: the equations that z solves.
+        z: unknowns.
+        numbers: lengths of the intervals, and constants.
+
+    Returns:
+        The residual, shape (size - 1,), and the integral of the defect from the start of its interval to each inner
+        check point, less the polynomial through those at the stages, shape (inner points, states).
+    """
+    of, table = equations.layout, defect_table(equations.table)
+    n, K, rows = of.states, of.intervals, of.increments
+    lengths, constants = numbers[:K], numbers[K:]
+    values, scalars = z[: of.values].reshape(-1, n), z[of.values :]
+    column = np.arange(K)[:, None] * rows
+    polynomials = values[column + np.arange(of.degree + 1)]
+    ends = np.concatenate([[0.0], np.cumsum(lengths)])
+    inner = ends[:-1, None] + lengths[:, None] * table.inner
+    places = np.concatenate([inner.ravel(), ends])[:, None]
+    states = np.concatenate([(table.values @ polynomials).reshape(-1, n), values[::rows]])
+    field, integrands = (_by_intervals(f, K, table) for f in equations.along(places, states, scalars, constants))
+    defects = lengths[:, None, None] * field - table.slopes @ polynomials
+    residual = [-(table.increments @ defects).ravel(), np.zeros(of.conditions)]
+    if of.integrals:
+        at_stages = equations.along(*equations.stages(z, numbers))[1][:-1].reshape(K, of.degree, -1)
+        whole = table.quadrature[0] @ at_stages + table.quadrature[1] @ integrands
+        residual.append(lengths @ whole - lengths @ (equations.table.extended[-1] @ at_stages))
+    return np.concatenate(residual), (table.between @ defects).reshape(-1, n)
+
+
+def _by_intervals(found: Array, intervals: int, table: DefectTable) -> Array:
+    """Values at the check points, inner ones first, then all ends, as an array (intervals, points, values)."""
+    count = intervals * table.inner.size
+    inner, ends = found[:count].reshape(intervals, table.inner.size, found.shape[1]), found[count:, None]
+    parts = [ends[:-1], inner, ends[1:]]
+    return np.concatenate(parts[: 1 + table.points - table.inner.size], axis=1)

@@ -34,7 +34,7 @@ from casadi_skin.model.jumps import Jumps
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.family import Method
 from casadi_skin.zero.guesses import Guess, known_times, sampled
-from casadi_skin.zero.problem import Array, OrbitProblem
+from casadi_skin.zero.problem import Array
 from casadi_skin.zero.stated_problem import PERIOD
 from casadi_skin.zero.statement import Bounds, Statement, check_expressions
 
@@ -44,7 +44,6 @@ LARGEST_GUESS_STATE = 1e150  # state of a guess
 REFERENCE_HARMONICS = 12  # of the reference of the phase
 DEPENDENT_GRADIENTS = 0.05  # relative: gradients of conserved quantities along a guess that count as dependent
 TWO_PI = 2.0 * np.pi
-PHASE_DIFFERENCE_STEP = 1e-5  # of a phase, for velocities
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -390,51 +389,3 @@ class Periodic:
         turn = np.asarray(theta, dtype=float) / (2.0 * np.pi)
         mirrored = np.mod(turn, 1.0) > self.symmetry.value
         return np.asarray(2.0 * np.pi * np.outer(np.floor(turn) + mirrored, self.turns))
-
-
-# Common parts of transcriptions in full states: the models that they take, and the order of their unknowns ------------
-
-
-class FirstOrderProblem(OrbitProblem):
-    """Unknowns are full states in the order of time, Omega, the free parameter and the unfolding parameter.
-
-    The last is there for the full period only: the coefficient of a damping that a conservative model does not have,
-    which makes the equations regular (Sepulchre and MacKay 1997; Munoz-Almaraz et al. 2003); it comes back as zero. The
-    phase is where the model's normalisation is stationary along the flow. Raises ValueError for missing symmetries.
-    """
-
-    def __init__(self, model: OdeModel, resolution: int, symmetry: SymmetryClass) -> None:
-        if model.parameters.numel() != 1 or model.normalisation is None:
-            raise ValueError(f"{model.name}: a family needs one free parameter and a normalisation")
-        if symmetry is SymmetryClass.FULL and model.order == 1 and model.hamiltonian is None:
-            raise ValueError(f"{model.name}: the full period unfolds a conserved quantity; declare its hamiltonian")
-        self.model, self.resolution, self.symmetry = model, resolution, symmetry
-        self.pinned = pinned_components(model, symmetry)
-        self.unfolded = symmetry is SymmetryClass.FULL
-
-    @property
-    def size(self) -> int:
-        return self.states + 2 + int(self.unfolded)
-
-    @property
-    def damping_index(self) -> int:
-        """Place of the unfolding parameter among the unknowns (full period only)."""
-        return self.states + 2
-
-    def of_shorter_period(self, z: Array, turns: int) -> Array:
-        phases = self.phases() / turns
-        states = self.sample(z, phases)
-        if self.model.order == 2:
-            ends = [self.sample(z, phases + side * PHASE_DIFFERENCE_STEP) for side in (-1.0, 1.0)]
-            states = np.hstack([states, self.frequency(z) * (ends[1] - ends[0]) / (2.0 * PHASE_DIFFERENCE_STEP)])
-        return states.ravel()
-
-    def _spread(self, factors: Array) -> Array:
-        return np.tile(factors, self.states // factors.size)  # velocities are shown as positions are
-
-    def pack(self, positions: Array, Omega: float, parameter: float) -> Array:
-        theta = self.phases()
-        state = np.outer(np.cos(theta), positions)
-        if self.model.order == 2:
-            state = np.hstack([state, np.outer(-Omega * np.sin(theta), positions)])
-        return np.concatenate([state.ravel(), [Omega, parameter], np.zeros(int(self.unfolded))])

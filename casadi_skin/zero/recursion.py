@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import Monomials, polynomial_terms
 from casadi_skin.native import Structure, TaylorKernel, kernels
-from casadi_skin.zero.cosines import cosine_matrix, second_derivative_matrix
 from casadi_skin.zero.problem import Array, Indices, Solve
 
 _Place = slice | Indices
@@ -162,6 +161,8 @@ class CosineUnknowns(Protocol):
     model: OdeModel
     resolution: int
     states: int
+    second_derivative: Array  # matrix of d^2/dtheta^2 on the values at the nodes
+    at_zero: Array  # weights of the values at the nodes in that at phase zero
 
     @property
     def size(self) -> int: ...
@@ -183,7 +184,7 @@ class TaylorRecursion:
         self.problem, self.orders = problem, orders
         self._coefficients = np.zeros((orders + 1, problem.size))
         states = self._coefficients[:, : problem.states]
-        D2, at_zero = second_derivative_matrix(H), (2.0 / H) * cosine_matrix(H).sum(axis=0)
+        D2, at_zero = problem.second_derivative, problem.at_zero
         self.put, self.right_side, self._kernel = self._put, self._right_side, None
         if kernels():
             self._kernel = TaylorKernel(self._coefficients, D2, at_zero, form.force, form.norm)

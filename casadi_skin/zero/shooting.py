@@ -19,8 +19,7 @@ from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
 from casadi_skin.model.integrators import TIGHT_ITERATION, CvodesOptions, cvodes_reason, dop853_reason, solve_dop853
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.zero.closure import border_conditions, unfolded_field
-from casadi_skin.zero.orbit import FirstOrderProblem
+from casadi_skin.zero.orbit_collocation import FirstOrderProblem, border_conditions, unfolded_field
 from casadi_skin.zero.problem import Array, Problem, SingularError
 
 if TYPE_CHECKING:

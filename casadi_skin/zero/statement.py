@@ -305,6 +305,18 @@ class Statement(WithVerbs):
         return other
 
 
+class BoundaryValueProblem(Statement):
+    __doc__ = Statement.__doc__
+    always_confirmed: ClassVar[bool] = False  # but where a solution does not meet Ipopt's own test
+
+    def __repr__(self) -> str:
+        start, end = (end if isinstance(end, int | float) else "a parameter" for end in self.interval)
+        conditions, integrals = (sum(int(e.numel()) for e in group) for group in (self.conditions, self.integrals))
+        counts = f"{conditions} conditions, {integrals} integrals"
+        free = f"; free: {', '.join(self.free)}" if self.free else ""
+        return f"<BoundaryValueProblem: {self.model.name} from {start} to {end}, {counts}{free}>"
+
+
 def _is_interval(given: object) -> bool:
     """Whether this is a pair of numbers, as an interval is and no list of integrals."""
     numbers = isinstance(given, list | tuple | np.ndarray) and len(given) == 2

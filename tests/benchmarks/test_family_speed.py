@@ -19,13 +19,13 @@ from stopwatch import seconds
 from casadi_skin import Chain
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.following import Following
-from casadi_skin.solve.arbiter import ArbitratedCorrector
 from casadi_skin.solve.bordered import BorderedSolver
+from casadi_skin.solve.ipopt import ArbitratedCorrector
 from casadi_skin.solve.levels import Levels
 from casadi_skin.stability import family_stability
+from casadi_skin.zero.cosines import TrigonometricProblem
 from casadi_skin.zero.recursion import TaylorRecursion
 from casadi_skin.zero.request import family_request
-from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 pytestmark = pytest.mark.benchmark
 

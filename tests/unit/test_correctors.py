@@ -17,12 +17,11 @@ from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.lattice.tail_parameter import TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.model.conserved import SymmetryClass
-from casadi_skin.solve.arbiter import ArbitratedCorrector
 from casadi_skin.solve.bordered import BorderedSolver
-from casadi_skin.solve.ipopt import IpoptCorrector
+from casadi_skin.solve.ipopt import ArbitratedCorrector, IpoptCorrector
 from casadi_skin.solve.newton import Corrector, NewtonCorrector, Status
+from casadi_skin.zero.cosines import TrigonometricProblem
 from casadi_skin.zero.problem import OrbitProblem, SingularError
-from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 Array = NDArray[np.float64]
 Make = Callable[[OrbitProblem], Corrector]
@@ -109,7 +108,7 @@ def test_newton_gives_way_to_ipopt_where_its_steps_do_not_shrink(monkeypatch: py
     problem = problem_of(chain, "trigonometric")
     row, corrector = problem.parameter_row(), ArbitratedCorrector(problem, 1e-11)
     expected = NewtonCorrector(problem).correct(linear_mode(problem, chain, 2), row, 0.2).z
-    monkeypatch.setattr("casadi_skin.solve.arbiter.STEP_SHRINKAGE", 1e-9)
+    monkeypatch.setattr("casadi_skin.solve.ipopt.STEP_SHRINKAGE", 1e-9)
     found = corrector.correct(linear_mode(problem, chain, 2), row, 0.2)
     assert found.converged
     assert found.message == "Solve_Succeeded"

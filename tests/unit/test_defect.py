@@ -9,8 +9,7 @@ import pytest
 from casadi_skin import BoundaryValueProblem, OdeModel
 from casadi_skin.follow.solution import Solution
 from casadi_skin.solve.bordered import BorderedSolver
-from casadi_skin.zero.butcher import gauss_table, radau_table
-from casadi_skin.zero.mesh import defect_table
+from casadi_skin.zero.butcher import defect_table, gauss_table, radau_table
 
 t, x, y, p = (ca.SX.sym(name) for name in ("t", "x", "y", "p"))
 

@@ -17,9 +17,8 @@ from casadi_skin.follow.find import find_orbit
 from casadi_skin.follow.first import packed, space_of
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve import ipopt, watch
-from casadi_skin.solve.arbiter import STEP_SHRINKAGE, ArbitratedCorrector
 from casadi_skin.solve.bordered import BorderedSolver
-from casadi_skin.solve.ipopt import IpoptCorrector
+from casadi_skin.solve.ipopt import STEP_SHRINKAGE, ArbitratedCorrector, IpoptCorrector
 from casadi_skin.solve.newton import Correction, NewtonCorrector, Status
 from casadi_skin.zero import butcher
 from casadi_skin.zero.butcher import CollocationTable

@@ -15,9 +15,9 @@ from casadi_skin import Chain, follow_family
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.native import OPERATIONS
 from casadi_skin.solve import ipopt
+from casadi_skin.zero.cosines import TrigonometricProblem
 from casadi_skin.zero.problem import Problem
 from casadi_skin.zero.request import family_request
-from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 
 def two_oscillators(force: Callable[[ca.SX, ca.SX], ca.SX]) -> OdeModel:

@@ -29,7 +29,7 @@ from casadi_skin.model.conserved import SymmetryClass, pinned_components, symmet
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.butcher import gauss_table
-from casadi_skin.zero.trigonometric import TrigonometricProblem
+from casadi_skin.zero.cosines import TrigonometricProblem
 
 Array = NDArray[np.float64]
 QUARTER, HALF, FULL = SymmetryClass.QUARTER, SymmetryClass.HALF, SymmetryClass.FULL

@@ -16,11 +16,11 @@ from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import Stretch
 from casadi_skin.follow.series import SeriesContinuation
 from casadi_skin.lattice.closed_forms import duffing_frequency
+from casadi_skin.zero.cosines import TrigonometricProblem
 from casadi_skin.zero.problem import SingularError
 from casadi_skin.zero.recursion import PolynomialForm, TaylorRecursion
 from casadi_skin.zero.request import family_request
 from casadi_skin.zero.settings import End, Point
-from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 SOFTENING_END = {0.2: 1.036393147166972, 1.0: 1.018532435491958, 3.0: 0.765958900020734}  # N = 24, j = 1, g = -1
 

@@ -35,11 +35,11 @@ from casadi_skin.model.conserved import SymmetryClass, symmetry_class
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import NewtonCorrector, Status
+from casadi_skin.zero.cosines import TrigonometricProblem
 from casadi_skin.zero.problem import SingularError
 from casadi_skin.zero.request import family_request
 from casadi_skin.zero.settings import End
 from casadi_skin.zero.shooting import ShootingError, ShootingProblem
-from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 Array = NDArray[np.float64]
 QUARTER, HALF, FULL = SymmetryClass.QUARTER, SymmetryClass.HALF, SymmetryClass.FULL

@@ -19,7 +19,7 @@ from casadi_skin.stability.flows import CvodesFlow
 from casadi_skin.stability.multipliers import floquet
 from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.stability.splitting import SplittingFlow
-from casadi_skin.zero.trigonometric import TrigonometricProblem
+from casadi_skin.zero.cosines import TrigonometricProblem
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -8,8 +8,8 @@ import pytest
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow.polynomials import Stretch
 from casadi_skin.solve.bordered import BorderedSolver
+from casadi_skin.zero.cosines import TrigonometricProblem
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 
 def dense(problem: TrigonometricProblem, nonzeros: Array, row: Array) -> Array:

@@ -20,9 +20,8 @@ from casadi_skin.lattice.closed_forms import duffing_displacement, duffing_frequ
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import lifted
-from casadi_skin.zero.cosines import cosine_matrix, second_derivative_matrix
+from casadi_skin.zero.cosines import TrigonometricProblem, cosine_matrix, second_derivative_matrix
 from casadi_skin.zero.request import family_request
-from casadi_skin.zero.trigonometric import TrigonometricProblem
 
 Array = NDArray[np.float64]
 
