@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,108 +19,57 @@ from casadi_skin.model.polynomial import Monomials, polynomial_terms
 from casadi_skin.native import Structure, TaylorKernel, kernels
 from casadi_skin.zero.problem import Array, Indices, Solve
 
-_Place = slice | Indices
 
+@dataclass(frozen=True, eq=False)
+class _Terms:
+    """Terms coefficient * p^power * product of states of one power and degree, and series of the products in them.
 
-def _place(indices: Indices) -> _Place:
-    """A slice where the indices are consecutive: a view costs nothing, a gather does."""
-    consecutive = indices.size > 0 and bool(np.all(np.diff(indices) == 1))
-    return slice(int(indices[0]), int(indices[-1]) + 1) if consecutive else indices
+    Attributes:
+        power: of the parameter.
+        places: columns of the states' series that are the factors, one a term and node.
+        products: series of x_a, x_a x_b, ..., shape (orders + 1, terms * nodes) each.
+        scatter: adds values of terms, (terms, nodes), to the components that they belong to.
+    """
 
+    power: int
+    places: list[Indices]
+    products: list[Array]
+    scatter: Any
 
-class _Products:
-    """Series of products of states x_a x_b ..., one a term; arrays are (order, terms * nodes)."""
+    @classmethod
+    def of(cls, monomials: Monomials, components: int, nodes: int, orders: int) -> _Terms:
+        """Those of monomials, at every node."""
+        from scipy.sparse import csr_matrix
 
-    def __init__(self, monomials: Monomials, series: Array, nodes: int) -> None:
-        self._series, self._gathered, self._factors = series, [], []
-        shape = (series.shape[0], monomials.rows.size * nodes)
-        for factor in monomials.factors:
-            place = _place((factor[:, None] * nodes + np.arange(nodes)).ravel())
-            self._gathered.append(None if isinstance(place, slice) else place)
-            self._factors.append(series[:, place] if isinstance(place, slice) else np.zeros(shape))
-        self._squares = len(self._factors) > 1 and np.array_equal(monomials.factors[0], monomials.factors[1])
-        self.levels = [self._factors[0], *(np.zeros(shape) for _ in self._factors[1:])]  # x_a, x_a x_b, ...
-
-    def first(self, k: int) -> Array:
-        """Order k of the products as if the states had no part of order k."""
-        for level in range(1, len(self.levels)):
-            left, right, out = self.levels[level - 1], self._factors[level], self.levels[level]
-            if level == 1 and self._squares:
-                _square(left, k, out[k])
-            elif level == 1:
-                np.einsum("jm,jm->m", left[1:k], right[k - 1 : 0 : -1], out=out[k])
-            else:  # the product on the left has a part of order k already
-                np.einsum("jm,jm->m", left[1 : k + 1], right[k - 1 :: -1], out=out[k])
-        return np.asarray(self.levels[-1][k])
-
-    def complete(self, k: int) -> None:
-        """Add the contribution of the states' part of order k to the equations of order k."""
-        for place, factor in zip(self._gathered, self._factors, strict=True):
-            if place is not None:
-                factor[k] = self._series[k][place]
-        change = self._factors[0][k]
-        for level in range(1, len(self.levels)):
-            left, right, out = self.levels[level - 1], self._factors[level], self.levels[level]
-            change = change * right[0] + left[0] * right[k] if k else left[0] * right[0]
-            out[k] = change if k < 2 else out[k] + change  # below order 2 nothing was put there by `first`
-
-
-def _square(x: Array, k: int, out: Array) -> None:
-    """Order k of x^2 without x_0 x_k."""
-    half = (k - 1) // 2
-    np.einsum("jm,jm->m", x[1 : half + 1], x[k - 1 : k - 1 - half : -1], out=out)
-    out *= 2.0
-    if k % 2 == 0:
-        out += x[k // 2] ** 2
-
-
-class _Scatter:
-    """Adds values of terms, (terms, nodes), to the components that they belong to."""
-
-    def __init__(self, monomials: Monomials, components: int) -> None:
-        self.terms, self._coefficients = monomials.rows.size, monomials.coefficients[:, None]
-        self._place = _place(monomials.rows)
-        if not isinstance(self._place, slice):
-            from scipy.sparse import csr_matrix
-
-            entries = (monomials.coefficients, (monomials.rows, np.arange(self.terms)))
-            self._matrix = csr_matrix(entries, (components, self.terms))
-
-    def add(self, value: Array, total: Array) -> None:
-        if isinstance(self._place, slice):
-            total[self._place] += self._coefficients * value
-        else:
-            total += np.asarray(self._matrix @ value)
+        count, every = monomials.rows.size, np.arange(nodes)
+        places = [(factor[:, None] * nodes + every).ravel() for factor in monomials.factors]
+        entries = (monomials.coefficients, (monomials.rows, np.arange(count)))
+        products = [np.zeros((orders + 1, count * nodes)) for _ in places]
+        return cls(monomials.power, places, products, csr_matrix(entries, (components, count)))
 
 
 class _Sum:
-    """Series of a sum of terms coefficient * p^power * product of states, by component; states are (order, all)."""
+    """Series of a sum of terms, by component; states are (order, all)."""
 
     def __init__(self, terms: Sequence[Monomials], series: Array, components: int, nodes: int) -> None:
         # Of terms that are linear nothing is left when the order sought is taken out.
         kept = [m for m in terms if m.power + m.degree > 1]
-        self._shape = (components, nodes)
-        self._groups = [(m.power, _Products(m, series, nodes) if m.degree else None) for m in kept]
-        self._scatter = [_Scatter(m, components) for m in kept]
+        self._series, self._shape = series, (components, nodes)
+        self._terms = [_Terms.of(m, components, nodes, len(series) - 1) for m in kept]
         self.highest = max((m.power for m in kept), default=0)
 
-    def first(self, k: int, powers: Array) -> Array:
-        """Order k of the sum as if states and parameter had no part of order k; `powers`, (power, order), of p."""
+    def order(self, k: int, powers: Array) -> Array:
+        """Order k of the sum, shape (components, nodes); `powers`, (power, order), are series of powers of p."""
         total = np.zeros(self._shape)
-        for (power, products), scatter in zip(self._groups, self._scatter, strict=True):
-            if products is None:
-                value = np.full(scatter.terms * self._shape[1], powers[power, k])
-            else:
-                value = products.first(k)
-                if power:
-                    value = powers[power, k::-1] @ products.levels[-1][: k + 1]
-            scatter.add(value.reshape(scatter.terms, -1), total)
+        for terms in self._terms:
+            value = np.full(terms.scatter.shape[1] * self._shape[1], powers[terms.power, k])
+            for level, place in enumerate(terms.places):
+                factor, product = self._series[: k + 1, place], terms.products[level]
+                left = terms.products[level - 1][: k + 1]
+                product[k] = np.einsum("jm,jm->m", left, factor[::-1]) if level else factor[k]
+                value = powers[terms.power, k::-1] @ product[: k + 1] if terms.power else product[k]
+            total += terms.scatter @ value.reshape(terms.scatter.shape[1], -1)
         return total
-
-    def complete(self, k: int) -> None:
-        for _, products in self._groups:
-            if products is not None:
-                products.complete(k)
 
 
 @dataclass(frozen=True)
@@ -211,8 +160,8 @@ class TaylorRecursion:
         self._powers[0, k] = float(k == 0)
         for power in range(1, self._powers.shape[0]):
             self._powers[power, k] = self._powers[power - 1, : k + 1] @ p[k::-1]
-        self._force.complete(k)
-        self._norm.complete(k)
+        self._force.order(k, self._powers)
+        self._norm.order(k, self._powers)
 
     def _right_side(self, k: int) -> Array:
         """Right-hand side of order k: minus the equations with no part of order k in z, shape (size,)."""
@@ -224,9 +173,9 @@ class TaylorRecursion:
             self._powers[power, k] = self._powers[power - 1, : k + 1] @ p[k::-1]
         right = np.zeros(problem.size)
         inertia = self._squared[k:0:-1] @ self._curvature[:k]
-        force = self._force.first(k, self._powers)
+        force = self._force.order(k, self._powers)
         right[: problem.states] = (force.ravel() - inertia) / self._squared[0]
-        right[problem.states] = -self._norm.first(k, self._powers)[0, 0]
+        right[problem.states] = -self._norm.order(k, self._powers)[0, 0]
         return right
 
     def series(self, z: Array, slope: Array, solve: Solve) -> NDArray[np.float64]:
