@@ -26,8 +26,7 @@ COLLOCATION_TABLES = _registry(
 )
 TRANSCRIPTIONS = _registry(
     trigonometric="odd cosines on a quarter of the period",
-    gauss="Gauss-Legendre collocation on intervals",
-    radau="Radau IIA collocation on intervals, for stiff equations",
+    **COLLOCATION_TABLES,
     shooting="multiple shooting by SUNDIALS CVODES",
 )
 CORRECTORS = _registry(

@@ -128,7 +128,7 @@ def interval_maps(jacobians: Array, lengths: Array, table: CollocationTable) -> 
 def _stage_systems(A: Array, h: Array, table: CollocationTable) -> Array:
     """The matrices 1 - h a_ij A_j of the stages of several intervals, shape (intervals, d n, d n)."""
     K, d, n = A.shape[:3]
-    weights = -h * table.extended[:d]
+    weights = -h * table.matrix
     systems = weights[:, :, None, :, None] * A.transpose(0, 2, 1, 3)[:, None]
     systems = systems.reshape(K, d * n, d * n)
     systems[:, np.arange(d * n), np.arange(d * n)] += 1.0

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -18,25 +18,29 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class CollocationTable:
-    """Increments over an interval of length 1 from the derivatives at the d stages.
+    """A collocation method on an interval of length 1: increments from the derivatives at the d stages.
 
-    Tables are equal where all their numbers are: what is kept for a method is kept by its table.
+    The values of an interval are the state at its start and at the `ends`; the first d + 1 of them determine the
+    polynomial of degree d. Tables are equal where all their numbers are: they are keys of what is kept for a method.
 
-    `nodes` are the stages, shape (d,); `ends` the places that the increments lead to, the end of the interval last,
-    shape (rows,); `extended` the increments' weights, shape (rows, d). Where the last stage is the end of the interval
-    there are d rows, else d + 1.
+    Attributes:
+        nodes: places of the stages, each the start or among the ends, ascending, shape (d,).
+        ends: places that the increments lead to, the end of the interval last, ascending, shape (rows,), rows >= d.
+        extended: weights of the increments, shape (rows, d).
+        order: of the errors at the ends of intervals.
     """
 
     nodes: Array
     ends: Array
     extended: Array
+    order: int
 
     @cached_property
     def _numbers(self) -> tuple[bytes, ...]:
         return self.nodes.tobytes(), self.ends.tobytes(), self.extended.tobytes()
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, CollocationTable) and self._numbers == other._numbers
+        return type(other) is type(self) and self._numbers == other._numbers
 
     def __hash__(self) -> int:
         return hash(self._numbers)
@@ -45,6 +49,26 @@ class CollocationTable:
     def degree(self) -> int:
         """Number of stages d, which is the degree of the collocation polynomial."""
         return int(self.nodes.size)
+
+    @cached_property
+    def stages(self) -> tuple[int, ...]:
+        """Which of the values of an interval are those at the stages, counted from its start."""
+        return tuple(np.searchsorted(np.append(0.0, self.ends), self.nodes).tolist())
+
+    @cached_property
+    def support(self) -> Array:
+        """Places of the values that determine the polynomial, shape (d + 1,)."""
+        return np.append(0.0, self.ends)[: self.degree + 1]
+
+    @cached_property
+    def matrix(self) -> Array:
+        """Increments from the start to the stages, shape (d, d)."""
+        return np.vstack([np.zeros(self.degree), self.extended])[list(self.stages)]
+
+    @cached_property
+    def defect(self) -> DefectTable:
+        """Weights of the defect of a solution, from which its error follows."""
+        return _defect_table(self)
 
 
 @cache
@@ -56,7 +80,7 @@ def gauss_table(degree: int) -> CollocationTable:
     coefficients = (2 * np.arange(degree) + 1)[:, None] * vandermonde.T * (quadrature / 2.0)
     a = _integrals(x, degree) @ coefficients
     nodes = (x + 1.0) / 2.0
-    return CollocationTable(nodes, np.append(nodes, 1.0), np.vstack([a, quadrature / 2.0]))
+    return CollocationTable(nodes, np.append(nodes, 1.0), np.vstack([a, quadrature / 2.0]), 2 * degree)
 
 
 @cache
@@ -66,7 +90,7 @@ def radau_table(degree: int) -> CollocationTable:
     # Legendre coefficients of the Lagrange polynomials: the inverse of the Vandermonde matrix in Legendre polynomials.
     coefficients = np.linalg.inv(legendre.legvander(x, degree - 1))
     nodes = (x + 1.0) / 2.0
-    return CollocationTable(nodes, nodes, _integrals(x, degree) @ coefficients)
+    return CollocationTable(nodes, nodes, _integrals(x, degree) @ coefficients, 2 * degree - 1)
 
 
 def _radau_points(degree: int) -> Array:
@@ -97,46 +121,43 @@ TABLES: Mapping[str, Callable[..., CollocationTable]] = {"gauss": gauss_table, "
 
 @dataclass(frozen=True, eq=False)
 class DefectTable:
-    """Weights of the defect at check points of an interval of length 1: its start, inner ones, its end if no stage.
+    """Weights of the defect at check points of an interval of length 1: inner ones, its start and end if no stages.
 
     Attributes:
         inner: the inner points, halfway between each two stages.
-        values: weights of the start and the stages in the polynomial at the inner points.
-        slopes: the same in its derivative at all points.
+        checked: which of the start, the inner points and the end are check points, shape (inner points + 2,).
+        values: weights of the values that determine the polynomial in it at the inner points.
+        slopes: the same in its derivative at all check points.
         increments: weights of the defects in their integral to the method's ends.
-        between: the same to the inner points, less the polynomial through those at the start and the stages.
+        between: the same to the inner points, less the polynomial through those at the support.
         quadrature: weights of values at the stages, then at all points, in the integral over the interval.
     """
 
     inner: Array
+    checked: NDArray[np.bool_]
     values: Array
     slopes: Array
     increments: Array
     between: Array
     quadrature: tuple[Array, Array]
 
-    @property
-    def points(self) -> int:
-        """Number of check points."""
-        return int(self.slopes.shape[0])
 
-
-@lru_cache(maxsize=16)
-def defect_table(table: CollocationTable) -> DefectTable:
-    """The weights that belong to a collocation method."""
-    stages, targets = table.nodes, table.ends
-    d, support, inner = stages.size, np.append(0.0, stages), 0.5 * (stages[1:] + stages[:-1])
-    points = np.concatenate([[0.0], inner, np.ones(targets.size - d)])
-    values, at_points = _polynomials(support, inner), _node_polynomial(stages, points)
+def _defect_table(table: CollocationTable) -> DefectTable:
+    stages, d = table.nodes, table.degree
+    inner = 0.5 * (stages[1:] + stages[:-1])
+    places = np.concatenate([[0.0], inner, [1.0]])
+    checked = ~np.isin(places, stages)
+    points = places[checked]
+    values, at_points = _polynomials(table.support, inner), _node_polynomial(stages, points)
 
     def defects(t: Array) -> Array:
         return np.asarray(_node_polynomial(stages, t)[:, None] * _polynomials(points, t) / at_points)
 
-    increments, to_inner = (_integrals_of(defects, ends, 2 * d) for ends in (targets, inner))
+    increments, to_inner = (_integrals_of(defects, ends, 2 * d) for ends in (table.ends, inner))
     whole = _integrals_of(lambda t: _polynomials(np.concatenate([stages, points]), t), np.ones(1), 2 * d)[0]
     between = to_inner - values[:, 1:] @ increments[:d]
-    slopes = _polynomials(support, points, derivative=1)
-    return DefectTable(inner, values, slopes, increments, between, (whole[:d], whole[d:]))
+    slopes = _polynomials(table.support, points, derivative=1)
+    return DefectTable(inner, checked, values, slopes, increments, between, (whole[:d], whole[d:]))
 
 
 def _polynomials(support: Array, t: Array, derivative: int = 0) -> Array:

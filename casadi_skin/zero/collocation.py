@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.zero import mesh
-from casadi_skin.zero.butcher import CollocationTable, defect_table
+from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.discretisation import Discretisation, missed
 from casadi_skin.zero.formulation import Formulation
 from casadi_skin.zero.problem import Array, Evaluate, Indices, Other, Problem, Solve, sparse_matrix
@@ -203,14 +203,13 @@ class CollocationEquations(Problem):
         moves = step[: self.states].reshape(self.columns, -1)
         if between is not None:
             columns = np.arange(self.resolution)[:, None] * self.table.ends.size + np.arange(self.degree + 1)
-            inner = (defect_table(self.table).values @ moves[columns]).reshape(between.shape) - between
+            inner = (self.table.defect.values @ moves[columns]).reshape(between.shape) - between
             moves = np.concatenate([moves, inner])
         return float(np.max(np.max(np.abs(moves), axis=0) / sizes))
 
     def left_by(self, finer: CollocationEquations) -> float:
         """The part of the error at ends of intervals that a finer mesh leaves: it falls faster there."""
-        order = 2 * self.degree if self.table.ends.size > self.degree else 2 * self.degree - 1
-        return float((self.resolution / finer.resolution) ** order)
+        return float((self.resolution / finer.resolution) ** self.table.order)
 
     # The mesh -------------------------------------------------------------------------------------------------------
 
@@ -224,7 +223,7 @@ class CollocationEquations(Problem):
         values = z[: self.states].reshape(self.columns, self.formulation.states)
         values = values / self._component_sizes(values)
         columns = np.arange(K)[:, None] * rows + np.arange(d + 1)
-        weights = _barycentric(np.append(0.0, self.table.nodes))  # the start and the stages determine the polynomial
+        weights = _barycentric(self.table.support)
         noise = MESH_NOISE * float(np.sum(np.abs(weights)))
         return mesh.density(self.constants, np.einsum("j,kjn->kn", weights, values[columns]), d, noise)
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.zero.butcher import CollocationTable, DefectTable, defect_table
+from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.formulation import Formulation, Pattern
 from casadi_skin.zero.problem import Array, Buffers, Indices
 
@@ -24,15 +24,16 @@ KEPT_TABLES, LARGE_NONZEROS = 64, 20_000  # tables that are kept, and non-zeros 
 
 @dataclass(frozen=True)
 class Layout:
-    """Numbers that determine the places: of states, intervals, stages, increments and scalars; patterns.
+    """Numbers that determine the places: of states, intervals, increments and scalars; stages; patterns.
 
-    `conditions` and `integrals` are numbers of rows; `by_ends` are the patterns of the conditions' derivatives by the
-    state at the start, the state at the end, and the scalars.
+    `stages` are their places among the values of an interval. `conditions` and `integrals` are numbers of rows;
+    `by_ends` are the patterns of the conditions' derivatives by the state at the start, the state at the end, and the
+    scalars.
     """
 
     states: int
     intervals: int
-    degree: int
+    stages: tuple[int, ...]
     increments: int
     scalars: int
     conditions: int
@@ -43,9 +44,14 @@ class Layout:
     @classmethod
     def of(cls, formulation: Formulation, intervals: int, table: CollocationTable) -> Layout:
         """The layout of a formulation on so many intervals."""
-        counts = formulation.states, intervals, table.degree, table.ends.size, int(formulation.scalars.numel())
+        counts = formulation.states, intervals, table.stages, table.ends.size, int(formulation.scalars.numel())
         rows = int(formulation.conditions.numel()), formulation.integrals
         return cls(*counts, *rows, *formulation.patterns)
+
+    @property
+    def degree(self) -> int:
+        """Number of stages of an interval."""
+        return len(self.stages)
 
     @property
     def values(self) -> int:
@@ -96,8 +102,8 @@ def _kept_structure(layout: Layout) -> Structure:
 
 
 def _structure(layout: Layout) -> Structure:
-    K, d, R = layout.intervals, layout.degree, layout.increments
-    stage, start = (np.arange(K)[:, None] * R + 1 + np.arange(d)).ravel(), np.arange(K) * R
+    K, R = layout.intervals, layout.increments
+    stage, start = (np.arange(K)[:, None] * R + np.array(layout.stages)).ravel(), np.arange(K) * R
     parts = _places(layout, stage, start)
     equations = layout.values - layout.states + layout.conditions + layout.integrals
     keys = [columns * equations + rows for rows, columns in parts]
@@ -246,7 +252,7 @@ def missed(equations: Discretisation, z: Array, numbers: Array) -> tuple[Array, 
         The residual, shape (size - 1,), and the integral of the defect from the start of its interval to each inner
         check point, less the polynomial through those at the stages, shape (inner points, states).
     """
-    of, table = equations.layout, defect_table(equations.table)
+    of, table = equations.layout, equations.table.defect
     n, K, rows = of.states, of.intervals, of.increments
     lengths, constants = numbers[:K], numbers[K:]
     values, scalars = z[: of.values].reshape(-1, n), z[of.values :]
@@ -256,7 +262,14 @@ def missed(equations: Discretisation, z: Array, numbers: Array) -> tuple[Array, 
     inner = ends[:-1, None] + lengths[:, None] * table.inner
     places = np.concatenate([inner.ravel(), ends])[:, None]
     states = np.concatenate([(table.values @ polynomials).reshape(-1, n), values[::rows]])
-    field, integrands = (_by_intervals(f, K, table) for f in equations.along(places, states, scalars, constants))
+    count = K * table.inner.size
+
+    def by_intervals(found: Array) -> Array:
+        """Values at the check points of each interval, shape (intervals, points, values)."""
+        between, ends = found[:count].reshape(K, table.inner.size, found.shape[1]), found[count:, None]
+        return np.concatenate([ends[:-1], between, ends[1:]], axis=1)[:, table.checked]
+
+    field, integrands = map(by_intervals, equations.along(places, states, scalars, constants))
     defects = lengths[:, None, None] * field - table.slopes @ polynomials
     residual = [-(table.increments @ defects).ravel(), np.zeros(of.conditions)]
     if of.integrals:
@@ -264,11 +277,3 @@ def missed(equations: Discretisation, z: Array, numbers: Array) -> tuple[Array, 
         whole = table.quadrature[0] @ at_stages + table.quadrature[1] @ integrands
         residual.append(lengths @ whole - lengths @ (equations.table.extended[-1] @ at_stages))
     return np.concatenate(residual), (table.between @ defects).reshape(-1, n)
-
-
-def _by_intervals(found: Array, intervals: int, table: DefectTable) -> Array:
-    """Values at the check points, inner ones first, then all ends, as an array (intervals, points, values)."""
-    count = intervals * table.inner.size
-    inner, ends = found[:count].reshape(intervals, table.inner.size, found.shape[1]), found[count:, None]
-    parts = [ends[:-1], inner, ends[1:]]
-    return np.concatenate(parts[: 1 + table.points - table.inner.size], axis=1)

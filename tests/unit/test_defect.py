@@ -9,7 +9,7 @@ import pytest
 from casadi_skin import BoundaryValueProblem, OdeModel
 from casadi_skin.follow.solution import Solution
 from casadi_skin.solve.bordered import BorderedSolver
-from casadi_skin.zero.butcher import defect_table, gauss_table, radau_table
+from casadi_skin.zero.butcher import gauss_table, radau_table
 
 t, x, y, p = (ca.SX.sym(name) for name in ("t", "x", "y", "p"))
 
@@ -71,7 +71,7 @@ def test_the_estimate_is_the_true_error(state, transcription: str, degree: int) 
 @pytest.mark.parametrize("table", [gauss_table(1), gauss_table(6), radau_table(1), radau_table(5), gauss_table(12)])
 def test_weights_are_exact_for_polynomials(table) -> None:  # type: ignore[no-untyped-def]
     """A defect that is the stages' polynomial times another one is integrated as numpy integrates it."""
-    weights, d = defect_table(table), table.degree
+    weights, d = table.defect, table.degree
     points = np.concatenate([[0.0], weights.inner, [1.0]])[: weights.slopes.shape[0]]
     defect = np.poly1d(np.poly(table.nodes)) * np.poly1d(np.arange(1.0, points.size + 1))
     whole = defect.integ()

@@ -291,7 +291,7 @@ def test_a_second_method_of_as_many_stages_has_equations_of_its_own(monkeypatch:
         nodes = 0.5 - 0.5 * np.cos((powers - 0.5) * np.pi / degree)
         slopes = np.linalg.inv(powers * nodes[:, None] ** (powers - 1))  # of polynomials without a constant
         ends = np.append(nodes, 1.0)
-        return CollocationTable(nodes, ends, ends[:, None] ** powers @ slopes)
+        return CollocationTable(nodes, ends, ends[:, None] ** powers @ slopes, degree)
 
     by_gauss = problem.solve([0.0, 0.0], degree=3, intervals=8, tolerance=1e-8)
     monkeypatch.setitem(butcher.TABLES, "gauss", chebyshev)
