@@ -12,7 +12,6 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.stability.tongues.diagram import StabilityEdge
 from casadi_skin.zero.problem import Array
 
@@ -45,12 +44,12 @@ def certify_stability(orbit: Orbit) -> ProvedStability:
             return _undecided(orbit, "the multipliers of a chain with a tail that is no unknown are not enclosed")
         problem = linearised(attempt.series, flint.arb(HARMONIC_WEIGHT), attempt.radius, attempt.constants.reach)
         floquet = orbit.floquet()
-        if not isinstance(floquet, ReversibleFloquet) or family.coordinates.mode.size != floquet.mu.size + 1:
+        if family.coordinates.mode.size != floquet.mu.size + 1:
             return _undecided(orbit, "its multipliers were not computed from the whole lattice's reversal")
         if floquet.stable:
             angles = np.arccos(np.clip(1.0 + 2.0 * floquet.mu.real, -1.0, 1.0))
             return _stable(orbit, problem, np.sort(angles) * problem.step / TWO_PI)
-        return _unstable(orbit, problem, floquet)
+        return _unstable(orbit, problem, floquet.mu)
 
 
 def certify_change(branch: Branch, change: StabilityEdge) -> tuple[float, float] | None:
@@ -104,9 +103,10 @@ def _stable(orbit: Orbit, problem: Linearised, sigma: Array) -> ProvedStability:
     return ProvedStability(STABLE, brackets, signatures, nothing, np.nan, orbit.S, "", problem.step)
 
 
-def _unstable(orbit: Orbit, problem: Linearised, floquet: ReversibleFloquet) -> ProvedStability:
+def _unstable(orbit: Orbit, problem: Linearised, mu: ComplexArray) -> ProvedStability:
     """An enclosure off the real axis of one of the exponents that are farthest from it."""
-    sigma = _exponents(floquet, problem.step)
+    root = np.sqrt(mu) + np.sqrt(1.0 + mu)  # sigma of exp(i sigma theta) over theta = 2 pi/step, one of each pair
+    sigma = np.log(np.where(np.abs(root) < 1.0, 1.0 / root, root) ** 2) * problem.step / (1j * TWO_PI)
     order = np.argsort(-np.abs(sigma.imag))[:EXPONENTS_TRIED]
     for start in sigma[order].tolist():
         found = enclosed_exponent(problem, start)
@@ -115,8 +115,3 @@ def _unstable(orbit: Orbit, problem: Linearised, floquet: ReversibleFloquet) -> 
             return ProvedStability(UNSTABLE, *none, *found, orbit.S, "", problem.step)
     farthest = complex(sigma[order[0]])
     return _undecided(orbit, f"no enclosure of the exponent near sigma = {farthest:.6g} is off the real axis")
-
-
-def _exponents(floquet: ReversibleFloquet, step: int) -> ComplexArray:
-    """sigma of the multipliers exp(i sigma theta) over theta = 2 pi/step, one of each pair."""
-    return np.asarray(np.log(floquet.root**2) * step / (1j * TWO_PI))

@@ -23,8 +23,6 @@ from casadi_skin.model.arguments import cut, number, whole
 from casadi_skin.model.result import Result
 from casadi_skin.solve.watch import Budget, TimeLimitError
 from casadi_skin.stability.tongues.diagram import (
-    LocalisedChange,
-    LocalisedDiagram,
     Place,
     StabilityDiagram,
     StabilityEdge,
@@ -196,7 +194,7 @@ class Branch(Result):
         )
 
     @cached_property
-    def localised_diagram(self) -> LocalisedDiagram | None:
+    def localised_diagram(self) -> StabilityDiagram | None:
         """Every change of localised multipliers of a family whose linear tail is endless, or cut; None of others.
 
         Computed on first use. Weak instabilities of waves in the tail depend on its length, and are not among them.
@@ -218,12 +216,12 @@ class Branch(Result):
         return bool(self.with_stability and self.with_events and self.solutions)
 
     @property
-    def diagram_of_changes(self) -> StabilityDiagram | LocalisedDiagram | None:
+    def diagram_of_changes(self) -> StabilityDiagram | None:
         """Changes of stability of a family: `stability_diagram`, or `localised_diagram` of one with an endless tail."""
         return self.localised_diagram if self.stability_diagram is None else self.stability_diagram
 
     @property
-    def changes(self) -> tuple[StabilityChange | StabilityEdge | LocalisedChange, ...]:
+    def changes(self) -> tuple[StabilityChange | StabilityEdge, ...]:
         """Changes of stability in order: every one of a family, of other branches those between two solutions.
 
         Empty where stability was not computed: `with_stability` says whether it was; and where they are not sought.
@@ -296,7 +294,7 @@ class Branch(Result):
         if self.localised_diagram is not None:
             if growth:
                 raise ValueError("first_instability: given growth with an endless tail; accepted: without")
-            change = self.localised_diagram.first_instability()
+            change = self.localised_diagram.first_loss
             return None if change is None else change.place
         if self.stability_diagram is None:
             cut = f"; {self._cut[STABILITY]}" if STABILITY in self._cut else ""

@@ -11,7 +11,7 @@ import numpy as np
 from casadi_skin.follow.family import Family
 from casadi_skin.solve.watch import heed, one_thread
 from casadi_skin.stability.tongues.counts import EdgeHill, Sample
-from casadi_skin.stability.tongues.diagram import LocalisedDiagram
+from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.stability.tongues.hill import Hill, Layout
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
 from casadi_skin.stability.tongues.localised import find_localised_changes
@@ -21,7 +21,7 @@ from casadi_skin.zero.settings import Point, Refinement
 ORBIT_TOLERANCE = 1e-11  # of the orbits along the family, whatever the tolerance of its points
 
 
-def localised_changes(family: Family, points: Sequence[Point]) -> LocalisedDiagram:
+def localised_changes(family: Family, points: Sequence[Point]) -> StabilityDiagram:
     """Every change of localised multipliers along a family.
 
     Arguments:

@@ -12,7 +12,7 @@ from casadi_skin.follow.branch_sampler import OrbitSampler
 from casadi_skin.follow.family import Family
 from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.solve.watch import one_thread
-from casadi_skin.stability.result import Floquet, ReversibleFloquet
+from casadi_skin.stability.result import Floquet
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.stability.tongues.find_changes import Entry, find_changes
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
@@ -57,7 +57,7 @@ def family_tongues(
             entries = [
                 Entry(float(coordinate), found.mu, found.mu_error)
                 for coordinate, point in zip(sampler.coordinates, points, strict=False)
-                if isinstance(found := known.get(id(point)), ReversibleFloquet)
+                if (found := known.get(id(point))) is not None
             ]
             diagram = find_changes(sampler, others if oscillate else None, entries=entries)
             lost = sampler.lost_between([(u.coordinate_start, u.coordinate_end) for u in diagram.unresolved])

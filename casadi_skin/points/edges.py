@@ -33,7 +33,7 @@ from casadi_skin.stability.family_stability import orbit_state
 from casadi_skin.stability.flows import FlowError
 from casadi_skin.stability.multipliers import reduced_matrices
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.tongues.diagram import LocalisedDiagram, Place, StabilityDiagram, StabilityEdge
+from casadi_skin.stability.tongues.diagram import Place, StabilityDiagram, StabilityEdge
 from casadi_skin.stability.tongues.find_changes import POWERS_BY_FRACTION
 from casadi_skin.zero.family import Targets
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE, Unresolved
@@ -341,10 +341,8 @@ def edge(branch: Branch, number: int = 0, further: bool = False) -> SpecialPoint
     Raises:
         ValueError: the branch is not a family, or has no such edge.
     """
-    listed = branch.changes
-    if further:
-        listed = () if branch.stability_diagram is None else branch.stability_diagram.further
-    edges = [edge for edge in listed if isinstance(edge, StabilityEdge)]
+    diagram = branch.stability_diagram
+    edges = () if diagram is None else diagram.further if further else diagram.changes
     if str(number) not in map(str, range(len(edges))):
         where = "further edges" if further else "changes"
         accepted = f"0 to {len(edges) - 1}, the places in {where}" if edges else f"none: no {where} of a family"
@@ -376,7 +374,7 @@ def edges_left(branch: Branch) -> Iterator[SpecialPoint | Unresolved]:
             yield SpecialPoint(kind, branch.space.parameter, values, edge.error, orbit, edge.mu)
 
 
-def _not_followed(localised: LocalisedDiagram | None) -> Iterator[Unresolved]:
+def _not_followed(localised: StabilityDiagram | None) -> Iterator[Unresolved]:
     """Places at which a localised multiplier is 1, of a family with an endless tail."""
     for change in () if localised is None else localised.all:
         if change.kind == REAL_KIND:
@@ -814,6 +812,7 @@ class EdgeWalk:
 
 def _opens(diagram: StabilityDiagram, edge: StabilityEdge) -> bool:
     """Whether an edge is the one at which its tongue starts, in the order of S."""
+    assert edge.tongue is not None
     start, place = diagram.tongues[edge.tongue].start, edge.place
     return abs(start.coordinate - place.coordinate) <= start.coordinate_error + place.coordinate_error
 
@@ -868,7 +867,7 @@ class CrossingWalk(EdgeWalk):
         error = abs(self._off(fine, orbit.point, moved=True) / slope) + SOLVED_S_RTOL * found
         place = Place(0.0, 0.0, found, float(error), orbit.Omega)
         kind, power = f"1:{self._turns} resonance", POWERS_BY_FRACTION[fine.symmetry.value]
-        edge = StabilityEdge(place, kind, self._target, (), False, False, -1, 0.0, power)
+        edge = StabilityEdge(place, kind, self._target, (), False, False, power)
         return EdgePoint(orbit, edge, {**fine.parameters(orbit.point), "S": found})
 
     def _off(self, family: Family, point: Point, moved: bool = False) -> float:

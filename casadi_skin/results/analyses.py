@@ -34,7 +34,7 @@ from casadi_skin.results.words import (
     stretches,
 )
 from casadi_skin.stability.growth import TransientGrowth
-from casadi_skin.stability.tongues.diagram import LocalisedDiagram, StabilityDiagram
+from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.zero.kinds import count_in_words
 
 if TYPE_CHECKING:
@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 
 @show.register
 def _(result: StabilityDiagram) -> Shown:
+    if result.localised:
+        return _localised(result)
     first, last = (result.S(np.array([end]))[0] for end in (result.start, result.end))
     count = count_in_words(len(result.tongues), result.unresolved)
     deepest = max((tongue.growth for tongue in result.tongues), default=0.0)
@@ -64,8 +66,7 @@ def _(result: StabilityDiagram) -> Shown:
     return Shown("Stability along a family", rows, draw, "changes of stability", columns)
 
 
-@show.register
-def _(result: LocalisedDiagram) -> Shown:
+def _localised(result: StabilityDiagram) -> Shown:
     rows = [("changes", found(changes(result.changes), result.unresolved))]
     rows += [("further", listed(changes(result.further))), stretches(result.unresolved)]
 
@@ -81,7 +82,7 @@ def _(result: LocalisedDiagram) -> Shown:
     return Shown("Localised multipliers along a family", rows, draw, "changes of localised multipliers", columns)
 
 
-def _edges(result: StabilityDiagram | LocalisedDiagram, edges: Sequence[Any], without: Collection[str]) -> Columns:
+def _edges(result: StabilityDiagram, edges: Sequence[Any], without: Collection[str]) -> Columns:
     rows = [*edge_rows(1, result, edges)]
     columns = {name: [row[name] for row in rows] for name in EVENT_COLUMNS if name not in without}
     return {"change": np.arange(1, len(rows) + 1), **columns}

@@ -21,7 +21,6 @@ from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS
 from casadi_skin.model.arguments import accepted_names
-from casadi_skin.stability.result import LocalisedFloquet, ReversibleFloquet
 from casadi_skin.zero.kinds import FOLD
 from casadi_skin.zero.problem import Array
 
@@ -330,7 +329,7 @@ def _multipliers(branch: Branch) -> list[Quantity]:
     quantities = [Quantity("trivial_deviation", meaning, lambda p: p.floquet.trivial_deviation, where=NETCDF)]
     mu = Quantity("mu", "eigenvalues of B^T C", lambda p: p.floquet.mu, index)
     error = Quantity("mu_error", "estimated errors of mu", lambda p: p.floquet.mu_error, index)
-    if isinstance(found[0], LocalisedFloquet):
+    if found[0].localised is not None:
         most = max(floquet.mu.size for floquet in found)
 
         def padded(values: Any) -> Any:
@@ -348,8 +347,7 @@ def _multipliers(branch: Branch) -> list[Quantity]:
             ("multiplier",), NETCDF,
         )
     )  # fmt: skip
-    reduced = isinstance(found[0], ReversibleFloquet) and found[0].mu.size
-    return [*quantities, *((mu, error) if reduced else ())]
+    return [*quantities, *((mu, error) if found[0].mu.size else ())]
 
 
 LOCALISED: tuple[Quantity, ...] = (  # of orbits at the edge of a long tail: localised multipliers, and arcs

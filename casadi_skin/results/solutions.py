@@ -261,9 +261,10 @@ def _(result: Floquet) -> Shown:
     trivial, others = result.multipliers[: result.trivial], result.others
     rows = [("multipliers", f"{result.multipliers.size}, {result.trivial} of them trivial")]
     rows += [("largest", complex_numbers(sorted(others, key=abs, reverse=True)))]
-    if isinstance(result, LocalisedFloquet):
-        rows[0] = ("localised", f"{result.mu.size} pairs beside the trivial one, on {result.sites} sites at the edge")
-        rows += _of_waves(result)
+    if (localised := result.localised) is not None:
+        words = f"{result.mu.size} pairs beside the trivial one, on {localised.sites} sites at the edge"
+        rows[0] = ("localised", words)
+        rows += _of_waves(localised)
     rows += [("error", f"{result.error:.1e}"), ("stability", _stability(result))]
 
     def columns() -> Columns:

@@ -66,8 +66,7 @@ SAVED_CLASSES = {  # that a file may name, by module: "other=own" where the name
     "points.edges": "EdgeCurve EdgePoint",
     "stability.growth": "TransientGrowth",
     "stability.result": "ContinuousSpectrum FullPeriodFloquet LocalisedFloquet ReversibleFloquet",
-    "stability.tongues.diagram": "LocalisedChange LocalisedDiagram Passage Place StabilityDiagram StabilityEdge "
-    "StableWindow Tongue",
+    "stability.tongues.diagram": "Passage Place StabilityDiagram StabilityEdge StableWindow Tongue",
     "stability.tongues.interpolation": "MatrixSeries Piece",
     "zero.augmented": "Critical",
     "zero.family": "Method Targets",

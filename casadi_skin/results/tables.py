@@ -17,8 +17,6 @@ from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.results.dataset import Dataset, Variable, versions, write_csv, write_netcdf
 from casadi_skin.results.quantities import PROFILE_PHASES, Cell, unique_names
 from casadi_skin.stability.tongues.diagram import (
-    LocalisedChange,
-    LocalisedDiagram,
     StabilityDiagram,
     StabilityEdge,
     Tongue,
@@ -77,7 +75,7 @@ UNRESOLVED = "unresolved"  # kind of the rows of stretches that are not known
 
 def event_rows(
     mode: int,
-    diagram: StabilityDiagram | LocalisedDiagram,
+    diagram: StabilityDiagram,
     prove: Callable[[Any], tuple[float, float] | None] | None = None,
 ) -> list[dict[str, Cell]]:
     """Rows of events.csv: changes of stability in order, and stretches on which some may be missing.
@@ -92,14 +90,12 @@ def event_rows(
     return sorted(rows, key=lambda row: row["S"] if isinstance(row["S"], float) else -1.0)
 
 
-def further_rows(mode: int, diagram: StabilityDiagram | LocalisedDiagram) -> list[dict[str, Cell]]:
+def further_rows(mode: int, diagram: StabilityDiagram) -> list[dict[str, Cell]]:
     """Rows of further_events.csv: places where orbits are unstable on both sides, or stable on both."""
     return list(edge_rows(mode, diagram, diagram.further))
 
 
-def edge_rows(
-    mode: int, diagram: StabilityDiagram | LocalisedDiagram, edges: Sequence[StabilityEdge | LocalisedChange]
-) -> Iterator[dict[str, Cell]]:
+def edge_rows(mode: int, diagram: StabilityDiagram, edges: Sequence[StabilityEdge]) -> Iterator[dict[str, Cell]]:
     """Rows of edges of tongues, and of changes of localised multipliers, which bound none."""
     for e in edges:
         signatures = "".join("+" if sign > 0 else "-" for sign in e.signatures)
@@ -110,11 +106,9 @@ def edge_rows(
         yield dict(zip(EVENT_COLUMNS, values, strict=True))
 
 
-def _of_tongue(
-    diagram: StabilityDiagram | LocalisedDiagram, edge: StabilityEdge | LocalisedChange
-) -> tuple[Cell, Cell, Cell]:
+def _of_tongue(diagram: StabilityDiagram, edge: StabilityEdge) -> tuple[Cell, Cell, Cell]:
     """Number, width and growth of the tongue that an edge bounds."""
-    if isinstance(diagram, LocalisedDiagram) or isinstance(edge, LocalisedChange):
+    if edge.tongue is None:
         return "", "", ""
     return edge.tongue + 1, edge.width, diagram.tongues[edge.tongue].growth
 
@@ -126,10 +120,8 @@ def _unresolved(mode: int, stretch: Unresolved) -> dict[str, Cell]:
     return {**row, "mode": mode, "S": start, "kind": UNRESOLVED, "S_width": width}
 
 
-def tongue_rows(mode: int, diagram: StabilityDiagram | LocalisedDiagram) -> list[dict[str, Cell]]:
+def tongue_rows(mode: int, diagram: StabilityDiagram) -> list[dict[str, Cell]]:
     """Rows of tongues.csv: every tongue, also those too narrow to decide whether they open."""
-    if isinstance(diagram, LocalisedDiagram):
-        return []
     decided = [_tongue(mode, number, tongue) for number, tongue in enumerate(diagram.tongues, start=1)]
     rows = [*decided, *(_tongue(mode, "", tongue) for tongue in diagram.undecided)]
     return sorted(rows, key=lambda row: float(row["S_start"]))

@@ -134,7 +134,7 @@ def _instabilities(branch: Branch, growth: float) -> Iterator[tuple[str, Any, st
         yield "unresolved", len(branch.unresolved), "stretches on which changes of stability may be missing"
         yield "changes", len(branch.changes), CHANGES_MEANING
     elif branch.localised_diagram is not None:
-        lost = branch.localised_diagram.first_instability()
+        lost = branch.localised_diagram.first_loss
         if lost is not None:
             yield "first_instability", lost.S, "S at which the family first becomes unstable"
             yield "first_instability_error", lost.S_error, "its estimated absolute error"

@@ -295,7 +295,7 @@ def measure(family: FamilyRequest, setting: Setting, reference: Reference, repea
             stability = setting.kind is Kind.PRESET
             (branch, orbits), times = timed(lambda: followed(space, stability), repeats)
             own = stability and positions(family) > 1
-            mu = [(orbit.floquet().mu, 0.0) for orbit in orbits] if own else reference.multipliers(orbits)  # type: ignore[attr-defined]
+            mu = [(orbit.floquet().mu, 0.0) for orbit in orbits] if own else reference.multipliers(orbits)
             errors = reference.errors_of(orbits, mu)
             size, points = max(orbit.point.z.size for orbit in orbits), len(branch.orbits)
             told = any(orbit.point.at_round_off for orbit in orbits)

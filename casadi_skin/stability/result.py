@@ -6,6 +6,7 @@ import warnings
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,7 @@ class LostMultiplierWarning(UserWarning):
 
 
 class Floquet(Result, ABC):
-    """Linear stability of one orbit.
+    """Linear stability of one orbit, from its multipliers, each with an error by which it is judged.
 
     Attributes:
         multipliers: all multipliers over the period, the trivial ones first, shape (components of the full state,).
@@ -41,6 +42,8 @@ class Floquet(Result, ABC):
         monodromy: matrix over the full period at phase zero, shape (n, n); None where it was not formed.
         other_errors: estimated absolute errors of `others`, of one shape with them.
         allowed_deviation: largest `trivial_deviation` of multipliers that can be trusted.
+        mu, mu_error: eigenvalues of B^T C with their errors, of reversible orbits; empty of others.
+        localised: itself of an orbit at the edge of a long linear tail, None of others.
     """
 
     multipliers: ComplexArray
@@ -49,6 +52,12 @@ class Floquet(Result, ABC):
     monodromy: Array | None
     other_errors: Array
     allowed_deviation: float
+    mu: ComplexArray
+    mu_error: Array
+
+    @property
+    def localised(self) -> LocalisedFloquet | None:
+        return None
 
     def __repr__(self) -> str:
         largest = f"largest modulus {self.max_abs_multiplier:.8g}, " if self.others.size else ""
@@ -61,19 +70,19 @@ class Floquet(Result, ABC):
         return self.multipliers[self.trivial :]
 
     @property
-    @abstractmethod
     def outside(self) -> NDArray[np.bool_]:
         """Which of `others` lie off the unit circle on its outside, by more than errors allow."""
+        return np.abs(self.others) > 1.0 + self.other_errors
 
     @property
-    @abstractmethod
     def on_circle(self) -> NDArray[np.bool_]:
         """Which of `others` lie on the unit circle, within estimated errors."""
+        return np.abs(np.abs(self.others) - 1.0) <= self.other_errors
 
     @property
-    @abstractmethod
     def real(self) -> NDArray[np.bool_]:
         """Which of `others` are real within estimated errors, of those off the unit circle."""
+        return np.abs(self.others.imag) <= self.other_errors
 
     @property
     def stable(self) -> bool:
@@ -81,30 +90,34 @@ class Floquet(Result, ABC):
         return not np.any(self.outside)
 
     @property
-    @abstractmethod
     def unstable_real(self) -> int:
         """Number of multipliers outside the unit circle on the real axis."""
+        return int(np.count_nonzero(self.outside & self.real))
 
     @property
-    @abstractmethod
     def unstable_complex(self) -> int:
         """Number of multipliers outside the unit circle off the real axis; a complex pair counts two."""
+        return int(np.count_nonzero(self.outside & ~self.real))
 
     @property
-    @abstractmethod
     def max_abs_multiplier(self) -> float:
         """Largest modulus of a multiplier, the trivial ones left out."""
+        return float(np.max(np.abs(self.others), initial=0.0))
+
+    @property
+    def error(self) -> float:
+        """Estimated absolute error of the multipliers; relative of those that are larger than 1.
+
+        The largest of those that are not inside the circle by more than their error; of all where all are.
+        """
+        decisive = np.abs(self.others) >= 1.0 - self.other_errors
+        errors = self.other_errors / np.maximum(1.0, np.abs(self.others))
+        return float(np.max(errors[decisive] if decisive.any() else errors, initial=0.0))
 
     @property
     @abstractmethod
-    def error(self) -> float:
-        """Estimated absolute error of the multipliers; relative of those that are larger than 1."""
-
-    @property
     def log10_abs_multipliers(self) -> Array:
         """Decimal logarithms of the moduli of all multipliers, also of those that no double holds; -inf of zeros."""
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.log10(np.abs(self.multipliers)))
 
     @property
     def beyond_doubles(self) -> bool:
@@ -163,20 +176,6 @@ class ReversibleFloquet(Floquet):
         inside = (self.mu.real >= -1.0 - self.mu_error) & (self.mu.real <= self.mu_error)
         return self.is_real & inside
 
-    @property
-    def stable(self) -> bool:
-        return bool(np.all(self.is_inside))
-
-    @property
-    def unstable_real(self) -> int:
-        """Number of multipliers outside the unit circle on the real axis."""
-        return int(np.count_nonzero(self.is_real & ~self.is_inside))
-
-    @property
-    def unstable_complex(self) -> int:
-        """Number of multipliers outside the unit circle off the real axis; a complex pair counts two."""
-        return int(np.count_nonzero(~self.is_real))
-
     @cached_property
     def root(self) -> ComplexArray:
         """sqrt(mu) + sqrt(1 + mu) with modulus >= 1, whose square is lambda(M); on the unit circle for a stable mu."""
@@ -192,6 +191,10 @@ class ReversibleFloquet(Floquet):
         """All 2n multipliers over the period, shape (2n,): the trivial pairs, exactly 1, then each lambda, 1/lambda."""
         outer = self.root ** (2 * self.power)
         return np.concatenate([np.ones(self.trivial, complex), np.stack([outer, 1.0 / outer], axis=1).ravel()])
+
+    @property
+    def log10_abs_multipliers(self) -> Array:
+        return np.asarray(np.log10(np.abs(self.multipliers)))
 
     @cached_property
     def other_errors(self) -> Array:  # type: ignore[override]
@@ -231,7 +234,7 @@ class ReversibleFloquet(Floquet):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FullPeriodFloquet(Floquet):
-    """Stability from all eigenvalues of a monodromy matrix, each with an error of its own by which it is judged.
+    """Stability from all eigenvalues of a monodromy matrix.
 
     `log_moduli` are natural logarithms of the moduli of the multipliers, which doubles may not hold; `lost` is whether
     maps over intervals have lost digits of those that are far from 1; `blurred` how many multipliers are smaller than
@@ -244,13 +247,15 @@ class FullPeriodFloquet(Floquet):
     trivial_deviation: float
     other_errors: Array
     allowed_deviation: float
-    log_moduli: Array = field(default_factory=lambda: np.empty(0))
+    log_moduli: Array
     lost: bool = False
     blurred: int = 0
+    mu: ClassVar[ComplexArray] = np.empty(0, dtype=complex)  # type: ignore[misc]
+    mu_error: ClassVar[Array] = np.empty(0)  # type: ignore[misc]
 
     @property
     def log10_abs_multipliers(self) -> Array:
-        return self.log_moduli / np.log(10.0) if self.log_moduli.size else super().log10_abs_multipliers
+        return np.asarray(self.log_moduli / np.log(10.0))
 
     def warn(self) -> None:
         super().warn()
@@ -265,37 +270,6 @@ class FullPeriodFloquet(Floquet):
         if huge:
             words = f"{huge} of the multipliers exceed the largest double, which stands for them"
             warnings.warn(f"{words}: see log10_abs_multipliers", HugeMultiplierWarning, stacklevel=4)
-
-    @property
-    def outside(self) -> NDArray[np.bool_]:
-        return np.abs(self.others) > 1.0 + self.other_errors
-
-    @property
-    def on_circle(self) -> NDArray[np.bool_]:
-        return np.abs(np.abs(self.others) - 1.0) <= self.other_errors
-
-    @property
-    def real(self) -> NDArray[np.bool_]:
-        return np.abs(self.others.imag) <= self.other_errors
-
-    @property
-    def unstable_real(self) -> int:
-        return int(np.count_nonzero(self.outside & self.real))
-
-    @property
-    def unstable_complex(self) -> int:
-        return int(np.count_nonzero(self.outside & ~self.real))
-
-    @property
-    def max_abs_multiplier(self) -> float:
-        return float(np.max(np.abs(self.others), initial=0.0))
-
-    @property
-    def error(self) -> float:
-        """The largest of those that are not inside the circle by more than their error; of all where all are."""
-        decisive = np.abs(self.others) >= 1.0 - self.other_errors
-        errors = self.other_errors / np.maximum(1.0, np.abs(self.others))
-        return float(np.max(errors[decisive] if decisive.any() else errors, initial=0.0))
 
 
 def _modulus(mu: ComplexArray) -> Array:
@@ -433,6 +407,10 @@ class LocalisedFloquet(ReversibleFloquet):
     def unstable_complex(self) -> int:
         """Number of the other multipliers outside the unit circle; a complex pair counts two."""
         return super().unstable_complex if self.counted is None else self.counted - self.unstable_real
+
+    @property
+    def localised(self) -> LocalisedFloquet:
+        return self
 
     @property
     def finite_size_modulus(self) -> float:

@@ -138,7 +138,6 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Evolution": evolution,
     "FullPeriodFloquet": lambda: cycle().floquet(),
     "LatticeModes": lambda: lattice_modes(RING),
-    "LocalisedDiagram": lambda: endless_family().localised_diagram,
     "LocalisedFloquet": lambda: endless().floquet(),
     "Orbit": cycle,
     "ParetoFront": front,
@@ -153,6 +152,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Spectrum": lambda: rest().spectrum,
     "Spreading": lambda: spreading(evolution()),
     "StabilityDiagram": lambda: softer().stability_diagram,
+    "StabilityDiagram of an endless chain": lambda: endless_family().localised_diagram,
     "TransientGrowth": lambda: member().transient_growth(8),
 }
 LEADING_ON: dict[str, Callable[[Any], Any]] = {  # computed from a result, as its bits
@@ -160,12 +160,12 @@ LEADING_ON: dict[str, Callable[[Any], Any]] = {  # computed from a result, as it
     "Diagram": lambda diagram: diagram.branches[0].solutions[-1].follow("mu", -0.1, max_points=3).values,
     "Equilibrium": lambda equilibrium: equilibrium.follow("mu", 0.1).values,
     "Orbit": lambda orbit: orbit.follow("mu", 0.3, max_points=3).values,
-    "LocalisedDiagram": lambda diagram: np.array([change.S for change in diagram.all]),
     "SearchResult": search_goes_on,
     "SearchResult of an orbit": search_goes_on,
     "SmallestKick": lambda found: found.orbit.floquet().multipliers,
     "Solution": lambda found: found.follow("mu", 1.2, max_points=3).solutions[-1].point.z,
     "SpecialPoint": lambda point: point.follow("mu", 0.05, max_points=3).values,
+    "StabilityDiagram of an endless chain": lambda diagram: np.array([change.S for change in diagram.all]),
     "StabilityDiagram": lambda diagram: diagram.max_abs_multiplier(diagram.coordinates(50)),
     "TransientGrowth": lambda growth: growth.of(growth.optimal),
 }

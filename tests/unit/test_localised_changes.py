@@ -21,7 +21,7 @@ from casadi_skin.native import eliminated
 from casadi_skin.runs.program import main
 from casadi_skin.stability.result import ContinuousSpectrum, LocalisedFloquet
 from casadi_skin.stability.tongues.counts import count, zeros_in
-from casadi_skin.stability.tongues.diagram import LocalisedDiagram
+from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.stability.tongues.hill import Hill, Layout, Medium, Parity, crossings
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
 from casadi_skin.stability.tongues.localised import find_localised_changes
@@ -48,14 +48,14 @@ def hard(S: float = 0.12) -> Branch:
 
 
 @cache
-def changes_of(chain: Chain | LongLattice, mode: str, S: float, tolerance: float = 1e-9) -> LocalisedDiagram:
+def changes_of(chain: Chain | LongLattice, mode: str, S: float, tolerance: float = 1e-9) -> StabilityDiagram:
     """As `localised_diagram`, without multipliers of each orbit."""
     branch = follow_family(chain, mode, S, tolerance=tolerance)
     assert isinstance(branch.space, Family)
     return localised_changes(branch.space, [orbit.point for orbit in branch.orbits])
 
 
-def diagram_of(branch: Branch) -> LocalisedDiagram:
+def diagram_of(branch: Branch) -> StabilityDiagram:
     found = branch.localised_diagram
     assert found is not None
     return found

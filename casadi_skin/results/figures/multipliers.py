@@ -215,8 +215,8 @@ def draw_plane(axes: Axes, orbit: Orbit) -> None:
         shown = others[chosen & near]
         if shown.size:
             axes.plot(shown.real, shown.imag, marker, ms=size, mfc=fill, mec="black", mew=0.8, label=label, zorder=3)
-    if isinstance(floquet, LocalisedFloquet):
-        _draw_waves(axes, floquet)
+    if floquet.localised is not None:
+        _draw_waves(axes, floquet.localised)
     if floquet.trivial:
         words = "trivial pair" if floquet.trivial == 2 else "trivial multiplier"
         axes.plot([1.0], [0.0], "+", ms=8, color="black", label=words, zorder=4)

@@ -69,24 +69,6 @@ class Group:
         return self.end - self.start > sum(edge.error for edge in (self.first_edge, self.last_edge) if edge is not None)
 
 
-class _Union:
-    """Numbers in groups that are joined pair by pair."""
-
-    def __init__(self, count: int) -> None:
-        self._parents = list(range(count))
-
-    def root(self, i: int) -> int:
-        """The number that stands for the group of i."""
-        while self._parents[i] != i:
-            self._parents[i] = self._parents[self._parents[i]]
-            i = self._parents[i]
-        return i
-
-    def join(self, i: int, j: int) -> None:
-        """Make one group of those of i and j."""
-        self._parents[self.root(j)] = self.root(i)
-
-
 def error_of(edge: Edge | None) -> float:
     """Error of an edge; 0 at an open end."""
     return 0.0 if edge is None else edge.error
@@ -97,13 +79,19 @@ def groups_of(segments: Sequence[Segment], unknown: Iterable[float]) -> tuple[li
 
     The second result are stretches on either side of a place where a segment ends that neither side has an edge for.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     order = sorted(segments, key=lambda segment: (segment.start, segment.end))
-    union, ends = _Union(len(order)), set(unknown)
-    by_edge: dict[int, int] = {}
-    for i, segment in enumerate(order):
-        for edge in (segment.start_edge, segment.end_edge):
-            if edge is not None:
-                union.join(by_edge.setdefault(id(edge), i), i)
+    if not order:
+        return [], []
+    ends, by_edge = set(unknown), dict[int, int]()
+    joined = [  # pairs of segments that are of one group
+        (by_edge.setdefault(id(edge), i), i)
+        for i, segment in enumerate(order)
+        for edge in (segment.start_edge, segment.end_edge)
+        if edge is not None
+    ]
     dropped: set[int] = set()
     added: dict[int, Edge] = {}
     gaps: list[Gap] = []
@@ -113,15 +101,14 @@ def groups_of(segments: Sequence[Segment], unknown: Iterable[float]) -> tuple[li
         loose_lefts = [i for i in lefts if order[i].end_edge is None]
         loose_rights = [i for i in rights if order[i].start_edge is None]
         pairs = _match(mu, coordinate, loose_lefts, loose_rights)
-        for i, j in pairs:
-            union.join(i, j)
+        joined += pairs
         matched = {i for pair in pairs for i in pair}
         for i in (i for i in (*loose_lefts, *loose_rights) if i not in matched and coordinate not in ends):
             others = [k for k in (rights if i in loose_lefts else lefts) if k not in (*loose_lefts, *loose_rights)]
             twins = _match(mu, coordinate, [i], others)
             if twins:  # the other side sees the edge at their common end
                 twin = twins[0][1]
-                union.join(i, twin)
+                joined.append((i, twin))
                 dropped.add(id(order[twin].start_edge if i in loose_lefts else order[twin].end_edge))
                 continue
             edge = order[i].edge_at(coordinate)
@@ -130,10 +117,11 @@ def groups_of(segments: Sequence[Segment], unknown: Iterable[float]) -> tuple[li
             else:
                 length = order[i].block.end - order[i].block.start
                 gaps.append(Gap(coordinate - length, coordinate + length, DISAGREEMENT_WORDS))
-    members: dict[int, list[int]] = defaultdict(list)
-    for i in range(len(order)):
-        members[union.root(i)].append(i)
-    groups = sorted((_group(order, m, dropped, added) for m in members.values()), key=lambda group: group.start)
+    firsts, seconds = np.array(joined, dtype=np.int64).reshape(-1, 2).T
+    shape = len(order), len(order)
+    count, labels = connected_components(coo_array((np.ones(len(joined)), (firsts, seconds)), shape=shape), False)
+    members = [np.flatnonzero(labels == label).tolist() for label in range(count)]
+    groups = sorted((_group(order, each, dropped, added) for each in members), key=lambda group: group.start)
     return _undecided_once(groups), gaps
 
 
@@ -350,7 +338,7 @@ def edges_of(groups: Sequence[Group], tongues: Sequence[Tongue], pieces: Sequenc
     at = places(pieces, np.array([row[0].coordinate for row in rows]), np.array([row[0].error for row in rows]))
     widths = [tongue.width for tongue in tongues]
     every = [
-        StabilityEdge(place, edge.kind, edge.mu, edge.signatures, before, after, i, widths[i], power)
+        StabilityEdge(place, edge.kind, edge.mu, edge.signatures, before, after, power, i, widths[i])
         for place, (edge, before, after, i) in zip(at, rows, strict=True)
     ]
     made = _each_once(every)

@@ -41,12 +41,13 @@ Indices = NDArray[np.int64]
 Numbers = NDArray[Any]  # real or complex
 
 
-def _weights(K: Numbers, same: Booleans) -> Numbers:
-    """1 / (mu_b - mu_a) between blocks, 0 inside of them; shape of K."""
+def _weights(K: Numbers, same: Booleans, columns: Indices) -> Numbers:
+    """1 / (mu_b - mu_a) of each mu_a and of columns b of other blocks, 0 of their own; (intervals, J, m, c)."""
+    places, each = np.where(columns >= 0, columns, 0), np.arange(len(K))[:, None]
     diagonal = np.diagonal(K, axis1=2, axis2=3)
-    gaps = diagonal[:, :, None, :] - diagonal[:, :, :, None]
-    inside = same[:, None] | (gaps == 0.0)
-    return np.where(inside, 0.0, 1.0 / np.where(inside, 1.0, gaps))
+    gaps = diagonal[each, :, places].transpose(0, 2, 1)[:, :, None, :] - diagonal[:, :, :, None]
+    skipped = (same[each, places].swapaxes(1, 2) | (columns < 0)[:, None, :])[:, None] | (gaps == 0.0)
+    return np.where(skipped, 0.0, 1.0 / np.where(skipped, 1.0, gaps))
 
 
 def applied(matrices: Array, columns: Numbers) -> Numbers:
@@ -61,36 +62,16 @@ def contracts(K: Numbers, same: Booleans) -> Booleans:
 
     It is tested at five nodes, the middle among them; between these the squares of distances are polynomials.
     """
+    probes = K[:, PROBE_NODES]
     if native.kernels():
-        values, fine = native.contracts(K[:, PROBE_NODES], same, MOST_STEPS, SMALL_STEP, LARGEST_STEP)
+        values, fine = native.contracts(probes, same, MOST_STEPS, SMALL_STEP, LARGEST_STEP)
     else:
-        values, fine = _steps_from_identity(K[:, PROBE_NODES], same)
+        places, T = np.tile(np.arange(K.shape[-1]), (len(K), 1)), np.zeros_like(probes)
+        T[:] = np.eye(K.shape[-1])
+        limits = MOST_STEPS + 1, SMALL_STEP, LARGEST_STEP
+        _, values, fine = _iterated(probes, T, _weights(probes, same, places), places, same, limits, 2)
     fine[fine] = _stay_apart(values[fine], same[fine])
     return fine
-
-
-def _steps_from_identity(K: Numbers, same: Booleans) -> tuple[Numbers, Booleans]:
-    """All mu at the nodes of intervals, (intervals, nodes, m), and for which intervals steps for T become small."""
-    weights, inside = _weights(K, same), same[:, None]
-    fine = np.ones(len(K), dtype=bool)
-    T = K * weights
-    values = np.empty(K.shape[:3], dtype=K.dtype)
-    active = np.arange(len(K))
-    for count in range(MOST_STEPS):
-        with np.errstate(over="ignore", invalid="ignore"):
-            product = K[active] + K[active] @ T
-            block = np.where(inside[active], product, 0.0)
-            step = (product - block - T @ block) * weights[active]
-            T = T + step
-            largest = np.max(np.abs(step), axis=(1, 2, 3))
-        values[active] = np.diagonal(block, axis1=2, axis2=3)
-        going = (largest > SMALL_STEP) | (count == 0)
-        fine[active[~(largest < LARGEST_STEP)]] = False
-        active, T = active[going & fine[active]], T[going & fine[active]]
-        if not active.size:
-            break
-    fine[active] = False
-    return values, fine
 
 
 def _stay_apart(values: Numbers, same: Booleans) -> Booleans:
@@ -192,11 +173,10 @@ def _between(matrices: Array, right: Numbers, left: Numbers) -> Numbers:
 
 
 def _columns_of(columns: Indices, chosen: Booleans) -> Indices:
-    """Chosen columns in order, -1 behind them."""
-    found = np.full((len(columns), int(np.max(np.sum(chosen, axis=1)))), -1, dtype=np.int64)
-    for i, (row, which) in enumerate(zip(columns, chosen, strict=True)):
-        found[i, : np.count_nonzero(which)] = row[which]
-    return found
+    """Chosen columns in order, -1 behind them; (intervals, c)."""
+    order = np.argsort(~chosen, axis=1, kind="stable")[:, : max(1, int(np.max(np.sum(chosen, axis=1), initial=1)))]
+    found = np.where(chosen, columns, -1)
+    return np.asarray(np.take_along_axis(found, order, axis=1))
 
 
 def _within(same: Booleans, columns: Indices) -> Booleans:
@@ -216,20 +196,14 @@ def _invariant(K: Numbers, same: Booleans, columns: Indices) -> tuple[Numbers, B
     degree = count - 1
     if native.kernels():
         return native.invariant(K, same, columns, nested_nodes(degree), MOST_ITERATIONS, CONVERGED_STEP)
-    valid = columns >= 0
-    places = np.where(valid, columns, 0)
-    each = np.arange(intervals)[:, None]
-    diagonal = np.diagonal(K, axis1=2, axis2=3)
-    gaps = diagonal[each, :, places].transpose(0, 2, 1)[:, :, None, :] - diagonal[:, :, :, None]
-    skipped = (same[each, places].swapaxes(1, 2) | ~valid[:, None, :])[:, None] | (gaps == 0.0)
-    weights = np.where(skipped, 0.0, 1.0 / np.where(skipped, 1.0, gaps))
-    inner = _within(same, columns)
+    places, each = np.where(columns >= 0, columns, 0), np.arange(intervals)[:, None]
+    weights, inner = _weights(K, same, columns), _within(same, columns)
     T = np.zeros((intervals, count, size, columns.shape[1]), dtype=K.dtype)
-    T[each, degree // 2, places, np.arange(columns.shape[1])] = valid
-    done = np.ones(intervals, dtype=bool)
+    T[each, degree // 2, places, np.arange(columns.shape[1])] = columns >= 0
+    done, limits = np.ones(intervals, dtype=bool), (MOST_ITERATIONS, CONVERGED_STEP, 1.0)
     for known, wanted, prediction in nested_nodes(degree):
         guess = np.tensordot(T[:, known], prediction, (1, 1)).transpose(0, 3, 1, 2)
-        T[:, wanted], converged = _iterated(K[:, wanted], guess, weights[:, wanted], places, inner)
+        T[:, wanted], _, converged = _iterated(K[:, wanted], guess, weights[:, wanted], places, inner, limits)
         done &= converged
     return T, done
 
@@ -253,33 +227,40 @@ def nested_nodes(degree: int) -> tuple[tuple[Indices, Indices, Array], ...]:
     return tuple(found)
 
 
-def _iterated(K: Numbers, T: Numbers, weights: Numbers, places: Indices, inner: Booleans) -> tuple[Numbers, Booleans]:
-    """T from a guess, by Newton's method without couplings inside a block, so that it converges linearly."""
+def _iterated(
+    K: Numbers,
+    T: Numbers,
+    weights: Numbers,
+    places: Indices,
+    inner: Booleans,
+    limits: tuple[int, float, float],
+    fewest: int = 1,
+) -> tuple[Numbers, Numbers, Booleans]:
+    """T from a guess, by Newton's method without couplings inside a block, so that it converges linearly.
+
+    `limits` are the number of steps, the size of a step that is small enough after the `fewest`, and that of one that
+    converges. Beside T the diagonals of the blocks, and whether all nodes of an interval have converged.
+    """
     shape, (size, width) = T.shape[:2], T.shape[2:]
     T = np.ascontiguousarray(T).reshape(-1, size, width)
-    converged = np.zeros(len(T), dtype=bool)
-    active = np.arange(len(T))
-    here, turn, weights = K.reshape(-1, size, size), T.copy(), weights.reshape(-1, size, width)
-    rows, numbers = np.repeat(places, shape[1], axis=0), np.arange(len(T))[:, None]
-    inner = np.repeat(inner, shape[1], axis=0).astype(float)
-    for _ in range(MOST_ITERATIONS):
-        product = here @ turn
-        block = product[numbers[: len(rows)], rows]
-        block *= inner
+    values, converged = np.empty((len(T), width), dtype=T.dtype), np.zeros(len(T), dtype=bool)
+    K, weights = K.reshape(-1, size, size), weights.reshape(-1, size, width)
+    rows, inner = np.repeat(places, shape[1], axis=0), np.repeat(inner, shape[1], axis=0)
+    active, (most, small, large) = np.arange(len(T)), limits
+    for count in range(1, most + 1):
+        turn, each = T[active], np.arange(active.size)[:, None]
         with np.errstate(over="ignore", invalid="ignore"):
-            product -= turn @ block
-            step = np.multiply(product, weights, out=product)
-            turn += step
+            product = K[active] @ turn
+            block = np.where(inner[active], product[each, rows[active]], 0.0)
+            step = (product - turn @ block) * weights[active]
             largest = np.max(np.abs(step), axis=(1, 2), initial=0.0)
-        enough = largest <= CONVERGED_STEP
-        T[active], converged[active] = turn, enough
-        going = ~enough & (largest < 1.0)
-        if not going.any():
+        T[active], values[active] = turn + step, np.diagonal(block, axis1=1, axis2=2)
+        converged[active] = (largest <= small) & (count >= fewest)
+        active = active[~converged[active] & (largest < large)]
+        if not active.size:
             break
-        if not going.all():
-            active, here, turn, weights = active[going], here[going], turn[going], weights[going]
-            rows, inner = rows[going], inner[going]
-    return T.reshape(*shape, size, width), np.asarray(converged.reshape(shape).all(axis=1))
+    all_nodes = np.asarray(converged.reshape(shape).all(axis=1))
+    return T.reshape(*shape, size, width), values.reshape(*shape, width), all_nodes
 
 
 MEETING_HALF_LENGTHS = (
@@ -390,7 +371,8 @@ def _blocks(
     near = _near_the_ends(np.diagonal(K, axis1=2, axis2=3).real, shifts)
     near = np.any(same & near[:, None, :], axis=2)
     fine[fine] = contracts(K[fine], same[fine])
-    columns = _columns(((counts > 1) | ~real | near) & fine[:, None])
+    needed = ((counts > 1) | ~real | near) & fine[:, None]
+    columns = _columns_of(np.tile(np.arange(mu.shape[1]), (len(mu), 1)), needed)
     if fine.all():
         forms = decoupled(K, same, columns, near, vectors, inverse, matrices, errors, chosen)
     else:
@@ -517,13 +499,3 @@ def _near_the_ends(diagonal: Array, shifts: Array) -> Booleans:
     low, high = np.min(diagonal, axis=1), np.max(diagonal, axis=1)
     room = np.minimum(low + 1.0, -high)
     return np.asarray(room <= CLEAR_DISTANCE_FACTOR * shifts + 0.25 * (high - low) + CLOSE_TO_END)
-
-
-def _columns(needed: Booleans) -> Indices:
-    """The mu that are needed, in order, -1 behind them; (intervals, m) -> (intervals, c)."""
-    most = int(np.max(np.sum(needed, axis=1), initial=1))
-    columns = np.full((len(needed), max(most, 1)), -1, dtype=np.int64)
-    for i, row in enumerate(needed):
-        chosen = np.flatnonzero(row)
-        columns[i, : chosen.size] = chosen
-    return columns

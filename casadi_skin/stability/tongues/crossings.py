@@ -65,11 +65,6 @@ class Interval:
         middle = 0.5 * (self.start + self.end)
         return replace(self, end=middle), replace(self, start=middle)
 
-    @property
-    def places(self) -> Array:
-        """Coordinates of the nodes, shape (DEGREE + 1,)."""
-        return self.nodes(SERIES_DEGREE)
-
     def nodes(self, degree: int) -> Array:
         """Coordinates of the nodes of any degree."""
         return self.start + 0.5 * (self.end - self.start) * (1.0 + chebyshev.nodes(degree))
@@ -232,35 +227,24 @@ def _take_apart(batch: Sequence[Interval], found: Crossings, whole: int) -> Iter
 
 
 def _at_nodes(batch: Sequence[Interval]) -> tuple[Array, Array]:
-    """The matrices of intervals, and matrices like their errors, (intervals, J, 3 or 1, m, m) each."""
-    if batch[0].series.size <= SMALL_ROWS:
-        return _of_small_series(batch)
-    same: dict[int, list[int]] = defaultdict(list)
-    for i, interval in enumerate(batch):
-        same[id(interval.series)].append(i)
-    first = batch[0].series.coefficients
-    matrices = np.empty((len(batch), SERIES_DEGREE + 1, *first.shape[1:]))
-    errors = np.empty_like(matrices)
-    for numbers in same.values():
-        series, shape = batch[numbers[0]].series, (len(numbers), *matrices.shape[1:])
-        places = np.concatenate([batch[i].places for i in numbers])
-        those = slice(numbers[0], numbers[-1] + 1) if numbers[-1] - numbers[0] < len(numbers) else numbers
-        matrices[those], errors[those] = series.at(places).reshape(shape), series.errors_at(places).reshape(shape)
-    return matrices, errors
+    """The matrices of intervals, and matrices like their errors, (intervals, J, 3 or 1, m, m) each.
 
-
-def _of_small_series(batch: Sequence[Interval]) -> tuple[Array, Array]:
-    """The same of many small series, most of which have one or two of the intervals."""
-    kinds: dict[tuple[int, int], list[int]] = defaultdict(list)
+    A large series is evaluated at all of its intervals together, small ones, with one or two of these each, side by
+    side.
+    """
+    small = batch[0].series.size <= SMALL_ROWS
+    groups: dict[tuple[int, ...], list[int]] = defaultdict(list)
     for i, interval in enumerate(batch):
-        kinds[len(interval.series.coefficients), len(interval.series.errors)].append(i)
-    shape = len(batch), SERIES_DEGREE + 1, *batch[0].series.coefficients.shape[1:]
-    matrices, errors = np.empty(shape), np.empty(shape)
-    for numbers in kinds.values():
-        series = [batch[i].series for i in numbers]
+        series = interval.series
+        groups[(len(series.coefficients), len(series.errors)) if small else (id(series),)].append(i)
+    shape = SERIES_DEGREE + 1, *batch[0].series.coefficients.shape[1:]
+    matrices, errors = np.empty((len(batch), *shape)), np.empty((len(batch), *shape))
+    for numbers in groups.values():
         bounds = np.array([(batch[i].start, batch[i].end) for i in numbers])
         places = bounds[:, :1] + 0.5 * np.diff(bounds) * (1.0 + chebyshev.nodes(SERIES_DEGREE))
-        matrices[numbers], errors[numbers] = MatrixSeries.several_at(series, places)
+        every = [batch[i].series for i in (numbers if small else numbers[:1])]
+        found = MatrixSeries.several_at(every, places.reshape(len(every), -1))
+        matrices[numbers], errors[numbers] = (each.reshape(-1, *shape) for each in found)
     return matrices, errors
 
 

@@ -29,14 +29,37 @@ class Place:
     Omega: float
 
 
+REAL, COMPLEX, BAND_EDGE, RESONANCE, OVERLAP = "real", "complex", "band edge", "resonance", "overlap"
+
+
 @dataclass(frozen=True)
-class Meeting:
-    """A place on a branch where multipliers meet; `mu` and `signatures` are theirs."""
+class StabilityEdge:
+    """The place where an instability begins, ends or changes its kind; or the number of localised ones.
+
+    `kind` is "real" where a multiplier leaves the unit circle through 1 (`mu` is -1 or 0), "complex" where two meet,
+    on the circle (a Krein collision, -1 < mu < 0) or on the real axis. Localised multipliers of an orbit at the edge of
+    an endless medium have three more: "band edge" where one becomes localised, or ceases to be, as it meets the end of
+    an arc of the continuous spectrum; "resonance" where complex ones leave an arc under which waves of both signatures
+    are, or come back to it; "overlap" where arcs of opposite signature begin to overlap, or end.
+
+    `signatures` are the Krein signatures of the multipliers or waves that meet: opposite ones where a collision is on
+    the circle, one for "real" of a tongue, none where there are none. `stable_before` and `stable_after` are those of
+    the orbits next to it, in order of the branch; `off_before` and `off_after` count localised multipliers outside the
+    circle. `tongue` is the place in `StabilityDiagram.tongues` of the tongue that it bounds, `width` that tongue's in
+    S. `power` of lambda(M) gives multipliers over the period.
+    """
 
     place: Place
     kind: str
     mu: float
     signatures: tuple[int, ...]
+    stable_before: bool
+    stable_after: bool
+    power: int
+    tongue: int | None = None
+    width: float = np.nan
+    off_before: int | None = None
+    off_after: int | None = None
 
     @property
     def S(self) -> float:
@@ -72,25 +95,6 @@ class Meeting:
     def angle(self) -> float:
         """Angle of lambda(M) where multipliers meet, in [0, pi]; 0 or pi where they meet on the real axis."""
         return float(np.arccos(np.clip(1.0 + 2.0 * self.mu, -1.0, 1.0)))
-
-
-@dataclass(frozen=True)
-class StabilityEdge(Meeting):
-    """The place where an instability begins, ends or changes its kind.
-
-    `kind` is "real" where a multiplier leaves the unit circle through 1 (`mu` is -1 or 0), "complex" where two meet,
-    on the circle (a Krein collision, -1 < mu < 0) or on the real axis. `signatures` are the Krein signatures of
-    these two: opposite ones where a collision is on the circle, one for "real", none where there are none.
-    `stable_before` and `stable_after` are those of the orbits next to it, in order of the branch. `tongue` is the place
-    in `StabilityDiagram.tongues` of the tongue that it bounds, `width` that tongue's in S; `power` of lambda(M) gives
-    multipliers over the period.
-    """
-
-    stable_before: bool
-    stable_after: bool
-    tongue: int
-    width: float
-    power: int
 
     @property
     def multiplier(self) -> complex:
@@ -166,30 +170,43 @@ class StabilityDiagram(Result):
     which are shallower than errors, `windows` between tongues that are narrower than these, and `passages` of
     multipliers of one signature. `unresolved` lists the unresolved parts. `symplectic` is true where signatures exist;
     without them any two mu may leave the real axis where they meet. `power` of lambda(M) gives the multipliers over the
-    period, `samples` counts the orbits that were computed.
+    period, `samples` counts the orbits that were computed. A `localised` diagram is that of the localised multipliers
+    of orbits at the edge of an endless linear medium: it has changes alone, between which nothing is stored.
     """
 
     changes: tuple[StabilityEdge, ...]
     further: tuple[StabilityEdge, ...]
-    tongues: tuple[Tongue, ...]
-    undecided: tuple[Tongue, ...]
-    windows: tuple[StableWindow, ...]
-    passages: tuple[Passage, ...]
     unresolved: tuple[Unresolved, ...]
-    symplectic: bool
-    power: int
     samples: int
-    pieces: tuple[Piece, ...]
+    tongues: tuple[Tongue, ...] = ()
+    undecided: tuple[Tongue, ...] = ()
+    windows: tuple[StableWindow, ...] = ()
+    passages: tuple[Passage, ...] = ()
+    symplectic: bool = True
+    power: int = 2
+    pieces: tuple[Piece, ...] = ()
+    localised: bool = False
 
     def __repr__(self) -> str:
         left = f", {len(self.unresolved)} stretches unresolved" if self.unresolved else ""
-        changes, tongues = (count_in_words(len(each), self.unresolved) for each in (self.changes, self.tongues))
-        return f"<StabilityDiagram: {changes} changes of stability, {tongues} tongues{left}>"
+        others = "further" if self.localised else "tongues"
+        counts = [count_in_words(len(each), self.unresolved) for each in (self.changes, getattr(self, others))]
+        return f"<StabilityDiagram: {counts[0]} changes of stability, {counts[1]} {others}{left}>"
 
     @property
     def complete(self) -> bool:
         """Whether no stretch of the branch is unresolved."""
         return not self.unresolved
+
+    @property
+    def all(self) -> tuple[StabilityEdge, ...]:
+        """`changes` and `further` in order along the branch."""
+        return tuple(sorted((*self.changes, *self.further), key=lambda edge: edge.place.coordinate))
+
+    @property
+    def first_loss(self) -> StabilityEdge | None:
+        """The first change from stable to unstable; None where there is none."""
+        return next((change for change in self.changes if change.stable_before), None)
 
     def first_instability(self, growth: float = 0.0) -> Tongue | None:
         """The first tongue that is as deep as `growth`, log |multiplier| over a period; None where there is none."""
@@ -316,74 +333,3 @@ def by_piece(pieces: Sequence[Piece], coordinates: Array) -> list[tuple[Piece, N
     away = np.maximum(np.maximum(starts - coordinates[:, None], coordinates[:, None] - ends), 0.0)
     which = np.argmin(away, axis=1)
     return [(pieces[k], np.flatnonzero(which == k)) for k in np.unique(which).tolist()]
-
-
-# Changes of localised multipliers along a branch of orbits at the edge of an endless linear medium, as results --------
-
-REAL, COMPLEX, BAND_EDGE, RESONANCE, OVERLAP = "real", "complex", "band edge", "resonance", "overlap"
-
-
-@dataclass(frozen=True)
-class LocalisedChange(Meeting):
-    """A place where the localised multipliers of an orbit change, or the arcs of its continuous spectrum do.
-
-    `kind` is "real" where a pair meets at 1 (`mu` is -1 or 0); "complex" where two of opposite signatures collide, on
-    the circle (a Krein collision) or on the real axis; "band edge" where one becomes localised, or ceases to be, as it
-    meets the end of an arc; "resonance" where complex ones leave an arc under which waves of both signatures are, or
-    come back to it; "overlap" where arcs of opposite signature begin to overlap, or end. `signatures` are those of the
-    multipliers or waves that meet, none where they meet at 1. `off_before` and `off_after` count localised multipliers
-    outside the circle.
-    """
-
-    off_before: int
-    off_after: int
-
-    @property
-    def stable_before(self) -> bool:
-        """Whether no localised multiplier is off the circle before, in order of the branch."""
-        return self.off_before == 0
-
-    @property
-    def stable_after(self) -> bool:
-        """Whether no localised multiplier is off the circle behind it."""
-        return self.off_after == 0
-
-    @property
-    def multiplier(self) -> complex:
-        """The multiplier over the period, that in the upper half plane or on the real axis."""
-        root = np.sqrt(self.mu + 0j) + np.sqrt(1.0 + self.mu + 0j)
-        value = complex(root**4)
-        return value if value.imag >= 0.0 else value.conjugate()
-
-
-@dataclass(frozen=True, eq=False)
-class LocalisedDiagram(Result):
-    """Every change of localised multipliers along a branch of orbits at the edge of an endless linear medium.
-
-    `changes` are those between stable and unstable, `further` the others, each in order along the branch; `unresolved`
-    are stretches on which some may be missing. `samples` counts the orbits that were computed.
-    """
-
-    changes: tuple[LocalisedChange, ...]
-    further: tuple[LocalisedChange, ...]
-    unresolved: tuple[Unresolved, ...]
-    samples: int
-
-    def __repr__(self) -> str:
-        left = f", {len(self.unresolved)} stretches unresolved" if self.unresolved else ""
-        changes, further = (count_in_words(len(each), self.unresolved) for each in (self.changes, self.further))
-        return f"<LocalisedDiagram: {changes} changes of stability, {further} further{left}>"
-
-    @property
-    def complete(self) -> bool:
-        """Whether no stretch of the branch is unresolved."""
-        return not self.unresolved
-
-    @property
-    def all(self) -> tuple[LocalisedChange, ...]:
-        """`changes` and `further` in order along the branch."""
-        return tuple(sorted((*self.changes, *self.further), key=lambda change: change.place.coordinate))
-
-    def first_instability(self) -> LocalisedChange | None:
-        """The first change from stable to unstable; None where there is none."""
-        return next((change for change in self.changes if change.stable_before), None)

@@ -149,14 +149,14 @@ def find_changes(
     return StabilityDiagram(
         changes=edges.changes,
         further=edges.further,
+        unresolved=tuple(_unresolved(branch, known, found)),
+        samples=known.samples,
         tongues=tuple(tongues[i] for i in decided),
         undecided=tuple(tongue for tongue in tongues if not tongue.decided),
         windows=edges.windows,
         passages=tuple(_passages(known, found)),
-        unresolved=tuple(_unresolved(branch, known, found)),
         symplectic=branch.symplectic,
         power=power,
-        samples=known.samples,
         pieces=tuple(known.pieces),
     )
 

@@ -111,11 +111,6 @@ class MatrixSeries:
         flat = weights @ coefficients.reshape(len(coefficients), -1)
         return np.asarray(flat.reshape(len(weights), *coefficients.shape[1:]))
 
-    def errors_at(self, coordinates: Array) -> Array:
-        """Matrices like their errors, between nodes by straight lines, shape (points, 3 or 1, m, m)."""
-        weights = _by_straight_lines(self.local(coordinates), len(self.errors))
-        return np.asarray(chebyshev.combined(weights, self.errors[None])[0])
-
     @staticmethod
     def several_at(series: Sequence[MatrixSeries], coordinates: Array) -> tuple[Array, Array]:
         """The matrices of series of one shape, each at places of its own, (series, points), and those like errors."""

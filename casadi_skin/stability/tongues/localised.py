@@ -35,9 +35,9 @@ from casadi_skin.stability.tongues.diagram import (
     OVERLAP,
     REAL,
     RESONANCE,
-    LocalisedChange,
-    LocalisedDiagram,
     Place,
+    StabilityDiagram,
+    StabilityEdge,
 )
 from casadi_skin.stability.tongues.hill import HALF_END, START_END, Hill, Layout, crossings
 from casadi_skin.zero.kinds import Unresolved
@@ -58,7 +58,7 @@ class Search:
     branch: EdgeBranch
     known: dict[float, Sample] = field(default_factory=dict)
     layouts: dict[float, Layout] = field(default_factory=dict)
-    found: list[LocalisedChange] = field(default_factory=list)
+    found: list[StabilityEdge] = field(default_factory=list)
     gaps: list[tuple[float, float, str]] = field(default_factory=list)
 
     def at(self, coordinate: float) -> Sample:
@@ -79,6 +79,11 @@ class Search:
         """S at a coordinate, to a few digits where no orbit is known there."""
         known = self.known.get(coordinate)
         return self.branch.amplitude(coordinate) if known is None else known.S
+
+    def add(self, place: Place, kind: str, mu: float, signatures: tuple[int, ...], before: int, after: int) -> None:
+        """Add a change, with the numbers of localised multipliers off the circle on either side."""
+        sides = before == 0, after == 0
+        self.found.append(StabilityEdge(place, kind, mu, signatures, *sides, 2, off_before=before, off_after=after))
 
     def place(self, coordinate: float, error: float) -> Place:
         """A place with the error of S, by its slope and bend."""
@@ -381,7 +386,7 @@ def _zero(search: Search, name: str, a: float, b: float) -> Zero:
 NEAR_MEETING = 0.1  # of an interval between points: from where on two that meet are sought by Newton's method
 
 
-def find_localised_changes(branch: EdgeBranch) -> LocalisedDiagram:
+def find_localised_changes(branch: EdgeBranch) -> StabilityDiagram:
     """Find every change of localised multipliers along a branch.
 
     Arguments:
@@ -412,11 +417,12 @@ def find_localised_changes(branch: EdgeBranch) -> LocalisedDiagram:
         Unresolved(search.amplitude(start), search.amplitude(end), reason, coordinates=(start, end))
         for start, end, reason in search.gaps
     )
-    return LocalisedDiagram(
+    return StabilityDiagram(
         tuple(change for change in ordered if change.stable_before != change.stable_after),
         tuple(change for change in ordered if change.stable_before == change.stable_after),
         unresolved,
         len(search.known),
+        localised=True,
     )
 
 
@@ -434,8 +440,7 @@ def _across(search: Search, before: _Stretch, after: _Stretch) -> None:
         edges = [(here.layout.bands[bands[0]][k], here.layout.bands[bands[1]][k]) for k in (0, 1)]
         edge = min(edges, key=lambda two: abs(sum(two) - 2.0 * order * here.Omega))[0]
         place = search.place(here.coordinate, 0.5 * (after.start - before.end))
-        change = LocalisedChange(place, OVERLAP, mu_of(edge, here.Omega), (1, -1), one.off, one.off)
-        search.found.append(change)
+        search.add(place, OVERLAP, mu_of(edge, here.Omega), (1, -1), one.off, one.off)
 
 
 def _overlaps(layout: Layout) -> set[tuple[tuple[int, int], int]]:
@@ -528,7 +533,7 @@ class _Stretch:
             mu, kind = mu_of(end.sigma, layout.Omega), BAND_EDGE
             signs = (1 if end.turns % 2 == 0 else -1,)
         place = self.search.place(zero.coordinate, zero.error)
-        self.search.found.append(LocalisedChange(place, kind, mu, signs, before, after))
+        self.search.add(place, kind, mu, signs, before, after)
 
     def _meeting(self, a: float, before: Counts, b: float, after: Counts, inside: Sequence[int]) -> bool:
         """A collision in a gap, or multipliers that leave an arc, located; false where the interval is too long."""
@@ -546,5 +551,5 @@ class _Stretch:
             return False
         mu = mu_of(sigma, self.search.at(coordinate).Omega)
         place = self.search.place(coordinate, error)
-        self.search.found.append(LocalisedChange(place, kind, mu, (1, -1), before.off, after.off))
+        self.search.add(place, kind, mu, (1, -1), before.off, after.off)
         return True

@@ -99,14 +99,22 @@ class Block:
     """Matrices (k, p, q), or k alone, of some mu at the nodes of an interval, shape (DEGREE + 1, 3 or 1, m, m).
 
     `errors` are matrices like their errors at the nodes, `noise` and `tails` (3 or 1,) bounds on the norm of what comes
-    to these: from elsewhere, and from the series on the interval, which shorter intervals lessen.
+    to these: from elsewhere, and from the series on the interval, which shorter intervals lessen. Its edges are zeros
+    of `functions`.
     """
 
-    functions: tuple[Function, ...] = ()
-
-    def __init__(self, start: float, end: float, parts: Numbers, errors: Array, noise: Array, tails: Array) -> None:
+    def __init__(
+        self,
+        start: float,
+        end: float,
+        parts: Numbers,
+        errors: Array,
+        noise: Array,
+        tails: Array,
+        functions: tuple[Function, ...] = (),
+    ) -> None:
         self.start, self.end, self.parts, self.errors, self.tails = start, end, parts, errors, tails
-        self.noise = noise + tails
+        self.noise, self.functions = noise + tails, functions
         self._others = noise
 
     @cached_property
@@ -287,19 +295,6 @@ class ComplexBlock(Block):
 class SingleBlock(Block):
     """One real mu; its `functions` are those of `single_functions`."""
 
-    def __init__(
-        self,
-        start: float,
-        end: float,
-        parts: Array,
-        errors: Array,
-        noise: Array,
-        tails: Array,
-        functions: tuple[Function, Function],
-    ) -> None:
-        super().__init__(start, end, parts, errors, noise, tails)
-        self.functions = functions
-
     @cached_property
     def edges(self) -> list[tuple[Edge, bool]]:
         first, second = self.functions
@@ -371,27 +366,25 @@ ROUNDED_MU_DISTANCE = 1e-7  # distance of two mu that rounding makes of none
 class PairBlock(Block):
     """Two mu that may meet.
 
-    `ends` are det p and det q, `meetings` f+ and f-, none for a definite pair; of a map that is not symplectic det k
-    and det (1 + k), and the discriminant. `series` are coefficients (FINE + 1, 2) of the mean of both mu and of rho:
-    with f+ f- / rho^2 the square of half their difference is known with all digits where it is small. See `Pairs`.
+    Its functions are the `meetings` f+ and f-, none for a definite pair, and the `ends` det p and det q; of a map that
+    is not symplectic the discriminant, det k and det (1 + k). `mean_and_rho` are coefficients (FINE + 1, 2) of the mean
+    of both mu and of rho: with f+ f- / rho^2 the square of half their difference is known with all digits where it is
+    small. See `Pairs`.
     """
 
-    def __init__(
-        self,
-        start: float,
-        end: float,
-        parts: Array,
-        errors: Array,
-        noise: Array,
-        tails: Array,
-        ends: tuple[Function, Function],
-        meetings: tuple[Function, ...],
-        series: Array,
-    ) -> None:
-        super().__init__(start, end, parts, errors, noise, tails)
-        self.ends, self.meetings = ends, meetings
-        self.functions = (*meetings, *ends)
-        self._series = np.column_stack([series, *(function.coefficients for function in self.functions)])
+    mean_and_rho: Array
+
+    @property
+    def meetings(self) -> tuple[Function, ...]:
+        return self.functions[:-2]
+
+    @property
+    def ends(self) -> tuple[Function, ...]:
+        return self.functions[-2:]
+
+    @cached_property
+    def _series(self) -> Array:
+        return np.column_stack([self.mean_and_rho, *(function.coefficients for function in self.functions)])
 
     @property
     def definite(self) -> bool:
@@ -567,7 +560,9 @@ class Pairs:
             met = tuple(function for function in all_met[i] if np.isfinite(function.coefficients[0]))
             where = float(self.starts[i]), float(self.ends[i])
             matrices = self.parts[i], self.errors[i], self.noise[i], self.tails[i]
-            found.append(PairBlock(*where, *matrices, (first[i], last[i]), met, series[:, i]))
+            block = PairBlock(*where, *matrices, (*met, first[i], last[i]))
+            block.mean_and_rho = series[:, i]
+            found.append(block)
         return found
 
     def _ends(self, fine: Array) -> list[tuple[Array, Array]]:
