@@ -26,7 +26,6 @@ from casadi_skin.stability.reduction import (
     Eigensystems,
     Reflections,
     blocks_of,
-    eigensystems,
     frobenius_norms,
     half_cosine_errors,
     half_cosines,
@@ -42,12 +41,6 @@ MACHINE_EPSILON = float(np.finfo(float).eps)
 ERROR_FLOOR = 0.1  # of the largest error in an orbit: W_ii can vanish where the error that it stands for does not
 
 
-def couplings(systems: Eigensystems, errors: Array) -> Array:
-    """|W| for errors of the matrices, shape (points, m, m); not finite at a defective eigenvalue."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        return systems.couplings(errors @ systems.basis)
-
-
 def eigenvalue_errors(
     systems: Eigensystems, parts: Sequence[Array], norms: Array, round_off: Array
 ) -> tuple[Array, Array]:
@@ -61,28 +54,22 @@ def eigenvalue_errors(
 
     Of large matrices W is formed where two eigenvalues can be close enough for their coupling to matter.
     """
+    values = systems.values
+    chosen, large = np.ones(values.shape[1], dtype=bool), values.shape[1] > LARGE_EIGENVALUE_COUNT
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        images = [part @ systems.basis for part in parts]
-        left, chosen = systems.left_sizes, np.ones(systems.values.shape[1], dtype=bool)
-        large = chosen.size > LARGE_EIGENVALUE_COUNT
-        if large:
-            alone = [systems.expectations(image) for image in images]
-        else:
-            coupled = [systems.couplings(image) for image in images]
-            alone = [np.einsum("pii->pi", W).copy() for W in coupled]
+        images, left = [systems.images(part) for part in parts], np.linalg.norm(systems.left, axis=2)
+        alone = [np.abs(np.einsum("pij,pji->pi", systems.left, image)) for image in images]
         first = sum(alone) + round_off[:, None] * left
         rest = first + ERROR_FLOOR * np.max(first, axis=1, keepdims=True)
         if large:
-            moved = left * (sum(systems.sizes(image) for image in images) + round_off[:, None])
-            chosen = systems.whole_pairs(_close(systems.values.real, moved, DECIDING_COUPLING * rest))
+            moved = left * (sum(np.linalg.norm(image, axis=1) for image in images) + round_off[:, None])
+            chosen = _close(values.real, moved, DECIDING_COUPLING * rest)
             rest = (1.0 + DECIDING_COUPLING) * rest
-        few = systems.of(chosen)
-        if large:
-            coupled = [few.couplings(image[:, :, chosen]) for image in images]
-        W = sum(coupled)
+            values, images = values[:, chosen], [image[:, :, chosen] for image in images]
+        W = sum(np.abs(systems.left[:, chosen] @ image) for image in images)
         W = W + (round_off[:, None] * left[:, chosen])[:, :, None]
-        product = W * W.swapaxes(1, 2)
-        pairs = np.minimum(product / np.maximum(few.distances, MACHINE_EPSILON), np.sqrt(product))
+        product, distances = W * W.swapaxes(1, 2), np.abs(values[:, :, None] - values[:, None, :])
+        pairs = np.minimum(product / np.maximum(distances, MACHINE_EPSILON), np.sqrt(product))
         np.einsum("pii->pi", pairs)[:] = 0.0
         rest[:, chosen] += np.max(pairs, axis=2, initial=0.0)
     # A pair moves by the root of the matrix's error at most, when it is defective; W is infinite there.
@@ -185,21 +172,23 @@ def _solve(transitions: Sequence[Transition], accelerations: Array, better_accel
     # (0, a_0) is a left eigenvector, so the first row is (trivial, 0, ..., 0) but for the errors of flow and orbit.
     similar[:, 0, 0] -= trivial
     deviations = np.max(np.abs(similar[:, 0]), axis=1)
-    systems = eigensystems(similar[:, 1:, 1:])
-    if systems.values.shape[1] == 0:
-        errors, flow_errors = np.zeros(systems.values.shape), np.zeros(len(transitions))
-    else:
-        flow_part = flow_part_of(transitions, matrices, reflections)
-        orbit_part = orbit_part_of(transitions, reflections, Reflections.of(better_accelerations))
-        norms = frobenius_norms(flow_part) + frobenius_norms(orbit_part)
-        parts, round_off = (flow_part, orbit_part), round_off_of(transitions, matrices)
-        errors, first = eigenvalue_errors(systems, parts, norms, round_off)
-        flow_errors = np.max(first / np.maximum(1.0, np.abs(systems.values)), axis=1)
-    results = [
-        ReversibleFloquet(mu, error, float(deviation), power)
-        for mu, error, deviation in zip(systems.values, errors, deviations, strict=True)
-    ]
-    return _Solved(results, flow_errors, reflections, systems)
+    reduced = similar[:, 1:, 1:]
+    mu, errors = np.zeros(reduced.shape[:2], dtype=complex), np.zeros(reduced.shape[:2])
+    flow_errors, systems = np.zeros(len(transitions)), Eigensystems(mu, reduced, reduced)
+    if mu.size:
+        parts = [
+            flow_part_of(transitions, matrices, reflections),
+            orbit_part_of(transitions, reflections, Reflections.of(better_accelerations)),
+        ]
+        norms = frobenius_norms(parts[0]) + frobenius_norms(parts[1])
+        round_off = round_off_of(transitions, matrices)
+        for those, systems in Eigensystems.groups(reduced):
+            of_those = [part[those] for part in parts], norms[those], round_off[those]
+            mu[those] = systems.values
+            errors[those], first = eigenvalue_errors(systems, *of_those)
+            flow_errors[those] = np.max(first / np.maximum(1.0, np.abs(systems.values)), axis=1)
+    rows = zip(mu, errors, deviations.tolist(), strict=True)
+    return _Solved([ReversibleFloquet(*row, power) for row in rows], flow_errors, reflections, systems)
 
 
 def with_reversed_block(transition: Transition) -> Transition:
@@ -411,7 +400,7 @@ def localised_floquet(
     deviation = float(np.max(np.abs(similar[0, 0])))
     bound = deviation <= tolerance  # else the velocity of the flow fills the tail: the cut problem has no such vector
     reduced = similar[:, 1:, 1:] if bound else K
-    systems = eigensystems(reduced)
+    systems = Eigensystems.of(reduced)
     parts = [
         flow_part_of([transition], matrix, reflections[0] if bound else None),
         orbit_part_of([transition], reflections[0] if bound else None, reflections[1] if bound else None),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,130 +93,66 @@ def _extent(chosen: NDArray[np.bool_]) -> slice:
 
 @dataclass(frozen=True)
 class Eigensystems:
-    """Eigenvalues (points, m) in ascending order, conjugate ones in pairs; vectors by a real basis, as its columns.
+    """Eigenvalues (points, m) in ascending order, conjugate ones in pairs, that below the real axis first.
 
-    Of a pair a +- i b the basis has a and b: real arithmetic takes a quarter of the time. Rows of `inverse` times
-    columns of `basis` give the identity; at a defective eigenvalue they are infinite. `first` marks the first of pairs,
-    that below the real axis.
+    Right vectors of norm 1 are the columns of `right`, left ones the rows of `left`: times the right ones they give the
+    identity; at a defective eigenvalue they are infinite. Both are real where all eigenvalues of all points are. Of a
+    pair a +- i b the real `basis` has a and b: with these large matrices are multiplied in a quarter of the time.
     """
 
     values: ComplexArray
     basis: Array
-    inverse: Array
-    first: NDArray[np.bool_]
+    left: NDArray[Any]
+
+    @classmethod
+    def of(cls, matrices: Array) -> Eigensystems:
+        """Of real matrices, shape (points, m, m)."""
+        return cls._ordered(matrices, *np.linalg.eig(matrices))
+
+    @classmethod
+    def groups(cls, matrices: Array) -> list[tuple[NDArray[np.int64], Eigensystems]]:
+        """Of those matrices all of whose eigenvalues are real, and of the others, if any, with their numbers.
+
+        Digits of one then do not depend on the others.
+        """
+        values, vectors = np.linalg.eig(matrices)
+        is_complex = np.any(values.imag != 0.0, axis=1)
+        those = [chosen for chosen in (np.flatnonzero(~is_complex), np.flatnonzero(is_complex)) if chosen.size]
+        return [(chosen, cls._ordered(matrices[chosen], values[chosen], vectors[chosen])) for chosen in those]
+
+    @classmethod
+    def _ordered(cls, matrices: Array, values: NDArray[Any], vectors: NDArray[Any]) -> Eigensystems:
+        order = _ascending(values)
+        basis = np.where((values.imag > 0.0)[:, None, :], -vectors.imag, vectors.real)
+        basis = np.take_along_axis(basis, order[:, None, :], 2)
+        values = np.take_along_axis(values, order, 1).astype(complex)
+        try:
+            left = _of_pairs(np.linalg.inv(basis).swapaxes(1, 2), values).swapaxes(1, 2)
+            left = np.where((values.imag != 0.0)[:, :, None], 0.5 * left.conj(), left)
+        except np.linalg.LinAlgError:
+            left = np.stack([_left_vectors(matrix) for matrix in matrices])
+            left = left if np.any(values.imag != 0.0) else left.real
+        return cls(values, basis, left)
 
     @property
-    def right(self) -> Array | ComplexArray:
-        """Right vectors as columns, of norm 1."""
-        return self._by_columns(self.basis)
+    def right(self) -> NDArray[Any]:
+        """Right vectors as columns."""
+        return _of_pairs(self.basis, self.values)
 
-    @property
-    def left(self) -> Array | ComplexArray:
-        """Left vectors as rows: times `right` they give the identity."""
-        return self._by_rows(self.inverse)
-
-    def of(self, chosen: NDArray[np.bool_]) -> Eigensystems:
-        """Those of some eigenvalues, which include whole pairs, shape (m,)."""
-        if chosen.all():
-            return self
-        parts = self.values[:, chosen], self.basis[:, :, chosen], self.inverse[:, chosen], self.first[:, chosen]
-        return Eigensystems(*parts)
-
-    def whole_pairs(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Eigenvalues chosen, shape (m,), with the other of each pair of any point."""
-        before = np.zeros_like(chosen)
-        firsts = np.any(self.first, axis=0)
-        while not np.array_equal(before, chosen):
-            before = chosen.copy()
-            chosen[1:] |= chosen[:-1] & firsts[:-1]
-            chosen[:-1] |= chosen[1:] & firsts[:-1]
-        return chosen
-
-    def couplings(self, images: Array) -> Array:
-        """|left E right| from E times `basis`, shape (points, n, m); not finite at a defective eigenvalue."""
-        products = self.inverse @ images
-        found, complex_ = np.abs(products), np.any(self.first, axis=1)
-        if complex_.any():
-            some = self.at(complex_)
-            found[complex_] = np.abs(some._by_rows(some._by_columns(products[complex_])))
-        return found
-
-    @property
-    def distances(self) -> Array:
-        """Distances between eigenvalues of one point, shape (points, m, m)."""
-        real, complex_ = self.values.real, np.any(self.first, axis=1)
-        found = np.abs(real[:, :, None] - real[:, None, :])
-        some = self.values[complex_]
-        found[complex_] = np.abs(some[:, :, None] - some[:, None, :])
-        return found
-
-    def at(self, points: NDArray[np.bool_]) -> Eigensystems:
-        """Those of some points, shape (points,)."""
-        return Eigensystems(self.values[points], self.basis[points], self.inverse[points], self.first[points])
-
-    def expectations(self, images: Array) -> Array:
-        """Diagonals of `couplings` alone, shape (points, m)."""
-        found: Array = np.abs(np.einsum("pij,pji->pi", self.inverse, images))
-        points, a = np.nonzero(self.first)
-        if a.size:
-            left = self.inverse[points, a] - 1j * self.inverse[points, a + 1]
-            both = np.sum(left * (images[points, :, a] + 1j * images[points, :, a + 1]), axis=1)
-            found[points, a] = found[points, a + 1] = 0.5 * np.abs(both)
-        return found
-
-    def sizes(self, images: Array) -> Array:
-        """Norms of E times right vectors, from E times `basis`, shape (points, m)."""
-        return np.asarray(np.sqrt(self._of_pairs(np.einsum("pij,pij->pj", images, images))))
-
-    @property
-    def left_sizes(self) -> Array:
-        """Norms of the left vectors, shape (points, m)."""
-        factors = np.where(self.first | np.roll(self.first, 1, axis=1), 0.5, 1.0)
-        squares = np.einsum("pij,pij->pi", self.inverse, self.inverse)
-        return np.asarray(factors * np.sqrt(self._of_pairs(squares)))
-
-    def _of_pairs(self, squares: Array) -> Array:
-        """Squares (points, m) of real and imaginary parts, added for both of each pair."""
-        points, a = np.nonzero(self.first)
-        squares[points, a] += squares[points, a + 1]
-        squares[points, a + 1] = squares[points, a]
-        return squares
-
-    def _by_columns(self, matrices: Array) -> Array | ComplexArray:
-        """Columns a, b of pairs as a + i b and a - i b."""
-        points, a = np.nonzero(self.first)
-        if a.size == 0:
-            return matrices
-        found = matrices.astype(complex)
-        found[points, :, a] += 1j * matrices[points, :, a + 1]
-        found[points, :, a + 1] = found[points, :, a].conj()
-        return found
-
-    def _by_rows(self, matrices: Array | ComplexArray) -> Array | ComplexArray:
-        """Rows of pairs that belong to such columns: (a - i b) / 2 and (a + i b) / 2."""
-        points, a = np.nonzero(self.first)
-        if a.size == 0:
-            return matrices
-        found = matrices.astype(complex)
-        found[points, a] = 0.5 * (matrices[points, a] - 1j * matrices[points, a + 1])
-        found[points, a + 1] = 0.5 * (matrices[points, a] + 1j * matrices[points, a + 1])
-        return found
+    def images(self, matrices: Array) -> NDArray[Any]:
+        """Real matrices times the right vectors."""
+        return _of_pairs(matrices @ self.basis, self.values)
 
 
-def eigensystems(matrices: Array) -> Eigensystems:
-    """Of real matrices, shape (points, m, m)."""
-    values, vectors = np.linalg.eig(matrices)
-    order = _ascending(values)
-    second = (values.imag > 0.0)[:, None, :]
-    basis = np.where(second, -vectors.imag, vectors.real) if second.any() else vectors.real
-    basis = np.take_along_axis(basis, order[:, None, :], 2)
-    values = np.take_along_axis(values, order, 1).astype(complex)
-    first = values.imag < 0.0
-    try:
-        inverse = np.linalg.inv(basis)
-    except np.linalg.LinAlgError:
-        inverse = np.stack([_inverse(*point) for point in zip(matrices, basis, strict=True)])
-    return Eigensystems(values, basis, np.asarray(inverse), first)
+def _of_pairs(columns: Array, values: ComplexArray) -> NDArray[Any]:
+    """Columns a, b of pairs of conjugate eigenvalues as a + i b and a - i b."""
+    points, a = np.nonzero(values.imag < 0.0)
+    if a.size == 0:
+        return columns
+    found = columns.astype(complex)
+    found[points, :, a] += 1j * columns[points, :, a + 1]
+    found[points, :, a + 1] = found[points, :, a].conj()
+    return found
 
 
 def _ascending(values: ComplexArray) -> NDArray[np.intp]:
@@ -224,21 +161,12 @@ def _ascending(values: ComplexArray) -> NDArray[np.intp]:
     return np.asarray(values.shape[-1] - 1 - np.lexsort((np.abs(backwards.imag), backwards.real)))
 
 
-def _inverse(matrix: Array, basis: Array) -> Array:
-    """The inverse of a basis whose vectors may be linearly dependent; infinite where an eigenvalue is defective."""
-    try:
-        return np.asarray(np.linalg.inv(basis), dtype=float)
-    except np.linalg.LinAlgError:
-        from scipy.linalg import eig
+def _left_vectors(matrix: Array) -> NDArray[Any]:
+    """Left vectors where right ones may be linearly dependent; infinite where an eigenvalue is defective."""
+    from scipy.linalg import eig
 
-        # The same LAPACK routine finds the same eigenvalues in the same order.
-        values, left, right = eig(matrix, left=True, right=True, check_finite=False)  # type: ignore[misc]
-        overlap = np.sum(left.conj() * right, axis=0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            rows = left.conj().T / overlap[:, None]
-        order = _ascending(values)
-        rows, imaginary = rows[order], values[order].imag
-        factor = np.where(imaginary == 0.0, 1.0, 2.0)[:, None]
-        real = factor * np.where((imaginary > 0.0)[:, None], np.roll(-rows.imag, 1, axis=0), rows.real)
-        real[~np.isfinite(real)] = np.inf
-        return np.asarray(real)
+    # The same LAPACK routine finds the same eigenvalues in the same order.
+    values, left, right = eig(matrix, left=True, right=True, check_finite=False)  # type: ignore[misc]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rows = (left.conj().T / np.sum(left.conj() * right, axis=0)[:, None])[_ascending(values)]
+    return np.where(np.isfinite(rows), rows, np.inf)

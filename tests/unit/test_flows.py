@@ -22,8 +22,8 @@ from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability import family_stability
 from casadi_skin.stability.flows import CvodesFlow, FlowError, FlowMap, OrbitState, SteppedFlow, Transition
 from casadi_skin.stability.jacobian import JacobianAlong
-from casadi_skin.stability.multipliers import LARGE_EIGENVALUE_COUNT, couplings, eigenvalue_errors, floquet
-from casadi_skin.stability.reduction import eigensystems, half_cosines
+from casadi_skin.stability.multipliers import LARGE_EIGENVALUE_COUNT, eigenvalue_errors, floquet
+from casadi_skin.stability.reduction import Eigensystems, half_cosines
 from casadi_skin.stability.result import Floquet, ReversibleFloquet
 from casadi_skin.stability.splitting import SplittingFlow, SplittingMap, srkn_coefficients
 from casadi_skin.zero.request import family_request
@@ -392,12 +392,12 @@ def apart(one: Array, other: Array) -> Array:
 def test_left_and_right_vectors_belong_together_and_are_infinite_at_a_jordan_block() -> None:
     matrices = np.stack([np.random.default_rng(4).normal(size=(3, 3)), np.diag([1.0, 2.0, 2.0])])
     matrices[1, 1, 2] = 1.0
-    systems = eigensystems(matrices)
+    systems = Eigensystems.of(matrices)
     np.testing.assert_allclose(systems.left[0] @ systems.right[0], np.eye(3), atol=1e-12)
     np.testing.assert_allclose(matrices[0] @ systems.right[0], systems.right[0] * systems.values[0], atol=1e-12)
     assert np.count_nonzero(systems.values[0].imag) == 2  # a pair of conjugate ones
     coupled = np.abs(systems.left[0] @ matrices[1] @ systems.right[0])
-    np.testing.assert_allclose(couplings(systems, matrices[[1, 1]])[0], coupled, atol=1e-12)
+    np.testing.assert_allclose(np.abs(systems.left @ systems.images(matrices[[1, 1]]))[0], coupled, atol=1e-12)
     assert np.linalg.norm(systems.left[1, 0]) < 10
     assert np.linalg.norm(systems.left[1, 1]) > 1e12
     errors = np.full((2, 3, 3), 1e-10)
@@ -412,7 +412,7 @@ def test_eigenvalues_that_nearly_meet_move_no_farther_than_their_errors(gap: flo
         X = generator.normal(size=(5, 5))
         matrix = X @ np.diag([-0.2, -0.4, -0.6, -0.8, -0.8 + gap]) @ np.linalg.inv(X)
         change = 1e-7 * generator.normal(size=(5, 5))
-        systems = eigensystems(matrix[None])
+        systems = Eigensystems.of(matrix[None])
         norm = np.array([np.linalg.norm(change)])
         bounds = eigenvalue_errors(systems, [change[None]], norm, np.full(1, 1e-15))[0][0]
         moved = apart(systems.values[0], np.linalg.eigvals(matrix + change))
@@ -430,7 +430,7 @@ def test_couplings_that_are_left_out_of_large_matrices_do_not_matter() -> None:
     for k in range(40, 60, 4):
         D[k, k + 1], D[k + 1, k], D[k + 1, k + 1] = 1e-3, -1e-3, D[k, k]
     X = np.eye(size) + 0.02 * generator.normal(size=(size, size))
-    systems = eigensystems(np.stack([X @ D @ np.linalg.inv(X), X.T @ D @ np.linalg.inv(X.T)]))
+    systems = Eigensystems.of(np.stack([X @ D @ np.linalg.inv(X), X.T @ D @ np.linalg.inv(X.T)]))
     assert np.count_nonzero(systems.values.imag) == 20
     parts = [10.0**-k * generator.normal(size=(2, size, size)) for k in (8, 9)]
     norms, round_off = np.full(2, 1e-6), np.full(2, 1e-14)
