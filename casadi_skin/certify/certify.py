@@ -12,8 +12,15 @@ from scipy.fft import dct
 from casadi_skin.certify import balls
 from casadi_skin.certify.bounds import FiniteInverse, proved_radius, uniqueness_radius
 from casadi_skin.certify.certificate import NO_ABSENCE, Certificate, Constants, Interval
-from casadi_skin.certify.system import CosineSeries, CosineSystem, Terms, energy_terms, evaluate, system_of
-from casadi_skin.certify.tailed import tailed_system
+from casadi_skin.certify.system import (
+    CosineSeries,
+    CosineSystem,
+    Terms,
+    energy_terms,
+    evaluate,
+    system_of,
+    tailed_system,
+)
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain_coordinates import LongChain

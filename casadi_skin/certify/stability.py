@@ -1,19 +1,490 @@
-"""`certify_stability`: a proof that an orbit is stable, or that it is not, from its linearised equations in balls."""
+"""`certify_stability`: a proof that an orbit is stable, or that it is not, from its linearised equations in balls.
+
+The equations linearised about a proved orbit: an enclosure of their coefficients, symmetric where forces are.
+
+lambda v'' = G(theta) v with G = Dphi(q) = sum over p of G_p exp(i p theta), p even where the orbit's harmonics are odd,
+G_-p = G_p real. The orbit itself is known within a radius of the centre, which moves every G_p and lambda: `radius` and
+`square` hold that too.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casadi_skin.certify import balls
-from casadi_skin.certify.certificate import STABLE, UNDECIDED, UNSTABLE, ProvedStability
+from casadi_skin.certify.balls import SUM_ROUNDING_FACTOR, Enclosed, above, below, rounded_up
+from casadi_skin.certify.bounds import curvature, proved_radius, series_norms
+from casadi_skin.certify.certificate import STABLE, UNDECIDED, UNSTABLE, Constants, ProvedStability
 from casadi_skin.certify.certify import HARMONIC_WEIGHT, best_attempt, reason_of
-from casadi_skin.certify.exponents import Linearised, enclosed_exponent, linearised, negative_eigenvalues
+from casadi_skin.certify.system import CosineSeries, CosineSystem, potential, weights_of
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues.diagram import StabilityEdge
 from casadi_skin.zero.problem import Array
+
+if TYPE_CHECKING:
+    from flint import acb, arb
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Enclosures of the coefficients about the true orbit.
+
+    Attributes:
+        blocks: doubles near G_0, G_step, ..., shape (number, positions, positions).
+        radius: bound of the norm of the difference of G and the true one: largest sum over rows and p of moduli in a
+            column; where symmetric, of the norm in the Euclidean sense at every theta as well.
+        square: ball of lambda.
+        symmetric: whether blocks and truth are symmetric matrices.
+        step: of p and of the harmonics of solutions, 2 or 1.
+        exact: by row and column balls of the entries of G_0, G_step, ... about the orbit's centre.
+        moved: the part of `radius` that is the orbit's own.
+    """
+
+    blocks: Array
+    radius: float
+    square: arb
+    symmetric: bool
+    step: int = 2
+    exact: Mapping[tuple[int, int], Sequence[arb]] | None = None
+    moved: float = 0.0
+
+    def harmonics(self, highest: int) -> Array:
+        """m from -highest to highest, multiples of the step as `highest` is."""
+        return np.arange(-highest, highest + 1, self.step, dtype=float)
+
+    def grown(self, highest: int, factor: float) -> int:
+        """A multiple of the step near `factor` times another."""
+        return self.step * int(np.ceil(factor * highest / self.step))
+
+    @property
+    def positions(self) -> int:
+        return int(self.blocks.shape[1])
+
+    @property
+    def sizes(self) -> Array:
+        """Upper bounds of the norms of the G_p, both Euclidean and by columns, without `radius`."""
+        return _norms(np.abs(self.blocks))
+
+
+def linearised(series: CosineSeries, nu: arb, radius: float, reach: float) -> Linearised:
+    """The coefficients at the true orbit, which lies within `radius` of a series.
+
+    In positions in which the matrices are symmetric where the linear couplings have such; `reach` is at least `radius`.
+    """
+    from flint import arb
+
+    n, scale = series.system.positions, _symmetric_scale(series.system)
+    symmetric = scale is not None
+    scale = [arb(1)] * n if scale is None else scale
+    rows = [series.derivatives(m) for m in range(n)]
+    count = max((len(g) for row in rows for g in row.values()), default=1)
+    exact = dict[tuple[int, int], list[arb]]()
+    blocks, radii = np.zeros((count, n, n)), np.zeros((count, n, n))
+    for m, row in enumerate(rows):
+        for k, g in row.items():
+            exact[m, k] = [value * scale[m] / scale[k] for value in g]
+            enclosed = Enclosed.of(exact[m, k])
+            blocks[: len(g), m, k], radii[: len(g), m, k] = enclosed.middle, enclosed.radius
+    if symmetric:  # the true matrices are, so that the other triangle encloses an entry as well
+        lower = np.tril(blocks) + np.tril(blocks, -1).swapaxes(1, 2)
+        radii, blocks = radii + 2.0 * np.abs(lower - blocks), lower
+    own = rounded_up(np.concatenate([radii[:1], 2.0 * radii[1:]]).sum(axis=0), count + 2)
+    moved = (
+        curvature(series.system, series_norms(series, nu), reach)
+        * arb(radius)
+        * arb(max(map(above, scale)))
+        / arb(min(map(below, scale)))
+    )
+    doubt = above(arb(float(_norms(own[None])[0])) + moved)
+    square = series.square + arb(0, radius)
+    return Linearised(blocks, doubt, square, symmetric, series.system.step, exact, above(moved))
+
+
+def _symmetric_scale(system: CosineSystem) -> list[arb] | None:
+    """Factors s_n with s_n phi_n(q) the negative gradient of a potential of s_n q_n; None where there is none."""
+    from flint import arb, fmpq
+
+    weights = weights_of(system.forces, 0)
+    if weights is None or potential(system.forces, 0) is None:
+        return None
+    factors = [arb(fmpq(w.numerator, w.denominator)).sqrt() * d for w, d in zip(weights, system.scale, strict=True)]
+    return [factor / factors[0] for factor in factors]
+
+
+def _norms(matrices: Array) -> Array:
+    """Upper bounds of the norms of matrices of numbers >= 0, Euclidean and by columns, shape (matrices,)."""
+    largest = np.maximum(matrices.sum(axis=1).max(axis=1), matrices.sum(axis=2).max(axis=1))
+    return rounded_up(largest, matrices.shape[1])
+
+
+# An approximate exponent with its vector in more digits than doubles have, and its residual in balls ------------------
+
+EIGENPAIR_STEPS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Eigenpair:
+    """sigma and w_m of the harmonics m = -highest, ..., highest, exact numbers; `rows` are those of each position."""
+
+    sigma: acb
+    rows: Sequence[Sequence[acb]]
+
+    @classmethod
+    def refined(cls, problem: Linearised, sigma: complex, w: ComplexArray, inverse: ComplexArray) -> Eigenpair:
+        """Newton's method with a fixed inverse from doubles; w of shape (harmonics, positions)."""
+        from flint import acb
+
+        normal, last = w.conj(), np.inf
+        rows = [[acb(x.real, x.imag) for x in column] for column in w.T.tolist()]
+        pair = cls(acb(sigma.real, sigma.imag), rows)
+        for _ in range(EIGENPAIR_STEPS):
+            residual = np.array([complex(value.mid()) for value in pair.residual(problem, normal)[0]])
+            step = inverse @ residual
+            size = float(np.sum(np.abs(step)))
+            if not size < 0.5 * last:
+                break
+            last = size
+            changes = step[1:].reshape(w.shape).T.tolist()
+            rows = [
+                [(x - acb(d.real, d.imag)).mid() for x, d in zip(row, line, strict=True)]
+                for row, line in zip(pair.rows, changes, strict=True)
+            ]
+            pair = cls((pair.sigma - acb(step[0].real, step[0].imag)).mid(), rows)
+        return pair
+
+    def doubles(self) -> tuple[complex, ComplexArray]:
+        """The nearest doubles, w of shape (harmonics, positions)."""
+        return complex(self.sigma), np.array([[complex(x) for x in row] for row in self.rows]).T
+
+    def rounding(self, sigma: complex) -> arb:
+        """Distance of sigma from a double."""
+        from flint import acb
+
+        return abs(self.sigma - acb(sigma.real, sigma.imag))
+
+    def residual(self, problem: Linearised, normal: ComplexArray) -> tuple[list[acb], list[acb]]:
+        """c w - 1 and the rows of the pair's harmonics, in its order, and all further rows; c of shape of w."""
+        from flint import acb, acb_poly
+
+        n, count = problem.positions, len(self.rows[0])
+        reach = max((len(g) for g in self._coefficients(problem).values()), default=1) - 1
+        vectors = [acb_poly(list(row)) for row in self.rows]
+        sums = [acb_poly() for _ in range(n)]
+        for (m, k), g in self._coefficients(problem).items():
+            both = [*reversed(g[1:]), *g] if len(g) > 1 else list(g)
+            padding = [acb(0)] * (reach + 1 - len(g))
+            sums[m] += acb_poly([*padding, *both]) * vectors[k]
+        first = sum((acb(c.real, c.imag) * x for c, x in self._paired(normal)), acb(-1))
+        middle, outside = [[acb(0)] * n for _ in range(count)], list[acb]()
+        for m, total in enumerate(sums):
+            for i in range(count + 2 * reach):
+                if reach <= i < reach + count:
+                    h = problem.step * (i - reach) - problem.step * (count - 1) // 2
+                    middle[i - reach][m] = total[i] + problem.square * (self.sigma + h) ** 2 * self.rows[m][i - reach]
+                else:
+                    outside.append(total[i])
+        return [first, *(value for row in middle for value in row)], outside
+
+    def _paired(self, normal: ComplexArray) -> list[tuple[complex, acb]]:
+        return [
+            (c, x)
+            for row, line in zip(normal.T.tolist(), self.rows, strict=True)
+            for c, x in zip(row, line, strict=True)
+        ]
+
+    @staticmethod
+    def _coefficients(problem: Linearised) -> Mapping[tuple[int, int], Sequence[arb]]:
+        """The entries of G in balls: those about the orbit's centre, or the doubles where there is no orbit."""
+        from flint import arb
+
+        if problem.exact is not None:
+            return problem.exact
+        n = problem.positions
+        return {(m, k): [arb(g) for g in problem.blocks[:, m, k].tolist()] for m in range(n) for k in range(n)}
+
+
+# One Floquet exponent and its vector, enclosed by the theorem of the orbits: off the real axis there is no stability
+
+MOST_EXPONENT_ROWS = 2500  # rows of the finite part
+FIRST_EXPONENT_CUT = 8
+RADIUS_GROWTH = 1.5
+EXPONENT_STEPS = 8
+LARGEST_RADIUS = 0.1  # largest radius that W is a bound for; 1 is the norm of w in the Euclidean sense
+
+
+def enclosed_exponent(problem: Linearised, sigma: complex) -> tuple[complex, float] | None:
+    """An exponent near `sigma` with a proved radius; None where no finite part proves one."""
+    highest, last = FIRST_EXPONENT_CUT, Constants(np.inf, np.inf, np.inf, LARGEST_RADIUS)
+    while problem.harmonics(highest).size * problem.positions <= MOST_EXPONENT_ROWS:
+        pair = _Pair.near(problem, sigma, highest)
+        if pair is not None:
+            constants = pair.constants()
+            radius = proved_radius(constants)
+            if radius is not None:
+                return pair.sigma, above(pair.exact.rounding(pair.sigma) + radius)
+            small = constants.Z < 0.5
+            if (0.5 * last.Y < constants.Y) if small else (0.8 * last.Z < constants.Z):
+                return None  # it is rounding, or another exponent is too near
+            last = constants if small else replace(constants, Y=np.inf)
+        highest = problem.grown(highest, RADIUS_GROWTH)
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """An approximate eigenpair with |m| <= highest, and the bounds of the theorem about it."""
+
+    problem: Linearised
+    highest: int
+    exact: Eigenpair
+    sigma: complex  # the double nearest
+    w: ComplexArray  # doubles nearest, shape (harmonics, positions)
+    inverse: ComplexArray
+
+    @classmethod
+    def near(cls, problem: Linearised, sigma: complex, highest: int) -> _Pair | None:
+        """Newton's method from the null vector of the finite part; None where its matrices are singular."""
+        G, square = _toeplitz(problem, highest, highest), float(problem.square.mid())
+        m = problem.harmonics(highest)
+        try:
+            L = G + np.diag(np.repeat(square * (sigma + m) ** 2, problem.positions))
+            w = np.asarray(np.linalg.svd(L)[2][-1].conj(), dtype=complex)
+            for _ in range(EXPONENT_STEPS):
+                J, residual = _bordered(G, square, sigma, w, m, w.conj())
+                step = np.linalg.solve(J, residual)
+                sigma, w = complex(sigma - step[0]), w - step[1:]
+                if np.sum(np.abs(step)) < 1e-15:
+                    break
+            inverse = np.linalg.inv(_bordered(G, square, sigma, w, m, w.conj())[0])
+        except np.linalg.LinAlgError:
+            return None
+        if not (np.isfinite(sigma) and np.all(np.isfinite(inverse))):
+            return None
+        exact = Eigenpair.refined(problem, sigma, w.reshape(-1, problem.positions), np.asarray(inverse, dtype=complex))
+        return cls(problem, highest, exact, *exact.doubles(), np.asarray(inverse, dtype=complex))
+
+    @cached_property
+    def shifts(self) -> ComplexArray:
+        """sigma + m for each finite unknown of w."""
+        return np.repeat(self.sigma + self.problem.harmonics(self.highest), self.problem.positions)
+
+    @cached_property
+    def norms(self) -> Array:
+        """Upper bounds of the norms of the columns of the inverse."""
+        return rounded_up(np.abs(self.inverse).sum(axis=0), len(self.inverse))
+
+    @cached_property
+    def tail(self) -> float:
+        """Upper bound of 1/|lambda (sigma + m)^2| beyond the finite part."""
+        nearest = self.highest + self.problem.step - abs(self.sigma)
+        return (
+            float("inf")
+            if nearest <= 0
+            else (1.0 + 16 * SUM_ROUNDING_FACTOR) / (below(self.problem.square) * nearest**2)
+        )
+
+    @cached_property
+    def size(self) -> float:
+        """Upper bound of |A| on residuals but the first."""
+        return max(float(np.max(self.norms[1:])), self.tail)
+
+    def _image(self, rows: slice, block: Array | ComplexArray, radius: Array) -> Array:
+        """Norms of the columns of A's finite part times a block given by its rows, in modulus within `radius`."""
+        count = 2 * block.shape[0] + 4
+        product = self.inverse[:, rows] @ block
+        lost = self.norms[rows] @ (count * SUM_ROUNDING_FACTOR * np.abs(block) + radius)
+        return rounded_up(np.abs(product).sum(axis=0) + rounded_up(lost, count), len(self.inverse))
+
+    def finite_part(self, G: Array, square: float) -> tuple[ComplexArray, Array]:
+        """The finite part of DF in doubles, and bounds of its rounding."""
+        w = self.w.ravel()
+        J, _ = _bordered(G, square, self.sigma, w, self.problem.harmonics(self.highest), w.conj())
+        unsure = 16 * SUM_ROUNDING_FACTOR * np.abs(J)
+        places = np.arange(1, len(J))  # of sums of G_0 and of what may be much larger than they are
+        unsure[places, places] += 32 * SUM_ROUNDING_FACTOR * square * np.abs(self.shifts**2)
+        return J, unsure
+
+    def constants(self) -> Constants:
+        """The three bounds about the true linearised equations."""
+        if not np.isfinite(self.tail):
+            return Constants(np.inf, np.inf, np.inf, LARGEST_RADIUS)
+        return Constants(self._Y(), self._Z(), self._W(), LARGEST_RADIUS)
+
+    def _Y(self) -> float:
+        """Upper bound of |A F|."""
+        problem, n, total = self.problem, self.problem.positions, len(self.inverse)
+        finite, outside = self.exact.residual(problem, self.w.conj())
+        middle = np.array([complex(value.mid()) for value in finite])
+        radius = np.array([above(abs(value - m)) for value, m in zip(finite, _balls(middle), strict=True)])
+        image = self._image(slice(None), middle[:, None], radius[:, None])[0]
+        beyond = sum(above(abs(value)) for value in outside)
+        length = float(rounded_up(np.abs(self.w).sum(), self.w.size + 4))
+        return float(rounded_up(np.asarray(image + self.tail * beyond + self.size * problem.moved * length), total + n))
+
+    @cached_property
+    def _doubt(self) -> float:
+        """Upper bound of the distance of lambda from the double in its middle."""
+        from flint import arb
+
+        return above(abs(self.problem.square - arb(float(self.problem.square.mid()))))
+
+    def _Z(self) -> float:
+        """Upper bound of |I - A DF|."""
+        problem, n, w = self.problem, self.problem.positions, self.w.ravel()
+        square = float(problem.square.mid())
+        reach = problem.step * (len(problem.blocks) - 1)
+        G = _toeplitz(problem, self.highest, self.highest)
+        J, unsure = self.finite_part(G, square)
+        identity = np.eye(len(J))
+        product = self.inverse @ J
+        count = 2 * len(J) + 4
+        lost = self.norms @ (count * SUM_ROUNDING_FACTOR * np.abs(J) + unsure)
+        inside = rounded_up(np.abs(identity - product).sum(axis=0) + rounded_up(lost, count), len(J))
+        outer = _toeplitz(problem, self.highest, self.highest + reach)
+        edge = reach // problem.step * n
+        outer = np.delete(outer, np.arange(edge, outer.shape[1] - edge), axis=1)
+        across = self._image(slice(1, None), outer, np.zeros(outer.shape)) if outer.size else np.zeros(1)
+        sizes = problem.sizes
+        rows = self.tail * float(rounded_up(sizes[0] + 2.0 * sizes[1:].sum(), sizes.size))
+        squares = max(float(np.max(self.norms[1:] * np.abs(self.shifts) ** 2)), 1.0 / below(problem.square))
+        along = self.size * float(rounded_up(2.0 * np.abs(self.shifts * w).sum(), w.size))
+        moved = problem.radius * self.size + self._doubt * max(squares, along)
+        return float(rounded_up(np.asarray(max(np.max(inside), np.max(across)) + rows + moved), 32))
+
+    def _W(self) -> float:
+        """Lipschitz constant of A DF within REACH."""
+        length = float(rounded_up(np.abs(self.w).sum(), self.w.size))
+        beyond = np.sqrt(self.tail / below(self.problem.square)) * (1.0 + 8 * SUM_ROUNDING_FACTOR)
+        linear = max(float(np.max(self.norms[1:] * np.abs(self.shifts))), float(beyond))
+        total = above(self.problem.square) * (
+            2.0 * linear + self.size * (LARGEST_RADIUS + 2.0 * (length + LARGEST_RADIUS))
+        )
+        return float(rounded_up(np.asarray(total), 32))
+
+
+def _balls(values: ComplexArray) -> list[acb]:
+    from flint import acb
+
+    return [acb(value.real, value.imag) for value in values.ravel().tolist()]
+
+
+def _toeplitz(problem: Linearised, highest_row: int, highest_column: int) -> Array:
+    """The blocks G_(m - j) for |m| and |j| up to two numbers."""
+    blocks, n = problem.blocks, problem.positions
+    rows, columns = problem.harmonics(highest_row), problem.harmonics(highest_column)
+    distance = np.abs(rows[:, None] - columns).astype(int) // problem.step
+    padded = np.concatenate([blocks, np.zeros((1, n, n))])
+    matrix = padded[np.minimum(distance, len(blocks))]
+    return np.asarray(matrix.transpose(0, 2, 1, 3).reshape(rows.size * n, columns.size * n))
+
+
+def _bordered(
+    G: Array, square: float, sigma: complex, w: ComplexArray, harmonics: Array, c: ComplexArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """The finite part of DF and of F at (sigma, w)."""
+    shifts = np.repeat(sigma + harmonics, w.size // harmonics.size)
+    J = np.zeros((w.size + 1, w.size + 1), dtype=complex)
+    J[0, 1:], J[1:, 0] = c, 2.0 * square * shifts * w
+    J[1:, 1:] = G + np.diag(square * shifts**2)
+    return J, np.concatenate([[c @ w - 1.0], J[1:, 1:] @ w])
+
+
+# Numbers of negative eigenvalues of L(sigma), proved; each change of them between two sigma is an exponent ------------
+
+MOST_INERTIA_ROWS = 4000  # rows of the finite part
+FIRST_INERTIA_CUT = 4  # highest harmonic of the smallest finite part
+
+
+def negative_eigenvalues(problem: Linearised, sigma: float) -> int | None:
+    """Number of negative eigenvalues of L(sigma); None where no finite part of up to MOST_INERTIA_ROWS rows decides."""
+    highest = FIRST_INERTIA_CUT
+    while problem.harmonics(highest).size * problem.positions <= MOST_INERTIA_ROWS:
+        found, helps = _count(problem, sigma, highest)
+        if found is not None or not helps:
+            return found
+        highest = problem.grown(highest, RADIUS_GROWTH)
+    return None
+
+
+def _count(problem: Linearised, sigma: float, highest: int) -> tuple[int | None, bool]:
+    """The same from the harmonics |m| <= highest, and whether more of them may help where it is None.
+
+    By Schur's complement L has the inertia of M - B T^-1 B^T where the tail's T >= t > 0, and 0 <= B T^-1 B^T <=
+    B B^T/t <= diag(beta)/t, beta being sums of norms along the rows of B B^T.
+    """
+    from flint import arb
+
+    harmonics = problem.harmonics(highest)
+    sizes, n = problem.sizes, problem.positions
+    total = float(sizes[0] + 2.0 * sizes[1:].sum()) * (1.0 + sizes.size * SUM_ROUNDING_FACTOR)
+    nearest = arb(highest + problem.step) - abs(arb(sigma))
+    floor = below(problem.square * nearest**2 - arb(total) - arb(problem.radius))
+    if not floor > 0.0:
+        return None, True
+    kinetic = Enclosed.of([problem.square * (arb(sigma) + int(m)) ** 2 for m in harmonics.tolist()])
+    matrix, unsure = _finite_part(problem.blocks, harmonics, kinetic)
+    through_tail = np.repeat(_coupling(problem, highest) / floor, n)
+    slack = np.repeat(kinetic.radius + problem.radius + unsure, n)
+    return _inertia(matrix, slack, through_tail)
+
+
+def _finite_part(blocks: Array, harmonics: Array, kinetic: Enclosed) -> tuple[Array, Array]:
+    """The finite part of L in doubles, and the rounding of its diagonal."""
+    n, count = blocks.shape[1], harmonics.size
+    matrix = np.zeros((count, n, count, n))
+    for p in range(min(blocks.shape[0], count)):
+        for i in range(count - p):
+            matrix[i, :, i + p, :] = matrix[i + p, :, i, :] = blocks[p]
+    sites = np.arange(n)
+    rounding = np.zeros(count)
+    for i in range(count):
+        diagonal = matrix[i, sites, i, sites] + kinetic.middle[i]
+        matrix[i, sites, i, sites] = diagonal
+        rounding[i] = np.max(np.abs(diagonal)) * SUM_ROUNDING_FACTOR
+    return matrix.reshape(count * n, count * n), rounding
+
+
+def _coupling(problem: Linearised, highest: int) -> Array:
+    """Bounds of the sums of norms along the rows of B B^T, shape (harmonics,)."""
+    sizes, step, harmonics = problem.sizes, problem.step, problem.harmonics(highest)
+    tail = np.arange(highest + step, highest + step * (sizes.size - 1) + 1, step)
+    outside = np.concatenate([-tail[::-1], tail])
+    if not outside.size:
+        return np.zeros(harmonics.size)
+    distance = np.abs(harmonics[:, None] - outside).astype(int) // step
+    norms = np.where(distance < sizes.size, sizes[np.minimum(distance, sizes.size - 1)], 0.0)
+    return rounded_up(norms @ rounded_up(norms.sum(axis=0), harmonics.size), outside.size)
+
+
+def _inertia(matrix: Array, slack: Array, through_tail: Array) -> tuple[int | None, bool]:
+    """Negative eigenvalues of every symmetric matrix that differs by a diagonal of moduli <= slack + through_tail.
+
+    With W = V |d|^-1/2 of computed eigenvectors W^T (matrix + change) W is within 1 of a diagonal of signs: Sylvester's
+    law, and a perturbation of norm below 1 moves no eigenvalue through 0. The change is at most its trace. Without a
+    number also whether a smaller `through_tail` would give one.
+    """
+    values, vectors = np.linalg.eigh(matrix)
+    if not np.all(np.abs(values) > 0.0):
+        return None, False
+    W = vectors / np.sqrt(np.abs(values))
+    error = np.abs(W.T @ (matrix @ W) - np.diag(np.sign(values)))
+    n, moduli, squares = len(matrix), np.abs(W), (W**2).sum(axis=1)
+    rounding = moduli.T @ (np.abs(matrix) @ moduli.sum(axis=1)) * (2 * n + 4) * SUM_ROUNDING_FACTOR
+    own = max(float(np.max(error.sum(axis=0))), float(np.max(error.sum(axis=1)))) + 2.0 * float(np.max(rounding))
+    fixed, tail = own + float(slack @ squares), float(through_tail @ squares)
+    proved = float(rounded_up(np.array(fixed + tail), n + 4)) < 1.0
+    return (int(np.sum(values < 0.0)) if proved else None), fixed < 0.9
+
+
+# The proofs -----------------------------------------------------------------------------------------------------------
 
 NEAREST_TO_CHANGE = 1e-8  # relative distance from a change at which proofs are tried first
 DISTANCE_GROWTH = 10.0

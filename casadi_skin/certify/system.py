@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,7 @@ from casadi_skin.certify.balls import (
     ball,
     exact,
 )
-from casadi_skin.certify.tail import LinearTail
+from casadi_skin.lattice.chain_coordinates import FullChain, LongChain
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.formula import Number
@@ -31,6 +31,104 @@ from casadi_skin.zero.family import Coordinates
 
 if TYPE_CHECKING:
     from flint import arb, arb_poly
+
+
+# The linear tail of a long or infinite chain, solved exactly, with bounds of the effect of its cubic terms ------------
+#
+# Beyond the site t of a core the chain goes on with L sites, L finite or not, in a gauge whose linear couplings are c
+# to either side: (E_k + c (shifts)) a_k = cubic terms, E_k = lambda k^2 - alpha - 2. Where |E_k| > 2c the linear part
+# has an inverse of norm at most 1/(|E_k| - 2c), and its solution is a_(t+n,k) = u_n a_tk with |u_n| <= |tau_k|^n.
+
+
+@dataclass(frozen=True, eq=False)
+class LinearTail:
+    """A tail of a chain's core.
+
+    Attributes:
+        site: index of the core's site that it is coupled to.
+        first_site: number of the core's first site.
+        length: number of its sites; None where it has no end.
+        onsite: alpha + 2.
+        coupling: c.
+        ratio: of the squares of the gauge's factors of neighbours, away from the core.
+        cubic: modulus of the cubic coefficient at the core's site, in scaled positions.
+        weight: square of the gauge's factor there.
+    """
+
+    site: int
+    first_site: int
+    length: int | None
+    onsite: arb
+    coupling: arb
+    ratio: arb
+    cubic: arb
+    weight: arb
+
+    def energy(self, k: int, square: arb) -> arb:
+        """E_k."""
+        return square * k**2 - self.onsite
+
+    def gap(self, k: int, square: arb) -> arb:
+        """|E_k| - 2c; raises ValueError where it is not positive."""
+        gap = abs(self.energy(k, square)) - 2 * self.coupling
+        if not gap > 0:
+            times = f"{k} times " if k > 1 else ""
+            raise ValueError(f"{times}Omega lies in the band, accepted: outside of it, where the tail decays")
+        return gap
+
+    def root(self, k: int, square: arb) -> arb:
+        """tau_k, of modulus below 1: the ratio of neighbours in a tail without end."""
+        self.gap(k, square)
+        E, c = self.energy(k, square), self.coupling
+        size = 2 * c / (abs(E) + (E**2 - 4 * c**2).sqrt())
+        return -size if E > 0 else size
+
+    def share(self, k: int, square: arb) -> arb:
+        """u_1."""
+        tau = self.root(k, square)
+        if self.length is None:
+            return tau
+        return (tau - tau ** (2 * self.length + 1)) / (1 - tau ** (2 * self.length + 2))
+
+    def squares(self, k: int, square: arb) -> arb:
+        """Sum of u_n^2 over the tail."""
+        tau = self.root(k, square)
+        if self.length is None:
+            return tau**2 / (1 - tau**2)
+        L, far = self.length, tau ** (2 * self.length + 2)
+        near = (tau**2 + far * tau**2) * (1 - tau ** (2 * L)) / (1 - tau**2)
+        return (near - 2 * L * far) / (1 - far) ** 2
+
+    def first(self, series: Sequence[arb], square: arb, nu: arb) -> arb:
+        """Bound of the norm of the first site of the tail, from the series of the core's site."""
+        from flint import arb
+
+        total = arb(0)
+        for i, a in enumerate(series):
+            total += abs(a * self.root(2 * i + 1, square)) * nu ** (2 * i + 1)
+        return total
+
+    def amplitude(self, series: Sequence[arb], square: arb) -> arb:
+        """Contribution of the tail to S, as a ball from 0 to its bound."""
+        from flint import arb
+
+        first, slowest = self.first(series, square, arb(1)), self.slowest(len(series), square)
+        largest = self.weight * self.ratio * first**2 / (1 - self.ratio * slowest**2)
+        return largest.union(arb(0))
+
+    def slowest(self, harmonics: int, square: arb) -> arb:
+        """Largest |tau_k|."""
+        from flint import arb
+
+        largest = arb(0)
+        for i in range(harmonics):
+            largest = largest.max(abs(self.root(2 * i + 1, square)))
+        return largest
+
+    def cubic_residual(self, series: Sequence[arb], square: arb, nu: arb) -> arb:
+        """Bound of the norm of the tail's cubic terms."""
+        slowest = self.slowest(len(series), square)
+        return self.cubic * self.ratio * self.first(series, square, nu) ** 3 / (1 - self.ratio * slowest**3)
 
 
 # Equations of cosine series: lambda k^2 a_nk + [force_n(q)]_k = 0 and h(q(0)) = S, evaluated in balls -----------------
@@ -337,3 +435,34 @@ def weights_of(forces: Sequence[Terms], first: int) -> list[Fraction] | None:
                 weights[n] = weights[m] * coefficient * factors.count(n) / back
                 queue.append(n)
     return [weights[n] for n in range(len(forces))] if len(weights) == len(forces) else None
+
+
+# The equations of a chain's core with the linear tail that it is coupled to -------------------------------------------
+
+
+def tailed_system(coordinates: LongChain, S: float, decimals: bool) -> CosineSystem:
+    """The equations of the core, in the order of its sites, with the tail that they are coupled to."""
+    chain, sites = coordinates.chain, coordinates.core.cells
+    alone = FullChain(replace(chain, sites=sites), 1)
+    if coordinates.declared is not None:
+        lattice, values = coordinates.declared
+        alone.declared = lattice.of_cells(sites), values
+    core = system_of(alone, S, 2, decimals)
+    weak, strong = sorted((core.forces[0][1,], core.forces[1][0,]))  # 1 - |gamma| and 1 + |gamma|
+    ratio = ball(weak / strong)
+    inner = 0 if chain.gamma > 0 else sites - 1
+    unit = core.scale[sites - 1 - inner]
+    scale = [unit * ratio.sqrt() ** (sites - 1 - abs(n - inner)) for n in range(sites)]
+    system = replace(core, scale=scale)
+    terms = dict(system.scaled(inner))
+    tail = LinearTail(
+        inner,
+        int(coordinates.output_sites[0]),
+        None if chain.infinite else int(chain.sites) - sites,
+        -terms[inner,],
+        ball(weak * strong).sqrt(),
+        ratio,
+        abs(terms[inner, inner, inner]),
+        scale[inner] ** 2,
+    )
+    return replace(system, tail=tail)

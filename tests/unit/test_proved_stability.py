@@ -13,7 +13,7 @@ flint = pytest.importorskip("flint")
 
 from casadi_skin.certify import balls
 from casadi_skin.certify.certify import best_attempt
-from casadi_skin.certify.exponents import (
+from casadi_skin.certify.stability import (
     Linearised,
     _bordered,
     _count,

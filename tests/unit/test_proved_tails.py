@@ -12,8 +12,7 @@ flint = pytest.importorskip("flint")
 
 from casadi_skin.certify import balls
 from casadi_skin.certify.bounds import FiniteInverse
-from casadi_skin.certify.system import CosineSeries, system_of
-from casadi_skin.certify.tailed import tailed_system
+from casadi_skin.certify.system import CosineSeries, system_of, tailed_system
 
 INFINITE = float("inf")
 
