@@ -9,15 +9,21 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from casadi_skin.zero.problem import Array
 
-if TYPE_CHECKING:
-    from flint import arb
-
+try:
+    from flint import acb as acb
+    from flint import acb_poly as acb_poly
+    from flint import arb as arb
+    from flint import arb_mat as arb_mat
+    from flint import arb_poly as arb_poly
+    from flint import fmpq as fmpq
+except ImportError:  # the extra "certify" is missing, as `flint` says
+    acb = acb_poly = arb = arb_mat = arb_poly = fmpq = None
 
 BALL_PRECISION_BITS = 128  # bits of balls
 SUM_ROUNDING_FACTOR = 2.0**-51  # four times the unit roundoff, for each operation of a sum
@@ -49,6 +55,14 @@ def size(value: arb) -> float:
     return above(abs(value))
 
 
+def largest(values: Iterable[arb]) -> arb:
+    """A ball that no number of any ball >= 0 exceeds."""
+    found = arb(0)
+    for value in values:
+        found = found.max(value)
+    return found
+
+
 def rounded_up(value: Array, operations: int) -> Array:
     """An upper bound of sums of products of numbers >= 0, from their value in doubles after so many operations.
 
@@ -67,8 +81,6 @@ class Enclosed:
     @classmethod
     def of(cls, balls: Iterable[arb]) -> Enclosed:
         """Doubles around balls, shape (balls,)."""
-        from flint import arb
-
         values = list(balls)
         middle = np.array([float(value.mid()) for value in values])
         radius = np.array([size(v - arb(m)) for v, m in zip(values, middle.tolist(), strict=True)])
@@ -87,6 +99,4 @@ def exact(value: float, decimals: bool) -> Fraction:
 
 def ball(number: Fraction) -> arb:
     """A ball around a fraction."""
-    from flint import arb, fmpq
-
     return arb(fmpq(number.numerator, number.denominator))

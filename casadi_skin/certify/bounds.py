@@ -6,21 +6,16 @@ are lambda (as a residual: the amplitude), then the first H harmonics, 1, 3, ...
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.certify.balls import SUM_ROUNDING_FACTOR, Enclosed, above, rounded_up, size
+from casadi_skin.certify.balls import SUM_ROUNDING_FACTOR, Enclosed, above, arb, largest, rounded_up, size
 from casadi_skin.certify.certificate import Constants
 from casadi_skin.certify.system import CosineSeries, CosineSystem
 from casadi_skin.zero.problem import Array, Indices
-
-if TYPE_CHECKING:
-    from flint import arb
-
 
 # The bound W of the theorem: how much A DF changes within a ball, from norms of A and the majorants of the forces -----
 
@@ -48,8 +43,6 @@ class OperatorSize:
 
         In a tail of sites A is at most `in_tail`, and A k^2 `squares_in_tail`.
         """
-        from flint import arb
-
         n = system.positions
         harmonics = (self.norms.size - 1) // n
         numbers = np.array([float(system.harmonic(i)) for i in range(harmonics)])
@@ -66,27 +59,21 @@ class OperatorSize:
 
 def _amplitude_curvature(system: CosineSystem) -> arb:
     """Largest modulus of a second derivative of the amplitude."""
-    from flint import arb
-
     second = dict[tuple[int, int], arb]()
     for (i, j), coefficient in system.scaled(None):
         for pair in ((i, j), (j, i)):
             second[pair] = second.get(pair, arb(0)) + coefficient
-    return _largest(abs(value) for value in second.values())
+    return largest(abs(value) for value in second.values())
 
 
 def series_norms(series: CosineSeries, nu: arb) -> list[arb]:
     """Norms of the series of each position."""
-    from flint import arb
-
     harmonic = series.system.harmonic
     return [sum((abs(a) * nu ** harmonic(i) for i, a in enumerate(row)), arb(0)) for row in series.coefficients]
 
 
 def curvature(system: CosineSystem, norms: Sequence[arb], reach: float) -> arb:
     """Largest sum over m of the second derivatives of the majorants of the forces, at norms + reach."""
-    from flint import arb
-
     sizes = [norm + arb(reach) for norm in norms]
     second = dict[tuple[int, int], arb]()
     for row in range(system.positions):
@@ -100,16 +87,7 @@ def curvature(system: CosineSystem, norms: Sequence[arb], reach: float) -> arb:
                         value = value * sizes[n] if place not in (a, b) else value
                     pair = factors[a], factors[b]
                     second[pair] = second.get(pair, arb(0)) + value
-    return _largest(second.values())
-
-
-def _largest(values: Iterable[arb]) -> arb:
-    from flint import arb
-
-    largest = arb(0)
-    for value in values:
-        largest = largest.max(value)
-    return largest
+    return largest(second.values())
 
 
 # What a tail adds to the bounds ---------------------------------------------------------------------------------------
@@ -142,8 +120,6 @@ class TailSize:
     @classmethod
     def of(cls, series: CosineSeries, nu: arb, norms: Array, weights: Array) -> TailSize:
         """From the centre, the norms of A_f's columns and the weights of harmonics, rounded down."""
-        from flint import arb
-
         tail, square, a = series.system.tail, series.square, series.tail_series
         assert tail is not None
         assert a is not None
@@ -168,8 +144,6 @@ class TailSize:
 
     def curvature(self, reach: float) -> arb:
         """Of the cubic terms' second derivative within `reach`."""
-        from flint import arb
-
         return 6 * self.cubic * (self.first + arb(reach))
 
 
@@ -186,8 +160,6 @@ class FiniteInverse:
     """
 
     def __init__(self, series: CosineSeries, nu: arb, matrix: Array | None = None, doubt: Array | None = None) -> None:
-        from flint import arb
-
         H, n, harmonic = series.harmonics, series.system.positions, series.system.harmonic
         self.series, self.nu = series, nu
         self.numbers = np.array([float(harmonic(i)) for i in range(H)])
@@ -211,8 +183,6 @@ class FiniteInverse:
 
     def _extend_rows(self) -> None:
         """Weights of rows with what A makes of them in a tail: the sites' |tau|^n, and what lambda moves there."""
-        from flint import arb
-
         tail, square = self.series.system.tail, self.series.square
         if tail is None or self.series.tail_series is None:
             return
@@ -277,8 +247,6 @@ class FiniteInverse:
 
     def _frequency_column(self) -> Enclosed:
         """Derivative of the equations with respect to lambda: k^2 a_nk; the amplitude's is 0."""
-        from flint import arb
-
         harmonic = self.series.system.harmonic
         entries = [harmonic(i) ** 2 * a for row in self.series.coefficients for i, a in enumerate(row)]
         tail, H = self.series.system.tail, self.numbers.size
@@ -318,8 +286,6 @@ class FiniteInverse:
 
     def derivative_norm(self, n: int) -> arb:
         """Upper bound of the sum over m of the norms of d force_m/d q_n, which are cosine series."""
-        from flint import arb
-
         total, step = arb(0), self.series.system.step
         for row in self.blocks:
             if n in row:
@@ -336,10 +302,8 @@ class FiniteInverse:
     @cached_property
     def beyond(self) -> arb:
         """1 + the norm that a unit of the tail's rows passes to the finite part through the amplitude's row of A."""
-        from flint import arb
-
-        largest = arb(float(np.max(np.abs(self.slope.middle))))
-        return 1 + arb(float(self.norms[0])) * largest / self.nu**self.tail
+        slope = arb(float(np.max(np.abs(self.slope.middle))))
+        return 1 + arb(float(self.norms[0])) * slope / self.nu**self.tail
 
     @cached_property
     def tail_factor(self) -> arb:
@@ -350,8 +314,6 @@ class FiniteInverse:
 
     def residual(self, series: CosineSeries) -> tuple[list[arb], arb]:
         """Finite residual with the amplitude's row as A sees it, and the norm of what A makes of the tail's."""
-        from flint import arb
-
         H, harmonic = self.numbers.size, series.system.harmonic
         finite, first, norm = list[arb](), series.amplitude_residual(), arb(0)
         for n in range(series.system.positions):
@@ -380,26 +342,19 @@ class FiniteInverse:
         unit[0] = 1.0
         frequency = self._frequency_column()
         column = Enclosed(frequency.middle[:, None], frequency.radius[:, None])
-        largest = float(self._image(np.arange(self.inner), column, unit)[0])
+        norm = float(self._image(np.arange(self.inner), column, unit)[0])
         for n in range(series.system.positions):
             identity = np.zeros((self.inner, columns))
             identity[1 + n * H + np.arange(H), np.arange(H)] = 1.0
             rows, block = self._column(n, columns)
             image = self._image(rows, block, identity) / self.weights_below[:columns]
-            largest = (
-                max(largest, float(np.max(image)) * (1.0 + SUM_ROUNDING_FACTOR))
-                if np.all(np.isfinite(image))
-                else np.inf
-            )
-        return largest
+            own = float(np.max(image)) * (1.0 + SUM_ROUNDING_FACTOR)
+            norm = max(norm, own) if np.all(np.isfinite(image)) else np.inf
+        return norm
 
     def Z(self) -> float:
         """Upper bound of |I - A DF|: the finite rows, the tail's rows, and what these pass through the amplitude."""
-        from flint import arb
-
-        tail = arb(0)
-        for n in range(self.series.system.positions):
-            tail = tail.max(self.derivative_norm(n))
+        tail = largest(self.derivative_norm(n) for n in range(self.series.system.positions))
         slope = arb(float(self.norms[0])) * arb(float(np.max(self.slope.radius))) / self.nu**self.tail
         if self.tailed is not None:
             tail = tail.max(self.tailed.derivative)
@@ -418,8 +373,7 @@ class FiniteInverse:
 
     def constants(self) -> Constants:
         """The three bounds."""
-        largest = max(sum(size(a) for a in row) for row in self.series.coefficients)
-        reach = LARGEST_RADIUS * largest
+        reach = LARGEST_RADIUS * max(sum(size(a) for a in row) for row in self.series.coefficients)
         return Constants(self.Y(), self.Z(), self.W(reach), reach)
 
 
@@ -437,8 +391,6 @@ def uniqueness_radius(constants: Constants, radius: float) -> float:
 
 def holds(constants: Constants, r: float) -> bool:
     """Whether a radius satisfies the theorem's conditions, in balls."""
-    from flint import arb
-
     Y, Z, W, reach = (arb(x) for x in (constants.Y, constants.Z, constants.W, constants.reach))
     ball = arb(r)
     return bool(ball > 0 and Y + Z * ball + W * ball**2 / 2 <= ball and Z + W * ball < 1 and ball <= reach)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.fft import dct
 
 from casadi_skin.certify import balls
+from casadi_skin.certify.balls import arb
 from casadi_skin.certify.bounds import FiniteInverse, proved_radius, uniqueness_radius
 from casadi_skin.certify.certificate import NO_ABSENCE, Certificate, Constants, Interval
 from casadi_skin.certify.system import (
@@ -28,10 +29,6 @@ from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.problem import Array
-
-if TYPE_CHECKING:
-    from flint import arb
-
 
 # The bounds of the theorem at one number of harmonics, about the zero near a computed orbit; series of orbits ---------
 
@@ -65,8 +62,6 @@ class Attempt:
 
 
 def attempt_of(orbit: Orbit, system: CosineSystem, harmonics: int, weight: float) -> Attempt:
-    from flint import arb
-
     computed = computed_series(orbit, system, harmonics)
     coefficients = [[a.mid() for a in row[:harmonics]] for row in computed.coefficients]
     return attempt_near(CosineSeries(system, computed.square.mid(), coefficients), arb(weight), computed)
@@ -74,8 +69,6 @@ def attempt_of(orbit: Orbit, system: CosineSystem, harmonics: int, weight: float
 
 def computed_series(orbit: Orbit, system: CosineSystem, harmonics: int) -> CosineSeries:
     """The doubles of an orbit as balls: its frequency, and at least so many of its coefficients and all it has."""
-    from flint import arb
-
     count = max(harmonics, carrying(orbit, system))
     columns = cosine_coefficients(orbit, system, count).T.tolist()
     rows = [[arb(c) / d for c in column] for column, d in zip(columns, system.scale, strict=True)]
@@ -128,8 +121,6 @@ def _check_size(system: CosineSystem, harmonics: int) -> None:
 
 def refined(inverse: FiniteInverse) -> CosineSeries:
     """Coefficients after steps of Newton's method with a fixed inverse, as numbers of more digits than doubles have."""
-    from flint import arb
-
     series, last = inverse.series, np.inf
     for _ in range(REFINEMENT_STEPS):
         residual = np.array([float(value) for value in inverse.residual(series)[0]])
@@ -157,8 +148,6 @@ def norm(series: CosineSeries, nu: arb) -> arb:
 
 def distance(one: CosineSeries, other: CosineSeries, nu: arb) -> float:
     """Upper bound of the norm of a difference; terms that only one series has count."""
-    from flint import arb
-
     nothing = arb(0)
     pairs = zip(one.coefficients, other.coefficients, strict=True)
     rows = [[a - b for a, b in zip_longest(*pair, fillvalue=nothing)] for pair in pairs]
@@ -270,8 +259,6 @@ def step_of(family: Family) -> int:
 
 
 def _certificate(orbit: Orbit, family: Family, attempt: Attempt, decimals: bool) -> Certificate:
-    from flint import arb
-
     series, r, constants = attempt.series, attempt.radius, attempt.constants
     positions = series.system.positions
     square = series.square + arb(0, r) if attempt.proved else arb("nan")

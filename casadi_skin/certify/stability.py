@@ -12,12 +12,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casadi_skin.certify import balls
-from casadi_skin.certify.balls import SUM_ROUNDING_FACTOR, Enclosed, above, below, rounded_up
+from casadi_skin.certify.balls import SUM_ROUNDING_FACTOR, Enclosed, above, acb, acb_poly, arb, below, fmpq, rounded_up
 from casadi_skin.certify.bounds import curvature, proved_radius, series_norms
 from casadi_skin.certify.certificate import STABLE, UNDECIDED, UNSTABLE, Constants, ProvedStability
 from casadi_skin.certify.certify import HARMONIC_WEIGHT, best_attempt, reason_of
@@ -28,9 +27,6 @@ from casadi_skin.solve.watch import one_thread
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues.diagram import StabilityEdge
 from casadi_skin.zero.problem import Array
-
-if TYPE_CHECKING:
-    from flint import acb, arb
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +75,6 @@ def linearised(series: CosineSeries, nu: arb, radius: float, reach: float) -> Li
 
     In positions in which the matrices are symmetric where the linear couplings have such; `reach` is at least `radius`.
     """
-    from flint import arb
-
     n, scale = series.system.positions, _symmetric_scale(series.system)
     symmetric = scale is not None
     scale = [arb(1)] * n if scale is None else scale
@@ -110,8 +104,6 @@ def linearised(series: CosineSeries, nu: arb, radius: float, reach: float) -> Li
 
 def _symmetric_scale(system: CosineSystem) -> list[arb] | None:
     """Factors s_n with s_n phi_n(q) the negative gradient of a potential of s_n q_n; None where there is none."""
-    from flint import arb, fmpq
-
     weights = weights_of(system.forces, 0)
     if weights is None or potential(system.forces, 0) is None:
         return None
@@ -140,8 +132,6 @@ class Eigenpair:
     @classmethod
     def refined(cls, problem: Linearised, sigma: complex, w: ComplexArray, inverse: ComplexArray) -> Eigenpair:
         """Newton's method with a fixed inverse from doubles; w of shape (harmonics, positions)."""
-        from flint import acb
-
         normal, last = w.conj(), np.inf
         rows = [[acb(x.real, x.imag) for x in column] for column in w.T.tolist()]
         pair = cls(acb(sigma.real, sigma.imag), rows)
@@ -166,14 +156,10 @@ class Eigenpair:
 
     def rounding(self, sigma: complex) -> arb:
         """Distance of sigma from a double."""
-        from flint import acb
-
         return abs(self.sigma - acb(sigma.real, sigma.imag))
 
     def residual(self, problem: Linearised, normal: ComplexArray) -> tuple[list[acb], list[acb]]:
         """c w - 1 and the rows of the pair's harmonics, in its order, and all further rows; c of shape of w."""
-        from flint import acb, acb_poly
-
         n, count = problem.positions, len(self.rows[0])
         reach = max((len(g) for g in self._coefficients(problem).values()), default=1) - 1
         vectors = [acb_poly(list(row)) for row in self.rows]
@@ -203,8 +189,6 @@ class Eigenpair:
     @staticmethod
     def _coefficients(problem: Linearised) -> Mapping[tuple[int, int], Sequence[arb]]:
         """The entries of G in balls: those about the orbit's centre, or the doubles where there is no orbit."""
-        from flint import arb
-
         if problem.exact is not None:
             return problem.exact
         n = problem.positions
@@ -332,8 +316,6 @@ class _Pair:
     @cached_property
     def _doubt(self) -> float:
         """Upper bound of the distance of lambda from the double in its middle."""
-        from flint import arb
-
         return above(abs(self.problem.square - arb(float(self.problem.square.mid()))))
 
     def _Z(self) -> float:
@@ -371,8 +353,6 @@ class _Pair:
 
 
 def _balls(values: ComplexArray) -> list[acb]:
-    from flint import acb
-
     return [acb(value.real, value.imag) for value in values.ravel().tolist()]
 
 
@@ -420,8 +400,6 @@ def _count(problem: Linearised, sigma: float, highest: int) -> tuple[int | None,
     By Schur's complement L has the inertia of M - B T^-1 B^T where the tail's T >= t > 0, and 0 <= B T^-1 B^T <=
     B B^T/t <= diag(beta)/t, beta being sums of norms along the rows of B B^T.
     """
-    from flint import arb
-
     harmonics = problem.harmonics(highest)
     sizes, n = problem.sizes, problem.positions
     total = float(sizes[0] + 2.0 * sizes[1:].sum()) * (1.0 + sizes.size * SUM_ROUNDING_FACTOR)

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.fft import dct
 
 from casadi_skin.certify import balls
-from casadi_skin.certify.balls import SUM_ROUNDING_FACTOR, above, ball, exact, rounded_up, size
+from casadi_skin.certify.balls import SUM_ROUNDING_FACTOR, above, arb, arb_mat, ball, exact, largest, rounded_up, size
 from casadi_skin.certify.bounds import (
     LARGEST_RADIUS,
     FiniteInverse,
@@ -45,10 +45,6 @@ from casadi_skin.lattice.chain_coordinates import LongChain
 from casadi_skin.model.arguments import number
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.problem import Array
-
-if TYPE_CHECKING:
-    from flint import arb
-
 
 # The theorem for all values of a parameter at once: about a polynomial curve of series, with a polynomial operator A
 
@@ -81,20 +77,14 @@ class Curve:
 
     def parameter(self, x: arb) -> arb:
         """The parameter at a place of [-1, 1]."""
-        from flint import arb
-
         return (arb(self.start) * (1 - x) + arb(self.end) * (1 + x)) / 2
 
     def place(self, parameter: arb) -> arb:
         """The place of [-1, 1] of a parameter."""
-        from flint import arb
-
         return (2 * parameter - arb(self.start) - arb(self.end)) / (arb(self.end) - arb(self.start))
 
     def at(self, x: arb) -> CosineSeries:
         """The series at a place of [-1, 1]."""
-        from flint import arb_mat
-
         values = (arb_mat([self.chebyshev(x)]) * self._exact).entries()
         n = self.system.positions
         H = (len(values) - 1) // n
@@ -103,8 +93,6 @@ class Curve:
 
     def chebyshev(self, x: arb) -> list[arb]:
         """T_0, ..., T_degree."""
-        from flint import arb
-
         values = [arb(1), x]
         while len(values) <= self.degree:
             values.append(2 * x * values[-1] - values[-2])
@@ -112,14 +100,10 @@ class Curve:
 
     @cached_property
     def _exact(self) -> Any:
-        from flint import arb_mat
-
         return arb_mat(self.centre.tolist())
 
     def bounds_at(self, x: arb, nu: arb) -> Node:
         """Values at one place from which the bounds are computed."""
-        from flint import arb
-
         T = self.chebyshev(x)
         matrix = np.tensordot(np.array([float(t) for t in T]), self.inverse, axes=1)
         series = self.at(x)
@@ -169,8 +153,6 @@ class Node:
     @classmethod
     def of(cls, bounds: FiniteInverse, factor: arb) -> Node:
         """From the bounds at the place, with the factor of the tail's rows there."""
-        from flint import arb
-
         series, H = bounds.series, bounds.series.harmonics
         tail, finite, harmonic = arb(0), [series.amplitude_residual()], series.system.harmonic
         for n in range(series.system.positions):
@@ -214,8 +196,6 @@ def _degrees(curve: Curve) -> tuple[int, int]:
 
 def _nodes(count: int) -> Iterator[arb]:
     """Chebyshev nodes from the ends to the middle, where bounds fail last."""
-    from flint import arb
-
     for i in sorted(range(count), key=lambda i: min(i, count - 1 - i)):
         yield (arb.pi() * (2 * i + 1) / (2 * count)).cos()
 
@@ -231,30 +211,20 @@ class _Uniform:
 
     def between(self, degree: int) -> arb:
         """How much larger than at the nodes the norm of a polynomial may be anywhere."""
-        from flint import arb
-
         if degree >= self.count:
             raise ArithmeticError(f"a polynomial of degree {degree} is not bounded by {self.count} values")
         return 1 / (arb.pi() * degree / (2 * self.count)).cos()
 
     def largest(self, values: Sequence[arb], degree: int) -> arb:
         """Bound of a polynomial's norm from those at the nodes."""
-        from flint import arb
-
-        top = arb(0)
-        for value in values:
-            top = top.max(value)
-        return top * self.between(degree)
+        return largest(values) * self.between(degree)
 
     def rows(self, values: Sequence[Array], degree: int) -> Array:
         """The same for each entry of an array."""
-        largest: Array = np.max(values, axis=0) * above(self.between(degree)) * (1.0 + SUM_ROUNDING_FACTOR)
-        return largest
+        return np.asarray(np.max(values, axis=0) * above(self.between(degree)) * (1.0 + SUM_ROUNDING_FACTOR))
 
     def constants(self, derivative: int, equations: int) -> Constants:
         """Y, Z and W from the degrees of DF and F."""
-        from flint import arb
-
         curve, nodes, m = self.curve, self.nodes, self.curve.degree
         system, nu = curve.system, self.nu
         n = system.positions
@@ -271,10 +241,7 @@ class _Uniform:
         inside = self.largest([arb(node.finite) for node in nodes], m + derivative)
         defect = self.largest([node.defect for node in nodes], 2 * m)
         rows = [self.largest([node.derivatives[i] for node in nodes], derivative) for i in range(n)]
-        top = arb(0)
-        for row in rows:
-            top = top.max(row)
-        Z = above(inside + beyond * (defect + factor * top / tail**2))
+        Z = above(inside + beyond * (defect + factor * largest(rows) / tail**2))
         # W
         sizes = [self.largest([node.sizes[i] for node in nodes], m) for i in range(n)]
         reach = LARGEST_RADIUS * max(size(value) for value in sizes)
@@ -324,8 +291,6 @@ class _Stretch:
 
     def orbit_near(self, parameter: float, harmonics: int) -> CosineSeries:
         """Coefficients of the branch's orbit at a parameter, for positions of amplitude 1."""
-        from flint import arb
-
         size = float(np.sqrt(parameter)) if self.system.step == 2 else parameter
         orbit = self.branch.at(S=size**2)
         size *= _sign(orbit)
@@ -451,8 +416,6 @@ def _piece(stretch: _Stretch, start: float, end: float, harmonics: int) -> _Piec
 
 def _joined(one: _Piece, other: _Piece) -> bool:
     """Whether the orbit near the end of one curve is the only one near the start of the other."""
-    from flint import arb
-
     here, there = one.curve.at(arb(1)), other.curve.at(arb(-1))
     return _only_one(other, balls.above(arb(distance(here, there, other.nu)) + arb(one.radius)))
 
@@ -464,8 +427,6 @@ def _only_one(piece: _Piece, away: float) -> bool:
 
 def _fault(stretch: _Stretch, piece: _Piece | None, S: float) -> str:
     """Why a piece does not hold the branch's orbit at an S, the linear mode at S = 0; empty where it does."""
-    from flint import arb
-
     if piece is None:
         return ""
     centre = piece.curve.at(piece.curve.place(stretch.parameter(S)))
@@ -485,8 +446,5 @@ def _fault(stretch: _Stretch, piece: _Piece | None, S: float) -> str:
     ratios = [d / (e * size) for d, e in zip(known.system.scale, stretch.system.scale, strict=True)]
     rows = [[sign * a * ratio for a in row] for row, ratio in zip(known.coefficients, ratios, strict=True)]
     moved = CosineSeries(stretch.system, known.square, rows)
-    largest = arb(1)
-    for ratio in ratios:
-        largest = largest.max(ratio)
-    away = balls.above(arb(distance(moved, centre, stretch.nu)) + arb(attempt.radius) * largest)
+    away = balls.above(arb(distance(moved, centre, stretch.nu)) + arb(attempt.radius) * largest([arb(1), *ratios]))
     return "" if _only_one(piece, away) else f"the curve is not proved to hold the branch's orbit at S = {S!r}"

@@ -12,14 +12,17 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.certify.balls import (
+    arb,
+    arb_poly,
     ball,
     exact,
+    fmpq,
+    largest,
 )
 from casadi_skin.lattice.chain_coordinates import FullChain, LongChain
 from casadi_skin.lattice.lattice import Lattice
@@ -28,10 +31,6 @@ from casadi_skin.model.formula import Number
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import NotPolynomialError, constants, exact_terms
 from casadi_skin.zero.family import Coordinates
-
-if TYPE_CHECKING:
-    from flint import arb, arb_poly
-
 
 # The linear tail of a long or infinite chain, solved exactly, with bounds of the effect of its cubic terms ------------
 #
@@ -101,8 +100,6 @@ class LinearTail:
 
     def first(self, series: Sequence[arb], square: arb, nu: arb) -> arb:
         """Bound of the norm of the first site of the tail, from the series of the core's site."""
-        from flint import arb
-
         total = arb(0)
         for i, a in enumerate(series):
             total += abs(a * self.root(2 * i + 1, square)) * nu ** (2 * i + 1)
@@ -110,20 +107,12 @@ class LinearTail:
 
     def amplitude(self, series: Sequence[arb], square: arb) -> arb:
         """Contribution of the tail to S, as a ball from 0 to its bound."""
-        from flint import arb
-
         first, slowest = self.first(series, square, arb(1)), self.slowest(len(series), square)
-        largest = self.weight * self.ratio * first**2 / (1 - self.ratio * slowest**2)
-        return largest.union(arb(0))
+        return (self.weight * self.ratio * first**2 / (1 - self.ratio * slowest**2)).union(arb(0))
 
     def slowest(self, harmonics: int, square: arb) -> arb:
         """Largest |tau_k|."""
-        from flint import arb
-
-        largest = arb(0)
-        for i in range(harmonics):
-            largest = largest.max(abs(self.root(2 * i + 1, square)))
-        return largest
+        return largest(abs(self.root(2 * i + 1, square)) for i in range(harmonics))
 
     def cubic_residual(self, series: Sequence[arb], square: arb, nu: arb) -> arb:
         """Bound of the norm of the tail's cubic terms."""
@@ -174,8 +163,6 @@ class CosineSystem:
 
     def scaled(self, row: int | None) -> list[tuple[Factors, arb]]:
         """Terms of the acceleration of q_row, or of the amplitude, with coefficients for scaled positions."""
-        from flint import arb, fmpq
-
         terms = self.amplitude if row is None else self.forces[row]
         result = []
         for factors, coefficient in terms.items():
@@ -194,8 +181,6 @@ class CosineSeries:
     """The equations and their derivatives at one lambda and one set of coefficients a_nk, H harmonics of each n."""
 
     def __init__(self, system: CosineSystem, square: arb, coefficients: Sequence[Sequence[arb]]) -> None:
-        from flint import arb_poly
-
         self.system, self.square, self.coefficients = system, square, coefficients
         self.harmonics = len(coefficients[0])
         self.highest = system.harmonic(self.harmonics - 1)
@@ -215,8 +200,6 @@ class CosineSeries:
 
     def _sum(self, terms: Sequence[tuple[Factors, arb]], last: int) -> list[arb]:
         """Coefficients of z^k of a sum of products, k = last, last - step, ... down to 0 or 1, in ascending order."""
-        from flint import arb, arb_poly
-
         by_degree: dict[int, arb_poly] = {}
         step = self.system.step
         for factors, coefficient in terms:
@@ -233,14 +216,10 @@ class CosineSeries:
     @property
     def start(self) -> list[arb]:
         """Positions q_n at theta = 0."""
-        from flint import arb
-
         return [sum(series, arb(0)) for series in self.coefficients]
 
     def amplitude_residual(self) -> arb:
         """h(q(0)) - S."""
-        from flint import arb
-
         q, total = self.start, arb(0)
         for (i, j), coefficient in self.system.scaled(None):
             total += coefficient * q[i] * q[j]
@@ -251,8 +230,6 @@ class CosineSeries:
 
     def amplitude_slope(self) -> list[arb]:
         """Derivatives of h(q(0)) with respect to q_n(0), shape (positions,)."""
-        from flint import arb
-
         q, slope = self.start, [arb(0) for _ in range(self.system.positions)]
         for (i, j), coefficient in self.system.scaled(None):
             slope[i] += coefficient * q[j]
@@ -337,8 +314,6 @@ def system_of(coordinates: Coordinates, S: float, step: int = 2, decimals: bool 
     Positions are scaled by doubles near the factors of the coordinates and by a power of 2 near sqrt(S), all exact;
     with `decimals` numbers of formulas, parameters and S are the decimals that are written.
     """
-    from flint import arb
-
     equations = ExactEquations.of(coordinates.model, coordinates.parameters, decimals)
     kind = "odd polynomials" if step == 2 else "polynomials"
     accepted = f"certify: given {equations.model.name}; accepted: forces that are {kind} of the positions"
@@ -357,8 +332,6 @@ def system_of(coordinates: Coordinates, S: float, step: int = 2, decimals: bool 
 
 def _near(log: float) -> arb:
     """A number with the digits of a double near exp(log), of any size."""
-    from flint import arb
-
     power = round(log / math.log(2.0))
     return arb(math.exp(log - power * math.log(2.0))) * arb(2) ** power
 
@@ -408,8 +381,6 @@ def potential(forces: Sequence[Terms], first: int) -> Terms | None:
 
 def evaluate(terms: Terms, values: Sequence[arb]) -> arb:
     """A polynomial at balls."""
-    from flint import arb
-
     total = arb(0)
     for factors, coefficient in terms.items():
         product = ball(coefficient)
