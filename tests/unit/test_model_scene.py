@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -18,7 +16,7 @@ from casadi_skin.model.saved import save_model
 from casadi_skin.results.quantities import Place, extremes
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.first_solution import cycle, first_solution
-from casadi_skin.runs.reading import parse_scene, scene_schema
+from casadi_skin.runs.reading import parse_scene
 from casadi_skin.runs.rules import SceneError
 from casadi_skin.runs.scene import Scene
 
@@ -76,7 +74,6 @@ def irreversible():
     return pair(reversal=None)
 """
 CHAIN = "[chain]\nsites = 2\nalpha = 1.0\ngamma = 0.25\ng = 1.0\n"
-FAMILY = "[family]\nmode = {mode}\namplitude_max = 1.0\n"
 ORBIT = "[orbit]\nstart = [2.0, 0.0]\nperiod = 6.6\n"
 CHAIN_ORBIT = "[orbit]\nstart = [0.0, 0.5, 0.0, 0.0]\nperiod = 3.0\nselect = { y_2 = 0.5 }\nsymmetric = true\n"
 SYMMETRIC = "[orbit]\nstart = [1.0, 0.0]\nperiod = 6.7\nselect = { x = 1.0 }\nsymmetric = true\n"
@@ -93,10 +90,6 @@ def scene_of(name: str, rest: str = "", parameters: str = "") -> str:
     return MODEL.format(name=name) + given + rest
 
 
-def family_of(name: str, mode: str, rest: str = "", parameters: str = "") -> str:
-    return scene_of(name, FAMILY.format(mode=mode) + rest, parameters)
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     (tmp_path / "models.py").write_text(MODELS, encoding="utf-8")
@@ -107,16 +100,10 @@ def parsed(text: str) -> Scene:
     return parse_scene(text, "scene.toml")
 
 
-def _read(text: str, folder: Path | None) -> None:
-    scene = parsed(text)
-    assert folder is not None
-    bind(scene, folder / "scene.toml")
-
-
-def fault_of(text: str, folder: Path | None = None) -> str:
-    """The message of the fault, found with the model where a folder has it, checked to be one line."""
+def fault_of(text: str, folder: Path) -> str:
+    """The message of the fault, found in the scene or with the model, checked to be one line."""
     with pytest.raises(SceneError) as caught:
-        _read(text, folder)
+        bind(parsed(text), folder / "scene.toml")
     message = str(caught.value)
     assert message.isprintable()
     assert len(message) < 500
@@ -142,22 +129,6 @@ def test_a_scene_of_a_model_and_one_of_a_chain_are_told_apart() -> None:
     named = '[method]\ntranscription = "gauss"\nflow = "collocation"\n'
     assert scene.same_request(parsed(scene_of("van_der_pol", ORBIT + named, "mu = 1")))
     assert not scene.same_request(parsed(scene_of("van_der_pol", ORBIT + named.replace("gauss", "radau"), "mu = 1")))
-
-
-def test_the_schema_has_one_scene_of_a_chain_or_a_model() -> None:
-    schema = json.loads(json.dumps(scene_schema()))
-    assert schema["$ref"] == "#/$defs/Scene"
-    assert schema["$defs"]["Scene"]["anyOf"] == [{"required": [name]} for name in ("chain", "lattice", "model")]
-    assert not schema["$defs"]["OrbitTable"]["additionalProperties"]
-
-
-def test_reading_a_scene_of_a_model_loads_no_numerics() -> None:
-    code = (
-        "import sys; from casadi_skin.runs.reading import parse_scene; "
-        f"parse_scene({scene_of('a', ORBIT)!r}); "
-        "assert not {'casadi', 'numpy', 'scipy'} & set(sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 # With the model -------------------------------------------------------------------------------------------
