@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,11 @@ from msgspec.structs import asdict
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.conserved import pinned_components, symmetry_class
 from casadi_skin.model.jumps import JumpError
-from casadi_skin.model.loading import ModelFileError, call, named, read_source, run_file
+from casadi_skin.model.loading import call, named, read_source, run_file
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.runs.output import InputError
 from casadi_skin.runs.request import Numbers, Request, check_state, lattice_of, state_of, values_of
-from casadi_skin.runs.rules import SceneError, check_known, refusal, toml_repr
+from casadi_skin.runs.rules import SceneError, check_known, faults_at, refusal, toml_repr
 from casadi_skin.runs.scene import (
     CONSERVED,
     SELECTED,
@@ -39,6 +40,13 @@ IN_SCENES = {  # words of messages about arguments of find_orbit
 }
 
 
+def _in_scenes(words: str) -> str:
+    """A message about an argument of find_orbit, about the key of [orbit]."""
+    for in_python, in_scenes in IN_SCENES.items():
+        words = words.replace(in_python, in_scenes)
+    return f"[orbit] {words}"
+
+
 def _check_orbit(request: Request, orbit: OrbitTable) -> None:
     """Refuse states and conditions that the model does not have, or that an orbit cannot be closed with."""
     from casadi_skin.follow.find import check_orbit, rotations_of
@@ -50,14 +58,9 @@ def _check_orbit(request: Request, orbit: OrbitTable) -> None:
     for key, given, known in (("select", orbit.select, (*names, *conserved)), ("section", orbit.section, names)):
         if given is not None:
             check_known(f"[orbit] {key}", next(iter(given)), known)
-    try:
+    with faults_at(_in_scenes):
         check_orbit(model, orbit.period, orbit.select, orbit.section, orbit.symmetric, orbit.cycles)
         rotations_of(model, orbit.rotations, orbit.symmetric)
-    except ValueError as error:
-        words = str(error)
-        for in_python, in_scenes in IN_SCENES.items():
-            words = words.replace(in_python, in_scenes)
-        raise SceneError(f"[orbit] {words}") from None
     if not model.forced and orbit.period is None and orbit.transient is None:
         which = "" if orbit.symmetric else " or transient"
         raise SceneError(f"[orbit] period{which}: missing; accepted: with a model that is not forced a number > 0")
@@ -66,10 +69,8 @@ def _check_orbit(request: Request, orbit: OrbitTable) -> None:
 
 
 def _check_symmetric(model: OdeModel, orbit: OrbitTable) -> None:
-    try:
+    with faults_at("[orbit] symmetric: "):
         first, _ = pinned_components(model, symmetry_class(model))
-    except ValueError as error:
-        raise SceneError(f"[orbit] symmetric: {error}") from None
     name = next(iter(orbit.select or {}))
     pinned = [model.state_names[i] for i in first]
     if name in pinned:
@@ -86,10 +87,8 @@ def bound_problem(
             given = f"with {table.name}, a BoundaryValueProblem"
             raise refusal(f"[{name}]", given, "[solution], or an OdeModel")
     values = values_of(problem.model, {**problem.parameters, **table.parameters})
-    try:
+    with faults_at("[model] parameters: "):  # an interval that is empty at these values
         problem = replace(problem, parameters=values)
-    except ValueError as error:  # an interval that is empty at these values
-        raise SceneError(f"[model] parameters: {error}") from None
     from casadi_skin.zero.closure import closure_of
 
     if scene.stability is not None and closure_of(problem) is None:
@@ -107,10 +106,8 @@ def _guess(given: str | Numbers, path: Path, problem: BoundaryValueProblem, name
     check_known(place, given, [name for name in functions if not name.startswith("__")])
 
     def guess(t: float) -> Array:
-        try:
+        with faults_at(f"{place}: "):
             return np.asarray(call(path, given, names[given], t), dtype=float).ravel()
-        except (TypeError, ValueError) as error:
-            raise SceneError(f"{place}: {error}") from None
 
     start, _ = problem.span(np.array(list(problem.values.values())))
     count = guess(start).size
@@ -150,10 +147,8 @@ def bind(scene: Scene, scene_path: Path, files: Files | None = None) -> Request:
 
 
 def _bound_lattice(scene: Scene, table: LatticeTable) -> Request:
-    try:
+    with faults_at("[lattice] "):
         lattice: Any = lattice_of(table)
-    except (TypeError, ValueError) as error:
-        raise SceneError(f"[lattice] {error}") from None
     if table.long:
         return Request(scene, lattice, dict(lattice.parameters))
     return Request(scene, lattice, dict(zip(lattice.parameter_names, lattice.nominal or (), strict=True)))
@@ -164,15 +159,13 @@ def _bound_file(scene: Scene, table: ModelTable, scene_path: Path, files: Files)
     from casadi_skin.zero.statement import BoundaryValueProblem
 
     path, kinds = scene_path.parent / table.file, (OdeModel, BoundaryValueProblem)
-    try:
+    with faults_at("[model] "):
         if (path, table.name) not in files:
             source = read_source(path)
             names: dict[str, Any] = {} if path.suffix == ".json" else run_file(path, source)
             found = loads(source, str(path)) if table.name is None else named(path, names, table.name, kinds)
             files[path, table.name] = source, names, found
         source, names, found = files[path, table.name]
-    except (ModelFileError, ValueError) as error:  # ValueError: a damaged .json file
-        raise SceneError(f"[model] {error}") from None
     if isinstance(found, BoundaryValueProblem):
         return bound_problem(scene, table, path, source, found, names)
     if scene.solution is not None:
@@ -196,12 +189,14 @@ def _placed(message: str, table: str = "family") -> str:
 def _check_families(request: Request) -> None:
     """Refuse families that cannot be followed, one requested twice, and orbits of families that are not followed."""
     scene = request.scene
-    try:
+    with faults_at(_placed):
         modes = [family.mode for family in request.families]
-    except (TypeError, ValueError) as error:
-        raise SceneError(_placed(str(error))) from None
-    if scene.accuracy.certify:
-        _check_provable(request)
+        if scene.accuracy.certify:
+            from casadi_skin.certify.certify import provable
+            from casadi_skin.follow.family import Family
+
+            for family in request.families:
+                provable(Family(family))  # refuses those that the theorem is not about, and all without python-flint
     if not modes:
         return
     for i, mode in enumerate(modes):
@@ -210,18 +205,6 @@ def _check_families(request: Request) -> None:
     for name, table in (("dynamics", scene.dynamics), ("export", scene.export)):
         if table is not None and table.mode is not None and table.mode not in modes:
             raise refusal(f"[{name}] mode", str(table.mode), f"one of the modes of [family], {modes}")
-
-
-def _check_provable(request: Request) -> None:
-    """Refuse proofs of orbits that the theorem is not about, and all without python-flint."""
-    from casadi_skin.certify.certify import provable
-    from casadi_skin.follow.family import Family
-
-    try:
-        for family in request.families:
-            provable(Family(family))
-    except (ValueError, ImportError) as error:
-        raise SceneError(_placed(str(error))) from None
 
 
 def _check_jumps(request: Request) -> None:
@@ -245,10 +228,8 @@ def _check_perturbation(request: Request) -> None:
     if table is not None and scene.family is None and scene.orbit is None:
         from casadi_skin.runs.first_solution import start_near_rest
 
-        try:
+        with faults_at("[dynamics] "):
             start_near_rest(request)
-        except (TypeError, ValueError) as error:
-            raise SceneError(f"[dynamics] {error}") from None
         return
     if table is None or scene.chain is not None:
         return
@@ -267,12 +248,10 @@ def check_spectrum(request: Request) -> None:
 
     if request.scene.lattice is not None:  # frequencies that are not real are written as they are
         return
-    try:
+    chain = request.scene.chain
+    place = partial(_placed, table="spectrum") if chain is None else f"[chain] alpha: given {chain.alpha:g}; "
+    with faults_at(place):
         linear_frequencies(request.model, request.parameters)
-    except ValueError as error:
-        if request.scene.chain is not None:
-            raise SceneError(f"[chain] alpha: given {request.scene.chain.alpha:g}; {error}") from None
-        raise SceneError(_placed(str(error), "spectrum")) from None
 
 
 def _check_equilibrium(request: Request, table: EquilibriumTable) -> None:

@@ -79,7 +79,7 @@ class Branches:
         try:
             for name, space in self._spaces(journal):
                 started = time.perf_counter()
-                with self._named(f"mode {name}: " if space.connects == FAMILY else ""):
+                with self.named(f"mode {name}: " if space.connects == FAMILY else ""):
                     self._follow(name, space, journal)
                     self._seek_changes(name, self.branches[-1])
                 self.seconds.append(time.perf_counter() - started)
@@ -99,7 +99,7 @@ class Branches:
             self.progress.say(name)
             before = len(self.branches)
             try:
-                with self._named(f"[continuation] switch: {name}: "):
+                with self.named(f"[continuation] switch: {name}: "):
                     self._follow(name, space, journal)
             finally:  # beside the families, also where it is interrupted
                 self.offshoots.leaving += [(name, branch) for branch in self.branches[before:]]
@@ -107,7 +107,7 @@ class Branches:
         follow_edges(families, table, self.offshoots, self.failures, self.progress, journal)
 
     @contextmanager
-    def _named(self, where: str) -> Iterator[None]:
+    def named(self, where: str) -> Iterator[None]:
         """Keep a failure of the block in words, so that the next branch is followed."""
         try:
             yield

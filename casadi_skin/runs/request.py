@@ -13,7 +13,7 @@ from msgspec.structs import asdict, astuple
 
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.runs.rules import SceneError, check_known, refusal
+from casadi_skin.runs.rules import check_known, faults_at, refusal
 from casadi_skin.runs.scene import CONSERVED, LatticeTable, OrbitTable, Scene, UniformTable
 from casadi_skin.zero.family import Method, Targets
 from casadi_skin.zero.problem import Array
@@ -39,10 +39,8 @@ def values_of(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
         return dict(given)
     from casadi_skin.zero.statement import named_values
 
-    try:
+    with faults_at("[model] "):
         return named_values(model, given)
-    except ValueError as error:
-        raise SceneError(f"[model] {error}") from None
 
 
 def state_of(given: Numbers, names: Sequence[str]) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from string import Formatter
 from typing import Any, NamedTuple
 
@@ -32,6 +33,17 @@ class SceneError(InputError):
 
 def refusal(place: str, given: str, accepted: str) -> SceneError:
     return SceneError(f"{place}: given {given}; accepted: {accepted}")
+
+
+@contextmanager
+def faults_at(place: str | Callable[[str], str]) -> Iterator[None]:
+    """A SceneError with a place in front in place of an error of the block about an argument or a missing extra."""
+    try:
+        yield
+    except SceneError:
+        raise
+    except (ValueError, TypeError, ImportError) as error:
+        raise SceneError(f"{place}{error}" if isinstance(place, str) else place(str(error))) from None
 
 
 def did_you_mean(near: str | None, accepted: str) -> str:

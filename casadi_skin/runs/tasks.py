@@ -37,11 +37,7 @@ if TYPE_CHECKING:
     from casadi_skin.optimise.family_search import FamilySearch
     from casadi_skin.optimise.search import SearchResult
 
-PER_PERIOD, FEWEST_TIMES, MOST_TIMES = (
-    20,
-    401,
-    4001,
-)  # times of a motion that are written unless a number of them is given
+PER_PERIOD, FEWEST_TIMES, MOST_TIMES = 20, 401, 4001  # times that are written unless a number of them is given
 
 
 class Task(ABC):
@@ -123,17 +119,15 @@ class Dynamics(Task):
             return
         run.progress.say("time evolution")
         orbit = None
-        try:
+        with run.named("[dynamics]: "):
             if not self.alone:
-                first = run.branches[0]
-                asked = self.asked
-                orbit = first.orbits[-1] if asked.S is None else _at(asked.S, asked.mode, run.branches)
-            self.evolution = self._from_rest() if orbit is None else self._of(orbit)
-        except EvolutionError as error:
-            self.evolution = error.evolution
-            run.failures.append(f"[dynamics]: {error}")
-        except (ValueError, ArithmeticError) as error:
-            run.failures.append(f"[dynamics]: {error}")
+                S, mode = self.asked.S, self.asked.mode
+                orbit = run.branches[0].orbits[-1] if S is None else _at(S, mode, run.branches)
+            try:
+                self.evolution = self._from_rest() if orbit is None else self._of(orbit)
+            except EvolutionError as error:
+                self.evolution = error.evolution
+                raise
         if self.evolution is not None:
             run.progress.say("writing the time evolution")
             with interrupts_deferred():
@@ -285,7 +279,7 @@ class Export(Task):
 
         asked, target = self.asked, directory / EXPORT_FOLDER
         run.progress.say("exporting")
-        try:
+        with run.named("[export]: "):
             of = self._exported(run.branches)
             if asked.c is not None:
                 if not (target.exists() and any(target.iterdir())):  # it is written whole or not at all
@@ -294,8 +288,6 @@ class Export(Task):
             if asked.fmu is not None:
                 options = {"tolerance": self.request.tolerance, "inputs": asked.inputs}
                 self.written += (export_fmu(of, directory / asked.fmu, asked.fmi, **options),)  # type: ignore[arg-type]
-        except (ValueError, ArithmeticError) as error:
-            run.failures.append(f"[export]: {error}")
 
     def words(self) -> list[str]:
         """Where the exports are."""
