@@ -24,7 +24,6 @@ from casadi_skin.follow.find import find_orbit
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.orbit import Orbit
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
-from casadi_skin.lattice.chain_coordinates import LongChain
 from casadi_skin.lattice.declaration import Array
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import ComplexArray
@@ -224,14 +223,14 @@ def _threshold_to(chain: Chain, amplitude_max: float) -> float | None:
     infinite = replace(chain, sites=math.inf)  # type: ignore[arg-type]
     mode = infinite.mode_number(LAST if chain.g > 0 else FIRST)
     family = Family(family_request(infinite, mode, amplitude_max, tolerance=BALANCE_TOLERANCE, corrector="newton"))
-    coordinates, last = family.coordinates, family.start
-    assert isinstance(coordinates, LongChain)
+    last = family.start
+    coordinates: Any = family.coordinates  # of a core with its tail
     edge = replace(coordinates.edge_mode.place, off=0.0)
     born = coordinates.parameter(2).at(coordinates.tail.angle(edge))
     with one_thread():
         for point in family.continuation((family.start,)):
             if point.walked and (point.z[point.problem.Omega_index] - born) * (coordinates.start_unknown - born) < 0.0:
-                return coordinates.S_of(_held(family, last, point, born))
+                return float(coordinates.S_of(_held(family, last, point, born)))
             last = point if point.walked else last
     return None
 

@@ -58,7 +58,7 @@ def initial_state(
     """
     equations = equations_of_motion(model, parameters)
     first_order = not equations.positions
-    n = model.declaration.size if isinstance(model, Lattice) else equations.positions or equations.size
+    n = model.declaration.size if model.declaration else equations.positions or equations.size
     choices = {"mode": mode, "site": site, "vector": vector, "seed": seed}
     direction = unit_direction("start", equations, n, choices, partial(_mode, model, parameters))
     if moving and n == equations.size:
@@ -73,7 +73,7 @@ def initial_state(
 
 def _mode(model: Any, parameters: Mapping[str, float] | None, mode: int) -> Array:
     """Displacements of a linear mode; raises ValueError where its frequency is not real."""
-    if isinstance(model, Lattice):
+    if model.declaration is not None:
         modes = lattice_modes(model, parameters)
         square, direction = modes.squares[mode - 1], modes.right[:, mode - 1].real
     else:

@@ -111,13 +111,12 @@ def exported_model(source: object, name: str | None, harmonics: int) -> Exported
     if not isinstance(source, Source):
         raise TypeError(f"source: given {short_repr(source)}; accepted: a Chain, an OdeModel or an orbit")
     model = source.model if isinstance(source, Orbit) else source
-    if isinstance(model, Chain) and model.infinite:
+    if model.infinite:
         raise ValueError("sites: given inf; accepted: a whole number (generated C has arrays over all sites)")
     whole("harmonics", harmonics, 2, 512)
     if name is not None and not isinstance(name, str):
         raise TypeError(f"name: given {short_repr(name)}; accepted: a string")
-    own = model.name if isinstance(model, OdeModel) else "chain"
-    accepted = c_name(own if name is None else name)[:LONGEST_NAME].strip("_")
+    accepted = c_name(model.name if name is None else name)[:LONGEST_NAME].strip("_")
     if name not in (None, accepted):
         words = f"up to {LONGEST_NAME} lower-case letters, digits and single underscores, such as {accepted}"
         raise ValueError(f"name: given {short_repr(name)}; accepted: {words}")

@@ -9,6 +9,7 @@ import threading
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -17,7 +18,6 @@ from casadi_skin.fmu.fmu_archive import Unpacked
 from casadi_skin.fmu.fmu_component import Buffer, CallError, Component, Loaded, Values, complain, refused
 from casadi_skin.fmu.fmu_variables import Array, Group, Variables
 from casadi_skin.fmu.initial_value_problem import InitialValueProblem
-from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.model.arguments import nearest, short_repr
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
@@ -258,9 +258,9 @@ def with_inputs(problem: InitialValueProblem, names: object) -> InitialValueProb
 
 def forces_of(problem: InitialValueProblem) -> Mapping[str, Force]:
     """Forces on the sites by name: f_3 acts on y_3; none of a model that is of first order by declaration."""
-    model = problem.model
+    model: Any = problem.model
     states = model.state_names
-    if isinstance(model, Lattice):
+    if model.declaration is not None:
         count, masses = model.declaration.size, ca.vertsplit(model.equations.masses)
         factors: Sequence[Expression | float] = [1.0 / mass for mass in masses]
     elif model.order == 2 or problem.chain:

@@ -14,7 +14,6 @@ from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.model.arguments import check_name, check_options, duration, function_of, number, numbers, truth, whole
-from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.symmetries import check_forcing_period
 from casadi_skin.zero.family import MAX_POINTS, Method
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD
@@ -189,11 +188,10 @@ def following_settings(
         raise ValueError(f"max_step: given {max_step!r}; accepted: a number > 0")
     wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in at)
     model = solution.model
-    forced = isinstance(model, OdeModel) and model.forced
-    if isinstance(solution, Orbit) and isinstance(model, OdeModel) and forced:
+    if isinstance(solution, Orbit) and model.forced:
         check_forcing_period(model, solution, solution.period, {**solution.parameters, parameter: end})
     return ContinuationSettings(
         1.0, solution.space.tolerance, wanted, max_step=float(max_step), max_points=max_points, tiny_first=False,
         max_parameter_step=0.2, parameter_min=(back - start) / (end - start),
-        closing=back_to is None and (solution.space.stability_included or forced),  # an isola of responses
+        closing=back_to is None and (solution.space.stability_included or model.forced),  # an isola of responses
     )  # fmt: skip

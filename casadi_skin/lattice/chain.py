@@ -54,6 +54,11 @@ class Chain(WithVerbs):
     g: float
     parameter_names: ClassVar[tuple[str, ...]] = ()
     """Names of parameters that may be given values beside it: none."""
+    name: ClassVar[str] = "chain"
+    place: ClassVar[str] = "site"
+    forced: ClassVar[bool] = False
+    normalisation: ClassVar[None] = None
+    declaration: ClassVar[None] = None
 
     def __post_init__(self) -> None:
         endless = isinstance(self.sites, float) and self.sites == np.inf

@@ -47,7 +47,7 @@ class Lattice(OdeModel):
         ValueError, TypeError: the message names the place, the value and the accepted values.
     """
 
-    declaration: Declaration
+    declaration: Declaration  # type: ignore[misc]
     equations: Equations
     structure: Structure
 

@@ -69,6 +69,10 @@ class LongLattice(WithVerbs):
     name: str = "lattice"
     parameter_names: ClassVar[tuple[str, ...]] = ()
     """Names of parameters that may be given values beside it: none."""
+    place: ClassVar[str] = "site"
+    forced: ClassVar[bool] = False
+    normalisation: ClassVar[None] = None
+    declaration: ClassVar[None] = None
 
     def __post_init__(self) -> None:
         whole = isinstance(self.cells, int) and not isinstance(self.cells, bool)

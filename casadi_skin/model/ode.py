@@ -60,6 +60,14 @@ class OdeModel(Equations, WithVerbs):
         parameters = ", ".join(self.parameter_names) or "none"
         return f"{type(self).__name__}({self.name!r}: {self.full_size} states; parameters {parameters})"
 
+    infinite: ClassVar[bool] = False
+    """Whether it has infinitely many positions."""
+    labels: ClassVar[tuple[tuple[str, float], ...]] = ()
+    """Symbols in TeX and values for titles, of a model that has them in place of a name."""
+    place: ClassVar[str] = "position"
+    """Name of the places along axes."""
+    declaration: ClassVar[Any] = None
+    """Of a lattice."""
     equations_of_motion: ClassVar[Callable[..., Any]]
     """Its equations of motion at values of its parameters; see `dynamics.evolve`."""
     family_coordinates: ClassVar[Callable[..., Any]]

@@ -9,7 +9,6 @@ import numpy as np
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.orbit import Orbit
-from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import band_edges, lattice_modes
 from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.results.figures.branches import Pieces, draw_lines, draw_marks, stability_pieces
@@ -90,7 +89,7 @@ def draw_band(axes: Axes, model: Any, offset: float = 0.0, parameters: Mapping[s
 
 def _bands(model: Any, parameters: Mapping[str, float] | None) -> Sequence[tuple[float, float]]:
     """Ends of bands in omega^2, with both the same for a frequency that lies in none."""
-    if not isinstance(model, Lattice):
+    if model.declaration is None:
         spectrum = linear_spectrum(model, parameters)
         return spectrum.bands or (spectrum.ends,)
     own = lattice_modes(model, parameters).squares.real
@@ -331,7 +330,7 @@ def plane_figure(branch: Branch) -> Figure | None:
     """
     lattice = family(branch).model
     orbits = [orbit for orbit in branch.orbits if orbit.point.requested][-MOST_ORBITS:]
-    if not isinstance(lattice, Lattice) or len(lattice.declaration.cells) != 2 or not orbits:
+    if lattice.declaration is None or len(lattice.declaration.cells) != 2 or not orbits:
         return None
     rows, columns = lattice.declaration.cells[0], lattice.declaration.cells[1] * len(lattice.declaration.sites)
     with style():

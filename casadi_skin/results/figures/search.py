@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.lattice.chain import Chain
 from casadi_skin.optimise.optimum import CosineOrbit
 from casadi_skin.optimise.search import SearchResult
 from casadi_skin.optimise.search_problem import Ending
@@ -33,7 +32,7 @@ def search_figure(result: SearchResult, objective: str) -> Figure:
         (_profiles if of_family else _orbits)(left, result)
         draw_starts(right, result, objective)
         chain = result.model
-        words = f"$N = {chain.sites}$; dimensionless" if isinstance(chain, Chain) else chain.name
+        words = f"$N = {chain.sites}$; dimensionless" if chain.labels else chain.name
         figure.suptitle(f"{result.status.value} ({words})")
         return style.finished(figure, (left, right), 3)
 
@@ -43,7 +42,7 @@ def _profiles(axes: Axes, result: SearchResult) -> None:
     for rank, (optimum, colour) in enumerate(zip(found, style.colours(len(found)), strict=True), start=1):
         words = "" if optimum.on_family is not False else ", another family"
         label = f"optimum {rank}: $S = {style.number(optimum.S)}$"
-        if isinstance(result.model, Chain):
+        if result.model.labels:
             label += f", $\\gamma = {style.number(optimum.gamma)}$"
         profile = np.abs(optimum.orbit.profile)
         axes.semilogy(np.arange(1, profile.size + 1), profile, "osD^"[rank - 1], ms=4, ls="-", lw=0.7, color=colour,

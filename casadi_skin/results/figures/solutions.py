@@ -13,7 +13,6 @@ from casadi_skin.follow.orbit import Orbit, cosine_curve
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS
 from casadi_skin.model.files import replacing
-from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.figures.branches import solution_title
 from casadi_skin.results.figures.style import (
     LINE_DASHES,
@@ -262,7 +261,7 @@ def _positions(orbit: Orbit) -> int:
     """Number of positions of a lattice; 0 for a model that is drawn in a plane."""
     space: Any = orbit.space
     count = len(orbit.output_sites) if space.connects == FAMILY else space.positions
-    return count if count > ANIMATION_FEW or not isinstance(orbit.model, OdeModel) else 0
+    return count if count > ANIMATION_FEW or orbit.model.labels else 0
 
 
 def _lattice(axes: Axes, orbit: Orbit, turns: Array, positions: int) -> Show:

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
@@ -356,7 +355,7 @@ def title(model: Any, parameters: Mapping[str, float] | None = None, name: str =
 
     `name` stands in place of the name of an `OdeModel`; parameters that are None are its nominal ones.
     """
-    if not isinstance(model, OdeModel):
+    if model.labels:
         return ", ".join(f"${symbol} = {number(value)}$" for symbol, value in model.labels) + " (dimensionless)"
     if parameters is None:
         parameters = dict(zip(model.parameter_names, model.nominal or (), strict=False))
@@ -367,7 +366,7 @@ def title(model: Any, parameters: Mapping[str, float] | None = None, name: str =
 
 def position_label(model: Any) -> str:
     """Axis label of the positions of a model."""
-    return "position $n$" if isinstance(model, OdeModel) else "site $n$"
+    return f"{model.place} $n$"
 
 
 def colours(count: int) -> Array:
@@ -402,7 +401,7 @@ def amplitude_label(model: Any) -> str:
 
 def is_sum_of_squares(model: Any) -> bool:
     """Whether S is the sum of squares of the positions, as in every model without a normalisation of its own."""
-    return not isinstance(model, OdeModel) or model.normalisation is None
+    return model.normalisation is None
 
 
 def moving(profiles: Array) -> tuple[int, int]:
