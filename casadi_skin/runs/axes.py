@@ -74,6 +74,11 @@ def _leaves(value: object) -> Iterable[object]:
     return (leaf for item in items for leaf in (item if isinstance(item, list) else (item,)))
 
 
+def ranges_of(table: MapTable) -> dict[str, RangeTable]:
+    """The axes of a map that are ranges, by name."""
+    return {name: axis for name, axis in table.axes.items() if isinstance(axis, RangeTable)}
+
+
 def check_map(scene: Scene) -> None:
     """Raises SceneError for axes that cannot be meant."""
     table = scene.map
@@ -84,23 +89,23 @@ def check_map(scene: Scene) -> None:
         raise refusal("[map]", "with a scene that asks for no solution", accepted)
     if not table.axes:
         raise SceneError(f"[map]: no axis; accepted: a parameter of the scene with {ACCEPTED_AXES}")
-    if sum(isinstance(axis, RangeTable) for axis in table.axes.values()) > 2:
-        ranges = [name for name, axis in table.axes.items() if isinstance(axis, RangeTable)]
-        raise refusal(f"[map] {ranges[2]}", "a third range", "one or two ranges, and lists beside them")
-    for name, axis in table.axes.items():
-        _check_range(name, axis) if isinstance(axis, RangeTable) else _check_list(name, axis)
+    ranges = ranges_of(table)
+    if len(ranges) > 2:
+        raise refusal(f"[map] {list(ranges)[2]}", "a third range", "one or two ranges, and lists beside them")
+    lists: dict[str, Any] = {name: axis for name, axis in table.axes.items() if name not in ranges}
+    for name, axis in ranges.items():
+        _check_range(name, axis)
+    for name, values in lists.items():
+        _check_list(name, values)
     seen: dict[Path, str] = {}
     for name in table.axes:
         for path in paths_of(scene, name):
             if path in seen:
                 raise refusal(f"[map] {cut(name)}", f"the same parameter as {cut(seen[path])}", "each parameter once")
             seen[path] = name
-    cells = math.prod(
-        (axis.points - 1) * _stride(axis) + 1 if isinstance(axis, RangeTable) else len(axis)
-        for axis in table.axes.values()
-    )
-    if cells > MOST_CELLS:
-        finest = " at its finest" if any(getattr(axis, "resolution", None) for axis in table.axes.values()) else ""
+    sizes = [(axis.points - 1) * _stride(axis) + 1 for axis in ranges.values()]
+    if math.prod([*sizes, *map(len, lists.values())]) > MOST_CELLS:
+        finest = " at its finest" if any(axis.resolution for axis in ranges.values()) else ""
         raise refusal("[map]", f"more than {MOST_CELLS} cells{finest}", f"at most {MOST_CELLS}")
     if table.growth and scene.stability is None:
         raise refusal("[map] growth", f"{table.growth!r} without [stability]", "beside [stability]")
@@ -178,39 +183,28 @@ def _named_paths(scene: Scene) -> dict[str, Path]:
         found |= {"mode": ("family", "mode"), "S": AMPLITUDE, "amplitude_max": ("family", "amplitude_max")}
     if scene.search is not None:
         found |= {"mode": ("search", "mode"), "S": ("search", "S")}
-    seeds = _seeds(scene)
+    drawn = {} if scene.lattice is None else scene.lattice.parameters
+    seeds: list[Path] = [("lattice", "parameters", name, "seed") for name, v in drawn.items() if hasattr(v, "seed")]
+    seeds += [("search", "seed")] if scene.search is not None else []
+    seeds += [("dynamics", "seed")] if scene.dynamics is not None and scene.dynamics.seed is not None else []
     if len(seeds) == 1:
         found.setdefault("seed", seeds[0])
     return found
 
 
-def _seeds(scene: Scene) -> list[Path]:
-    """Keys of the scene that hold a seed."""
-    drawn = {} if scene.lattice is None else scene.lattice.parameters
-    found: list[Path] = [
-        ("lattice", "parameters", name, "seed") for name, value in drawn.items() if hasattr(value, "seed")
-    ]
-    if scene.search is not None:
-        found.append(("search", "seed"))
-    if scene.dynamics is not None and scene.dynamics.seed is not None:
-        found.append(("dynamics", "seed"))
-    return found
-
-
-def values_of(axis: AxisTable) -> tuple[tuple[Any, ...], int]:
-    """All values of an axis at its finest, and how many of them lie between two neighbours of the coarsest."""
-    if not isinstance(axis, RangeTable):
-        return axis, 1
+def values_of(axis: RangeTable) -> tuple[tuple[Any, ...], int]:
+    """All values of a range at its finest, and how many of them lie between two neighbours of the coarsest."""
     stride = _stride(axis)
     count = (axis.points - 1) * stride
-    if (
-        isinstance(axis.start, int)
-        and isinstance(axis.to, int)
-        and not axis.log
-        and (axis.to - axis.start) % count == 0
-    ):
-        return (*range(axis.start, axis.to, (axis.to - axis.start) // count), axis.to), stride
-    return tuple(_between(axis, k, count) for k in range(count + 1)), stride
+    whole = isinstance(axis.start, int) and isinstance(axis.to, int) and not axis.log
+    if whole and (axis.to - axis.start) % count == 0:
+        return (*range(int(axis.start), int(axis.to), int(axis.to - axis.start) // count), axis.to), stride
+    ratio, difference = axis.to / axis.start if axis.log else 1.0, axis.to - axis.start
+    between = (
+        axis.start * ratio ** (k / count) if axis.log else axis.start + difference * (k / count)
+        for k in range(1, count)
+    )
+    return (float(axis.start), *map(float, between), float(axis.to)), stride
 
 
 def _stride(axis: RangeTable) -> int:
@@ -222,14 +216,6 @@ def _stride(axis: RangeTable) -> int:
         while length / ((axis.points - 1) * stride) > finest * (1 + 1e-12) and stride <= MOST_CELLS:
             stride *= 2
     return stride
-
-
-def _between(axis: RangeTable, k: int, count: int) -> float:
-    if k in (0, count):
-        return float(axis.to if k else axis.start)
-    if axis.log:
-        return float(axis.start * (axis.to / axis.start) ** (k / count))
-    return float(axis.start + (axis.to - axis.start) * (k / count))
 
 
 def set_value(raw: dict[str, Any], path: Path, value: object) -> None:

@@ -1,4 +1,4 @@
-"""Contents of a page of a run: curves, and wave forms and multipliers of a few hundred points of each."""
+"""The page of a run, a map, a branch or a diagram as one file: datasets as JSON, of a few hundred points each."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import csv
 import html
 import json
 import zipfile
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatch
 from importlib.resources import files
 from pathlib import Path
@@ -19,13 +18,14 @@ from numpy.typing import NDArray
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.model.arguments import short_repr
-from casadi_skin.model.files import TemporaryFolder, replacing
+from casadi_skin.model.files import replacing
 from casadi_skin.points.diagram import Diagram
-from casadi_skin.results.dataset import dataset_of, read_name, readable, write_csv, write_netcdf
+from casadi_skin.results.dataset import Dataset, Variable, dataset_of, read_name, readable
 from casadi_skin.results.quantities import places_of
 from casadi_skin.results.saving import read_result
-from casadi_skin.results.tables import EVENT_COLUMNS, event_rows
-from casadi_skin.runs.map_result import read_map, write_map
+from casadi_skin.results.tables import event_rows
+from casadi_skin.runs.map_result import map_dataset, read_map
+from casadi_skin.runs.map_store import STATUS_WORDS
 
 PAGE_FILE = "explore.html"
 SHOWN_FILES = ("family.nc", "branch.nc", "cycles_*.nc", "other_*.nc", "curve_*.nc")
@@ -35,91 +35,147 @@ WAVE_PHASES, WAVE_STATES = 49, 24  # of a wave form
 CHANGE_NAME = "stability changes"
 FILL_VALUE = 9e36  # values from here on are empty
 ACCEPTED_FOLDERS = f"accepted: the directory of a run, with one of {', '.join(SHOWN_FILES)}"
+EXPLORER_FILE_ACCEPTED = "accepted: a file of a branch, a diagram or a map"
 
 Variables = Mapping[str, NDArray[Any]]
+Contents = dict[str, Any]  # as JSON takes them
 
 
-def page_data(directory: Path) -> dict[str, Any]:
-    """All that the page shows, as JSON takes it; raises ValueError where the directory has no branches."""
-    files = sorted(path for path in directory.glob("*.nc") if any(fnmatch(path.name, name) for name in SHOWN_FILES))
+def write_page(source: Path, target: Path) -> Path:
+    """Write a page that shows the run or the map in a directory, or a map, a branch or a diagram in a file.
+
+    Raises ValueError where there is none of these.
+    """
+    data, kind = _of_file(source) if source.is_file() else _of_directory(source)
+    folder = files("casadi_skin.runs.page")
+
+    def text(name: str) -> str:
+        return (folder / name).read_text(encoding="utf-8")
+
+    page = text("page.html").replace("@BODY@", text(f"{kind}.html"))
+    parts = {
+        "@TITLE@": html.escape(str(data["title"])),
+        "@PLOTLY@": text("plotly-basic.min.js").replace("</script", "<\\/script"),
+        "@COMMON@": text("common.js"),
+        "@SCRIPT@": text(f"{kind}.js"),
+        "@DATA@": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
+    }
+    for mark, words in parts.items():
+        page = page.replace(mark, words)
+    with replacing(target) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return target
+
+
+def _of_directory(directory: Path) -> tuple[Contents, str]:
+    """The contents of a page of a directory, and their kind."""
+    return (map_data(directory), "map") if (directory / MAP_FILE).exists() else (page_data(directory), "run")
+
+
+def _of_file(path: Path) -> tuple[Contents, str]:
+    """The contents of a page of a result in one file; raises ValueError for other contents."""
+    if zipfile.is_zipfile(path):
+        return _map_contents(path.name, map_dataset(read_map(path).columns, {"title": path.stem}, True)), "map"
+    result = read_result(path)
+    branches = result.branches if isinstance(result, Diagram) else (result,)
+    if not all(isinstance(branch, Branch) and len(branch) for branch in branches):
+        raise ValueError(f"{path}: holds {short_repr(result)}; {EXPLORER_FILE_ACCEPTED}")
+    parts = list[tuple[Path, str, Variables]]()
+    for number, branch in enumerate(branches, start=1):
+        family = isinstance(branch.space, Family)
+        name = f"other_{number}" if len(branches) > 1 else "family" if family else "branch"
+        rows: Sequence[Mapping[str, Any]] = ()
+        kinds = None if family else [place.special or "" for place in places_of(branch)]
+        if family and branch.diagram_of_changes is not None:
+            rows = event_rows(branch.space.coordinates.mode_number, branch.diagram_of_changes)
+        parts += [(path, *part) for part in _split(name, _variables(dataset_of([branch]), kinds, rows))]
+    return _run_contents(path.stem, parts), "run"
+
+
+def read_dataset(path: Path) -> Dataset:
+    """A netCDF file as a dataset: characters become texts, what is empty NaN."""
+    from scipy.io import netcdf_file
+
+    variables = list[Variable]()
+    with netcdf_file(path, "r", mmap=False) as file:
+        known: dict[str, Any] = vars(file)["_attributes"]
+        attributes = {name: value.decode() for name, value in known.items() if isinstance(value, bytes)}
+        for name, held in file.variables.items():
+            values: NDArray[Any] = np.array(held[:])
+            words = held.long_name.decode() if hasattr(held, "long_name") else read_name(name)
+            if values.dtype.kind == "S":
+                rows = values.reshape(-1, values.shape[-1])
+                texts = [b"".join(row).decode().rstrip("\0 ") for row in rows]
+                values = np.array(texts).reshape(values.shape[:-1])
+            elif values.dtype.kind == "f":
+                values = np.where(np.abs(values) > FILL_VALUE, np.nan, values).astype(float)
+            dimensions = tuple(map(read_name, held.dimensions))
+            variables.append(Variable(read_name(name), dimensions, values, words))
+    return Dataset(variables, attributes)
+
+
+# A run, or branches: curves, and wave forms and multipliers of a few hundred points of each ---------------------------
+
+
+def page_data(directory: Path) -> Contents:
+    """All that the page of a run shows; raises ValueError where the directory has no branches."""
+    names = sorted(path for path in directory.glob("*.nc") if any(fnmatch(path.name, name) for name in SHOWN_FILES))
     title, parts = "", list[tuple[Path, str, Variables]]()
-    for path in files:
+    for path in names:
         with readable(path):
-            attributes, variables = _read(path)
-            title = title or attributes.get("title", "")
-            parts += [(path, name, part) for name, part in _split(path.stem, variables)]
+            dataset, table = read_dataset(path), _rows(path.with_suffix(".csv"))
+            title = title or dataset.attributes.get("title", "")
+            kinds = [row["special"] for row in table] if table and "special" in table[0] else None
+            events = _rows(path.with_name("events.csv")) if path.stem == "family" else []
+            parts += [(path, *part) for part in _split(path.stem, _variables(dataset, kinds, events))]
     if not parts:
         raise ValueError(f"{directory}: holds no branches; {ACCEPTED_FOLDERS}")
+    return _run_contents(title or directory.name, parts)
+
+
+def _run_contents(title: str, parts: Sequence[tuple[Path, str, Variables]]) -> Contents:
+    """Branches by name, each with the file that messages blame."""
     share = max(MOST_WAVE_NUMBERS // (len(parts) * WAVE_PHASES * WAVE_STATES), 20)
-    branches = list[dict[str, Any]]()
+    branches = list[Contents]()
     for path, name, part in parts:
         with readable(path):
             branches.append(_branch(name, part, share))
     thinned = [b for b in branches if b["count"] > len(b["columns"]["point"])]
     note = f"curves show {MOST_CURVE_POINTS} of the points of {len(thinned)} branches" if thinned else ""
-    return {"title": title or directory.name, "note": note, "branches": branches}
+    return {"title": title, "note": note, "branches": branches}
 
 
-def _read(path: Path) -> tuple[dict[str, str], Variables]:
-    """Attributes that are text, and variables, with those of the tables beside the file."""
-    attributes, variables, _, _ = read_netcdf(path)
-    return attributes, {**variables, **_kinds(path.with_suffix(".csv")), **_events(path)}
-
-
-def read_netcdf(
-    path: Path,
-) -> tuple[dict[str, str], dict[str, NDArray[Any]], dict[str, tuple[str, ...]], dict[str, str]]:
-    """Attributes that are text; variables, in which characters become names; their dimensions; their meanings."""
-    from scipy.io import netcdf_file
-
-    with netcdf_file(path, "r", mmap=False) as file:
-        known: dict[str, Any] = vars(file)["_attributes"]
-        attributes = {k: v.decode() for k, v in known.items() if isinstance(v, bytes)}
-        held = {read_name(name): variable for name, variable in file.variables.items()}
-        variables: dict[str, NDArray[Any]] = {name: np.array(variable[:]) for name, variable in held.items()}
-        dimensions = {name: tuple(map(read_name, variable.dimensions)) for name, variable in held.items()}
-        meanings = {n: v.long_name.decode() for n, v in held.items() if hasattr(v, "long_name")}
-    for name, values in variables.items():
-        if values.dtype.kind == "S":
-            rows = values.reshape(-1, values.shape[-1])
-            texts = [b"".join(row).decode().rstrip("\0 ") for row in rows]
-            variables[name] = np.array(texts).reshape(values.shape[:-1])
-        elif values.dtype.kind == "f":
-            variables[name] = np.where(np.abs(values) > FILL_VALUE, np.nan, values).astype(float)
-    return attributes, variables, dimensions, meanings
-
-
-def _kinds(path: Path) -> dict[str, NDArray[Any]]:
-    """Kinds of special points, from the table beside a netCDF file."""
+def _rows(path: Path) -> list[dict[str, str]]:
+    """Rows of a table; none where there is no file."""
     if not path.exists():
-        return {}
+        return []
     with path.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    return {"special": np.array([row["special"] for row in rows])} if rows and "special" in rows[0] else {}
+        return list(csv.DictReader(file))
 
 
-def _events(path: Path) -> dict[str, NDArray[Any]]:
-    """Changes of stability of families, from the table of events beside them, with the mode of each."""
-    table = path.with_name("events.csv")
-    if path.stem != "family" or not table.exists():
-        return {}
-    with table.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    return {
-        "event_mode": np.array([int(row["mode"]) for row in rows], dtype=int),
-        "event_S": np.array([float(row["S"] or "nan") for row in rows]),
-        "event_Omega": np.array([float(row["Omega"] or "nan") for row in rows]),
-        "event_words": np.array([_event_words(row) for row in rows], dtype=str),
-    }
+def _variables(dataset: Dataset, kinds: Iterable[str] | None, events: Sequence[Mapping[str, Any]]) -> Variables:
+    """Variables by name, with kinds of special points and changes of stability, which stand in tables beside them."""
+    found = {variable.name: np.asarray(variable.values) for variable in dataset.variables}
+    for name, values in found.items():
+        if np.iscomplexobj(values):
+            found[name] = np.stack([values.real, values.imag], axis=-1)
+    if kinds is not None:
+        found["special"] = np.array(list(kinds))
+    if events:
+        found["event_mode"] = np.array([int(row["mode"]) for row in events], dtype=int)
+        for name in ("S", "Omega"):
+            found[f"event_{name}"] = np.array([float(row[name] if row[name] != "" else "nan") for row in events])
+        found["event_words"] = np.array([_event_words(row) for row in events], dtype=str)
+    return found
 
 
-def _event_words(row: Mapping[str, str]) -> str:
+def _event_words(row: Mapping[str, Any]) -> str:
     """A row of events.csv in words: a change of stability, or a stretch on which some may be missing."""
-    if not row["stable_before"]:  # the row of a stretch, as "unresolved"
-        where = f"over {float(row['S_width']):.3g} in S" if row["S_width"] else "somewhere along the family"
+    if row["stable_before"] == "":  # the row of a stretch, as "unresolved"
+        where = "somewhere along the family" if row["S_width"] == "" else f"over {float(row['S_width']):.3g} in S"
         return f"{row['kind']}, changes of stability may be missing {where}"
-    words = {("1", "0"): "stability lost", ("0", "1"): "stability regained"}
-    return f"{words[row['stable_before'], row['stable_after']]} ({row['kind']})"
+    words = {(1, 0): "stability lost", (0, 1): "stability regained"}
+    return f"{words[int(row['stable_before']), int(row['stable_after'])]} ({row['kind']})"
 
 
 def _split(stem: str, variables: Variables) -> Iterator[tuple[str, Variables]]:
@@ -267,42 +323,39 @@ def short_numbers(values: NDArray[Any]) -> list[float | None]:
 
 MAP_FILE = "map.nc"
 MOST_CELLS = 40_000  # of a map, in all
-STATUS_WORDS = ("not computed", "done", "ended early", "failed")
 SKIPPED_COLUMNS = ("status", "reason", "regime")
 
 
-def map_data(directory: Path) -> dict[str, Any]:
-    """All that the page shows, as JSON takes it; raises ValueError where the map has no cells."""
+def map_data(directory: Path) -> Contents:
+    """All that the page of a map shows; raises ValueError where the map has no cells."""
     with readable(directory / MAP_FILE):
-        contents = read_netcdf(directory / MAP_FILE)
-        empty = not contents[1]["status"].size
+        dataset = read_dataset(directory / MAP_FILE)
+        empty = not next(v for v in dataset.variables if v.name == "status").values.size
     if empty:
         raise ValueError(f"{directory}: a map without cells; accepted: one with at least one")
     with readable(directory / MAP_FILE):
-        return _contents(directory.name, *contents)
+        return _map_contents(directory.name, dataset)
 
 
-def _contents(
-    name: str,
-    attributes: Mapping[str, str],
-    variables: Mapping[str, NDArray[Any]],
-    dimensions: Mapping[str, tuple[str, ...]],
-    words: Mapping[str, str],
-) -> dict[str, Any]:
-    axes = list(dimensions["status"])
-    chosen = _thinned(variables["status"].shape)
+def _map_contents(name: str, dataset: Dataset) -> Contents:
+    held = {variable.name: variable for variable in dataset.variables}
+    axes, shape = held["status"].dimensions, held["status"].values.shape
+    chosen = _thinned(shape)
     index = np.ix_(*chosen)
-    status = variables["status"][index]
-    whole = [n for n, d in dimensions.items() if list(d) == axes and n not in SKIPPED_COLUMNS]
-    numbers = {n: short_numbers(variables[n].astype(float)[index]) for n in whole if variables[n].dtype.kind in "fi"}
-    left = status.size < variables["status"].size
+    status = held["status"].values[index]
+    numbers = [
+        {"name": v.name, "words": v.meaning, "values": short_numbers(v.values.astype(float)[index])}
+        for v in held.values()
+        if v.dimensions == axes and v.name not in SKIPPED_COLUMNS and v.values.dtype.kind in "fi"
+    ]
+    left = status.size < held["status"].values.size
     return {
-        "title": attributes.get("title", "") or name,
-        "note": f"{status.size} of {variables['status'].size} cells are shown" if left else "",
-        "axes": [_axis(n, variables[n][places], words.get(n, n)) for n, places in zip(axes, chosen, strict=True)],
-        "quantities": [{"name": n, "words": words.get(n, n), "values": values} for n, values in numbers.items()],
+        "title": dataset.attributes.get("title", "") or name,
+        "note": f"{status.size} of {held['status'].values.size} cells are shown" if left else "",
+        "axes": [_axis(held[n], places) for n, places in zip(axes, chosen, strict=True)],
+        "quantities": numbers,
         "status": status.astype(int).ravel().tolist(),
-        "reasons": [str(text) for text in variables["reason"][index].ravel()] if np.any(status > 1) else [],
+        "reasons": [str(text) for text in held["reason"].values[index].ravel()] if np.any(status > 1) else [],
         "states": list(STATUS_WORDS),
     }
 
@@ -316,85 +369,8 @@ def _thinned(shape: tuple[int, ...]) -> list[NDArray[np.int64]]:
     return [np.unique(np.linspace(0, n - 1, m).round().astype(np.int64)) for n, m in zip(shape, sizes, strict=True)]
 
 
-def _axis(name: str, values: NDArray[Any], words: str) -> dict[str, Any]:
+def _axis(axis: Variable, places: NDArray[np.int64]) -> Contents:
+    values = axis.values[places]
     numbers = values.dtype.kind in "fi"
     shown = short_numbers(values) if numbers else [str(value) for value in values]
-    return {"name": name, "words": words, "values": shown, "numbers": numbers}
-
-
-# A map, a branch or a diagram in one file, written as the files of a run or a map that a page is made of --------------
-
-EXPLORER_FILE_ACCEPTED = "accepted: a file of a branch, a diagram or a map"
-
-
-def write_files(path: Path, directory: Path) -> None:
-    """Write the netCDF files and the tables of a file's contents; raises ValueError for other contents."""
-    if zipfile.is_zipfile(path):
-        found = read_map(path)
-        write_map(found.columns, directory / MAP_FILE, {"title": path.stem}, True)
-        return
-    result = read_result(path)
-    branches = result.branches if isinstance(result, Diagram) else (result,)
-    if not all(isinstance(branch, Branch) and len(branch) for branch in branches):
-        raise ValueError(f"{path}: holds {short_repr(result)}; {EXPLORER_FILE_ACCEPTED}")
-    for number, branch in enumerate(branches, start=1):
-        family = isinstance(branch.space, Family)
-        name = f"other_{number}" if len(branches) > 1 else "family" if family else "branch"
-        _write_branch(branch, directory / name, path.stem)
-
-
-def _write_branch(branch: Branch, stem: Path, title: str) -> None:
-    """The netCDF file of a branch, and the kinds of its special points, or the changes of stability of a family."""
-    write_netcdf(stem.with_suffix(".nc"), replace(dataset_of([branch]), attributes={"title": title}))
-    if isinstance(branch.space, Family):
-        if branch.diagram_of_changes is not None:
-            rows = event_rows(branch.space.coordinates.mode_number, branch.diagram_of_changes)
-            write_csv(stem.with_name("events.csv"), EVENT_COLUMNS, rows)
-        return
-    kinds = [{"special": place.special or ""} for place in places_of(branch)]
-    write_csv(stem.with_suffix(".csv"), ("special",), kinds)
-
-
-# The page of a run, a map, a branch or a diagram as one file ----------------------------------------------------------
-
-
-def write_page(source: Path, target: Path) -> Path:
-    """Write a page that shows the run or the map in a directory, or a map, a branch or a diagram in a file.
-
-    Raises ValueError where there is none of these.
-    """
-    data, kind = _data_of_file(source) if source.is_file() else _data_in(source)
-    folder = files("casadi_skin.runs.page")
-
-    def text(name: str) -> str:
-        return (folder / name).read_text(encoding="utf-8")
-
-    page = text("page.html").replace("@BODY@", text(f"{kind}.html"))
-    parts = {
-        "@TITLE@": html.escape(str(data["title"])),
-        "@PLOTLY@": text("plotly-basic.min.js").replace("</script", "<\\/script"),
-        "@COMMON@": text("common.js"),
-        "@SCRIPT@": text(f"{kind}.js"),
-        "@DATA@": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
-    }
-    for mark, words in parts.items():
-        page = page.replace(mark, words)
-    with replacing(target) as temporary:
-        temporary.write_text(page, encoding="utf-8")
-    return target
-
-
-def _data_in(directory: Path) -> tuple[dict[str, Any], str]:
-    """The contents of a page of a directory, and their kind."""
-    return (map_data(directory), "map") if (directory / MAP_FILE).exists() else (page_data(directory), "run")
-
-
-def _data_of_file(path: Path) -> tuple[dict[str, Any], str]:
-    """The contents of a page of one file, which is written as a run or a map writes it, and read again."""
-
-    folder = TemporaryFolder("casadi_skin_page_")
-    try:
-        write_files(path, folder.path)
-        return _data_in(folder.path)
-    finally:
-        folder.remove()
+    return {"name": axis.name, "words": axis.meaning, "values": shown, "numbers": numbers}

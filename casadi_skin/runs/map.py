@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from casadi_skin.model.arguments import file_path, short_repr, truth, whole
 from casadi_skin.model.files import replacing
 from casadi_skin.model.interrupts import interrupts_deferred
+from casadi_skin.results.dataset import write_netcdf
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.directory import (
     JOURNAL_FILE,
@@ -39,7 +40,7 @@ from casadi_skin.runs.map_grid import FAILED as FAULT
 from casadi_skin.runs.map_grid import LOST, Cells, Grid, Result, Task, needed, plain, scene_at
 from casadi_skin.runs.map_grid import UNKNOWN_LABEL as UNLABELLED
 from casadi_skin.runs.map_lines import BOUNDARY_FILE, OF_BOUNDARY, boundaries, check_boundary, write_boundary
-from casadi_skin.runs.map_result import CSV, NETCDF, Map, write_map, write_pictures, write_table
+from casadi_skin.runs.map_result import CSV, NETCDF, Map, map_dataset, write_pictures, write_table
 from casadi_skin.runs.map_store import DONE, FAILED, MOST_ATTEMPTS, UNKNOWN, Columns, Store, check_quantities
 from casadi_skin.runs.parts import origin
 from casadi_skin.runs.progress import Progress
@@ -560,7 +561,7 @@ def _written(mapped: Mapped, store: Store, waits: bool, ways: Ways, progress: Pr
     write_table(columns, store.directory / CSV)
     varied = {axis.name for axis in mapped.grid.axes}
     attributes = {name: v for name, v in origin(mapped.request, mapped.text).items() if name not in varied}
-    write_map(columns, store.directory / NETCDF, attributes, mapped.scene.model is None)
+    write_netcdf(store.directory / NETCDF, map_dataset(columns, attributes, mapped.scene.model is None))
     if ways.pictures:
         write_pictures(found)
     return found

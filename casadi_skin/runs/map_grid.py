@@ -14,10 +14,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.runs.axes import AMPLITUDE, TOGETHER_SEPARATOR, Path, paths_of, set_value, values_of
+from casadi_skin.runs.axes import AMPLITUDE, TOGETHER_SEPARATOR, Path, paths_of, ranges_of, set_value, values_of
 from casadi_skin.runs.reading import scene_of
 from casadi_skin.runs.rules import SceneError, toml_repr
-from casadi_skin.runs.scene import RangeTable, Scene
+from casadi_skin.runs.scene import Scene
 
 Cells = NDArray[np.int64]  # flat numbers of cells in the finest grid
 Tables = dict[str, Any]  # a scene as plain values
@@ -96,15 +96,16 @@ class Grid:
         table = scene.map
         if table is None:
             raise SceneError("[map]: missing; accepted: a scene with a [map]")
-        axes = []
+        axes, ranges = [], ranges_of(table)
         for name, given in table.axes.items():
-            values, stride = values_of(given)
-            ranged = isinstance(given, RangeTable)
-            log = isinstance(given, RangeTable) and given.log
-            paths, together = paths_of(scene, name), tuple[tuple[Any, ...], ...]()
-            if len(paths) > 1:
+            paths, together, log = paths_of(scene, name), tuple[tuple[Any, ...], ...](), False
+            stride, values = 1, given  # type: int, Any
+            if name in ranges:
+                values, stride = values_of(ranges[name])
+                log = ranges[name].log
+            elif len(paths) > 1:
                 together, values = values, tuple(f"({', '.join(map(str, value))})" for value in values)
-            axes.append(Axis(name, paths, values, stride, ranged, log, together))
+            axes.append(Axis(name, paths, values, stride, name in ranges, log, together))
         grid = cls(tuple(axes))
         grid._check(plain(scene))
         return grid

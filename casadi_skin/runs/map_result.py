@@ -18,7 +18,7 @@ from casadi_skin.fmu.unzip import Archive
 from casadi_skin.model.arguments import check_name, cut, file_path, short_repr
 from casadi_skin.model.files import TemporaryFolder, replacing
 from casadi_skin.model.result import WithVerbs
-from casadi_skin.results.dataset import LARGEST_WHOLE_NUMBER, Dataset, Variable, to_xarray, write_csv, write_netcdf
+from casadi_skin.results.dataset import LARGEST_WHOLE_NUMBER, Dataset, Variable, to_xarray, write_csv
 from casadi_skin.results.figures.map import MapAxis, Panel, draw_maps, map_figure, panel_title
 from casadi_skin.results.figures.style import save
 from casadi_skin.results.words import Columns as TableColumns
@@ -196,8 +196,8 @@ def write_table(columns: Columns, path: Path) -> None:
     write_csv(path, names, rows)
 
 
-def write_map(columns: Columns, path: Path, attributes: Mapping[str, Any], dimensionless: bool) -> None:
-    """map.nc: dimensions named by the parameters, quantities over them; netCDF 3, which every reader opens.
+def map_dataset(columns: Columns, attributes: Mapping[str, Any], dimensionless: bool) -> Dataset:
+    """The variables of map.nc: dimensions named by the parameters, quantities over them.
 
     Numbers of a model of the user's have whatever unit the model has.
     """
@@ -220,7 +220,7 @@ def write_map(columns: Columns, path: Path, attributes: Mapping[str, Any], dimen
             name = f"{name}_of_cell"
         taken.add(name)
         unique.append(replace(variable, name=name))
-    write_netcdf(path, Dataset(unique, attributes))
+    return Dataset(unique, attributes)
 
 
 def _axis_variable(axis: Axis, dimension: str, units: Mapping[str, str]) -> Variable:

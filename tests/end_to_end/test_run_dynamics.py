@@ -63,13 +63,6 @@ def test_run_writes_table_netcdf_and_picture(tmp_path: Path, capsys: pytest.Capt
     assert not any(path.name.startswith("dynamics") for path in out.iterdir())
 
 
-def test_an_unperturbed_orbit_repeats_itself(tmp_path: Path) -> None:
-    scene = write_scene(tmp_path / "s.toml", "[dynamics]\nS = 0.5\nperiods = 3\nsamples = 4\n")
-    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
-    _, values = table(tmp_path / "out" / "dynamics.csv")
-    np.testing.assert_allclose(values[1:, 2:], values[[0, 0, 0], 2:], rtol=0, atol=1e-8)
-
-
 def test_an_escape_keeps_what_was_computed_and_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     dynamics = KICK.replace("size = 0.01", "size = 3.0").replace("10.0", "50.0")
@@ -85,19 +78,6 @@ def test_an_escape_keeps_what_was_computed_and_says_why(tmp_path: Path, capsys: 
         assert np.all(np.isfinite(values))
         assert (out / "family.nc").exists()
         assert (out / "journal.msgpack").exists()
-
-
-@pytest.mark.slow
-def test_an_orbit_that_the_family_does_not_reach(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene = tmp_path / "s.toml"
-    text = CHAIN.format(sites=1) + FAMILY.format(mode=1).replace("0.5", "5.0")
-    scene.write_text(text + "[dynamics]\nS = 4.0\nperiods = 1\n[accuracy]\npreset = 'draft'\n", encoding="utf-8")
-    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 1
-    family, dynamics = capsys.readouterr().err.splitlines()
-    assert "does not exist at S = 5" in family
-    assert "[dynamics]: at: given S = 4.0, which = 0; the branch covers" in dynamics
-    assert (tmp_path / "out" / "family.csv").exists()
-    assert not (tmp_path / "out" / "dynamics.csv").exists()
 
 
 @pytest.mark.slow
@@ -127,16 +107,6 @@ def test_an_interruption_is_heard_at_once(tmp_path: Path, method: str, number: s
     assert (out / "family.nc").exists()
     assert (out / "journal.msgpack").exists()
     assert not (out / "dynamics.csv").exists()
-
-
-def test_check_mentions_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene = write_scene(tmp_path / "kick.toml", KICK)
-    assert main(["check", str(scene)]) == 0
-    plan = capsys.readouterr().out
-    assert "dynamics      the orbit j = 1, S = 0.2, perturbed by 0.01 at site 6, to t = 10; 20 times a period" in plan
-    assert "cvodes, tolerance 1e-11" in plan
-    assert main(["check", str(write_scene(tmp_path / "plain.toml", ""))]) == 0
-    assert "dynamics" not in capsys.readouterr().out
 
 
 @pytest.mark.slow

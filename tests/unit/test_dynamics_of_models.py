@@ -82,13 +82,8 @@ def test_a_forced_response_closes_and_draws_neighbours_in(method: str, response:
     np.testing.assert_allclose(kicked.states - response.evaluate(0.0), linear, rtol=0, atol=2e-9)
     distance = distance_from_orbit(response, kicked)
     assert 0.01 * distance[0] < distance[-1] < 0.3 * distance[0]
-
-
-def test_a_forced_orbit_is_left_behind_by_a_shift_of_time(response: Orbit) -> None:
-    """The forcing fixes the phase: a state of the orbit at another time than its own is away from it."""
-    later = response.evaluate(0.25 * response.period)
-    shifted = evolve(duffing(), later, None, [0.0])
-    assert distance_from_orbit(response, shifted)[0] > 0.5
+    shifted = evolve(duffing(), response.evaluate(0.25 * response.period), None, [0.0])
+    assert distance_from_orbit(response, shifted)[0] > 0.5  # the forcing fixes the phase
 
 
 @pytest.mark.parametrize("method", ["cvodes", "dop853"])
@@ -101,18 +96,6 @@ def test_a_limit_cycle_closes_and_a_shift_of_phase_is_no_distance(method: str, c
     distance = distance_from_orbit(cycle, kicked)
     assert distance[0] > 1e-3
     assert distance[1] < 1e-7
-
-
-def test_a_stable_orbit_keeps_its_neighbours_near(pendulum_orbit: Orbit) -> None:
-    assert pendulum_orbit.floquet().stable
-    t = np.linspace(0.0, 40.0 * pendulum_orbit.period, 801)
-    kick = 0.001 / np.sqrt(pendulum_orbit.S)
-    for seed in (1, 2):
-        run = simulate_orbit(pendulum_orbit, t, 0.001, seed=seed)
-        distance = distance_from_orbit(pendulum_orbit, run)
-        assert 0.1 * kick < distance[0] < 1.0001 * kick
-        assert distance.max() < 10 * kick
-        assert np.abs(run.energy_drift).max() < 1e-9
 
 
 # Any start ------------------------------------------------------------------------------------------------------------
@@ -162,14 +145,19 @@ def test_a_model_of_first_order_follows_the_matrix_exponential(method: str) -> N
         _ = run.energy
 
 
-@pytest.mark.parametrize("method", ["cvodes", "dop853"])
+@pytest.mark.parametrize("method", ["cvodes", "dop853", "simulate"])
 def test_forcing_of_a_model_of_second_order_is_followed(method: str) -> None:
     """q'' + q = cos(2 t) from rest: q = (cos t - cos 2t)/3."""
     q, v, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("t")
     model = OdeModel("driven", q, -q + ca.cos(2 * t), order=2, velocity=v, time=t, forcing_period=np.pi)
-    times = np.linspace(0.0, 20.0, 41)
-    run = evolve(model, [0.0], None, times, method, 1e-12)
-    np.testing.assert_allclose(run.displacements[:, 0], (np.cos(times) - np.cos(2 * times)) / 3, rtol=0, atol=1e-9)
+    times, between = np.linspace(0.0, 20.0, 41), np.linspace(0.0, 20.0, 777)
+    if method == "simulate":
+        run = simulate(model, {"v": 0.0}, times, tolerance=1e-11)
+    else:
+        run = evolve(model, [0.0], None, times, method, 1e-12)
+    np.testing.assert_allclose(run.states[:, 0], (np.cos(times) - np.cos(2 * times)) / 3, rtol=0, atol=1e-9)
+    exact = (np.cos(between) - np.cos(2 * between)) / 3
+    np.testing.assert_allclose(run.evaluate(between)[:, 0], exact, rtol=0, atol=1e-2)
     with pytest.raises(ValueError, match="method: given symplectic for driven; accepted: cvodes, dop853, or a model"):
         evolve(model, [0.0], None, times, "symplectic")
 
@@ -181,15 +169,6 @@ def test_a_stiff_model_is_followed() -> None:
     run = evolve(model, [2.0], None, [1.0, 5.0], tolerance=1e-9)
     np.testing.assert_allclose(run.states[:, 0], np.cos(run.t) + 1e-6 * np.sin(run.t), rtol=0, atol=1e-8)
     assert run.evaluations < 20_000
-
-
-def test_simulate_and_evolve_agree() -> None:
-    t = np.linspace(0.0, 20.0, 41)
-    one = simulate(van_der_pol(), [1.0, 0.5], t, tolerance=1e-11)
-    other = evolve(van_der_pol(), [1.0, 0.5], None, t, "dop853", 1e-11)
-    np.testing.assert_allclose(one.states, other.states, rtol=0, atol=2e-8)
-    assert one.model.name == other.model.name == "van der Pol"
-    assert one.parameters == other.parameters == {"mu": 1.0}
 
 
 # Errors ---------------------------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from scipy.io import netcdf_file
 
 from casadi_skin import Chain, follow_family, read_map, run_map
 from casadi_skin.results.figures.map import COLOUR_MAP, MapAxis, Panel, map_figure
-from casadi_skin.runs.axes import values_of
+from casadi_skin.runs.axes import ranges_of, values_of
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.map_cell import Computer, Job
 from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Grid, Result, Row, needed, plain, scene_at
@@ -115,7 +115,7 @@ def test_values_of_a_refined_axis_hold_those_of_the_coarse_one() -> None:
     def axis(words: str) -> tuple[tuple[float, ...], int]:
         scene = parse_scene(f"{BASE}[map]\ngamma = {{ {words} }}")
         assert scene.map is not None
-        return values_of(scene.map.axes["gamma"])
+        return values_of(ranges_of(scene.map)["gamma"])
 
     coarse, one = axis("from = 0.1, to = 0.7, points = 4")
     fine, stride = axis("from = 0.1, to = 0.7, points = 4, resolution = 0.06")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -13,7 +11,6 @@ from matplotlib.figure import Figure
 from casadi_skin import Chain, follow_family
 from casadi_skin.dynamics import Evolution, distance_from_orbit, evolve, simulate_orbit
 from casadi_skin.results.figures.evolutions import COLOUR_MAP, spacetime_figure
-from casadi_skin.results.figures.style import save
 
 pytestmark = pytest.mark.usefixtures("pictures")
 
@@ -92,24 +89,6 @@ def test_an_escape_saturates_at_the_top_of_the_well() -> None:
     assert image.norm.vmax == pytest.approx(np.sqrt(3.0))
     assert image.colorbar is not None
     assert image.colorbar.extend == "both"
-
-
-@pytest.mark.parametrize("samples", [1, 2])
-def test_one_site_and_hardly_any_samples(samples: int) -> None:
-    run = evolve(Chain(1, 1.0, 0.0, 1.0), [0.3], None, np.linspace(1.0, 2.0, samples))
-    assert np.asarray(mesh(spacetime_figure(run, profile=True, energy=True)).get_array()).shape == (1, samples)
-
-
-@pytest.mark.slow
-def test_the_bytes_depend_on_the_data_alone_and_the_settings_are_left_alone(tmp_path: Path) -> None:
-    before = dict(mpl.rcParams)
-    written = []
-    for name, size in (("a", 10.0), ("b", 20.0)):
-        with mpl.rc_context({"font.size": size}):
-            written.append(save(spacetime_figure(evolution(5.0), energy=True), tmp_path / name))
-    assert dict(mpl.rcParams) == before
-    for one, two in zip(*written, strict=True):
-        assert one.read_bytes() == two.read_bytes()
 
 
 def test_a_perturbed_orbit_has_its_own_scale_and_its_distance_below() -> None:

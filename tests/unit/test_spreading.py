@@ -11,7 +11,6 @@ from casadi_skin import Bond, Chain, Lattice, OdeModel, Site
 from casadi_skin.dynamics import EvolutionError, evolve
 from casadi_skin.dynamics.starts import energies_by_site, initial_state, spreading
 from casadi_skin.lattice.linear import lattice_modes
-from casadi_skin.results.figures.evolutions import spreading_figure
 
 
 def test_energies_of_sites_are_those_written_by_hand() -> None:
@@ -122,11 +121,3 @@ def test_a_site_that_escapes_is_named(method: str) -> None:
     lattice = plane((3, 2))
     with pytest.raises(EvolutionError, match=r"followed to t = .* of 20: .*; y_2_1 runs to infinity$"):
         evolve(lattice, *initial_state(lattice, 4.0, site=3), np.linspace(0.0, 20.0, 201), method)
-
-
-@pytest.mark.slow
-def test_the_picture_of_spreading() -> None:
-    lattice = plane((3, 2))
-    found = spreading(evolve(lattice, *initial_state(lattice, 0.1, seed=0), np.linspace(0.0, 3.0, 7)))
-    figure = spreading_figure(found, lattice)
-    assert len(figure.axes) == 4

@@ -25,7 +25,6 @@ from casadi_skin.runs.tradeoff import (
     advice,
     advices,
     broken_promises,
-    busy,
     followed,
     front_of,
     front_words,
@@ -82,13 +81,6 @@ FAILED = Measured(Setting(Kind.ORBITS, 1e-12, "gauss", "arclength"), failure="no
 # The front ----------------------------------------------------------------------------------------------------------
 
 
-def test_the_front_holds_what_no_other_beats() -> None:
-    points = [(2.0, 1e-3), (1.0, 1e-1), (3.0, 1e-3), (2.5, 1e-2), (5.0, 1e-6), (nan, 1e-9), (1.0, 2e-1), (0.5, nan)]
-    assert pareto_front(points) == [1, 0, 4]
-    assert pareto_front([]) == []
-    assert pareto_front([(1.0, 1.0), (1.0, 1.0)]) == [0]
-
-
 def test_errors_nearly_the_same_or_below_the_reference_do_not_join_the_front() -> None:
     points = [(1.0, 1e-6), (2.0, 0.9e-6), (3.0, 1e-8)]
     assert pareto_front(points) == [0, 1, 2]
@@ -96,15 +88,6 @@ def test_errors_nearly_the_same_or_below_the_reference_do_not_join_the_front() -
     measured = [orbits("gauss", "arclength", 1e-12, s, e) for s, e in ((1.0, 1e-14), (2.0, 1e-16), (3.0, 1e-17))]
     assert [m.seconds for m in front_of(measured, Kind.ORBITS, Errors(1e-13, 1e-13))] == [1.0]
     assert len(front_of(measured, Kind.ORBITS, Errors(nan, nan))) == 3
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_every_point_is_on_the_front_or_beaten_by_one_of_it(seed: int) -> None:
-    points = [tuple(p) for p in np.random.default_rng(seed).integers(0, 8, (30, 2)).astype(float).tolist()]
-    front = [points[i] for i in pareto_front(points)]
-    assert all(any(a <= x and b <= y for a, b in front) for x, y in points)
-    for a, b in front:
-        assert not any(x <= a and y <= b and (x, y) != (a, b) for x, y in points)
 
 
 # Words --------------------------------------------------------------------------------------------------------------
@@ -116,15 +99,6 @@ def test_advice_names_method_time_and_lead() -> None:
     assert "3.2 times faster than the next, trigonometric, arclength, newton (45 ms)" in words
     assert advice(made(), 1e-8, Kind.FLOW) == "splitting at tolerance 1e-08, 2 ms; no other method reaches it"
     assert advice(made(), 1e-13, Kind.FLOW) == "no setting measured here promises and keeps it"
-
-
-def test_times_that_overlap_are_not_distinguished() -> None:
-    near = [orbits("trigonometric", "series", 1e-8, 0.10, 1e-9), orbits("gauss", "arclength", 1e-8, 0.103, 1e-9)]
-    assert "not distinguished by these times from gauss, arclength, newton (103 ms)" in advice(near, 1e-8, Kind.ORBITS)
-    once = [replace(m, seconds=s, seconds_min=s, seconds_max=s) for m, s in zip(near, (0.1, 0.13), strict=True)]
-    assert "not distinguished" in advice(once, 1e-8, Kind.ORBITS)
-    slower = replace(once[1], seconds=0.2, seconds_min=0.2, seconds_max=0.2)
-    assert "faster" in advice([once[0], slower], 1e-8, Kind.ORBITS)
 
 
 def test_equal_advice_is_given_once() -> None:
@@ -165,12 +139,6 @@ def test_recommendations_hold_all_sections_and_a_table() -> None:
     assert len(rows) == 2 + len(made())
     assert {row.count("|") for row in rows} == {10}
     assert "10 ms (9.5 ms to 10.5 ms) | 100 ms | 50 MB | 10 | 1.0e-06 | 1.0e-06 | 1.0e-06 |" in text
-
-
-def test_a_busy_machine_is_told() -> None:
-    assert busy(made()) == ""
-    assert busy([replace(m, processor_share=0.99) for m in made()]) == ""
-    assert "for 50% of the time" in busy([replace(m, processor_share=0.5) for m in made()])
 
 
 # Settings, rows, measuring ------------------------------------------------------------------------------------------
@@ -216,12 +184,6 @@ def test_times_of_repeated_runs() -> None:
     assert timed(int, 0) == (0, {})
 
 
-def test_values_are_paired_before_they_are_compared() -> None:
-    true = np.array([-0.5, -0.2 + 0.1j, 4.0])
-    np.testing.assert_array_equal(paired(true, true[[2, 0, 1]]), true)
-    assert paired(np.zeros(0, complex), np.zeros(0, complex)).size == 0
-
-
 @pytest.fixture(scope="module")
 def reference() -> Reference:
     return Reference(FAMILY)
@@ -244,13 +206,6 @@ def test_reference_and_the_method_that_confirms_it_agree(reference: Reference) -
     assert 1e-13 < max(reference.errors_of(found, mu)) < 1e-6
     with pytest.raises(ArithmeticError, match="1 points"):
         reference.errors_of(found[:1], mu[:1])
-
-
-def test_the_errors_of_mu_are_those_of_pairs(reference: Reference) -> None:
-    off = [(mu + 1e-6, 0.0) for mu, _ in reference.mu]
-    assert reference.errors_of(reference.orbits, off).mu == pytest.approx(1e-6, rel=1e-6)
-    none = [(np.zeros(0, complex), 0.0)] * len(reference.orbits)
-    assert isnan(reference.errors_of(reference.orbits, none).mu)
 
 
 @pytest.mark.slow
