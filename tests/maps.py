@@ -59,14 +59,13 @@ def dies_once():
 def fails():
     raise RuntimeError("never")
 """
-OF_MODELS = """[model]
+EQUILIBRIUM = """[model]
 file = "models.py"
 name = "good"
 [equilibrium]
 start = [0.1]
-[map]
-"model.name" = NAMES
 """
+OF_MODELS = EQUILIBRIUM + '[map]\n"model.name" = NAMES\n'
 SLOW = ["good", *(f"slow_{k}" for k in range(6))]
 
 

@@ -18,6 +18,13 @@ alpha = 1.0
 gamma = 0.25
 g = -1.0
 """
+LATTICE = """
+[lattice]
+cells = [2]
+parameters = { alpha = 1.0, g = -1.0 }
+site = [{ name = "a", onsite = "alpha*y + g*y^3" }]
+bond = [{ from = "a", to = "a", offset = [1], force = "d" }]
+"""
 FAMILY = """
 [family]
 mode = [1, 2]
@@ -38,7 +45,11 @@ def scene(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_every_method_of_a_tiny_scene(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("model", [TINY, LATTICE], ids=["chain", "lattice"])
+def test_every_method_of_a_tiny_scene(
+    model: str, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene.write_text(model + FAMILY, encoding="utf-8")
     out = tmp_path / "out"
     assert main(["tradeoff", str(scene), "--quick", "--out", str(out)]) == 0
     told = capsys.readouterr().out
@@ -96,36 +107,6 @@ def test_a_few_settings_and_what_an_interruption_leaves(
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
     assert len(read_rows(tmp_path / "out" / "tradeoff.csv")) == 5
     assert [row["memory_MB"] for row in read_rows(tmp_path / "out" / "flows.csv")] == ["50"]
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("blank")
-def test_any_model_with_a_family_is_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    lattice = """
-[lattice]
-cells = [2]
-parameters = { alpha = 1.0, g = -1.0 }
-
-[[lattice.site]]
-name = "a"
-onsite = "alpha*y + g*y^3"
-
-[[lattice.bond]]
-from = "a"
-to = "a"
-offset = [1]
-force = "d"
-
-[family]
-mode = 1
-amplitude_max = 0.2
-"""
-    (tmp_path / "lattice.toml").write_text(lattice, encoding="utf-8")
-    out = tmp_path / "out"
-    assert main(["tradeoff", str(tmp_path / "lattice.toml"), "--quick", "--out", str(out)]) == 0
-    assert "For mu" in capsys.readouterr().out
-    rows = [row for row in read_rows(out / "tradeoff.csv") if "shooting" not in row["method"]]
-    assert all(float(row["Omega_error"]) <= float(row["tolerance"]) for row in rows)
 
 
 def test_wrong_input_is_refused_in_one_line(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,10 +13,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.io import netcdf_file
 
 from casadi_skin import Chain, OdeModel, find_equilibrium, follow_family
-from casadi_skin.results.dataset import Dataset, Variable, dataset_of, stored_name, write_csv, write_netcdf
+from casadi_skin.follow.branch import Branch
+from casadi_skin.results.dataset import Dataset, Variable, dataset_of, write_csv, write_netcdf
 from casadi_skin.results.tables import EVENT_COLUMNS, event_rows
 from casadi_skin.runs.explorer import CHANGE_NAME, MOST_CURVE_POINTS, map_data, page_data
 from casadi_skin.runs.program import main
@@ -138,71 +138,55 @@ def test_a_saved_branch_and_a_saved_diagram_are_shown(tmp_path: Path) -> None:
     assert "hopf" in [point["kind"] for point in branches[0]["special"]]
 
 
-def test_changes_of_stability_stand_where_they_are_located(tmp_path: Path) -> None:
-    family = follow_family(Chain(6, 1.0, 0.25, -1.0), 1, 3.0, stability=True, tolerance=1e-6)
+def write_family(folder: Path, sites: int, S: float, unresolved: tuple[Unresolved, ...] = ()) -> Branch:
+    """A family with the table of its changes of stability beside it, as a run writes them."""
+    family = follow_family(Chain(sites, 1.0, 0.25, -1.0), 1, S, stability=True, tolerance=1e-6)
+    assert family.stability_diagram is not None
     assert len(family.changes) > 1
-    write_netcdf(tmp_path / "family.nc", Dataset(dataset_of([family]).variables, {}))
-    rows = [f"1,{c.S!r},{c.Omega!r},{c.kind},{c.stable_before:d},{c.stable_after:d}" for c in family.changes]
-    head = "mode,S,Omega,kind,stable_before,stable_after"
-    (tmp_path / "events.csv").write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+    write_netcdf(folder / "family.nc", Dataset(dataset_of([family]).variables, {}))
+    rows = event_rows(1, replace(family.stability_diagram, unresolved=unresolved))
+    write_csv(folder / "events.csv", EVENT_COLUMNS, rows)
+    return family
+
+
+def test_changes_of_stability_and_stretches_stand_where_they_are_located(tmp_path: Path) -> None:
+    """Rows of events.csv without a frequency, and one without a place: all are listed, and no file is blamed."""
+    left = Unresolved(0.25, 0.26, 0.0, 1.0, "no orbit"), Unresolved(np.nan, np.nan, 0.0, 1.0, "no orbit")
+    family = write_family(tmp_path, 8, 0.5, left)
     (branch,) = page_data(tmp_path)["branches"]
     listed = [special for special in branch["special"] if special["kind"].startswith("stability")]
-    assert len(listed) == len(family.changes)
+    S = branch["columns"]["S"]
     for special, change in zip(listed, family.changes, strict=True):
         k, part = divmod(special["place"], 1)
-        S = branch["columns"]["S"]
         assert S[int(k)] + part * (S[min(int(k) + 1, len(S) - 1)] - S[int(k)]) == pytest.approx(change.S, rel=1e-3)
         assert special["kind"].startswith("stability lost" if change.stable_before else "stability regained")
         assert special["label"].endswith(f"S = {change.S:.8g}")
-
-
-def test_stretches_that_are_not_resolved_are_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Rows of events.csv without a frequency, and one without a place: both are listed, and no file is blamed."""
-    family = follow_family(Chain(8, 1.0, 0.25, -1.0), 1, 0.5, stability=True, tolerance=1e-6)
-    assert family.stability_diagram is not None
-    left = Unresolved(0.25, 0.26, 0.0, 1.0, "no orbit"), Unresolved(np.nan, np.nan, 0.0, 1.0, "no orbit")
-    write_netcdf(tmp_path / "family.nc", Dataset(dataset_of([family]).variables, {}))
-    rows = event_rows(1, replace(family.stability_diagram, unresolved=left))
-    write_csv(tmp_path / "events.csv", EVENT_COLUMNS, rows)
-    assert main(["explore", str(tmp_path)]) == 0
-    assert capsys.readouterr().err == ""
-    (branch,) = data_in(tmp_path / "explore.html")["branches"]
-    labels = [special["label"] for special in branch["special"]]
-    assert sum(label.startswith("stability") for label in labels) == len(family.changes) == 2
     words = "unresolved, changes of stability may be missing"
-    assert [label for label in labels if label.startswith("unresolved")] == [
+    unresolved = [special for special in branch["special"] if special["label"].startswith("unresolved")]
+    assert [special["label"] for special in unresolved] == [
         f"{words} somewhere along the family", f"{words} over 0.01 in S: S = 0.25",
     ]  # fmt: skip
-    (place,) = [special["place"] for special in branch["special"] if special["label"].endswith("S = 0.25")]
-    S = branch["columns"]["S"]
-    assert S[int(place)] <= 0.25 <= S[int(place) + 1]
+    place = int(unresolved[1]["place"])
+    assert S[place] <= 0.25 <= S[place + 1]
 
 
 def write_map(folder: Path, gammas: int = 3, amplitudes: int = 4, first: str = "gamma") -> np.ndarray:
     """A map of a product over two ranges and a list; one cell failed."""
     gamma, S = np.linspace(0.1, 0.3, gammas), np.linspace(0.0, 1.0, amplitudes)
     values = (gamma[:, None, None] * S[None, :, None]) * np.array([1.0, -1.0])
-    status, reason = np.ones(values.shape, dtype=np.int32), np.full(values.shape, "", dtype="<U9")
+    status, reason = np.ones(values.shape, dtype=np.int32), np.full(values.shape, "", dtype=object)
     status[0, 1, 0], reason[0, 1, 0], values[0, 1, 0] = 3, "no orbit", np.nan
-    modes = np.array([list("first"), [*"last", "\0"]], dtype="S1")
-    axes, most = (stored_name(first), "S", "mode"), 8
-    letters = np.array([[*text.ljust(most, "\0")] for text in reason.ravel()], dtype="S1")
-    with netcdf_file(folder / "map.nc", "w", version=2) as file:
-        file.title = "a map"
-        for name, size in zip((*axes, "letter", "mode_letter"), (*values.shape, most, 5), strict=True):
-            file.createDimension(name, size)
-        for name, kind, dimensions, meaning, stored in (
-            (axes[0], "f8", axes[:1], "nonreciprocity", gamma),
-            ("S", "f8", axes[1:2], "amplitude", S),
-            ("mode", "c", ("mode", "mode_letter"), "mode", modes),
-            ("status", "i4", axes, "state of a cell", status),
-            ("reason", "c", (*axes, "letter"), "why it failed", letters.reshape(*values.shape, most)),
-            ("growth", "f8", axes, "growth of perturbations", np.where(np.isfinite(values), values, 9.96e36)),
-            ("Omega", "f8", axes, "frequency", np.where(np.isfinite(values), 1.0 + values**2, 9.96e36)),
-        ):
-            variable = file.createVariable(name, kind, dimensions)
-            variable[:] = stored
-            variable.long_name = meaning
+    axes = (first, "S", "mode")
+    variables = [
+        Variable(first, axes[:1], gamma, "nonreciprocity"),
+        Variable("S", axes[1:2], S, "amplitude"),
+        Variable("mode", axes[2:], np.array(["first", "last"]), "mode"),
+        Variable("status", axes, status, "state of a cell"),
+        Variable("reason", axes, reason, "why it failed"),
+        Variable("growth", axes, values, "growth of perturbations", may_be_empty=True),
+        Variable("Omega", axes, 1.0 + values**2, "frequency", may_be_empty=True),
+    ]
+    write_netcdf(folder / "map.nc", Dataset(variables, {"title": "a map"}))
     return values
 
 
@@ -303,11 +287,7 @@ def test_a_page_works_in_a_browser(run: Path, browser: Any) -> None:
 
 @pytest.mark.slow
 def test_special_points_are_listed_and_lead_to_their_place(tmp_path: Path, browser: Any) -> None:
-    family = follow_family(Chain(6, 1.0, 0.25, -1.0), 1, 3.0, stability=True, tolerance=1e-6)
-    write_netcdf(tmp_path / "family.nc", Dataset(dataset_of([family]).variables, {}))
-    rows = [f"1,{c.S!r},{c.Omega!r},{c.kind},{c.stable_before:d},{c.stable_after:d}" for c in family.changes]
-    text = "\n".join(["mode,S,Omega,kind,stable_before,stable_after", *rows]) + "\n"
-    (tmp_path / "events.csv").write_text(text, encoding="utf-8")
+    family = write_family(tmp_path, 6, 3.0)
     assert main(["explore", str(tmp_path), "--quiet"]) == 0
     page, said = opened(browser, tmp_path / "explore.html")
     buttons = page.locator("#points button")

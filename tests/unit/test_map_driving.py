@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from maps import EQUILIBRIUM as REST
 from maps import TINY, of_models
 
 from casadi_skin.runs import map as driving
@@ -25,14 +26,7 @@ from casadi_skin.runs.reading import parse_scene
 from casadi_skin.runs.scene import Scene
 from casadi_skin.solve.processes import Worker
 
-EQUILIBRIUM = """[model]
-file = "models.py"
-name = "good"
-[equilibrium]
-start = [0.1]
-[map]
-p = { from = 0.0, to = 9.0, points = 10 }
-"""
+EQUILIBRIUM = REST + "[map]\np = { from = 0.0, to = 9.0, points = 10 }\n"
 REFINED = EQUILIBRIUM.replace("points = 10 }", "points = 10, resolution = 0.5 }") + 'watch = ["stable"]\n'
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from maps import TINY, tasks, write
+from maps import EQUILIBRIUM, TINY, tasks, write
 from matplotlib.collections import QuadMesh
 from outputs import drawn, read_rows
 from scipy.io import netcdf_file
@@ -303,21 +303,11 @@ alpha = [1.0]
 SEARCH = BASE.replace("[family]\nmode = 1\namplitude_max = 0.1\n", "") + (
     '[search]\nobjective = "Omega"\nfree = ["S"]\nbounds = { S = [0.1, 0.2] }\nstarts = 1\n[map]\nalpha = [1.0]\n'
 )
-EQUILIBRIUM = """[model]
-file = "models.py"
-name = "good"
-[equilibrium]
-start = [0.1]
-[continuation]
-parameter = "p"
-to = 1.0
-[map]
-p = [0.2]
-"""
+STEADY = EQUILIBRIUM + '[continuation]\nparameter = "p"\nto = 1.0\n[map]\np = [0.2]\n'
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("text", [FAMILY, ORBIT, SEARCH, EQUILIBRIUM], ids=["family", "orbit", "search", "equilibrium"])
+@pytest.mark.parametrize("text", [FAMILY, ORBIT, SEARCH, STEADY], ids=["family", "orbit", "search", "equilibrium"])
 def test_names_of_quantities_are_known_before_a_cell_is_computed(text: str, tmp_path: Path) -> None:
     path = write(tmp_path, text)
     scene = parse_scene(text)
@@ -383,23 +373,16 @@ def test_many_cells_need_no_memory_for_their_results(tmp_path: Path) -> None:
     assert grown < 0.4 * journal
 
 
-LOGARITHM = """[model]
-file = "logarithm.py"
-name = "model"
-[equilibrium]
-start = [1.2]
-[map]
-p = { from = 0.0, to = 2.0, points = 5 }
-"""
+LOGARITHM = EQUILIBRIUM.replace("0.1", "1.2") + "[map]\np = { from = 0.0, to = 2.0, points = 5 }\n"
 
 
 @pytest.mark.slow
 def test_a_cell_that_fails_starts_again_from_its_neighbour(tmp_path: Path) -> None:
     """x' = -log(x - p) rests at 1 + p; 1.2 is outside of its domain from p = 1.2 on, and 2 from p = 2 on."""
     scene = write(tmp_path, LOGARITHM)
-    (tmp_path / "logarithm.py").write_text(
+    (tmp_path / "models.py").write_text(
         "import casadi as ca\nfrom casadi_skin import OdeModel\nx, p = ca.SX.sym('x'), ca.SX.sym('p')\n"
-        "model = OdeModel('logarithm', x, -ca.log(x - p), p, nominal=(0.0,))\n",
+        "good = OdeModel('logarithm', x, -ca.log(x - p), p, nominal=(0.0,))\n",
         encoding="utf-8",
     )
     found = run_map(scene, tmp_path / "out", pictures=False, quiet=True)
@@ -412,15 +395,15 @@ def test_a_cell_that_fails_starts_again_from_its_neighbour(tmp_path: Path) -> No
 @pytest.mark.slow
 def test_a_boundary_is_followed_in_both_parameters(tmp_path: Path) -> None:
     """x' = -y + r x and so on lose stability at r = p^2 + q^2 - 1/2 = 0: a circle of Hopf points."""
-    text = LOGARITHM.replace("start = [1.2]", "start = [0.01, 0.0]").partition("[map]")[0] + (
+    text = EQUILIBRIUM.replace("[0.1]", "[0.01, 0.0]") + (
         "[map]\np = { from = -1.0, to = 1.0, points = 4, resolution = 0.2 }\n"
         "q = { from = -1.0, to = 1.0, points = 4, resolution = 0.2 }\nboundary = true\n"
     )
     scene = write(tmp_path, text)
-    (tmp_path / "logarithm.py").write_text(
+    (tmp_path / "models.py").write_text(
         "import casadi as ca\nfrom casadi_skin import OdeModel\nx, y, p, q = (ca.SX.sym(n) for n in 'xypq')\n"
         "r, s = p * p + q * q - 0.5, x * x + y * y\n"
-        "model = OdeModel('circle', ca.vertcat(x, y), ca.vertcat(r * x - y - x * s, x + r * y - y * s),\n"
+        "good = OdeModel('circle', ca.vertcat(x, y), ca.vertcat(r * x - y - x * s, x + r * y - y * s),\n"
         "                 ca.vertcat(p, q), nominal=(0.3, 0.2))\n",
         encoding="utf-8",
     )
@@ -437,43 +420,32 @@ def test_a_boundary_is_followed_in_both_parameters(tmp_path: Path) -> None:
     assert drawn(tmp_path / "out" / "map_stable.png")
 
 
-def test_a_boundary_with_one_known_family_is_a_point(tmp_path: Path) -> None:
-    text = BASE.replace("sites = 2", "sites = 4").replace("alpha = 1.0", "alpha = 0.5").replace("0.1\n", "0.9\n")
-    text = text.replace("1e-4", "1e-8") + (
-        "[stability]\n[map]\ngamma = { from = 0.42, to = 0.46, points = 2 }\nS = { from = 0.3, to = 0.9, points = 2 }\n"
-    )
-    path, reports = write(tmp_path, text), list[str]()
-    found = run_map(path, tmp_path / "out", pictures=False, quiet=True)
-    columns = Columns(found.columns.store, OF_BOUNDARY)
-    columns.store.states[columns.store.states.size // 2 :] = NOT_COMPUTED  # of gamma = 0.46
-    scene = parse_scene(text, str(path))
-    lines = boundaries(scene, path, plain(scene), columns, reports.append)
-    (point,) = lines[()]
-    assert reports == []
-    first = follow_family(Chain(4, 0.5, 0.42, -1.0), 1, 0.9, stability=True, tolerance=1e-8).first_instability()
-    assert first is not None
-    assert point.tolist() == [[0.42, pytest.approx(first.S, abs=1e-8)]]
-
-
 @pytest.mark.slow
 def test_a_boundary_of_families_is_the_edge_of_a_tongue_between_them_too(tmp_path: Path) -> None:
-    """Between the families of the map against the search for changes of stability there, which follows no edge."""
+    """Between the families of the map against the search for changes of stability there, which follows no edge.
+
+    With one family known it is a point.
+    """
     text = BASE.replace("sites = 2", "sites = 4").replace("alpha = 1.0", "alpha = 0.5").replace("0.1\n", "0.9\n")
     text = text.replace("1e-4", "1e-8") + (
         "[stability]\n[map]\ngamma = { from = 0.42, to = 0.46, points = 2 }\n"
         "S = { from = 0.3, to = 0.9, points = 2 }\nboundary = true\n"
     )
-    found = run_map(write(tmp_path, text), tmp_path / "out", pictures=False, quiet=True)
+    path, reports = write(tmp_path, text), list[str]()
+    found = run_map(path, tmp_path / "out", pictures=False, quiet=True)
     (line,) = found.boundary[()]
-    assert line[:, 0].min() == 0.42
-    assert line[:, 0].max() == 0.46
-    for gamma, S in line[:: len(line) // 2]:
+    assert (line[:, 0].min(), line[:, 0].max()) == (0.42, 0.46)
+    columns = Columns(found.columns.store, OF_BOUNDARY)
+    columns.store.states[columns.store.states.size // 2 :] = NOT_COMPUTED  # of gamma = 0.46
+    scene = parse_scene(text, str(path))
+    (point,) = boundaries(scene, path, plain(scene), columns, reports.append)[()]
+    assert (len(point), reports) == (1, [])
+    for gamma, S in (*line[:: len(line) // 2], *point):
         branch = follow_family(Chain(4, 0.5, gamma, -1.0), 1, 0.9, stability=True, tolerance=1e-8)
         first = branch.first_instability()
         assert first is not None
         assert abs(first.S - S) < 1e-8
-    read = read_map(tmp_path / "out")
-    assert read.boundary[()][0].tolist() == line.tolist()
+    assert read_map(tmp_path / "out").boundary[()][0].tolist() == line.tolist()
 
 
 def test_an_edge_has_to_meet_its_families_and_ends_where_another_one_is_lower() -> None:
@@ -493,12 +465,11 @@ from casadi_skin import OdeModel
 x, y, u, v, p, q = (ca.SX.sym(name) for name in "xyuvpq")
 r, s = 1.0 - x * x - y * y, p * p + q * q - 0.5 - u * u - v * v
 rates = ca.vertcat(r * x - y, x + r * y, s * u - 0.3 * v, 0.3 * u + s * v)
-model = OdeModel("two", ca.vertcat(x, y, u, v), rates, ca.vertcat(p, q), nominal=(0.3, 0.2))
+good = OdeModel("two", ca.vertcat(x, y, u, v), rates, ca.vertcat(p, q), nominal=(0.3, 0.2))
 """
-CYCLES = """[model]
-file = "two.py"
-name = "model"
-[orbit]
+CYCLES = (
+    EQUILIBRIUM.partition("[equilibrium]")[0]
+    + """[orbit]
 start = [1.0, 0.0, 0.0, 0.0]
 period = 6.28
 [stability]
@@ -509,13 +480,15 @@ p = { from = 0.0, to = 1.0, points = 2 }
 q = { from = 0.0, to = 1.0, points = 2 }
 boundary = true
 """
+)
 
 
 @pytest.mark.slow
 def test_a_boundary_of_orbits_is_followed_in_both_parameters(tmp_path: Path) -> None:
     """A circular orbit beside which two more states grow from p^2 + q^2 = 1/2 on: a quarter of a circle of tori."""
-    (tmp_path / "two.py").write_text(TRANSVERSE, encoding="utf-8")
-    found = run_map(write(tmp_path, CYCLES), tmp_path / "out", pictures=False, quiet=True)
+    scene = write(tmp_path, CYCLES)
+    (tmp_path / "models.py").write_text(TRANSVERSE, encoding="utf-8")
+    found = run_map(scene, tmp_path / "out", pictures=False, quiet=True)
     assert found["stable"].tolist() == [[1, 0], [0, 0]]
     (line,) = found.boundary[()]
     assert np.abs((line**2).sum(axis=1) - 0.5).max() < 1e-6
