@@ -30,7 +30,7 @@ from casadi_skin.zero.kinds import EDGE, FOLD, HOPF
 
 BEYOND_EDGE_FRACTION = 1e-3  # of S: how far beyond an edge the family is followed that it is found on
 EDGE_S_RTOL = 1e-6  # of S: within which the edge is the one that the map has
-S_RANGE_MARGIN = 0.05  # of the range of S, by which a curve leaves it before it ends
+RANGE_MARGIN = 0.05  # of a range, by which a curve leaves it before it ends
 Bound = Callable[[Sequence[Any], float], Request]
 
 
@@ -71,11 +71,9 @@ def tongue_lines(plane: Plane, columns: Columns, bound: Bound, report: Callable[
 
 def _entries(plane: Plane, columns: Columns) -> list[Entry]:
     """The families of a plane, in the order of their parameter; of a refined map those that are known."""
-    amplitude_first = plane.along[0] == plane.grid.amplitude
-    found = []
-    for value, family in zip(
-        plane.axes[1 if amplitude_first else 0].values, plane.cells.T if amplitude_first else plane.cells, strict=True
-    ):
+    amplitude_first, found = plane.along[0] == plane.grid.amplitude, list[Entry]()
+    families = plane.cells.T if amplitude_first else plane.cells
+    for value, family in zip(plane.axes[1 if amplitude_first else 0].values, families, strict=True):
         known = family[columns.store.states[family] != UNKNOWN]
         if known.size:
             cell = int(known[0])
@@ -89,15 +87,16 @@ def _followed(plane: Plane, run: Sequence[Entry], reach: tuple[float, float], bo
 
     Raises ValueError and ArithmeticError where it cannot be followed, or does not pass all of them.
     """
-    (name,) = [axis.paths[0][-1] for k, axis in zip(plane.along, plane.axes, strict=True) if k != plane.grid.amplitude]
-    middle = run[len(run) // 2]
+    first = plane.along[0] == plane.grid.amplitude
+    S_axis, parameter = plane.axes if first else plane.axes[::-1]
+    middle, name = run[len(run) // 2], parameter.paths[0][-1]
     (branch,), fault = followed(bound(plane.grid.settings(middle.cell), middle.S * (1.0 + BEYOND_EDGE_FRACTION)))
     diagram = branch.stability_diagram
     edges = [] if diagram is None else [*diagram.changes, *diagram.further]
     near = [edge for edge in edges if abs(edge.S - middle.S) <= EDGE_S_RTOL * middle.S]
     if not near:
         raise ArithmeticError(fault or "it is not found again")
-    orbit, outside = branch.at(S=near[0].S), _outside(plane)
+    orbit, outside = branch.at(S=near[0].S), _outside(S_axis, "S", positive=True)
     point = SpecialPoint(EDGE, "S", {**orbit.parameters, "S": near[0].S}, near[0].error, orbit)
     halves = []
     for to in reach:
@@ -111,17 +110,12 @@ def _followed(plane: Plane, run: Sequence[Entry], reach: tuple[float, float], bo
     return np.concatenate([below[::-1], halves[-1][1:]])
 
 
-def _outside(plane: Plane) -> Callable[[Any], bool]:
-    """Whether an edge lies beyond the range of S."""
-    (axis,) = [axis for k, axis in zip(plane.along, plane.axes, strict=True) if k == plane.grid.amplitude]
+def _outside(axis: Axis, name: str, positive: bool = False) -> Callable[[Any], bool]:
+    """Whether a solution lies beyond a range of a parameter, with a margin; a positive one stays positive."""
     low, high = sorted((float(axis.values[0]), float(axis.values[-1])))
-    margin = S_RANGE_MARGIN * (high - low)
-    least, most = max(low - margin, 0.5 * low), high + margin
-
-    def outside(solution: Any) -> bool:
-        return not least <= solution.parameters["S"] <= most
-
-    return outside
+    margin = RANGE_MARGIN * (high - low)
+    least = max(low - margin, 0.5 * low) if positive else low - margin
+    return lambda solution: not least <= solution.parameters[name] <= high + margin
 
 
 def checked(curve: Any, name: str, run: Sequence[Entry]) -> Points:
@@ -248,7 +242,7 @@ def _curves(
         try:
             curves = _curves_between(plane, one, other, scene, path, tables, files)
         except (ValueError, ArithmeticError) as error:
-            names = [plane.grid.name(plane.cell(*place)) for place in (one, other)]
+            names = [plane.grid.name(int(plane.cells[place])) for place in (one, other)]
             without.append(f"{' and '.join(names)}: {' '.join(str(error).split())}")
             continue
         found += curves
@@ -292,7 +286,7 @@ def _curves_between(
     (followed, second), towards = (plane.axes[first], plane.axes[1 - first]), plane.axes[first].values[other[first]]
     names = followed.paths[0][-1], second.paths[0][-1]
     options: dict[str, Any] = {} if scene.orbit is None else {"stability": True}
-    settings = plane.grid.settings(plane.cell(*one))
+    settings = plane.grid.settings(int(plane.cells[one]))
     start = first_solution(bind(scene_at(tables, settings), path, files))
     branch = start.follow(names[0], float(towards), **options)
     points = [point for point in branch.special_points if point.kind in (FOLD, HOPF) or scene.orbit is not None]
@@ -304,12 +298,7 @@ def _curves_between(
 
 def _curve(point: SpecialPoint, names: Sequence[str], axes: Sequence[Axis]) -> Points:
     """The curve of a special point to both ends of the second range, in the first range with a margin."""
-    low, high = sorted((float(axes[0].values[0]), float(axes[0].values[-1])))
-    margin = S_RANGE_MARGIN * (high - low)
-
-    def outside(solution: Any) -> bool:
-        return not low - margin <= solution.parameters[names[0]] <= high + margin
-
+    outside = _outside(axes[0], names[0])
     halves, faults = [], list[str]()
     for to in (float(axes[1].values[0]), float(axes[1].values[-1])):
         try:
