@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from casadi_skin.follow.find import find_equilibrium as find_equilibrium
     from casadi_skin.follow.find import find_orbit as find_orbit
     from casadi_skin.follow.follow import follow_family as follow_family
-    from casadi_skin.follow.orbit import Orbit as Orbit
+    from casadi_skin.follow.solution import Orbit as Orbit
     from casadi_skin.lattice.chain import Chain as Chain
     from casadi_skin.lattice.lattice import Bond as Bond
     from casadi_skin.lattice.lattice import Lattice as Lattice
@@ -45,7 +45,7 @@ PLACES = {  # modules of public names, each imported when one of its names is fi
     "follow.branch": ("Branch",),
     "follow.find": ("find_equilibria", "find_equilibrium", "find_orbit"),
     "follow.follow": ("follow_family",),
-    "follow.orbit": ("Orbit",),
+    "follow.solution": ("Orbit",),
     "lattice.chain": ("Chain",),
     "lattice.lattice": ("Bond", "Lattice", "Site", "Uniform"),
     "lattice.long_lattice": ("LongLattice",),

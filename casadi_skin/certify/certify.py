@@ -23,7 +23,7 @@ from casadi_skin.certify.system import (
     tailed_system,
 )
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain_coordinates import LongChain
 from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.conserved import SymmetryClass

@@ -22,7 +22,7 @@ from casadi_skin.certify.certificate import STABLE, UNDECIDED, UNSTABLE, Constan
 from casadi_skin.certify.certify import HARMONIC_WEIGHT, best_attempt, reason_of
 from casadi_skin.certify.system import CosineSeries, CosineSystem, potential, weights_of
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues.diagram import StabilityEdge

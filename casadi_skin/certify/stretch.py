@@ -40,7 +40,7 @@ from casadi_skin.certify.certify import (
 from casadi_skin.certify.system import CosineSeries, CosineSystem, system_of
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain_coordinates import LongChain
 from casadi_skin.model.arguments import number
 from casadi_skin.solve.watch import one_thread

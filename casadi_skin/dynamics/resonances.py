@@ -22,7 +22,7 @@ from scipy.optimize import brentq
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.find import find_orbit
 from casadi_skin.follow.follow import follow_family
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import FIRST, LAST, Chain
 from casadi_skin.lattice.declaration import Array
 from casadi_skin.lattice.lattice import Lattice

@@ -10,7 +10,7 @@ from typing import TypeAlias, cast
 
 from casadi_skin.export.codegen import c_name
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.model.arguments import check_name, short_repr, whole

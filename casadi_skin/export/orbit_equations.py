@@ -19,7 +19,7 @@ from casadi_skin.export.codegen import (
 )
 from casadi_skin.export.exported_model import ExportedModel
 from casadi_skin.export.site_loops import called
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.solve.ipopt import nlp_solver
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.cosines import cosine_matrix

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from casadi_skin.export.codegen import c_source
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.model.arguments import number, numbers, short_repr

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.follow.boundary_solutions import BoundarySolutions
+from casadi_skin.follow.boundary_solutions import BoundaryError, BoundarySolutions, refined
 from casadi_skin.follow.branch_points import ONE_PLACE, branch_points_between
 from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.location import Located, locate_rest, special_orbit
 from casadi_skin.follow.period_limit import joined_words, unbounded
-from casadi_skin.follow.refined import BoundaryError, refined
 from casadi_skin.follow.search import TEST_ZERO_XTOL, NotLocatedError
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.special_points import fold_between, turning

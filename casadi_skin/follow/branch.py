@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, TypeVar, cast
@@ -12,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.follow.corners import PassedResonance, passed_resonances
-from casadi_skin.follow.ending import Ending
 from casadi_skin.follow.events import StabilityChange
-from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.passages import passage
-from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.follow.special_points import SpecialPoint, folds_of_family, special_point
-from casadi_skin.model.arguments import cut, number, whole
+from casadi_skin.lattice.spectrum import linear_spectrum
+from casadi_skin.model.arguments import cut, number, short_repr, whole
+from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.result import Result
 from casadi_skin.solve.watch import Budget, TimeLimitError
 from casadi_skin.stability.tongues.diagram import (
@@ -28,6 +29,7 @@ from casadi_skin.stability.tongues.diagram import (
     StabilityEdge,
 )
 from casadi_skin.zero.kinds import EDGE, FOLD, STABILITY, Unresolved, count_in_words
+from casadi_skin.zero.model_coordinates import nearest_resonance
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import End, Point
 
@@ -175,7 +177,7 @@ class Branch(Result):
         """
         if not (self._seeks_changes and self._family) or self._family.coordinates.localised is not None:
             return None
-        from casadi_skin.follow.family_tongues import family_tongues
+        from casadi_skin.follow.family_changes import family_tongues
 
         family, points = self._family, (self.start, *(solution.point for solution in self.solutions))
         stability = (None, *(orbit.known_floquet for orbit in self.orbits))
@@ -201,7 +203,7 @@ class Branch(Result):
         """
         if not (self._seeks_changes and self._family) or self._family.coordinates.localised is None:
             return None
-        from casadi_skin.follow.family_localised import localised_changes
+        from casadi_skin.follow.family_changes import localised_changes
 
         family, points = self._family, [solution.point for solution in self.solutions]
         return self._within_time(STABILITY, lambda: localised_changes(family, points))
@@ -403,3 +405,189 @@ class Branch(Result):
     """A proof that the family is one curve of orbits: `casadi_skin.certify.stretch.certify_branch`."""
     certify_change: ClassVar[Callable[..., tuple[float, float] | None]]
     """Values of S between which a change of stability is proved: `casadi_skin.certify.stability.certify_change`."""
+
+
+# The end of a branch in a sentence, with advice on the next request ---------------------------------------------------
+
+NEAR_LIMIT = 1e-6  # relative
+CLOSE_FREQUENCIES_RTOL = (
+    1e-5  # relative difference of linear frequencies below which steps of the continuation may miss it
+)
+UNBOUNDED_WORDS = "grows without bound"
+SLOW_PERIOD_FACTOR = 3.0  # times the period of the linear mode
+STILL_S_RATE = 1e-2  # a relative change of S, per that of Omega, below which S has come to a limit
+
+
+@dataclass(frozen=True, eq=False)
+class Ending:
+    """Data of the end of a branch; the attributes are those of `Branch`."""
+
+    space: SolutionSpace
+    solutions: tuple[Solution, ...]
+    end: End | None
+    detail: str
+    misses: Mapping[str, tuple[float, ...]]
+    stopped: bool
+
+    @property
+    def orbits(self) -> tuple[Orbit, ...]:
+        """The solutions of a family."""
+        return cast(tuple[Orbit, ...], self.solutions)
+
+    @property
+    def reason(self) -> str:
+        """The end of the branch, in a sentence."""
+        if any(self.misses.values()):
+            return "; ".join([*self._missing(), *([self.detail] if self.detail else [])])
+        if self.stopped:
+            return "stopped where the condition holds"
+        if self.end is None:
+            return self.detail or "interrupted"
+        if self.end is End.REACHED:
+            return str(self.end.value)
+        if self.space.connects != FAMILY:
+            return f"{self._end_words()}: {self.detail}".rstrip(". :")
+        near = near_resonance(self.space, CLOSE_FREQUENCIES_RTOL)
+        if not self.solutions:
+            return f"{self._end_words()}: {self.detail}".rstrip(". :") + near
+        last = self.orbits[-1]
+        where = f"(S = {last.S:.10g}, Omega = {last.Omega:.6g})"
+        softened = self._softened(self.space, self.space.to)
+        if self.end is End.FLOW and UNBOUNDED_WORDS in softened:
+            return f"{softened.removeprefix('; ')} {where}; {self._end_words()}: {self.detail}"
+        words = f"{self._end_words()} {where}"
+        if self.end is End.POINTS:
+            words += f": {self._wandering(self.space)}"
+        elif self.detail:
+            words += f": {self.detail}"
+        return words + softened + near
+
+    def _end_words(self) -> str:
+        if self.end is End.RETURNED and self.space.connects != FAMILY:
+            return "the branch came back to the value of the parameter that it started from"
+        return str(self.end.value) if self.end is not None else ""
+
+    def _softened(self, family: Any, S: float) -> str:
+        """The slow last orbit in words: its period, and whether S has come to a limit short of the requested S."""
+        last = self.orbits[-1]
+        slower = family.coordinates.frequency / last.point.Omega
+        if slower < SLOW_PERIOD_FACTOR:
+            return ""
+        words = f"; the period is {slower:.3g} times the linear one"
+        if last.point.parameter_rate > STILL_S_RATE:
+            return words
+        if abs(S - last.S) <= NEAR_LIMIT * last.S:
+            return f"{words} and {UNBOUNDED_WORDS}: S = {S:.15g} is too near its limit for orbits to differ in doubles"
+        return f"{words} and {UNBOUNDED_WORDS}: a softening orbit of this family does not exist at S = {S:.15g}"
+
+    def _missing(self) -> Iterator[str]:
+        """The requested values without a solution, in words."""
+        for name, missed in self.misses.items():
+            values = np.array([solution.value(name) for solution in self.solutions])
+            passed = [v for v in missed if values.size and values.min() <= v <= values.max()]
+            beyond = [v for v in missed if v not in passed]
+            what = "orbit" if self.space.connects == FAMILY else "solution"
+            whole = "family" if self.space.connects == FAMILY else "branch"
+            if passed:
+                yield f"no {what} was found at {name} = {_listed(passed)}, which the {whole} passes"
+            if beyond:
+                covered = f"from {values.min():.6g} to {values.max():.15g}" if values.size else "nowhere"
+                yield f"no {what} was found at {name} = {_listed(beyond)}: the {whole} was followed {covered} in {name}"
+        missed_S = self.misses.get(self.space.parameter, ())
+        if missed_S and self.solutions and self.space.connects == FAMILY:
+            softened = self._softened(self.space, missed_S[-1])
+            if softened:
+                yield f"{softened.removeprefix('; ')}; ask for at_period or at_Omega, and end at a period_max"
+
+    def _wandering(self, family: Any) -> str:
+        """The course of a family that used up its points, with advice on the next request."""
+        request, S = family.request, np.array([orbit.S for orbit in self.orbits])
+        slowest = min(orbit.Omega for orbit in self.orbits)
+        turns = np.flatnonzero(np.diff(np.sign(np.diff(S))) != 0) + 1
+        words = f"{S.size} points, largest S = {S.max():.6g}, smallest Omega = {slowest:.6g}"
+        less = ""
+        if turns.size:
+            first = S[turns[0]]
+            words += f", S turns back {turns.size} times, first at S = {first:.6g}"
+            less = f"amplitude_max up to {0.999 * first:.4g}, before S first turns back, " if first > 0 else ""
+        band = family.coordinates.band()
+        if band is not None and family.coordinates.mode.size > 1:
+            lowest, highest = np.sqrt(np.maximum(band, 0.0)).tolist()
+            last = self.orbits[-1].Omega
+            odd = [k for k in range(3, int(highest / last) + 1, 2) if k * last >= lowest]
+            if odd:
+                each = ", ".join(f"{k} Omega" for k in odd[:3]) + (", ..." if len(odd) > 3 else "")
+                words += f"; {each} lie among the linear frequencies, and each that is met is a resonance to go round"
+        more = f"max_points above {request.targets.max_points}"
+        return f"{words}; try {less}a period_max, a smaller amplitude_max, or {more}"
+
+
+def near_resonance(family: Any, within: float) -> str:
+    """The resonance of a family's linear mode with another one, within a relative distance, in words; empty without."""
+    coordinates, request = family.coordinates, family.request
+    squares = linear_spectrum(request.model, request.parameters).squares  # none of long lattices
+    odd = family.symmetry is SymmetryClass.QUARTER
+    known = squares.size > 0 and squares[0] >= 0.0
+    found = nearest_resonance(squares, coordinates.mode_number, odd) if known else None
+    if found is None or found.off > within:
+        return ""
+    return f"; its linear mode is within {found.off:.1e} of {found.words}, where no family starts alone"
+
+
+def _listed(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:.15g}" for value in values)
+
+
+# Shares of harmonics in an orbit, and where along a family the third takes over from the first ------------------------
+
+NEAREST_TAKEOVER = 1e-10  # of the way from one orbit to the next, at which a takeover is looked for
+
+
+def harmonic_shares(orbit: Orbit, coordinates: str = "gauge") -> Array:
+    """Shares of the odd harmonics 1, 3, 5, ... in the mean over time of sum_n x_n^2, shape (harmonics,), of sum 1.
+
+    x is the displacement in the "gauge", where no site is favoured, or "physical". Raises ValueError for other words.
+    """
+    if coordinates not in ("gauge", "physical"):
+        raise ValueError(f"coordinates: given {short_repr(coordinates)}; accepted: gauge, physical")
+    count = max(4, orbit.harmonics)
+    if coordinates == "physical":
+        c = orbit.coefficients(count)
+    else:
+        theta = (np.arange(count) + 0.5) * np.pi / (2 * count)
+        c = np.cos(np.outer(2 * np.arange(count) + 1, theta)) @ orbit.point.problem.sample(orbit.point.z, theta)
+    squares = np.sum(c**2, axis=1)
+    return np.asarray(squares / np.sum(squares))
+
+
+def third_harmonic_leads(branch: Branch, coordinates: str = "gauge") -> Orbit | None:
+    """The orbit at which the third harmonic first becomes as large as the fundamental, or None where it never does.
+
+    Where no orbit is found between two of the branch, the first of the branch in which it is larger.
+    """
+    from scipy.optimize import brentq
+
+    def lead(orbit: Orbit) -> float:
+        shares = harmonic_shares(orbit, coordinates)
+        return float(shares[1] - shares[0])
+
+    leading = next((k for k, orbit in enumerate(branch.orbits) if lead(orbit) >= 0), None)
+    if leading is None:
+        return None
+    after = branch.orbits[leading]
+    if leading == 0:
+        return after
+    before, nearest = branch.orbits[leading - 1], [after]
+
+    def gap(fraction: float) -> float:
+        if fraction in (0.0, 1.0):
+            return lead(after if fraction else before)
+        point = branch.space.point_solver.along(before.point, after.point, fraction)
+        if point is None:
+            raise ArithmeticError("no orbit between two of the branch")
+        nearest.append(Orbit(branch.space, point))
+        return lead(nearest[-1])
+
+    with suppress(ArithmeticError):
+        brentq(gap, 0.0, 1.0, xtol=NEAREST_TAKEOVER)
+    return min(nearest, key=lambda orbit: abs(lead(orbit)))

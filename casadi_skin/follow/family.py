@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.follow.arclength import ArclengthContinuation
-from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.point import PointSolver, with_small_components
 from casadi_skin.follow.series import CONFIRMED_TOGETHER, SeriesContinuation
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.follow.special_points import folds_between
 from casadi_skin.model import methods

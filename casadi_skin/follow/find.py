@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, Protocol, cast, runtime_checkable
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_skin.follow.boundary_solutions import BoundaryError, FamilyError
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.equilibrium_equations import corrector_of
-from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.refined import BoundaryError, FamilyError
+from casadi_skin.follow.family import Family
 from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
-from casadi_skin.follow.solution import Equilibrium, Solution
+from casadi_skin.follow.solution import Equilibrium, Orbit, Solution
 from casadi_skin.model import methods
+from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import by_name, check_name, number, short_repr, state_by_name, truth, whole
 from casadi_skin.model.conserved import SymmetryClass, quantities, symmetry_class
 from casadi_skin.model.expressions import Expression, expression_of
@@ -491,3 +492,53 @@ def check_orbit(
     for name in (PERIOD, UNFOLDING):
         if name in model.parameter_names or name in model.state_names:
             raise ValueError(f"{model.name}: given a state or parameter called {name}; accepted: other names")
+
+
+# An orbit of a family as a boundary-value problem of its model, so that it can be followed in any parameter -----------
+
+AMPLITUDE_NAME = "S"
+
+
+def restated(orbit: Orbit, parameter: str) -> Orbit:
+    """The orbit of the model in its own coordinates at the same S, which becomes a parameter.
+
+    Arguments:
+        orbit: an orbit of a family.
+        parameter: the parameter to follow, for the message: one of the model, or "S".
+
+    Returns:
+        The same orbit, solved by Gauss collocation on the part of the period that the symmetries leave.
+
+    Raises:
+        ValueError: the model has no such parameter.
+        BoundaryError: the orbit is not found in these coordinates.
+    """
+    family = orbit.space
+    assert isinstance(family, Family)
+    family.coordinates.check_whole("an orbit followed in a parameter")
+    extended, amplitude, select = with_amplitude(family.coordinates.model)
+
+    def guess(t: float) -> list[float]:
+        h = 1e-6 * orbit.period
+        before, here, after = orbit.evaluate([t - h, t, t + h])
+        return [*here, *((after - before) / (2.0 * h))]
+
+    values = {**orbit.parameters, amplitude: orbit.S}
+    return find_orbit(
+        extended, guess, orbit.period, parameters=values, select=select, symmetric=True, tolerance=orbit.space.tolerance
+    )
+
+
+def with_amplitude(model: OdeModel) -> tuple[OdeModel, str, ca.SX]:
+    """The model with S among its parameters, its name there, and the function that vanishes where S has its value."""
+    form = amplitude_square(model)
+    if form.parameter is not None:
+        return model, form.parameter, form.form - model.parameters[model.parameter_names.index(form.parameter)]
+    name = AMPLITUDE_NAME
+    while name in (*model.parameter_names, *model.state_names):
+        name += "_"
+    S = ca.SX.sym(name)
+    own = {entry.name: getattr(model, entry.name) for entry in fields(OdeModel)}  # a lattice becomes a plain model
+    own |= {"parameters": ca.vertcat(model.parameters, S), "nominal": None, "checked": False}
+    extended = OdeModel(**own | {"parameter_labels": (*model.parameter_names, name)})
+    return extended, name, form.form - S

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from casadi_skin.follow.boundary_solutions import BoundaryError, refined
 from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.refined import BoundaryError, refined
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.arguments import check_name, duration, number, short_repr
 from casadi_skin.model.jumps import JumpError

@@ -8,18 +8,14 @@ from typing import Any, cast
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.branch_run import Following, run_following
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.following import Following, run_following
-from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.solution import Orbit, Solution, following_settings
 from casadi_skin.follow.space import FAMILY, SolutionSpace
-from casadi_skin.model.arguments import check_name, check_options, duration, function_of, number, numbers, truth, whole
-from casadi_skin.model.symmetries import check_forcing_period
+from casadi_skin.model.arguments import check_options, duration, function_of, truth
 from casadi_skin.zero.family import MAX_POINTS, Method
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD
-from casadi_skin.zero.problem import Scalar
 from casadi_skin.zero.request import FamilyModel, family_request
-from casadi_skin.zero.settings import ContinuationSettings, Target
 
 
 def follow_family(
@@ -146,7 +142,7 @@ def following_space(
 ) -> SolutionSpace:  # fmt: skip
     """The space of the branch through a solution in a parameter; raises ValueError as `follow` does."""
     if solution.space.connects == FAMILY:
-        from casadi_skin.follow.restating import restated
+        from casadi_skin.follow.find import restated
 
         solution = restated(cast(Orbit, solution), parameter)
     if solution.space.optimises:
@@ -165,33 +161,3 @@ def _check_regular(solution: Solution, parameter: str) -> None:
         why = f"where the equations at a held {parameter} are singular"
         accepted = f"a solution beside it, or `curve` of the {kind} itself"
         raise ValueError(f"follow: given a {kind}, {why}; accepted: {accepted}")
-
-
-def following_settings(
-    solution: Solution, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float,
-    back_to: float | None = None,
-) -> ContinuationSettings:  # fmt: skip
-    """Settings of a branch from a solution in a parameter, checked; raises ValueError as `follow` does."""
-    check_name("parameter", parameter, [name for name in solution.parameters if name not in solution.space.free])
-    start, end = solution.parameters[parameter], number("to", to)
-    if end == start:
-        raise ValueError(f"to: given {end!r}, where the branch starts; accepted: another value")
-    back = start if back_to is None else number("back_to", back_to)
-    if back_to is not None and not (back - start) * (end - start) < 0.0:
-        side = "below" if end > start else "above"
-        raise ValueError(f"back_to: given {back:g}; accepted: a number {side} {start:g}, where the branch starts")
-    for value in numbers("at", at):
-        if not min(back, end) <= value <= max(back, end):
-            raise ValueError(f"at: given {value:g}; accepted: values from {back:g} to {end:g}")
-    whole("max_points", max_points, 2)
-    if not number("max_step", max_step) > 0.0:
-        raise ValueError(f"max_step: given {max_step!r}; accepted: a number > 0")
-    wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in at)
-    model = solution.model
-    if isinstance(solution, Orbit) and model.forced:
-        check_forcing_period(model, solution, solution.period, {**solution.parameters, parameter: end})
-    return ContinuationSettings(
-        1.0, solution.space.tolerance, wanted, max_step=float(max_step), max_points=max_points, tiny_first=False,
-        max_parameter_step=0.2, parameter_min=(back - start) / (end - start),
-        closing=back_to is None and (solution.space.stability_included or model.forced),  # an isola of responses
-    )  # fmt: skip

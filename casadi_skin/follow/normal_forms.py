@@ -17,10 +17,9 @@ from typing import Any, cast
 import numpy as np
 
 from casadi_skin.follow.followed import Followed
-from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.rest_normal_forms import DECIDED_SIGN_RATIO, Critical
 from casadi_skin.follow.rest_normal_forms import critical as at_equilibrium
-from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.closure import Closure
 from casadi_skin.zero.kinds import DOUBLING, FOLD, TORUS

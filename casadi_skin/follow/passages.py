@@ -14,9 +14,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from casadi_skin.follow.orbit import Orbit
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point

@@ -12,9 +12,8 @@ from typing import cast
 
 import numpy as np
 
-from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.rest_space import EquilibriumSpace
-from casadi_skin.follow.solution import Equilibrium
+from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
+from casadi_skin.follow.solution import Equilibrium, Orbit
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.kinds import FOLD, HOPF
 from casadi_skin.zero.problem import Array
@@ -49,7 +48,7 @@ def critical(point: SpecialPoint) -> Critical:
         return hopf_form(known, solution.evaluate(0.0), np.array(list(known.values.values())))
     if not isinstance(solution, Equilibrium):
         raise ValueError(f"{point.kind}: given one of {type(solution).__name__.lower()}s; accepted: one of equilibria")
-    statics = cast(EquilibriumSpace, solution.space).statics
+    statics = cast(EquilibriumEquations, solution.space).statics
     x, p = solution.positions, np.array(list(solution.parameters.values()))
     if point.kind in (HOPF, "generalized hopf"):
         return hopf_form(statics, x, p)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from casadi_skin.follow.refined import BoundaryError, refined
+from casadi_skin.follow.boundary_solutions import BoundaryError, refined
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel

@@ -7,12 +7,11 @@ from typing import cast
 
 import numpy as np
 
+from casadi_skin.follow.branch_run import Following, run_following
 from casadi_skin.follow.find import find_equilibrium
 from casadi_skin.follow.followed import Followed
-from casadi_skin.follow.following import Following, run_following
 from casadi_skin.follow.location import locate_rest
-from casadi_skin.follow.rest_curve import curve_space
-from casadi_skin.follow.rest_space import EquilibriumSpace
+from casadi_skin.follow.rest_space import EquilibriumSpace, curve_space
 from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.kinds import FOLD, HOPF, TORUS

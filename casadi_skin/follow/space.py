@@ -15,11 +15,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.zero.kinds import Unresolved
-from casadi_skin.zero.problem import Scalar
+from casadi_skin.zero.problem import EPSILON, Scalar
 from casadi_skin.zero.settings import Continuation, ContinuationSettings, End, Point, Target
 
 if TYPE_CHECKING:
@@ -220,3 +221,25 @@ class SolutionSpace(ABC):
     ) -> SolutionSpace:
         """The space of the branch through one of the solutions in a parameter; raises ValueError without one."""
         raise ValueError(f"follow: given one of a {self.connects}; accepted: an orbit that was restated")
+
+
+REQUESTED_VALUE_RTOL = 4.0 * EPSILON  # relative difference of a value that is the requested one
+
+
+def target_of(space: SolutionSpace, special: Point) -> Target | None:
+    """The target whose value a special point has within its error; None where there is none."""
+    settings, name = space.point_solver.settings, space.parameter
+    value, error = space.parameters(special)[name], space.parameter_error(special)
+    for target in (*settings.at, *settings.ends):
+        if target.held is Scalar.PARAMETER:
+            wanted = space.value(name, snapped(special, target))
+            if abs(value - wanted) <= max(error, REQUESTED_VALUE_RTOL * abs(wanted)):
+                return target
+    return None
+
+
+def snapped(special: Point, target: Target, requested: bool = False) -> Point:
+    """A special point with its value exactly the one that it has within its error."""
+    z = special.z.copy()
+    z[special.problem.parameter_index] = target.value
+    return replace(special, z=z, requested=requested)

@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.follow import follow_family
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain, check_no_parameters
 from casadi_skin.model.arguments import accepted_names, short_repr
 from casadi_skin.model.ode import OdeModel

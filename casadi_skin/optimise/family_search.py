@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.model.arguments import accepted_names, number, short_repr
 from casadi_skin.model.expressions import is_comparison, real_array
 from casadi_skin.optimise.families import Family, FreeNumber, Observables

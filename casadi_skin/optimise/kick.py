@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from casadi_skin.dynamics import EvolutionError, distance_from_orbit, evolve
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.arguments import check_name, number, short_repr, whole
 from casadi_skin.model.result import Result

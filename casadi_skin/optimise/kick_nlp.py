@@ -21,7 +21,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.follow.orbit import Curve, Orbit, cosine_curve
+from casadi_skin.follow.solution import Curve, Orbit, cosine_curve
 from casadi_skin.optimise.nlp import Limits, Nlp, optimality
 from casadi_skin.optimise.optimum import CosineOrbit
 from casadi_skin.solve.ipopt import SOLVED_STATUS, Monitor

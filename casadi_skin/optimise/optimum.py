@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.model.arguments import accepted_names
 from casadi_skin.optimise.nlp import Kkt, Nlp, Optimality, Solution
 from casadi_skin.zero.cosines import cosine_matrix

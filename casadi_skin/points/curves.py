@@ -9,19 +9,17 @@ from typing import Any, cast
 
 import numpy as np
 
-from casadi_skin.follow import rest_curve as of_equilibria
+from casadi_skin.follow import rest_space as of_equilibria
+from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.branch_run import Following, run_following
 from casadi_skin.follow.codimension_two import ORBIT_CURVES, OrbitCurveSearch, special_on_curve
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.follow import following_settings
-from casadi_skin.follow.following import Following, run_following
 from casadi_skin.follow.location import LocatedOrbit, extended_space, locate
 from casadi_skin.follow.normal_forms import on_circle
-from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.refined import BoundaryError
 from casadi_skin.follow.shrinking import shrunk
-from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.solution import Orbit, Solution, following_settings
 from casadi_skin.follow.space import FAMILY, ORBITS, SolutionSpace
 from casadi_skin.follow.special_points import SpecialPoint, check_second
 from casadi_skin.model.arguments import check_name

@@ -9,8 +9,8 @@ from typing import Any, cast
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.branch_run import Following, run_following
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.following import Following, run_following
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium
 from casadi_skin.follow.space import SolutionSpace

@@ -8,13 +8,12 @@ from typing import cast
 import casadi as ca
 import numpy as np
 
+from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.boundary_space import BoundarySpace, at_rest
 from casadi_skin.follow.branch_points import leaving_tangent
 from casadi_skin.follow.find import closed_statement, forced_statement
-from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.refined import BoundaryError
 from casadi_skin.follow.rest_normal_forms import critical_pair
-from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.points.ends import Left
 from casadi_skin.points.lost_symmetry import critical_vector, lost_operations

@@ -18,8 +18,8 @@ import numpy as np
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch_points import other_tangent
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.restating import restated, with_amplitude
+from casadi_skin.follow.find import restated, with_amplitude
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.ode import OdeModel

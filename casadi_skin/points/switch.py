@@ -11,12 +11,11 @@ import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.branch_run import Following, run_following
 from casadi_skin.follow.find import find_equilibrium
-from casadi_skin.follow.follow import following_settings, following_space
-from casadi_skin.follow.following import Following, run_following
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.follow import following_space
 from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
-from casadi_skin.follow.solution import Equilibrium, Solution
+from casadi_skin.follow.solution import Equilibrium, Orbit, Solution, following_settings
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import duration

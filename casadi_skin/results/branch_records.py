@@ -14,9 +14,9 @@ from typing import Any, Protocol
 import msgspec
 import numpy as np
 
+from casadi_skin.follow.branch_run import Walk
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
-from casadi_skin.follow.walk import Walk
 from casadi_skin.results.store import DAMAGED_FILE_ERRORS, Reader, SavedResult, Writer
 from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.settings import End, Point, Target

@@ -17,8 +17,7 @@ import numpy as np
 
 from casadi_skin.certify.certificate import STABLE, UNSTABLE, Certificate
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS
 from casadi_skin.model.arguments import accepted_names
 from casadi_skin.zero.kinds import FOLD

@@ -9,8 +9,7 @@ import numpy as np
 
 from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.solution import Equilibrium, Solution
+from casadi_skin.follow.solution import Equilibrium, Orbit, Solution
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import check_name, short_repr

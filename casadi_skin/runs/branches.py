@@ -11,12 +11,11 @@ from pathlib import Path
 import msgspec
 
 from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.branch_run import Following, Walk
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.follow import following_space
-from casadi_skin.follow.following import Following
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, SolutionSpace
-from casadi_skin.follow.walk import Walk
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.results.branch_records import (
     BranchRecord,

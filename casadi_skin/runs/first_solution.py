@@ -13,8 +13,7 @@ from casadi_skin.dynamics.evolution import PHYSICAL, Cycle, Evolution, equations
 from casadi_skin.dynamics.evolve import simulate
 from casadi_skin.dynamics.starts import initial_state
 from casadi_skin.follow.find import find_equilibrium, find_orbit
-from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.model.conserved import HAMILTONIAN
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.rest_curve import UnfoldingError
+from casadi_skin.follow.rest_space import UnfoldingError
 from casadi_skin.follow.space import EQUILIBRIA, SolutionSpace
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.points.curves import curve_space

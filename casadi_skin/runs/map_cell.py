@@ -19,8 +19,7 @@ import numpy as np
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.optimise.search import SearchResult
 from casadi_skin.results.branch_records import BranchRecord
 from casadi_skin.results.quantities import Place, columns_of, csv_row
@@ -203,7 +202,7 @@ class Job(msgspec.Struct, frozen=True):
 LOADED_MODULES = (  # before the first cell, whose time is limited
     "casadi_skin.follow.series",
     "casadi_skin.lattice.chain_coordinates",
-    "casadi_skin.follow.family_tongues",
+    "casadi_skin.follow.family_changes",
     "casadi_skin.runs.first_solution",
     "casadi_skin.solve.ipopt",
     "casadi_skin.stability.splitting",

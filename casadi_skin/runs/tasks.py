@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.follow.space import FAMILY
 from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.lattice.lattice import Lattice

@@ -9,7 +9,7 @@ from claim import Claim, Verdict, claim
 from paper_data import GAMMA, KICK, SITES, TOLERANCE, PaperData
 
 from casadi_skin.dynamics import distance_from_orbit
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from tests.studies.integration import monodromy_eigenvalues
 
 

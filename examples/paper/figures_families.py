@@ -22,7 +22,7 @@ from paper_data import (
 
 from casadi_skin.dynamics import Evolution
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.results.figures.evolutions import draw_spacetime
 from casadi_skin.results.figures.families import LINES, MARKERS, draw_band, family_path, family_pieces, label_ends

@@ -19,7 +19,7 @@ from paper_data import KICK, KICK_TIME, SITES, PaperData
 
 from casadi_skin.dynamics import Evolution, simulate_orbit
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.results.figures.multipliers import MODULUS_LABEL, draw_plane
 from casadi_skin.results.figures.multipliers import moduli as moduli_line
 from casadi_skin.results.figures.style import AMPLITUDE_LABEL, blank, finished, number, style, title

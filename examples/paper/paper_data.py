@@ -11,7 +11,7 @@ import numpy as np
 from casadi_skin.dynamics import Evolution, simulate_orbit
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.follow import follow_family
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.runs.study import Rows, table

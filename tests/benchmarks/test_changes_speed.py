@@ -13,7 +13,7 @@ import pytest
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.family_tongues import family_tongues
+from casadi_skin.follow.family_changes import family_tongues
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
 

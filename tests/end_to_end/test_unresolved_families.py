@@ -9,7 +9,7 @@ import pytest
 from outputs import read_rows
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.follow import family_tongues
+from casadi_skin.follow import family_changes
 from casadi_skin.runs.program import main
 from casadi_skin.stability.tongues.find_changes import find_changes
 
@@ -28,7 +28,7 @@ events = true
 
 @pytest.fixture
 def _little_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(family_tongues, "find_changes", partial(find_changes, work=1.0))
+    monkeypatch.setattr(family_changes, "find_changes", partial(find_changes, work=1.0))
 
 
 @pytest.mark.usefixtures("_little_work")

@@ -16,7 +16,7 @@ from symplectic_families import Entries, SymplecticFamily, cluster, cubic
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.family_tongues import family_tongues
+from casadi_skin.follow.family_changes import family_tongues
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.stability.tongues.find_changes import find_changes
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.runs.tradeoff import paired
 from casadi_skin.stability.result import ReversibleFloquet
 from tests.studies.exact import ExactOrbit

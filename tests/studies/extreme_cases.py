@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.harmonics import third_harmonic_leads
+from casadi_skin.follow.branch import Branch, third_harmonic_leads
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.zero.problem import Array
 from tests.studies import extreme_checks as checks

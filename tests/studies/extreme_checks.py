@@ -9,10 +9,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.branch import Branch, harmonic_shares
 from casadi_skin.follow.follow import follow_family
-from casadi_skin.follow.harmonics import harmonic_shares
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import duffing_frequency, frequency_slope
 from tests.studies.exact import exact_linear_frequency, exact_orbit, many_digits

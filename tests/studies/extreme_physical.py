@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from casadi_skin.follow.follow import follow_family
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.results.figures.style import blank, colours, finished, style
 from casadi_skin.runs.study import letter

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadi_skin.follow.follow import follow_family
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.stability.result import ReversibleFloquet
 from tests.studies.exact import LONG_DOUBLES, ExactOrbit, exact_orbit

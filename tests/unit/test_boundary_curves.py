@@ -11,7 +11,7 @@ from equilibrium_models import symbols
 from scipy.optimize import fsolve
 
 from casadi_skin import BoundaryValueProblem, Branch, OdeModel, read_result, save_result
-from casadi_skin.follow.rest_curve import UnfoldingError
+from casadi_skin.follow.rest_space import UnfoldingError
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.settings import End
 

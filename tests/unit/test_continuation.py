@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit, SymmetryClass, follow_family
 from casadi_skin.follow.arclength import ArclengthContinuation
+from casadi_skin.follow.branch_run import Following
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.following import Following
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import LocalCurve, predictor
 from casadi_skin.lattice.closed_forms import duffing_displacement, duffing_frequency

@@ -14,7 +14,7 @@ from scipy.optimize import brentq, minimize_scalar
 from test_orbit_bifurcations import _cycle
 
 from casadi_skin import Branch, Chain, OdeModel, find_equilibrium, find_orbit, follow_family, read_result, save_result
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.points.leaving import _perturbation
 from casadi_skin.zero.settings import End

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain, Orbit, follow_family
-from casadi_skin.follow.harmonics import harmonic_shares, third_harmonic_leads
+from casadi_skin.follow.branch import harmonic_shares, third_harmonic_leads
 from tests.studies.exact import (
     LONG_DOUBLES,
     PI,

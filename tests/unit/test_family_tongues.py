@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from small_models import fput, pendulums
 
 from casadi_skin import Branch, Chain, OdeModel, follow_family
-from casadi_skin.follow import family_tongues
+from casadi_skin.follow import family_changes
 from casadi_skin.follow.family import Family
 from casadi_skin.stability.tongues import interpolation
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
@@ -30,11 +30,11 @@ def followed(chain: Chain, mode: int, S_max: float, tolerance: float = 1e-8) -> 
     return follow_family(chain, mode, S_max, tolerance=tolerance, stability=False)
 
 
-def tongues_along(branch: Branch, flow_tolerance: float = family_tongues.FLOW_TOLERANCE) -> StabilityDiagram:
+def tongues_along(branch: Branch, flow_tolerance: float = family_changes.FLOW_TOLERANCE) -> StabilityDiagram:
     space = branch.space
     assert isinstance(space, Family)
     points = (branch.start, *(orbit.point for orbit in branch.orbits))
-    return family_tongues.family_tongues(space, points, flow_tolerance)
+    return family_changes.family_tongues(space, points, flow_tolerance)
 
 
 @cache
@@ -148,7 +148,7 @@ def test_the_list_does_not_depend_on_the_interpolation(
     reference = diagram_of(chain, mode, S_max)
     monkeypatch.setattr(interpolation, "SERIES_DEGREES", degrees)
     monkeypatch.setattr(interpolation, "FIRST_LENGTH", 0.11)
-    monkeypatch.setattr(family_tongues, "find_changes", partial(find_changes, tolerance=tolerance))
+    monkeypatch.setattr(family_changes, "find_changes", partial(find_changes, tolerance=tolerance))
     same(reference, tongues_along(followed(chain, mode, S_max)))
 
 
@@ -211,7 +211,7 @@ def agrees(branch: Branch, diagram: StabilityDiagram) -> None:
 def test_a_branch_that_has_no_orbits_has_no_changes() -> None:
     branch = follow_family(Chain(4, 1.0, 0.25, 1.0), 1, 1.0, stability=False)
     assert isinstance(branch.space, Family)
-    diagram = family_tongues.family_tongues(branch.space, (branch.start,))
+    diagram = family_changes.family_tongues(branch.space, (branch.start,))
     assert not diagram.changes
     assert diagram.samples == 0
 
@@ -223,7 +223,7 @@ def test_a_stretch_to_an_orbit_that_is_not_solved_again_is_named(lost: int) -> N
     points = [branch.start, *(solution.point for solution in branch.solutions)]
     z = 100.0 * np.cos(np.arange(points[lost].z.size))
     points[lost] = replace(points[lost], z=np.append(z[:-2], points[lost].z[-2:]))
-    diagram = family_tongues.family_tongues(cast(Family, branch.space), points)
+    diagram = family_changes.family_tongues(cast(Family, branch.space), points)
     S = branch.S[lost] if lost < 0 else branch.S[lost - 1]
     assert any(S in (gap.S_start, gap.S_end) and gap.reason for gap in diagram.unresolved)
     gaps = [sorted((gap.S_start, gap.S_end)) for gap in diagram.unresolved]
@@ -238,7 +238,7 @@ def test_the_rest_of_a_branch_that_is_too_much_work_is_named(monkeypatch: pytest
     full = diagram_of(chain, 1, 3.0)
     reached: list[float] = []
     little = partial(find_changes, work=5e5, progress=reached.append)
-    monkeypatch.setattr(family_tongues, "find_changes", little)
+    monkeypatch.setattr(family_changes, "find_changes", little)
     diagram = tongues_along(followed(chain, 1, 3.0))
     (gap,) = diagram.unresolved
     assert "not looked at" in gap.reason

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from casadi_skin import Bond, Branch, Chain, LongLattice, Site, follow_family, read_result
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.family_localised import EdgeOrbits, localised_changes
+from casadi_skin.follow.family_changes import EdgeOrbits, localised_changes
 from casadi_skin.native import eliminated
 from casadi_skin.runs.program import main
 from casadi_skin.stability.result import ContinuousSpectrum, LocalisedFloquet

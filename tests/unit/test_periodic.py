@@ -15,9 +15,9 @@ from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipk
 
+from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.find import find_orbit
-from casadi_skin.follow.orbit import Orbit
-from casadi_skin.follow.refined import BoundaryError
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.stability.result import TrivialMultiplierWarning
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from casadi_skin import Branch, Chain, Orbit, follow_family
+from casadi_skin.follow.branch_run import Following
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.following import Following
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import Stretch
 from casadi_skin.follow.series import SeriesContinuation

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from casadi_skin.dynamics import Evolution
 from casadi_skin.dynamics.evolve import distance_from_orbit
 from casadi_skin.dynamics.starts import Spreading
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.results.figures.style import LINE_DASHES, blank, colours, finished, plain, position_label, style
 from casadi_skin.results.figures.style import title as model_title

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.linear import band_edges, lattice_modes
 from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.results.figures.branches import Pieces, draw_lines, draw_marks, stability_pieces

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from casadi_skin.follow.branch import Branch
-    from casadi_skin.follow.orbit import Orbit
+    from casadi_skin.follow.solution import Orbit
     from casadi_skin.stability.tongues.diagram import StabilityDiagram
     from casadi_skin.zero.kinds import Unresolved
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.orbit import Orbit, cosine_curve
-from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.solution import Orbit, Solution, cosine_curve
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS
 from casadi_skin.model.files import replacing
 from casadi_skin.results.figures.branches import solution_title

@@ -9,8 +9,8 @@ import numpy as np
 from family_case import Array, Family, FamilyCase
 
 from casadi_skin.follow import family as computed
-from casadi_skin.follow.following import Following
-from casadi_skin.follow.orbit import Orbit
+from casadi_skin.follow.branch_run import Following
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.zero.request import FamilyRequest, family_request
 from casadi_skin.zero.settings import ContinuationSettings
 
