@@ -200,7 +200,7 @@ def best_attempt(
     orbit: Orbit, harmonics: int | None = None, weight: float = HARMONIC_WEIGHT, decimals: bool | None = None
 ) -> tuple[Family, Attempt]:
     """The attempt that proves most of an orbit, in the current precision of balls; raises ValueError as `certify`."""
-    if not isinstance(orbit.space, Family):
+    if not orbit.space.is_family:
         raise ValueError(f"certify: given an orbit of {orbit.model.name}; accepted: {ACCEPTED_ORBITS}")
     decimals = orbit.space.request.decimals if decimals is None else decimals
     family = provable(orbit.space, decimals)

@@ -326,7 +326,6 @@ class _Stretch:
 
 def _sign(orbit: Orbit) -> float:
     """The sign by which an orbit differs from the continuous choice along its family: its largest site is positive."""
-    assert isinstance(orbit.space, Family)
     shown, solved = orbit.evaluate(0.0), orbit.space.positions(orbit.point, np.zeros(1))[0]
     return float(np.sign(shown @ solved))
 
@@ -353,7 +352,7 @@ def certify_branch(branch: Branch, start: float, end: float) -> ProvedStretch:
         ImportError: python-flint (the extra "certify") is missing.
     """
     flint = balls.flint()
-    if not isinstance(branch.space, Family):
+    if not branch.space.is_family:
         raise ValueError(f"certify: given a branch of {branch.parameter}; accepted: {ACCEPTED_FAMILIES}")
     if not 0.0 <= number("start", start) < number("end", end) <= branch.S[-1]:
         accepted = f"0 <= start < end <= {float(branch.S[-1])!r}, where the branch ends"

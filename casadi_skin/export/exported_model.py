@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import TypeAlias, cast
 
 from casadi_skin.export.codegen import c_name
-from casadi_skin.follow.family import Family
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.core_with_tail import CoreWithTail
@@ -96,7 +95,7 @@ class ExportedModel:
         if part in ("flow", *EQUATIONS_OF_ORBITS) and self.chain is not None and abs(self.chain.gamma) == 1:
             return "at |gamma| = 1 the gauge holds the edge site alone"
         if part in EQUATIONS_OF_ORBITS and orbit is not None:
-            if isinstance(orbit.space, Family) and isinstance(orbit.space.coordinates, CoreWithTail):
+            if orbit.space.is_family and isinstance(orbit.space.coordinates, CoreWithTail):
                 return 'the linear tail of its chain was eliminated; with tail="full" in follow_family it can'
             if not orbit.point.problem.cosines:
                 return "its equations are not in odd cosines; with transcription trigonometric it can"

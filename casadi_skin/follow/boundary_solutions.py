@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import ClassVar, Protocol
@@ -11,9 +11,8 @@ from typing import ClassVar, Protocol
 import casadi as ca
 import numpy as np
 
-from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.solution import Orbit, Solution
-from casadi_skin.follow.space import ORBITS, SOLUTIONS, SolutionSpace
+from casadi_skin.follow.space import ORBITS, SOLUTIONS, ParameterSpace
 from casadi_skin.model.arguments import check_name
 from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
 from casadi_skin.model.integrators import IntegrationError
@@ -34,14 +33,23 @@ from casadi_skin.zero.closure import Closure, closure_of
 from casadi_skin.zero.family import TWO_PI, Method, numbered
 from casadi_skin.zero.orbit import FIRST_INTERVALS, Periodic, Sizes
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
-from casadi_skin.zero.settings import ContinuationSettings, Point, Refinement, Target
+from casadi_skin.zero.settings import Point, Refinement, Target
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
 from casadi_skin.zero.statement import Statement
 
 MESH_INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
 OFF_EDGE = 1e-10  # of the interval: distance of a jump in time from an edge of the mesh that counts
 PER_STAGE = 2  # places a stage at which a solution is looked at for jumps
+MEANINGLESS_ERROR = 1e-2  # estimated error beyond which a solution is no solution, rounding or not
 MOST_IPOPT_ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
+
+
+class BoundaryError(ArithmeticError):
+    """No solution was found: the message names condition, variable and place in one line."""
+
+
+class FamilyError(BoundaryError):
+    """An orbit is one of a family: the model conserves something that is not declared."""
 
 
 class ParentBranch(Protocol):
@@ -52,7 +60,7 @@ class ParentBranch(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class BoundarySolutions(SolutionSpace):
+class BoundarySolutions(ParameterSpace):
     """Solutions of a statement by their unknowns.
 
     Attributes:
@@ -61,11 +69,6 @@ class BoundarySolutions(SolutionSpace):
         method: how, with every choice made.
         sizes: least sizes by which states and free parameters are measured.
         periodic: conditions that make the solutions orbits; None where they are none.
-        parameter: the parameter that is followed, from its value to `to`; empty where none is.
-        at: values of it at which solutions are wanted.
-        first: the start of the branch.
-        settings: of the continuation.
-        leaves: whether `first` is a special point that the branch leaves along the tangent of `first`.
         left: the orbits that it left there, where it may come back to them.
     """
 
@@ -74,14 +77,9 @@ class BoundarySolutions(SolutionSpace):
     method: Method
     sizes: Sizes
     periodic: Periodic | None = None
-    parameter: str = ""
-    to: float = 1.0
-    at: tuple[float, ...] = ()
-    first: Point | None = None
-    settings: ContinuationSettings | None = None
-    leaves: bool = False
     left: ParentBranch | None = None
     problem_class: ClassVar[type[BoundaryProblem]] = BoundaryProblem
+    error: ClassVar[type[ArithmeticError]] = BoundaryError
 
     @property
     def connects(self) -> str:
@@ -127,10 +125,31 @@ class BoundarySolutions(SolutionSpace):
             build, self._corrector, tuple(sorted({*MESH_INTERVALS, int(self.method.intervals or FIRST_INTERVALS)}))
         )
 
-    @cached_property
-    def point_solver(self) -> PointSolver:
-        """The solver of points at the tolerance."""
-        return PointSolver(self.levels, self.settings or ContinuationSettings(1.0, self.tolerance))
+    def refined(self, problem: BoundaryProblem, correction: Correction) -> Point:
+        """The solution of a correction on a mesh that meets the tolerance, with u held; raises BoundaryError."""
+        name = problem.statement.model.name
+        try:
+            point = self.point_solver.refined(problem, correction, problem.parameter_row(), Scalar.PARAMETER)
+        except SingularError as error:
+            family = in_family(problem, correction.z)
+            if family:
+                raise FamilyError(f"{name}: {family}") from error
+            reason = rank_deficiency(problem, correction.z) or str(error)
+            raise BoundaryError(f"{name}: the solution cannot be refined: {reason}") from error
+        if point is None:
+            top = self.levels.resolutions[-2]
+            raise BoundaryError(f"{name}: more than {top} intervals are needed for the tolerance; try a larger one")
+        backwards = point.problem.backwards(point.z)
+        if backwards:
+            raise BoundaryError(f"{name}: {backwards}")
+        if point.error.relative(1.0) > MEANINGLESS_ERROR:
+            family = in_family(point.problem, point.z)
+            if family:
+                raise FamilyError(f"{name}: {family}")
+            reason = rank_deficiency(point.problem, point.z) or "the equations are nearly singular there"
+            words = f"rounding alone leaves an error of {point.error.relative(1.0):.1e}"
+            raise BoundaryError(f"{name}: no solution near the guess: {words}; {reason}")
+        return point
 
     # Values ---------------------------------------------------------------------------------------------------------
 
@@ -144,7 +163,7 @@ class BoundarySolutions(SolutionSpace):
         return np.arange(1, len(self.state_names) + 1)
 
     def parameters(self, point: Point) -> dict[str, float]:
-        problem = stated(point.problem)
+        problem = point.problem
         return dict(zip(self.statement.model.parameter_names, map(float, problem.parameters(point.z)), strict=True))
 
     def interval(self, point: Point) -> tuple[float, float]:
@@ -154,7 +173,7 @@ class BoundarySolutions(SolutionSpace):
 
     def span(self, point: Point) -> tuple[float, float]:
         """Start and end of the part that is unknown."""
-        return self.statement.span(np.array(list(self.parameters(point).values())))
+        return self.statement.span(self.parameters(point).values())
 
     def jump(self, point: Point) -> str:
         """That the equations jump along a solution, with the equation; empty where they do not.
@@ -182,7 +201,7 @@ class BoundarySolutions(SolutionSpace):
     def parameter_error(self, point: Point) -> float:
         """Estimated error of the parameter followed at a special point."""
         if point.error.parameter:
-            size = point.problem.parameter_size(point.z)
+            size = float(point.problem.parameter_size(point.z))
             return point.error.parameter * size * abs(self.to - self.statement.values[self.parameter])
         return point.error.relative(point.Omega) * abs(self.value(self.parameter, point))
 
@@ -211,13 +230,10 @@ class BoundarySolutions(SolutionSpace):
         period = self.parameters(point)[PERIOD]
         return period if name == PERIOD else TWO_PI / period
 
-    def solution(
-        self, point: Point, floquet: Floquet | None = None, exact: Mapping[str, float] | None = None
-    ) -> Solution:
-        """The orbit or solution of a point, with its stability where that is known and values that it has exactly."""
-        if exact is None:
-            exact = {self.parameter: self.value(self.parameter, point)} if self.parameter else {}
-        return (Solution if self.periodic is None else Orbit)(self, point, exact, known_floquet=floquet)
+    @property
+    def solution_class(self) -> type[Solution]:
+        """Class of the solutions."""
+        return Solution if self.periodic is None else Orbit
 
     # Orbits ---------------------------------------------------------------------------------------------------------
 
@@ -349,44 +365,3 @@ class BoundarySolutions(SolutionSpace):
             words = f"a solution of a boundary-value problem that is no orbit has no stability; {accepted}"
             raise NoQuantityError(words)
         return self.periodic
-
-
-# A solution refined until its estimated error meets the tolerance -----------------------------------------------------
-
-MEANINGLESS_ERROR = 1e-2  # estimated error beyond which a solution is no solution, rounding or not
-
-
-class BoundaryError(ArithmeticError):
-    """No solution was found: the message names condition, variable and place in one line."""
-
-
-class FamilyError(BoundaryError):
-    """An orbit is one of a family: the model conserves something that is not declared."""
-
-
-def refined(point_solver: PointSolver, problem: BoundaryProblem, correction: Correction) -> Point:
-    """The solution of a correction on a mesh that meets the tolerance, with u held; raises BoundaryError."""
-    name = problem.statement.model.name
-    try:
-        point = point_solver.refined(problem, correction, problem.parameter_row(), Scalar.PARAMETER)
-    except SingularError as error:
-        family = in_family(problem, correction.z)
-        if family:
-            raise FamilyError(f"{name}: {family}") from error
-        reason = rank_deficiency(problem, correction.z) or str(error)
-        raise BoundaryError(f"{name}: the solution cannot be refined: {reason}") from error
-    if point is None:
-        top = point_solver.levels.resolutions[-2]
-        raise BoundaryError(f"{name}: more than {top} intervals are needed for the tolerance; try a larger one")
-    finer = stated(point.problem)
-    backwards = finer.backwards(point.z)
-    if backwards:
-        raise BoundaryError(f"{name}: {backwards}")
-    if point.error.relative(1.0) > MEANINGLESS_ERROR:
-        family = in_family(finer, point.z)
-        if family:
-            raise FamilyError(f"{name}: {family}")
-        reason = rank_deficiency(finer, point.z) or "the equations are nearly singular there"
-        words = f"rounding alone leaves an error of {point.error.relative(1.0):.1e}"
-        raise BoundaryError(f"{name}: no solution near the guess: {words}; {reason}")
-    return point

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.follow.boundary_solutions import BoundaryError, BoundarySolutions, refined
+from casadi_skin.follow.boundary_solutions import BoundarySolutions
 from casadi_skin.follow.branch_points import ONE_PLACE, branch_points_between
 from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.location import Located, locate_rest, special_orbit
@@ -25,7 +25,7 @@ from casadi_skin.zero.orbit import Sizes
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import AlgebraicProblem, sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point
-from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
+from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
 from casadi_skin.zero.statics import Statics
 
 if TYPE_CHECKING:
@@ -36,9 +36,8 @@ if TYPE_CHECKING:
 # Bounds on states and free parameters along a branch: where the first of them is met, and which -----------------------
 
 PLACES_WITHIN_COLUMN = 8  # places between two columns of a mesh at which a state is looked at
-EXTREMUM_ZOOMS = (
-    4  # into the neighbours of the largest value: places then differ by 1e-5 of theirs, values by the square
-)
+# Into the neighbours of the largest value: places then differ by 1e-5 of theirs, values by the square.
+EXTREMUM_ZOOMS = 4
 BOUND_PREDICTION_PLACES = np.linspace(0.0, 1.0, 17)[1:]  # of a stretch, at which it is predicted whether a bound is met
 BOUND_MET_RTOL = 1e-12  # of the size of a quantity: a bound that is as near is met
 
@@ -65,7 +64,7 @@ def margin(space: BoundarySolutions, point: Point) -> Margin:
 
 def margins(space: BoundarySolutions, point: Point) -> list[Margin]:
     """The margins of all finite bounds."""
-    problem, names, values = stated(point.problem), space.state_names, space.parameters(point)
+    problem, names, values = point.problem, space.state_names, space.parameters(point)
     turns = _turns(space, problem)
     states = _states(space, point, turns)
     start, end = space.interval(point)
@@ -98,7 +97,7 @@ def _turns(space: BoundarySolutions, problem: BoundaryProblem) -> Array:
 def _states(space: BoundarySolutions, point: Point, turns: Array) -> Array:
     if space.periodic is not None:
         return space.states_at(point, TWO_PI * turns, None)
-    return point.problem.sample(point.z, turns)
+    return np.asarray(point.problem.sample(point.z, turns))
 
 
 def _largest(
@@ -189,7 +188,7 @@ def _hopf_near(space: BoundarySolutions, orbit: Point) -> tuple[EquilibriumEquat
     start = space.statement.values[space.parameter]
     statics = Statics(model, {**known, space.parameter: start})
     sizes = sizes_of([x, space.sizes.states[: x.size]])  # an equilibrium near zero has the size of the branch
-    equilibria = EquilibriumEquations(statics, 1e-10, "newton", sizes, space.parameter, space.to)
+    equilibria = EquilibriumEquations(statics, 1e-10, "newton", sizes, parameter=space.parameter, to=space.to)
     y, u = x / equilibria.sizes, orbit.parameter
     found = locate_rest(equilibria, HOPF, y, u, 2j * np.pi / values[PERIOD])
     if found is None:
@@ -204,7 +203,7 @@ def _hopf_near(space: BoundarySolutions, orbit: Point) -> tuple[EquilibriumEquat
 
 def _as_orbit(space: BoundarySolutions, orbit: Point, equilibria: EquilibriumEquations, found: Located) -> Point:
     """A Hopf point as an orbit of amplitude zero of the branch that ends there."""
-    problem = stated(orbit.problem)
+    problem = orbit.problem
     algebraic: AlgebraicProblem = equilibria.problem
     x = algebraic.state(np.append(found.y, found.s))
     z = at_rest(problem, x, 2.0 * np.pi / found.frequency, found.s)
@@ -223,23 +222,6 @@ class BoundarySpace(BoundarySolutions):
     def has_ledger(self) -> bool:
         """Whether changes of stability are located between two solutions."""
         return not self.kind
-
-    # The branch -----------------------------------------------------------------------------------------------------
-
-    @cached_property
-    def start(self) -> Point:
-        """The first solution as a point of the branch; raises BoundaryError where it cannot be solved again."""
-        first = self.first
-        assert first is not None
-        if self.leaves:
-            return replace(first, step=self.point_solver.settings.first_step)
-        problem = stated(self.levels.problem(first.problem.resolution).with_constants(first.problem.constants))
-        z = first.z.copy()
-        z[-1] = 0.0
-        correction = self.levels.corrector(problem).correct(z, problem.parameter_row(), 0.0)
-        if not correction.converged:
-            raise BoundaryError(f"the start of the branch: {correction.status.value}; {problem.worst(correction.z)}")
-        return replace(refined(self.point_solver, problem, correction), step=self.point_solver.settings.first_step)
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
         """Folds on the stretch between two points, and the Hopf point where an orbit shrinks to an equilibrium.
@@ -324,7 +306,7 @@ class BoundarySpace(BoundarySolutions):
         jumps = self.jump(point)
         if jumps:
             return End.JUMP, jumps
-        problem = stated(point.problem)
+        problem = point.problem
         words = problem.backwards(point.z)
         return (End.NO_STEP if words else None), words
 
@@ -333,7 +315,7 @@ class BoundarySpace(BoundarySolutions):
     ) -> BoundarySpace:
         """The space of the branch through one of these solutions in a parameter."""
         statement = self.statement.with_parameters(**solution.parameters)
-        sizes = Sizes(solution.problem.floors, solution.problem.scalar_floors)
         return BoundarySpace(
-            statement, self.tolerance, self.method, sizes, self.periodic, parameter, to, at, solution.point, settings
-        )
+            statement, self.tolerance, self.method, Sizes(solution.problem.floors, solution.problem.scalar_floors),
+            self.periodic, parameter=parameter, to=to, at=at, first=solution.point, settings=settings,
+        )  # fmt: skip

@@ -9,11 +9,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.events import Ledger, at_requested_value
 from casadi_skin.follow.search import NotLocatedError
@@ -39,7 +38,7 @@ class Following:
 
     def __init__(
         self,
-        space: SolutionSpace,
+        space: Any,
         stability: bool = False,
         events: bool = True,
         solutions: Sequence[Solution] = (),
@@ -53,12 +52,12 @@ class Following:
         stability = stability and not space.stability_included
         events = events and stability
         self.space, self.stability, self.events, self.until = space, stability, events, until
-        self._ledger = Ledger(cast(BoundarySpace, space)) if events and space.has_ledger else None
+        self._ledger = Ledger(space) if events and space.has_ledger else None
         self._waiting: deque[Point] = deque(waiting)  # reached, but not yet among the solutions
         self._keep = keep
         self._time_limit, self._end_time = time_limit, time.monotonic() + time_limit
         self._walk = Walk(space, [*(s.point for s in solutions), *waiting], missed, unresolved)
-        self._stopped = self._at_hand = False  # the second: whether the next result has been computed
+        self._stopped = False
         self.solutions = list(self._with_bifurcations(solutions))
 
     def _with_bifurcations(self, solutions: Sequence[Solution]) -> Iterator[Solution]:
@@ -71,17 +70,9 @@ class Following:
 
     def __iter__(self) -> Iterator[Solution]:
         results = self._results()
-        while True:
-            if self._at_hand:  # nothing is computed for it
+        while True:  # the contexts are not those of the caller's work between two solutions
+            with one_thread(), interrupts_deferred(), np.errstate(all="ignore"), self._watch():
                 result = next(results, None)
-            else:
-                with (
-                    one_thread(),
-                    interrupts_deferred(),
-                    np.errstate(all="ignore"),
-                    self._watch(),
-                ):  # not while the caller of the iteration is at work
-                    result = next(results, None)
             if result is None:
                 return
             yield result
@@ -129,16 +120,12 @@ class Following:
     def _finish_waiting(self) -> Iterator[Solution]:
         """The solutions of the points that wait, with their stability, in order."""
         try:
-            solutions = self._with_stability()
-            known = isinstance(solutions, list) and not self.events and self.until is None
-            for solution in map(self._critical, solutions):
+            for solution in map(self._critical, self._with_stability()):
                 for special in self._bifurcations_before(solution):
                     self.solutions.append(special)
                     yield special
                 self.solutions.append(solution)
                 self._waiting.popleft()
-                others = self._waiting or (not self.stability and self._keep is None and self._walk.at_hand)
-                self._at_hand = known and bool(others)
                 yield solution
                 if self.until is not None and self.until(solution):
                     self._stopped = True
@@ -167,10 +154,7 @@ class Following:
             yield from self._ledger.between(before, solution, leaving)
 
     def _with_stability(self) -> Iterable[Solution]:
-        """Solutions of the points that wait, a list where nothing is left to be computed.
-
-        Raises FlowError at the first whose stability cannot be computed.
-        """
+        """Solutions of the points that wait; raises FlowError at the first whose stability cannot be computed."""
         points = list(self._waiting)
         if not (points and self.stability):
             return [self.space.solution(point) for point in points]
@@ -202,7 +186,7 @@ class Following:
 def run_following(following: Following, progress: Callable[[Any], None] | None) -> Branch:
     """Follow a branch to its end, calling `progress` with each solution."""
     for result in following:
-        if progress is not None and isinstance(result, Solution):
+        if progress is not None:
             progress(result)
     return following.branch()
 
@@ -347,11 +331,6 @@ class Walk:
     def ended_early(self) -> End | None:
         """Why the branch ended before its continuation did."""
         return self._end
-
-    @property
-    def at_hand(self) -> bool:
-        """Whether the next point is known: nothing has to be computed for it."""
-        return not self.space.locates_folds and getattr(self._continuation, "at_hand", False)
 
     def stop(self, end: End, detail: str = "") -> None:
         """End the branch for a reason that its points do not show."""

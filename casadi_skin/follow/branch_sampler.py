@@ -27,17 +27,14 @@ from casadi_skin.zero.settings import Point
 
 LEAST_SECTION_COSINE = 0.6  # cosine of the angle between the branch and the direction of its section, at least
 NEARBY_DISTANCE = 0.3  # of the distance of neighbouring points: how far an orbit may be from where they predict it
-END_STEPS, NEAR_END = (
-    2,
-    0.01,
-)  # steps to the end of the branch, and how far it may be, of the distance of the last points
+# Steps to the end of the branch, and how far it may be, of the distance of the last points.
+END_STEPS, NEAR_END = 2, 0.01
 PREDICTING_POINTS = 4  # points that an orbit is predicted from
 NEARER_FRACTION = 0.25  # of the way from a point to an orbit that is not found: where one is sought next
 NEAREST_FRACTION = 1e-4  # of that way, at least
 MOST_ADDED_ORBITS = 24  # orbits that are added for one that is not found, at most
-UNEVEN_RESPONSES = (
-    2.0  # responses to rounding within a piece, one over another, beyond which the larger is looked at as well
-)
+# Responses to rounding within a piece, one over another, beyond which the larger is looked at as well.
+UNEVEN_RESPONSES = 2.0
 ORBIT_SAFETY = 2.0
 LEVEL_GAIN = 0.5  # of an error on one level of resolution: the remaining part on the next, unless it is rounding
 ROUGH_ERROR = 1e-8  # error that is more than rounding, however slowly it falls from level to level
@@ -237,8 +234,8 @@ class OrbitSampler:
 
     def _fine_enough(self, points: Sequence[Point], hardest: Point) -> Problem:
         """The problem on the coarsest level that solves the hardest point, or beyond which only rounding is left."""
-        problem, before = hardest.problem, np.inf
-        coarser = problem
+        problem: Problem = hardest.problem
+        before, coarser = np.inf, problem
         while True:
             row = self._direction(problem, points)
             guess = hardest.problem.prolong(hardest.z, problem)

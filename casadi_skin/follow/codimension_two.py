@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from casadi_skin.follow.branch_points import double_between, interpolated
 from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
-from casadi_skin.follow.followed import Followed
 from casadi_skin.follow.location import jacobian_of
 from casadi_skin.follow.normal_forms import (
     branching_equation,
@@ -51,6 +50,7 @@ from casadi_skin.follow.search import (
     turned,
     zero_between,
 )
+from casadi_skin.follow.space import Followed
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.zero.augmented import ExtendedSystem, HopfSystem
 from casadi_skin.zero.kinds import (
@@ -493,7 +493,7 @@ class OrbitCurveSearch(CurveSearch):
         space = self.space
         for known, found in space.coefficients:
             if known is point:
-                return found
+                return float(found)
         linear = space.linearised(point)
         angle = float(np.arccos(np.clip(space.kappa(point), -1.0, 1.0))) if self.kind == TORUS else 0.0
         assert space.critical is not None

@@ -5,12 +5,12 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import cast
 
 import numpy as np
 
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.search import Sample
+from casadi_skin.follow.space import ParameterSpace
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.ipopt import CORRECTORS
 from casadi_skin.solve.levels import ExactLevels, Levels
@@ -28,7 +28,7 @@ def sample_of(point: Point, weights: Array) -> Sample:
     """The sample at a point; derivatives along the branch by differences of the Jacobian."""
     from scipy.linalg import LinAlgWarning, lu_factor, lu_solve
 
-    problem, z, t = cast(AlgebraicProblem, point.problem), point.z, point.tangent
+    problem, z, t = point.problem, point.z, point.tangent
     n, rounding = problem.statics.size, max(EPSILON, problem.statics.model.rounding)
     h = rounding ** (1.0 / 3.0) / max(1e-300, float(np.max(np.abs(t))))
     change = (problem.jacobian(z + h * t) - problem.jacobian(z - h * t)) / (2.0 * h)
@@ -67,7 +67,7 @@ def corrector_of(name: str, tolerance: float, problem: Problem) -> Corrector:
 
 
 @dataclass(frozen=True, eq=False)
-class EquilibriumEquations:
+class EquilibriumEquations(ParameterSpace):
     """Equilibria of a model; where `parameter` is named they are followed in it from a start.
 
     Attributes:
@@ -75,17 +75,12 @@ class EquilibriumEquations:
         tolerance: relative error of the state.
         corrector: name of the corrector.
         sizes: scales of the components of the state.
-        parameter: the parameter that is followed, from its value to `to`; empty where none is.
-        settings: of the continuation.
     """
 
     statics: Statics
     tolerance: float
     corrector: str
     sizes: Array
-    parameter: str = ""
-    to: float = 1.0
-    settings: ContinuationSettings | None = None
 
     @property
     def model(self) -> OdeModel:

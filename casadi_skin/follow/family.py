@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.point import PointSolver, with_small_components
 from casadi_skin.follow.series import CONFIRMED_TOGETHER, SeriesContinuation
 from casadi_skin.follow.solution import Orbit
@@ -29,45 +28,16 @@ from casadi_skin.zero.cosines import TrigonometricProblem
 from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.orbit_collocation import CollocationProblem
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar
+from casadi_skin.zero.recursion import PolynomialForm, Recursion
 from casadi_skin.zero.request import FamilyRequest
 from casadi_skin.zero.settings import Continuation, End, Point, Target
 from casadi_skin.zero.shooting import ShootingProblem
 
-if TYPE_CHECKING:
-    from casadi_skin.zero.recursion import PolynomialForm, Recursion
-
-CONTINUATIONS = {"arclength": ArclengthContinuation, "series": SeriesContinuation}
-HARMONICS_OFFERED = (
-    methods.FEWEST_COSINES,
-    6,
-    8,
-    10,
-    12,
-    14,
-    16,
-    20,
-    24,
-    28,
-    32,
-    40,
-    48,
-    64,
-    80,
-    96,
-    128,
-    160,
-    192,
-    256,
-)
+FEW_HARMONICS = (methods.FEWEST_COSINES, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64)
+HARMONICS_OFFERED = (*FEW_HARMONICS, 80, 96, 128, 160, 192, 256)
 MANY_HARMONICS = (320, 384, 512)  # where few sites make them cheap
 INTERVALS_OFFERED = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
-CVODES_DIGITS = (
-    8,
-    10,
-    12,
-    14,
-    15,
-)  # of CVODES' local tolerance: fewer cost as much, and their noise refuses more steps
+CVODES_DIGITS = (8, 10, 12, 14, 15)  # of its local tolerance: fewer cost as much, and their noise refuses more steps
 SHOOTING_SHARE = 0.03  # of the tolerance, local: an orbit's error is 10 to 1000 local tolerances
 SHOOTING_NOISE = 10.0  # local tolerances, which a corrector of shooting may leave
 ROUND_OFF = 2e-15  # of a residual relative to the state, per square of the resolution
@@ -159,32 +129,22 @@ class Family(FamilyStability, SolutionSpace):
 
     def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
         """The continuation from its last points, the start among them, and from points reported after these."""
-        kind = CONTINUATIONS[str(self.request.method.walker)]
         if self.request.method.walker != "series":
-            found: Continuation = kind(self.point_solver, history, reported)
-            return found
-
+            return super().continuation(history, reported)
         tolerance = self.corrector_tolerance
 
         def precision(problem: Problem) -> float:
             allowed = max(tolerance, ROUND_OFF * problem.resolution**2)
             return min(0.1 * math.sqrt(allowed), SERIES_PRECISION)  # Newton's step squares it
 
-        series: Continuation = kind(self.point_solver, history, self._recursion, precision, reported)
-        return series
+        return SeriesContinuation(self.point_solver, history, self._recursion, precision, reported)
 
-    def _recursion(self, problem: Problem) -> Recursion:
+    def _recursion(self, problem: Any) -> Recursion:
         """Power series at one resolution, made once."""
         if problem.resolution not in self._recursions:
-            own = cast(TrigonometricProblem, problem)
-            self._recursions[problem.resolution] = own.recursion(self._polynomial_form, SERIES_ORDERS)
+            form = PolynomialForm.of(self.coordinates.scaled)
+            self._recursions[problem.resolution] = problem.recursion(form, SERIES_ORDERS)
         return self._recursions[problem.resolution]
-
-    @cached_property
-    def _polynomial_form(self) -> PolynomialForm:
-        from casadi_skin.zero.recursion import PolynomialForm
-
-        return PolynomialForm.of(self.coordinates.scaled)
 
     @property
     def held_names(self) -> tuple[str, ...]:

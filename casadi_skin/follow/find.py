@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
-from typing import Any, Protocol, cast, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.follow.boundary_solutions import BoundaryError, FamilyError
-from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.equilibrium_equations import corrector_of
-from casadi_skin.follow.family import Family
 from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium, Orbit, Solution
 from casadi_skin.model import methods
@@ -38,9 +36,8 @@ from casadi_skin.zero.statics import Statics
 
 TOLERANCE_RANGE = (1e-13, 1e-2)
 MOST_STARTS = 1_000_000
-SETTLED_DISTANCE = (
-    0.05  # of the sizes of the state: where a simulation ends, from the equilibrium that it is said to settle at
-)
+# Of the sizes of the state: where a simulation ends, from the equilibrium that it is said to settle at.
+SETTLED_DISTANCE = 0.05
 FAR_POWERS_OF_TWO = 4.0  # powers of two between the sizes of a guess and those of the equilibrium found
 SAME_EQUILIBRIUM_DISTANCE = 1e-6  # of the sizes: distance of two equilibria that are the same
 ACCEPTED_GUESSES = "numbers, one a state, numbers by state name, a simulation or another equilibrium"
@@ -189,7 +186,7 @@ def _near(space: EquilibriumSpace, start: Array, second: bool = True) -> Equilib
         correct = space.levels.corrector(problem) if name == space.corrector else None
         correction: Correction = (correct or corrector_of(name, space.tolerance, problem)).correct(z, row, 0.0)
         if correction.converged and np.all(np.isfinite(correction.z)):
-            point = space.refined(correction)
+            point = space.refined(problem, correction)
             words = space.jump(point)
             if words:
                 raise JumpError(space.model.name, f"{words}, at the equilibrium")
@@ -217,14 +214,14 @@ def _not_finite(model: OdeModel, state: Array, parameters: Array) -> str:
 
 def _in_own_units(found: Equilibrium) -> Equilibrium:
     """An equilibrium solved for again where the sizes of its guess are far from its own."""
-    space = cast(EquilibriumSpace, found.space)
+    space = found.space
     sizes = sizes_at(space.statics, found.positions, (), space.sizes)
     if np.max(np.abs(np.log2(sizes / space.sizes))) < FAR_POWERS_OF_TWO:
         return found
     again = replace(space, sizes=sizes)
     z, row = np.append(found.positions / sizes, 0.0), again.problem.parameter_row()
     correction = again.levels.corrector(again.problem).correct(z, row, 0.0)
-    return Equilibrium(again, again.refined(correction)) if correction.converged else found
+    return Equilibrium(again, again.refined(again.problem, correction)) if correction.converged else found
 
 
 def _settled(statics: Statics, start: Array, transient: float, tolerance: float, corrector: str) -> Equilibrium:
@@ -257,16 +254,12 @@ def _settled(statics: Statics, start: Array, transient: float, tolerance: float,
 NOT_ZERO = 100.0  # tolerances that the unfolding parameter may differ from zero by
 LONGEST_RETURN, RETURN_SAMPLES = 8.0, 1601  # stated periods in which a motion may come back, and places looked at
 RETURN_TOLERANCE = 1e-6
-GONE_DISTANCE, RETURNED_DISTANCE = (
-    0.5,
-    0.1,
-)  # of the ranges of the states: distance from the start that has left it, and that has come back
+# Of the ranges of the states: distance from the start that has left it, and that has come back.
+GONE_DISTANCE, RETURNED_DISTANCE = 0.5, 0.1
 OTHER_PERIOD_RTOL = 0.1  # relative difference of the stated period and another one
 TURN_TRIALS, SAME_TIME = 3, 1e-9  # random points at which a field is compared with itself after one turn
-SHRUNK_MOTION, STILL_MOTION = (
-    1e-6,
-    1e-12,
-)  # motion relative to that of the guess, and to the states, that counts as rest
+# Motion relative to that of the guess, and to the states, that counts as rest.
+SHRUNK_MOTION, STILL_MOTION = 1e-6, 1e-12
 
 
 def find_orbit(
@@ -336,7 +329,7 @@ def find_orbit(
         apart = model.forced or isinstance(error, FamilyError)
         words = "" if apart else _returning_words(statement, guess, first, length)
         raise (BoundaryError(f"{error}; {words}") if words else error) from error.__cause__
-    space = cast(BoundarySpace, solution.space)
+    space = solution.space
     space = replace(space, periodic=Periodic(model, first, symmetry, tuple(int(k) for k in turns)))
     orbit = Orbit(space, solution.point, solution.exact, solution.optimum)
     if model.forced:
@@ -346,22 +339,6 @@ def find_orbit(
         kept = " or ".join(f"the {name}" for name in quantities(model))
         raise BoundaryError(f"{model.name}: {words}: {kept} is not conserved, or the orbit is degenerate")
     return orbit
-
-
-def closed_statement(
-    model: OdeModel, guess: Guess, period: float, parameters: Mapping[str, float], turns: Sequence[int] = ()
-) -> Statement:
-    """The orbit of an autonomous model of first order, with an unknown period and the phase of a guess."""
-    rotations = np.array(turns, dtype=float) if len(turns) else np.zeros(model.full_size)
-    return statement_of(OrbitRequest(model, period, 1, dict(parameters), rotations, guess))
-
-
-def forced_statement(
-    model: OdeModel, cycles: int, parameters: Mapping[str, float], turns: Sequence[int] = ()
-) -> Statement:
-    """The orbit of a forced model of first order after a number of periods of the forcing."""
-    rotations = np.array(turns, dtype=float) if len(turns) else np.zeros(model.full_size)
-    return statement_of(OrbitRequest(model, 0.0, cycles, dict(parameters), rotations, np.zeros(model.full_size)))
 
 
 def rotations_of(model: OdeModel, given: Mapping[str, int] | None, symmetric: bool = False) -> Array:
@@ -499,7 +476,7 @@ def check_orbit(
 AMPLITUDE_NAME = "S"
 
 
-def restated(orbit: Orbit, parameter: str) -> Orbit:
+def restated(orbit: Any, parameter: str) -> Orbit:
     """The orbit of the model in its own coordinates at the same S, which becomes a parameter.
 
     Arguments:
@@ -514,7 +491,6 @@ def restated(orbit: Orbit, parameter: str) -> Orbit:
         BoundaryError: the orbit is not found in these coordinates.
     """
     family = orbit.space
-    assert isinstance(family, Family)
     family.coordinates.check_whole("an orbit followed in a parameter")
     extended, amplitude, select = with_amplitude(family.coordinates.model)
 

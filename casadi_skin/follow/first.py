@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.follow.boundary_solutions import BoundaryError, refined
+from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.arguments import check_name, duration, number, short_repr
@@ -143,7 +143,7 @@ def accuracy_of(options: Mapping[str, Any]) -> tuple[float, Method]:
 def space_of(statement: Statement, guess: Guess, options: Mapping[str, Any]) -> BoundarySpace:
     """The space of solutions of a statement, measured by a guess; raises ValueError for options out of range."""
     tolerance, method = accuracy_of(options)
-    times = np.linspace(*statement.span(np.array(list(statement.values.values()))), 201)
+    times = np.linspace(*statement.span(), 201)
     return BoundarySpace(statement, tolerance, method, Sizes.of(statement, sampled(statement, guess, times)))
 
 
@@ -179,7 +179,7 @@ def _jump_along(space: BoundarySpace, guess: Guess) -> str:
     jumps, values = space.model.jumps, space.statement.values
     if not jumps.found:
         return ""
-    t = np.linspace(*space.statement.span(np.array(list(values.values()))), GUESS_SAMPLES)
+    t = np.linspace(*space.statement.span(), GUESS_SAMPLES)
     p = np.array([values[name] for name in jumps.model.parameter_names])
     return jumps.along(t, sampled(space.statement, guess, t)[:, : jumps.model.full_size], p)
 
@@ -233,7 +233,7 @@ def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) ->
             correction = _sized(point_solver.levels, problem, correction, not np.any(z[: problem.states]))
             resolved = converged_mesh(point_solver.levels, problem, correction)
             try:
-                return refined(point_solver, *(resolved or (problem, correction)))
+                return space.refined(*(resolved or (problem, correction)))
             except BoundaryError as error:
                 if problem.resolution not in JUMP_RESOLUTIONS:
                     raise
@@ -296,7 +296,7 @@ def _first_problems(
 def packed(problem: BoundaryProblem, guess: Guess) -> Array:
     """Unknowns at a guess, with u = 0."""
     statement = problem.statement
-    start, end = statement.span(np.array(list(statement.values.values())))
+    start, end = statement.span()
     states = sampled(statement, guess, start + problem._fractions() * (end - start))
     scalars = [statement.values[name] for name in statement.free]
     return np.concatenate([states.ravel(), scalars, [0.0]])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.branch_run import Following, run_following
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.solution import Orbit, Solution, following_settings
-from casadi_skin.follow.space import FAMILY, SolutionSpace
+from casadi_skin.follow.space import FAMILY
 from casadi_skin.model.arguments import check_options, duration, function_of, truth
 from casadi_skin.zero.family import MAX_POINTS, Method
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD
@@ -139,12 +139,12 @@ def follow(
 def following_space(
     solution: Solution, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float,
     back_to: float | None = None,
-) -> SolutionSpace:  # fmt: skip
+) -> Any:  # fmt: skip
     """The space of the branch through a solution in a parameter; raises ValueError as `follow` does."""
     if solution.space.connects == FAMILY:
         from casadi_skin.follow.find import restated
 
-        solution = restated(cast(Orbit, solution), parameter)
+        solution = restated(solution, parameter)
     if solution.space.optimises:
         raise ValueError("follow: given a solution with an objective; accepted: one without")
     settings = following_settings(

@@ -163,7 +163,7 @@ def extended_space(
     )
     scalars = np.concatenate([old.sizes.scalars, [unit], np.ones(len(critical.added))])
     method = replace(old.method, corrector="newton")
-    return BoundarySolutions(statement, old.tolerance, method, Sizes(states, scalars), None, parameter, to)
+    return BoundarySolutions(statement, old.tolerance, method, Sizes(states, scalars), parameter=parameter, to=to)
 
 
 def critical_of(kind: str, space: BoundarySolutions, point: Point, angle: float, first: str) -> Critical:

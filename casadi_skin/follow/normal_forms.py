@@ -16,10 +16,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from casadi_skin.follow.followed import Followed
 from casadi_skin.follow.rest_normal_forms import DECIDED_SIGN_RATIO, Critical
 from casadi_skin.follow.rest_normal_forms import critical as at_equilibrium
-from casadi_skin.follow.solution import Orbit, Solution
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import Followed
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.closure import Closure
 from casadi_skin.zero.kinds import DOUBLING, FOLD, TORUS
@@ -35,7 +35,7 @@ def critical(point: SpecialPoint) -> Critical:
     """Normal form at a special point of equilibria or orbits; raises ValueError for another point."""
     solution = point.solution
     stated = _closed(point)
-    if not (isinstance(solution, Orbit) or stated) or point.kind not in (FOLD, DOUBLING, TORUS):
+    if not (solution.is_orbit or stated) or point.kind not in (FOLD, DOUBLING, TORUS):
         return at_equilibrium(point)
     try:
         problem = solution.problem

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.solution import Orbit, Solution
+from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point
@@ -110,7 +110,7 @@ def passage(
         found: Iterator[Solution | None] = _held(space, solutions, name, value)
     else:
         found = _sought(space, solutions, lambda point: of(space.solution(point)) - value, values - value)
-    kind = "orbit" if not solutions or isinstance(solutions[0], Orbit) else "solution"
+    kind = "orbit" if not solutions or solutions[0].is_orbit else "solution"
     try:
         for solution in found:
             if passed == which:

@@ -20,7 +20,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,7 +117,7 @@ class Counts:
 
 def counted(equations: EquilibriumEquations, before: Point, after: Point) -> Counts | None:
     """The numbers of unstable eigenvalues between two points; None where the branch is not found there."""
-    problem, first = cast(AlgebraicProblem, before.problem), equations.sample(before)
+    problem, first = before.problem, equations.sample(before)
     row = first.row
     curve = LocalCurve.through(before.z, before.tangent, after.z, after.tangent, row)
     length = float(row @ (after.z - before.z))

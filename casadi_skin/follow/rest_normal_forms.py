@@ -8,12 +8,9 @@ l1 w |w|^2 + ..., with q*.q = 1, p*.q = 1; a cycle is born stable where it is ne
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
-from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
-from casadi_skin.follow.solution import Equilibrium, Orbit
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.kinds import FOLD, HOPF
 from casadi_skin.zero.problem import Array
@@ -42,13 +39,13 @@ def critical(point: SpecialPoint) -> Critical:
     Raises ValueError for other points.
     """
     solution = point.solution
-    if isinstance(solution, Orbit) and point.kind == HOPF:  # of amplitude zero
+    if solution.is_orbit and point.kind == HOPF:  # of amplitude zero
         model = solution.model
         known = Statics(model, {name: solution.parameters[name] for name in model.parameter_names})
         return hopf_form(known, solution.evaluate(0.0), np.array(list(known.values.values())))
-    if not isinstance(solution, Equilibrium):
+    if not solution.is_equilibrium:
         raise ValueError(f"{point.kind}: given one of {type(solution).__name__.lower()}s; accepted: one of equilibria")
-    statics = cast(EquilibriumEquations, solution.space).statics
+    statics = solution.space.statics
     x, p = solution.positions, np.array(list(solution.parameters.values()))
     if point.kind in (HOPF, "generalized hopf"):
         return hopf_form(statics, x, p)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NoReturn, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -14,20 +14,17 @@ from casadi_skin.follow.equilibrium_equations import EquilibriumEquations, corre
 from casadi_skin.follow.location import EXTENDED_SYSTEMS, jacobian_of
 from casadi_skin.follow.rest_events import special_between
 from casadi_skin.follow.solution import Equilibrium, Solution, following_settings
-from casadi_skin.follow.space import EQUILIBRIA, SolutionSpace
+from casadi_skin.follow.space import EQUILIBRIA
 from casadi_skin.follow.special_points import SpecialPoint, check_second
 from casadi_skin.model.jumps import PARAMETER, STATE
-from casadi_skin.model.result import NoQuantityError
 from casadi_skin.solve.levels import ExactLevels, Levels
 from casadi_skin.solve.newton import Correction
-from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved
 from casadi_skin.zero.problem import Array, Indices, Scalar, SingularError
 from casadi_skin.zero.rest_problem import AlgebraicProblem, Course, sizes_at
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point
 from casadi_skin.zero.statics import Spectrum, Statics, balanced
 
-NO_ORBIT = "an equilibrium is no orbit: it has eigenvalues in place of multipliers, and no period"
 AT_JUMP = 1e-6  # of the sizes of states: distance of an equilibrium from a jump at which it counts as on it
 OFFSET_FROM_SPECIAL_POINT = 0.01  # of a step from a special point: where the search for other ones starts
 
@@ -37,24 +34,17 @@ class EquilibriumError(ArithmeticError):
 
 
 @dataclass(frozen=True, eq=False)
-class EquilibriumSpace(EquilibriumEquations, SolutionSpace):
-    """Equilibria of a model; where `parameter` is named they are followed in it from a start.
+class EquilibriumSpace(EquilibriumEquations):
+    """Equilibria of a model; where `parameter` is named they are followed in it from a start."""
 
-    Attributes:
-        at: values of the parameter at which equilibria are wanted.
-        first: the start of the branch.
-        leaves: whether `first` is a special point that the branch leaves along the tangent of `first`.
-    """
-
-    at: tuple[float, ...] = ()
-    first: Point | None = None
-    leaves: bool = False
     connects = EQUILIBRIA
     stability_included = True
+    solution_class = Equilibrium
+    error = EquilibriumError
 
-    def refined(self, correction: Correction) -> Point:
+    def refined(self, problem: Any, correction: Correction) -> Point:
         """The equilibrium of a correction with u held; raises EquilibriumError where it is not regular."""
-        problem, name = self.problem, self.model.name
+        name = self.model.name
         deficiency = problem.deficiency(correction.z)
         if deficiency:
             why = "the equilibrium is not alone there, as with a conserved quantity, or lies at a fold"
@@ -67,35 +57,23 @@ class EquilibriumSpace(EquilibriumEquations, SolutionSpace):
             raise EquilibriumError(f"{name}: the equilibrium cannot be refined to the tolerance; try a larger one")
         return point
 
-    # The branch -----------------------------------------------------------------------------------------------------
+    def problem_at(self, first: Point) -> Any:
+        """The only equations that there are."""
+        return self.problem
 
-    @cached_property
-    def start(self) -> Point:
-        """The first equilibrium as a point of the branch; raises EquilibriumError where it cannot be solved again."""
-        first = self.first
-        assert first is not None
-        step = self.point_solver.settings.first_step
-        if self.leaves:
-            return replace(first, step=step)
-        z = first.z.copy()
-        z[-1] = 0.0
-        correction = self.levels.corrector(self.problem).correct(z, self.problem.parameter_row(), 0.0)
-        if not correction.converged:
-            why = f"{correction.status.value}; {self.problem.worst(correction.z)}"
-            raise EquilibriumError(f"the start of the branch: {why}")
-        return replace(self.refined(correction), step=step)
+    # The branch -----------------------------------------------------------------------------------------------------
 
     def following(
         self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
     ) -> EquilibriumSpace:
         """The space of the branch through one of these equilibria in a parameter."""
-        assert isinstance(solution.point.problem, AlgebraicProblem)
-        x = solution.point.problem.state(solution.point.z)
-        statics = Statics(self.model, solution.parameters)
+        x, statics = solution.point.problem.state(solution.point.z), Statics(self.model, solution.parameters)
         sizes = sizes_at(statics, x, (Course(parameter, solution.parameters[parameter], to),), self.sizes)
-        z = np.append(x / sizes, 0.0)
-        first = replace(solution.point, z=z)
-        return EquilibriumSpace(statics, self.tolerance, self.corrector, sizes, parameter, to, settings, at, first)
+        first = replace(solution.point, z=np.append(x / sizes, 0.0))
+        return EquilibriumSpace(
+            statics, self.tolerance, self.corrector, sizes,
+            parameter=parameter, to=to, settings=settings, at=at, first=first,
+        )  # fmt: skip
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
         """Special points on the stretch between two points, in order, and parts of it that are not resolved."""
@@ -129,7 +107,6 @@ class EquilibriumSpace(EquilibriumEquations, SolutionSpace):
 
     def _place(self, point: Point) -> tuple[Array, Array]:
         """The state of first order and the parameters of a point."""
-        assert isinstance(point.problem, AlgebraicProblem)
         y = point.problem.state(point.z)
         return np.concatenate([y, np.zeros(self.model.full_size - y.size)]), point.problem.parameters(point.z)
 
@@ -145,49 +122,17 @@ class EquilibriumSpace(EquilibriumEquations, SolutionSpace):
         return np.arange(1, self.statics.size + 1)
 
     def parameters(self, point: Point) -> dict[str, float]:
-        assert isinstance(point.problem, AlgebraicProblem)
-        return point.problem.named(point.z)
-
-    def interval(self, point: Point) -> tuple[float, float]:
-        """An equilibrium needs no time."""
-        return 0.0, 0.0
-
-    def span(self, point: Point) -> tuple[float, float]:
-        return 0.0, 0.0
-
-    def solution(
-        self, point: Point, floquet: Floquet | None = None, exact: Mapping[str, float] | None = None
-    ) -> Equilibrium:
-        """The equilibrium of a point."""
-        if exact is None:
-            exact = {self.parameter: self.value(self.parameter, point)} if self.parameter else {}
-        return Equilibrium(self, point, exact)
+        return dict(point.problem.named(point.z))
 
     def parameter_error(self, point: Point) -> float:
         """Estimated absolute error of the parameter followed at a special point."""
         return abs(point.error.parameter * (self.to - self.statics.values[self.parameter])) if self.parameter else 0.0
-
-    # Stability ------------------------------------------------------------------------------------------------------
-
-    def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
-        raise NoQuantityError(NO_ORBIT)
-
-    def floquet_vectors(self, point: Point, floquet: Floquet) -> NoReturn:
-        raise NoQuantityError(NO_ORBIT)
-
-    def energy(self, point: Point) -> float:
-        raise NoQuantityError(NO_ORBIT)
-
-    @property
-    def symmetry(self) -> NoReturn:
-        raise NoQuantityError(NO_ORBIT)
 
     def spectrum(self, point: Point) -> Spectrum:
         """Eigenvalues at a point, computed once for the last few points."""
         for known, found in self._spectra:
             if known is point:
                 return found
-        assert isinstance(point.problem, AlgebraicProblem)
         z = point.z
         moved = self.sizes * np.maximum(np.abs(z[: self.statics.size]), 1e-3) * _finite(point.error)
         found = self.statics.spectrum(point.problem.state(z), point.problem.parameters(z), moved)
@@ -205,9 +150,8 @@ def _finite(error: ErrorEstimate) -> float:
 
 # Folds, Hopf points and branch points followed in a second parameter, by extended systems that are regular there ------
 
-UNFOLDING_IMPERFECTION = (
-    1e-7  # of the norm of the balanced Jacobian, in a step: an imperfection that grows along a curve
-)
+# Of the norm of the balanced Jacobian, in a step: an imperfection that grows along a curve.
+UNFOLDING_IMPERFECTION = 1e-7
 
 
 class UnfoldingError(EquilibriumError):
@@ -272,7 +216,7 @@ def curve_space(
     started, or a branch point does not stay one.
     """
     solution = point.solution
-    if not isinstance(solution, Equilibrium) or point.kind not in EXTENDED_SYSTEMS or solution.space.free:
+    if not solution.is_equilibrium or point.kind not in EXTENDED_SYSTEMS or solution.space.free:
         raise ValueError(f"curve: given a {point.kind}; accepted: a fold, Hopf point or branch point of equilibria")
     check_second(point, parameter)
     settings = following_settings(
@@ -283,8 +227,8 @@ def curve_space(
 
 def _started(point: SpecialPoint, parameter: str, to: float, at: tuple[float, ...]) -> CurveSpace:
     """The space of the curve through a special point; raises EquilibriumError where derivatives are not there."""
-    solution = cast(Equilibrium, point.solution)
-    old = cast(EquilibriumSpace, solution.space)
+    solution = point.solution
+    old = solution.space
     statics = Statics(old.model, solution.parameters)
     x, p0, course = solution.positions, solution.parameters[point.parameter], old.course
     assert course is not None
@@ -292,7 +236,7 @@ def _started(point: SpecialPoint, parameter: str, to: float, at: tuple[float, ..
     second = Course(point.parameter, p0, p0 + (course.to - course.start))
     rate = point.frequency if point.kind == HOPF else 1.0
     space = CurveSpace(
-        statics, old.tolerance, old.corrector, sizes, parameter, to, at=at, kind=point.kind, second=second, rate=rate
+        statics, old.tolerance, old.corrector, sizes, point.kind, second, rate, parameter=parameter, to=to, at=at
     )
     try:
         _ = space.problem.function

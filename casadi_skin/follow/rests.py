@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from casadi_skin.follow.boundary_solutions import BoundaryError, refined
+from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
@@ -321,7 +321,7 @@ class Connection:
             correction = space.levels.corrector(problem).correct(z, problem.parameter_row(), 0.0)
             if not correction.converged or self._apart(problem, correction.z, z) > LINEAR_DISTANCE:
                 return None
-            point = refined(space.point_solver, problem, correction)
+            point = space.refined(problem, correction)
         except (BoundaryError, SingularError):
             return None
         if not name:

@@ -178,11 +178,8 @@ class _Reached:
 class SeriesContinuation:
     """A walk by Taylor series (see `Continuation`) for problems whose series `recursion` computes.
 
-    `precision` of a problem is the residual, relative to the state, that the series may leave. `at_hand` is true where
-    nothing has to be computed for the next point.
+    `precision` of a problem is the residual, relative to the state, that the series may leave.
     """
-
-    at_hand = False
 
     def __init__(
         self,
@@ -209,11 +206,7 @@ class SeriesContinuation:
         self.end = known
         while self.end is None:
             batch = next(batches)
-            left = sum(reached.point is not None and word is reached.point for reached, word in batch)
             for reached, word in batch:
-                agreed = reached.point is not None and word is reached.point
-                left -= agreed
-                self.at_hand = agreed and left > 0
                 point, self.detail = self._emitted(reached, word), reached.detail or self.detail
                 if point is None:
                     self._without(reached, word)
@@ -229,7 +222,7 @@ class SeriesContinuation:
                     self.end, self.detail = End.POINTS, f"{self.settings.max_points} points"
                 if self.end is not None:
                     return
-                if point is not None and point.walked and not agreed:
+                if point is not None and point.walked and (reached.point is None or word is not reached.point):
                     batches = self._batches()  # from the point that the corrector has moved
                     break
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 
 from casadi_skin.follow.branch_run import Following, run_following
 from casadi_skin.follow.find import find_equilibrium
-from casadi_skin.follow.followed import Followed
 from casadi_skin.follow.location import locate_rest
 from casadi_skin.follow.rest_space import EquilibriumSpace, curve_space
-from casadi_skin.follow.solution import Equilibrium
+from casadi_skin.follow.space import Followed
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.kinds import FOLD, HOPF, TORUS
 from casadi_skin.zero.problem import Array
@@ -48,7 +46,7 @@ def shrunk(space: Followed, before: Point, after: Point) -> Point | None:
 
 
 def _states(space: Followed, point: Point) -> Array:
-    return space.states_at(point, np.linspace(0.0, 2.0 * np.pi, 257)[:-1], None)
+    return np.asarray(space.states_at(point, np.linspace(0.0, 2.0 * np.pi, 257)[:-1], None))
 
 
 def _hopf_near(space: Followed, orbit: Point) -> SpecialPoint | None:
@@ -59,7 +57,7 @@ def _hopf_near(space: Followed, orbit: Point) -> SpecialPoint | None:
     x = _states(space, orbit).mean(axis=0)
     statics = Statics(model, {key: values[key] for key in model.parameter_names})
     unit = float(space.sizes.scalars[len(space.critical.orbit.free)])
-    equilibria = EquilibriumSpace(statics, 1e-10, "newton", sizes_of([x]), name, values[name] + unit)
+    equilibria = EquilibriumSpace(statics, 1e-10, "newton", sizes_of([x]), parameter=name, to=values[name] + unit)
     found = locate_rest(equilibria, HOPF, x / equilibria.sizes, 0.0, 2j * np.pi / period)
     if found is None:
         return None
@@ -67,7 +65,7 @@ def _hopf_near(space: Followed, orbit: Point) -> SpecialPoint | None:
     assert course is not None
     at = {**statics.values, name: float(course.at(found.s))}
     resting = find_equilibrium(model, found.y * equilibria.sizes, parameters=at)
-    resting = replace(resting, space=replace(cast(EquilibriumSpace, resting.space), parameter=name, to=at[name] + unit))
+    resting = replace(resting, space=replace(resting.space, parameter=name, to=at[name] + unit))
     return SpecialPoint(HOPF, name, at, found.error * unit, resting)
 
 
@@ -80,7 +78,7 @@ def _as_orbit(space: Followed, orbit: Point, end: SpecialPoint) -> Point:
     states[:, :n] = end.solution.evaluate(0.0)
     for place, name in enumerate(space.statement.free, start=problem.states):
         if name == PERIOD:
-            values = cast(Equilibrium, end.solution).eigenvalues
+            values = end.solution.eigenvalues
             known = 2.0j * np.pi / z[place]
             z[place] = 2.0 * np.pi / float(values[np.argmin(np.abs(values - known))].imag)
         elif name in end.parameters:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Protocol, cast
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.follow.space import FAMILY, SolutionSpace
+from casadi_skin.follow.space import FAMILY
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import check_name, number, numbers, whole
 from casadi_skin.model.conserved import SymmetryClass
@@ -24,8 +24,7 @@ from casadi_skin.zero import mesh
 from casadi_skin.zero.collocation import CollocationEquations
 from casadi_skin.zero.cosines import cosine_matrix, quarter_phases
 from casadi_skin.zero.family import LOG10
-from casadi_skin.zero.problem import Array, Indices, OrbitProblem, Scalar
-from casadi_skin.zero.rest_problem import AlgebraicProblem
+from casadi_skin.zero.problem import Array, Indices, Scalar
 from casadi_skin.zero.settings import ContinuationSettings, Point, Target
 from casadi_skin.zero.stated_problem import BoundaryProblem, stated
 from casadi_skin.zero.statement import Statement
@@ -78,12 +77,14 @@ class Solution(Result):
         known_floquet: its stability if computed before: in a run that is resumed, or with its neighbours.
     """
 
-    space: SolutionSpace
+    space: Any
     point: Point
     exact: Mapping[str, float] = field(default_factory=dict)
     optimum: Optimum | None = None
     known_floquet: Floquet | None = None
     found_by: str = ""
+    is_orbit: ClassVar[bool] = False
+    is_equilibrium: ClassVar[bool] = False
 
     def __repr__(self) -> str:
         values = "".join(f", {name} = {value:.6g}" for name, value in list(self.parameters.items())[:PARAMETERS_SHOWN])
@@ -98,13 +99,14 @@ class Solution(Result):
     @cached_property
     def parameters(self) -> dict[str, float]:
         """All parameters by name."""
-        values = self.space.parameters(self.point)
+        values: dict[str, float] = self.space.parameters(self.point)
         return values | {name: value for name, value in self.exact.items() if name in values}
 
     @cached_property
     def interval(self) -> tuple[float, float]:
         """Start and end."""
-        return self.space.interval(self.point)
+        start, end = self.space.interval(self.point)
+        return start, end
 
     def evaluate(self, t: ArrayLike) -> Array:
         """States at times in the interval, shape (time, component), or at one, shape (component,).
@@ -130,7 +132,7 @@ class Solution(Result):
 
     def value(self, name: str) -> float:
         """A quantity that the branch can be corrected at; exactly the requested value at a requested solution."""
-        return self.exact[name] if name in self.exact else self.space.value(name, self.point)
+        return float(self.exact[name] if name in self.exact else self.space.value(name, self.point))
 
     # The discretisation -----------------------------------------------------------------------------------------------
 
@@ -205,7 +207,7 @@ class Solution(Result):
     @cached_property
     def residual(self) -> float:
         """Largest residual of the equations relative to their largest term."""
-        return self.point.problem.relative_residual(self.point.z)
+        return float(self.point.problem.relative_residual(self.point.z))
 
     # Stability ------------------------------------------------------------------------------------------------------
 
@@ -226,16 +228,17 @@ class Solution(Result):
             ValueError: there is no such flow map, or the solution does not close.
         """
         if by is not None:
-            found = self.space.floquets([self.point], by)[0]
-            found.warn()
-            return found
+            return self._computed(by)
         return self._floquet
 
     @cached_property
     def _floquet(self) -> Floquet:
         if self.known_floquet is not None:
             return self.known_floquet
-        found = self.space.floquets([self.point])[0]
+        return self._computed()
+
+    def _computed(self, by: str | None = None) -> Floquet:
+        found: Floquet = self.space.floquets([self.point], by)[0]
         found.warn()
         return found
 
@@ -284,6 +287,8 @@ class Solution(Result):
 class Equilibrium(Solution):
     """A state at which a model rests; dimensionless, or in the units of its model."""
 
+    is_equilibrium = True
+
     def __repr__(self) -> str:
         named = [f"{name} = {value:.6g}" for name, value in zip(self.space.state_names, self.positions, strict=True)]
         values = [f"{name} = {value:.6g}" for name, value in self.parameters.items()]
@@ -292,13 +297,9 @@ class Equilibrium(Solution):
         return f"<Equilibrium of {self.model.name}: {shown}{words}; {'stable' if self.stable else 'unstable'}>"
 
     @property
-    def _equations(self) -> AlgebraicProblem:
-        return cast(AlgebraicProblem, self.point.problem)
-
-    @property
     def positions(self) -> Array:
         """The unknowns: the state, of a model of second order its positions, shape (state,)."""
-        return self._equations.state(self.point.z)
+        return np.asarray(self.point.problem.state(self.point.z))
 
     @property
     def state(self) -> Array:
@@ -337,7 +338,7 @@ class Equilibrium(Solution):
     @property
     def spectrum(self) -> Spectrum:
         """Eigenvalues with their errors."""
-        found: Spectrum = cast(Any, self.space).spectrum(self.point)
+        found: Spectrum = self.space.spectrum(self.point)
         return found
 
     @property
@@ -381,6 +382,8 @@ class Orbit(Solution):
     has the states of the first-order model.
     """
 
+    is_orbit = True
+
     def __repr__(self) -> str:
         name = getattr(self.model, "name", None) or repr(self.model)
         S = f"S = {self.S:.6g}, " if self._grown else ""
@@ -389,7 +392,7 @@ class Orbit(Solution):
     @property
     def symmetry(self) -> SymmetryClass:
         """The part of the period that was unknown, by the symmetries."""
-        return self.space.symmetry
+        return SymmetryClass(self.space.symmetry)
 
     @property
     def Omega(self) -> float:
@@ -427,7 +430,7 @@ class Orbit(Solution):
         Not 0 for an orbit requested by its Omega or period, which has these exactly, and where S hardly changes along
         the family: near its folds, and where S has come to a limit that the period has not.
         """
-        return self.point.error.parameter * self.space.S_rate * self.S
+        return self.point.error.parameter * float(self.space.S_rate) * self.S
 
     @property
     def profile_error(self) -> float:
@@ -448,7 +451,7 @@ class Orbit(Solution):
     @cached_property
     def t(self) -> Array:
         """Times of the unknowns: of an orbit of a family those of the phases at which its equations are solved."""
-        return cast(OrbitProblem, self.point.problem).phases() / self.Omega if self._grown else super().t
+        return np.asarray(self.point.problem.phases() / self.Omega) if self._grown else super().t
 
     @cached_property
     def states(self) -> Array:
@@ -503,7 +506,7 @@ class Orbit(Solution):
         without positions.
         """
         if self._grown:
-            return self.exact["S"] if "S" in self.exact else self.space.value("S", self.point)
+            return self.value("S")
         space = self._boundary_space
         positions = space.positions
         if not positions:
@@ -513,7 +516,7 @@ class Orbit(Solution):
     @property
     def output_sites(self) -> Indices:
         """Numbers of the components in files and pictures: all, or those of the nonlinear core of a long chain."""
-        return self.space.output_sites
+        return np.asarray(self.space.output_sites)
 
     @property
     def harmonics(self) -> int:
@@ -563,7 +566,7 @@ class Orbit(Solution):
         For a chain that of its gauge, with rho = 1 at the edge that the modes lean to; infinite where an infinite tail
         moves along.
         """
-        return self.space.energy(self.point)
+        return float(self.space.energy(self.point))
 
     @cached_property
     def Omega_shift(self) -> float:
@@ -611,7 +614,7 @@ class Orbit(Solution):
         Raises:
             ValueError: at |gamma| = 1 of a chain, where the gauge has no image of them.
         """
-        return self.space.floquet_vectors(self.point, self.floquet())
+        return np.asarray(self.space.floquet_vectors(self.point, self.floquet()))
 
     def transient_growth(self, quarters: int = 40) -> TransientGrowth:
         """Largest amplification of perturbations at multiples of a quarter period, in the coordinates of the model.
@@ -632,7 +635,7 @@ class Orbit(Solution):
     @property
     def _grown(self) -> bool:
         """Whether the orbit is one of a family that grows from a linear mode."""
-        return self.space.connects == FAMILY
+        return bool(self.space.connects == FAMILY)
 
     def _family(self) -> Any:
         if not self._grown:
@@ -726,7 +729,7 @@ def _cosines(orbit: Orbit) -> Array:
 
 
 def following_settings(
-    solution: Solution, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float,
+    solution: Any, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float,
     back_to: float | None = None,
 ) -> ContinuationSettings:  # fmt: skip
     """Settings of a branch from a solution in a parameter, checked; raises ValueError as `follow` does."""
@@ -746,7 +749,7 @@ def following_settings(
         raise ValueError(f"max_step: given {max_step!r}; accepted: a number > 0")
     wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in at)
     model = solution.model
-    if isinstance(solution, Orbit) and model.forced:
+    if solution.is_orbit and model.forced:
         check_forcing_period(model, solution, solution.period, {**solution.parameters, parameter: end})
     return ContinuationSettings(
         1.0, solution.space.tolerance, wanted, max_step=float(max_step), max_points=max_points, tiny_first=False,

@@ -8,37 +8,45 @@ as parameters, as the interval, as a solution. The kinds differ in these and in 
     solutions    solutions of any other boundary-value problem in a parameter: `BoundarySpace`
     equilibria   states at rest in a parameter: `EquilibriumSpace`
 
-Special points in a second parameter are spaces of the last three whose `kind` is that of the points.
+Special points in a second parameter are spaces of the last three whose `kind` is that of the points. What a kind does
+not state for itself is that of solutions without a period: they have no multipliers and no energy.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import KW_ONLY, dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from casadi_skin.follow.arclength import ArclengthContinuation
+from casadi_skin.follow.point import PointSolver
+from casadi_skin.model.result import NoQuantityError
 from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.problem import EPSILON, Scalar
 from casadi_skin.zero.settings import Continuation, ContinuationSettings, End, Point, Target
 
 if TYPE_CHECKING:
     from casadi_skin.follow.point import PointSolver
-    from casadi_skin.model.conserved import SymmetryClass
     from casadi_skin.solve.levels import Levels
+    from casadi_skin.solve.newton import Correction
     from casadi_skin.stability.reduction import ComplexArray
     from casadi_skin.stability.result import Floquet
     from casadi_skin.zero.problem import Indices
 
 FAMILY, ORBITS, SOLUTIONS, EQUILIBRIA = "family", "orbits", "solutions", "equilibria"
+Followed: TypeAlias = Any  # a curve of special orbits: `points.curves.OrbitCurveSpace`
+NO_ORBIT = "an equilibrium is no orbit: it has eigenvalues in place of multipliers, and no period"
 
 
-class SolutionSpace(ABC):
+class SolutionSpace:
     """Solutions of one kind that a branch connects.
 
     Attributes:
         connects: FAMILY, ORBITS, SOLUTIONS or EQUILIBRIA.
+        kind: of special points that are followed in a second parameter; empty of others.
+        start_is_limit: whether `start` is a limit of the solutions and none of them.
+        locates_folds: whether special points are located while the branch is followed.
         parameter: name of the continuation parameter.
         to: value of `parameter` at which the branch ends.
         tolerance: relative error allowed in the solutions.
@@ -46,8 +54,12 @@ class SolutionSpace(ABC):
         levels, point_solver: discretisations from coarse to fine, and the solver of points on them.
         start: the first point.
         state_names, output_sites: names and numbers of the components in files and pictures.
-        symmetry: which part of the period is unknown.
+        solution_class: class of the solutions.
     """
+
+    kind: str = ""
+    start_is_limit: bool = False
+    locates_folds: bool = True
 
     if TYPE_CHECKING:  # fields of data or properties of each kind
 
@@ -72,24 +84,14 @@ class SolutionSpace(ABC):
         @property
         def output_sites(self) -> Indices: ...
         @property
-        def symmetry(self) -> SymmetryClass: ...
+        def solution_class(self) -> Any: ...
 
     # What most kinds have in common -----------------------------------------------------------------------------------
 
     @property
-    def kind(self) -> str:
-        """Of special points that are followed in a second parameter; empty of others."""
-        return ""
-
-    @property
-    def start_is_limit(self) -> bool:
-        """Whether `start` is a limit of the solutions and none of them."""
-        return False
-
-    @property
-    def locates_folds(self) -> bool:
-        """Whether special points are located while the branch is followed."""
-        return True
+    def is_family(self) -> bool:
+        """Whether the solutions are a family of orbits that grows from a linear mode: a `Family`."""
+        return self.connects == FAMILY
 
     @property
     def has_ledger(self) -> bool:
@@ -182,45 +184,97 @@ class SolutionSpace(ABC):
         u = point.parameter
         return requested[u] if u in requested else float(self.parameters(point)[name])
 
-    # What each kind has of its own ------------------------------------------------------------------------------------
+    # Values -----------------------------------------------------------------------------------------------------------
 
-    @abstractmethod
-    def solution(self, point: Point, floquet: Floquet | None = None, exact: Mapping[str, float] | None = None) -> Any:
-        """The solution of a point, with its stability where that is known and values that it has exactly."""
-
-    @abstractmethod
-    def parameter_error(self, point: Point) -> float:
-        """Estimated absolute error of the continuation parameter at a special point."""
-
-    @abstractmethod
     def parameters(self, point: Point) -> dict[str, float]:
         """Values of all parameters by name."""
+        raise NotImplementedError
 
-    @abstractmethod
     def interval(self, point: Point) -> tuple[float, float]:
         """Start and end of the interval, or the period from phase zero."""
+        return 0.0, 0.0
 
-    @abstractmethod
     def span(self, point: Point) -> tuple[float, float]:
         """Start and end of the part of the interval that is unknown."""
+        return self.interval(point)
 
-    @abstractmethod
+    def parameter_error(self, point: Point) -> float:
+        """Estimated absolute error of the continuation parameter at a special point."""
+        raise NotImplementedError
+
+    def solution(self, point: Point, floquet: Floquet | None = None, exact: Mapping[str, float] | None = None) -> Any:
+        """The solution of a point, with its stability where that is known and values that it has exactly."""
+        if exact is None:
+            exact = {self.parameter: self.value(self.parameter, point)} if self.parameter else {}
+        return self.solution_class(self, point, exact, known_floquet=floquet)
+
     def energy(self, point: Point) -> float:
         """The conserved quantity of an orbit; raises NoQuantityError where the model declares none."""
+        raise NoQuantityError(NO_ORBIT)
 
-    @abstractmethod
     def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
         """Stability of several points; raises FlowError, and ValueError where the solutions are no orbits."""
+        raise NoQuantityError(NO_ORBIT)
 
-    @abstractmethod
     def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
         """Floquet vectors at phase zero, one a column in the order of the multipliers."""
+        raise NoQuantityError(NO_ORBIT)
 
     def following(
         self, solution: Any, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
     ) -> SolutionSpace:
         """The space of the branch through one of the solutions in a parameter; raises ValueError without one."""
         raise ValueError(f"follow: given one of a {self.connects}; accepted: an orbit that was restated")
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterSpace(SolutionSpace):
+    """Solutions of a model that are followed in one of its parameters.
+
+    Attributes:
+        parameter: the parameter that is followed, from its value to `to`; empty where none is.
+        at: values of it at which solutions are wanted.
+        first: the start of the branch.
+        settings: of the continuation.
+        leaves: whether `first` is a special point that the branch leaves along the tangent of `first`.
+    """
+
+    _: KW_ONLY
+    parameter: str = ""
+    to: float = 1.0
+    at: tuple[float, ...] = ()
+    first: Point | None = None
+    settings: ContinuationSettings | None = None
+    leaves: bool = False
+    error: ClassVar[type[ArithmeticError]] = ArithmeticError
+
+    @cached_property
+    def point_solver(self) -> PointSolver:
+        """The solver of points at the tolerance."""
+        return PointSolver(self.levels, self.settings or ContinuationSettings(1.0, self.tolerance))
+
+    @cached_property
+    def start(self) -> Point:
+        """The first solution as a point of the branch; raises `error` where it cannot be solved again."""
+        first, step = self.first, self.point_solver.settings.first_step
+        assert first is not None
+        if self.leaves:
+            return replace(first, step=step)
+        problem = self.problem_at(first)
+        z = first.z.copy()
+        z[-1] = 0.0
+        correction = self.levels.corrector(problem).correct(z, problem.parameter_row(), 0.0)
+        if not correction.converged:
+            raise self.error(f"the start of the branch: {correction.status.value}; {problem.worst(correction.z)}")
+        return replace(self.refined(problem, correction), step=step)
+
+    def problem_at(self, first: Point) -> Any:
+        """The equations in which the start of a branch is solved again."""
+        return self.levels.problem(first.problem.resolution).with_constants(first.problem.constants)
+
+    def refined(self, problem: Any, correction: Correction) -> Point:
+        """The solution of a correction with u held, at the tolerance; raises `error` where it is not regular."""
+        raise NotImplementedError
 
 
 REQUESTED_VALUE_RTOL = 4.0 * EPSILON  # relative difference of a value that is the requested one

@@ -116,7 +116,7 @@ class SpecialPoint(Result):
     parameter: str
     parameters: Mapping[str, float]
     error: float
-    solution: Solution
+    solution: Any
     mu: float | None = None
 
     def __repr__(self) -> str:

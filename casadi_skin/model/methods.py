@@ -1,7 +1,7 @@
 """The one registry of interchangeable methods: their names and their descriptions.
 
 Scenes, messages and documentation read it, and it loads no numerics. The classes and functions by the same names are
-where they are used: `zero.butcher.TABLES`, `solve.ipopt.CORRECTORS`, `follow.family.CONTINUATIONS`,
+where they are used: `zero.butcher.TABLES`, `solve.ipopt.CORRECTORS`, `follow.family.Family`,
 `stability.family_stability.FLOWS`, `stability.full_period.FULL_PERIOD_FLOWS`, `dynamics.evolve.INTEGRATORS`.
 """
 

@@ -198,7 +198,7 @@ def refined(space: BoundarySpace, nlp: BoundaryNlp, solution: Solution, flat: bo
     """
     name, errors = nlp.statement.model.name, list[float]()
     while True:
-        above = space.levels.finer(nlp.problem, solution.x)
+        above: Any = space.levels.finer(nlp.problem, solution.x)
         if above is None or space.levels.finer(above) is None:
             raise BoundaryError(f"{name}: more than {nlp.problem.resolution} intervals are needed")
         start, finer = nlp.problem.prolong(solution.x, above), BoundaryNlp(stated(above), space.tolerance, **more)

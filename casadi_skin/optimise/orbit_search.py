@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -194,7 +194,7 @@ class OrbitSearch(SearchProblem):
     def _stated(self, plain: Orbit) -> _Stated:
         """The programme on the mesh of a plain orbit, with that orbit as a point of it."""
         statement = self._statement(plain)
-        space = replace(cast(BoundarySpace, plain.space), statement=statement, sizes=Sizes.of(statement, plain.states))
+        space = replace(plain.space, statement=statement, sizes=Sizes.of(statement, plain.states))
         problem = stated(space.levels.problem(plain.intervals).with_constants(plain.problem.constants))
         conditions = [replace(c, quantity=self._at_phase_zero(statement, plain, c.quantity)) for c in self.conditions]
         scales = {name: high - low for name, (low, high) in self.limits.items() if name in self.free}

@@ -15,12 +15,11 @@ from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.branch_run import Following, run_following
 from casadi_skin.follow.codimension_two import ORBIT_CURVES, OrbitCurveSearch, special_on_curve
-from casadi_skin.follow.family import Family
 from casadi_skin.follow.location import LocatedOrbit, extended_space, locate
 from casadi_skin.follow.normal_forms import on_circle
 from casadi_skin.follow.shrinking import shrunk
-from casadi_skin.follow.solution import Orbit, Solution, following_settings
-from casadi_skin.follow.space import FAMILY, ORBITS, SolutionSpace
+from casadi_skin.follow.solution import Solution, following_settings
+from casadi_skin.follow.space import FAMILY, ORBITS
 from casadi_skin.follow.special_points import SpecialPoint, check_second
 from casadi_skin.model.arguments import check_name
 from casadi_skin.points.edges import CrossingWalk, EdgeCurve, EdgeWalk, edge_curve, parameters_of
@@ -89,7 +88,7 @@ class OrbitCurveSpace(BoundarySpace):
         return super().parameters(point)[KAPPA]
 
     def span(self, point: Point) -> tuple[float, float]:
-        return self._critical.orbit.span(np.array(list(self.parameters(point).values())))
+        return self._critical.orbit.span(self.parameters(point).values())
 
     def linearised(self, point: Point) -> Linearised:
         """The equations of the orbit of a point around it."""
@@ -199,8 +198,8 @@ def _curve_of_edges(
     back_to: float | None, until: Callable[[Any], bool] | None, progress: Callable[[Any], None] | None,
 ) -> EdgeCurve:  # fmt: skip
     """The edge of a tongue of a family in a parameter of the model; raises ValueError as `curve` does."""
-    orbit = cast(Orbit, point.solution)
-    check_name("parameter", parameter, parameters_of(cast(Family, orbit.space)))
+    orbit = point.solution
+    check_name("parameter", parameter, parameters_of(orbit.space))
     settings = following_settings(
         orbit, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
     )
@@ -212,7 +211,7 @@ def _curve_of_edges(
 def curve_space(
     point: SpecialPoint, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float,
     back_to: float | None = None,
-) -> SolutionSpace:  # fmt: skip
+) -> Any:  # fmt: skip
     """The space of the curve of a special point in a second parameter; raises ValueError as `curve` does."""
     options: dict[str, Any] = {"at": at, "max_points": max_points, "max_step": max_step, "back_to": back_to}
     solution = point.solution
@@ -226,7 +225,7 @@ def curve_space(
     angle = np.pi
     if point.kind == TORUS:
         angle = abs(float(np.angle(on_circle(solution))))
-    orbits = cast(BoundarySpace, solution.space)
+    orbits = solution.space
     located = locate(orbits, point.kind, solution.point, angle)
     if located is None:
         why = "its extended equations are not solved, or the model has no second derivatives"

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.branch_run import Following, run_following
-from casadi_skin.follow.family import Family
-from casadi_skin.follow.rest_space import EquilibriumSpace
-from casadi_skin.follow.solution import Equilibrium
-from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.space import EQUILIBRIA
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import whole
 from casadi_skin.model.result import Result
@@ -102,8 +99,8 @@ def follow_all(
     """
     whole("depth", depth, 0)
     whole("limit", limit, 1)
-    if isinstance(branch.space, Family) or not branch.parameter or branch.space.kind:
-        what = "a family" if isinstance(branch.space, Family) else "another one"
+    if branch.space.is_family or not branch.parameter or branch.space.kind:
+        what = "a family" if branch.space.is_family else "another one"
         raise ValueError(f"follow_all: given {what}; accepted: a branch in one parameter")
     further = Further(
         branch, LEAVING_KINDS, depth, {"max_points": max_points, "max_step": max_step, "tolerance": tolerance}
@@ -154,7 +151,7 @@ class Further:
         self._met = list[_Met]()
         self._meet(branch)
 
-    def __iter__(self) -> Iterator[tuple[str, SpecialPoint, SolutionSpace]]:
+    def __iter__(self) -> Iterator[tuple[str, SpecialPoint, Any]]:
         waiting = [("", self.branches[0], 0)]
         while waiting:
             prefix, branch, depth = waiting.pop(0)
@@ -171,10 +168,10 @@ class Further:
                     yield name, point, space
                     waiting.append((name, self.branches[-1], depth + 1))
 
-    def add(self, branch: Branch, space: SolutionSpace, point: SpecialPoint) -> None:
+    def add(self, branch: Branch, space: Any, point: SpecialPoint) -> None:
         """Keep a branch that leaves at a special point."""
         self.branches.append(branch)
-        if isinstance(space, EquilibriumSpace) and space.first is not None:
+        if space.connects == EQUILIBRIA and space.first is not None:
             direction = _direction(space, space.first)
             closed = branch.end is End.CLOSED
             self._of(point).directions += [direction, -direction] if closed else [direction]
@@ -192,8 +189,8 @@ class Further:
         """Record the special points that a branch passes, and its directions there."""
         for point in points_of(branch):
             met = self._of(point)
-            if isinstance(point.solution, Equilibrium):
-                along = _direction(cast(EquilibriumSpace, branch.space), point.solution.point)
+            if point.solution.is_equilibrium:
+                along = _direction(branch.space, point.solution.point)
                 met.directions += [along, -along]
             else:
                 met.shrunk = met.shrunk or point.kind == HOPF
@@ -205,9 +202,9 @@ class Further:
             self._met.append(known)
         return known
 
-    def _leaving(self, point: SpecialPoint, met: _Met) -> Iterator[SolutionSpace]:
+    def _leaving(self, point: SpecialPoint, met: _Met) -> Iterator[Any]:
         """Branches that leave at a special point in directions that were not followed before."""
-        of_equilibria = isinstance(point.solution, Equilibrium)
+        of_equilibria = point.solution.is_equilibrium
         if point.kind == HOPF and (met.shrunk if of_equilibria else met.directions):  # followed before
             return
         first = self.branches[0]
@@ -227,9 +224,9 @@ class Further:
                 except (ValueError, ArithmeticError) as error:
                     reasons.append(str(error))
                     continue
-                if isinstance(space, EquilibriumSpace) and space.leaves and space.first is not None:
+                if space.connects == EQUILIBRIA and space.leaves and space.first is not None:
                     direction = _direction(space, space.first)
-                    along = _direction(cast(EquilibriumSpace, point.solution.space), point.solution.point)
+                    along = _direction(point.solution.space, point.solution.point)
                     if any(_is_along(known, direction, along) for known in (*met.directions, *done)):
                         started += not done  # followed before
                         continue
@@ -245,7 +242,7 @@ def points_of(branch: Branch) -> tuple[SpecialPoint, ...]:
     return branch.special_points[: -1 if branch.end is End.REJOINED else None]
 
 
-def _direction(space: EquilibriumSpace, point: Point) -> Array:
+def _direction(space: Any, point: Point) -> Array:
     """The tangent at a point of equilibria in the units of the model, of norm 1 over the sizes of the state."""
     course, n = space.course, space.statics.size
     assert course is not None
@@ -275,8 +272,9 @@ def is_same(one: SpecialPoint, other: SpecialPoint) -> bool:
 def _extent(point: SpecialPoint) -> tuple[Array, float]:
     """Smallest and largest value of each component, and their relative error."""
     solution = point.solution
-    if isinstance(solution, Equilibrium):
+    if solution.is_equilibrium:
         return np.concatenate([solution.positions, solution.positions]), SAME_POINT_RTOL
-    states = solution.evaluate(np.linspace(*solution.interval, EXTREMA_SAMPLES))
+    start, end = solution.interval
+    states = solution.evaluate(np.linspace(start, end, EXTREMA_SAMPLES))
     at_rest = point.kind == HOPF
     return np.concatenate([states.min(axis=0), states.max(axis=0)]), SAME_POINT_RTOL if at_rest else EXTREMUM_RTOL

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
-from typing import Any, Never, cast
+from typing import Any, Never
 
 import numpy as np
 
@@ -37,7 +37,7 @@ from casadi_skin.stability.tongues.diagram import Place, StabilityDiagram, Stabi
 from casadi_skin.stability.tongues.find_changes import POWERS_BY_FRACTION
 from casadi_skin.zero.family import Targets
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE, Unresolved
-from casadi_skin.zero.problem import Array, Indices, OrbitProblem, Problem, Scalar, SingularError
+from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point
 
 DIFFERENCE_STEP = 1e-3  # of the sizes: that of derivatives
@@ -616,7 +616,6 @@ class EdgeWalk:
         self, orbit: Orbit, S: float, parameter: str, to: float, at: Sequence[float], settings: ContinuationSettings,
         back_to: float | None,
     ) -> None:  # fmt: skip
-        assert isinstance(orbit.space, Family)
         self._family, self._name, self._settings = orbit.space.whole, parameter, settings
         start = float(orbit.parameters[parameter])
         self._goal, self._other_goal = to, start if back_to is None else back_to
@@ -726,9 +725,9 @@ class EdgeWalk:
         edge = replace(last.edge, place=place, mu=found.mu, width=0.0)
         return EdgePoint(orbit, edge, {**orbit.parameters, "S": found.S}, found.error)
 
-    def _guess(self, orbit: Orbit) -> Point:
+    def _guess(self, orbit: Orbit) -> Any:
         """The orbit that a curve starts from."""
-        return cast(Family, orbit.space).on_all_positions(orbit.point)
+        return orbit.space.on_all_positions(orbit.point)
 
     # Points -----------------------------------------------------------------------------------------------------------
 
@@ -835,7 +834,7 @@ class CrossingWalk(EdgeWalk):
 
     def _guess(self, orbit: Orbit) -> Point:
         """The orbit of the shorter period; the multiplier that decides is the one nearest to a root."""
-        family = cast(Family, orbit.space).whole
+        family = orbit.space.whole
         point = orbit_at(family, orbit.S, shortened(super()._guess(orbit), self._turns))
         mu = multipliers_of(family, point)
         angles = np.arccos(1.0 + 2.0 * np.clip(mu[np.abs(mu.imag) <= REAL_MU_ATOL].real, -1.0, 0.0))
@@ -882,6 +881,6 @@ class CrossingWalk(EdgeWalk):
 def shortened(point: Point, turns: int) -> Point:
     """A guess of the orbit of a shorter period that an orbit of a family runs through several times."""
     problem, z = point.problem, point.z.copy()
-    z[: problem.states] = cast(OrbitProblem, problem).of_shorter_period(z, turns)
+    z[: problem.states] = problem.of_shorter_period(z, turns)
     z[problem.Omega_index] *= turns
     return replace(point, z=z, better=None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import cast
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -11,18 +11,17 @@ import numpy as np
 from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.boundary_space import BoundarySpace, at_rest
 from casadi_skin.follow.branch_points import leaving_tangent
-from casadi_skin.follow.find import closed_statement, forced_statement
 from casadi_skin.follow.rest_normal_forms import critical_pair
 from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.points.ends import Left
 from casadi_skin.points.lost_symmetry import critical_vector, lost_operations
 from casadi_skin.zero import mesh
-from casadi_skin.zero.orbit import FIRST_INTERVALS, Periodic, Sizes, boundary_method
+from casadi_skin.zero.orbit import FIRST_INTERVALS, OrbitRequest, Periodic, Sizes, boundary_method, statement_of
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
-from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
+from casadi_skin.zero.stated_problem import PERIOD, stated
 from casadi_skin.zero.statics import Statics
 
 ACCEPTED_ORBITS = (
@@ -47,13 +46,14 @@ def leaving_orbits(
 
     Twice at a period doubling, whose critical multiplier is -1; once at a branch point, where it is 1.
     """
-    old = cast(BoundarySpace, orbit.space)
+    old = orbit.space
     periodic = old.periodic
     assert periodic is not None
     model, period = periodic.model, orbit.period
     values = {name: orbit.parameters[name] for name in model.parameter_names}
 
     rotated = tuple(turns * k for k in periodic.turns)
+    rotations = np.array(rotated or np.zeros(model.full_size), dtype=float)
 
     def guess(t: float) -> Array:
         return orbit.evaluate(t)
@@ -66,16 +66,16 @@ def leaving_orbits(
         statement = old.statement.with_parameters(**orbit.parameters)
     elif model.forced:
         cycles = round(period / model.forcing_period_at(list(values.values())))
-        statement = forced_statement(model, turns * cycles, values, rotated)
+        statement = statement_of(OrbitRequest(model, 0.0, turns * cycles, values, rotations, np.zeros(rotations.size)))
     else:
-        statement = closed_statement(model, guess, turns * period, values, rotated)
+        statement = statement_of(OrbitRequest(model, turns * period, 1, values, rotations, guess))
     bounds, named = old.statement.bounds, {*statement.model.state_names, *statement.free} - {PERIOD}
     statement = replace(statement, bounds={name: pair for name, pair in bounds.items() if name in named})
     sizes = Sizes(_floors(orbit), turns * orbit.problem.scalar_floors)
     periodic = replace(periodic, turns=rotated)
     space = BoundarySpace(
-        statement, old.tolerance, old.method, sizes, periodic, parameter, to, at, None, settings, leaves=True,
-        left=_left(orbit, turns),
+        statement, old.tolerance, old.method, sizes, periodic, _left(orbit, turns),
+        parameter=parameter, to=to, at=at, settings=settings, leaves=True,
     )  # fmt: skip
     problem = _problem(space, orbit, turns)
     t = turns * period * problem._fractions()
@@ -101,7 +101,7 @@ def _floors(orbit: Orbit) -> Array:
 
 def _left(orbit: Orbit, turns: int) -> Left | None:
     """The orbits that the leaving branch may come back to; None where no symmetry is lost."""
-    space = cast(BoundarySpace, orbit.space)
+    space = orbit.space
     if turns == 2:
         return Left(space, 2, np.ones(orbit.model.full_size), 0.5)
     lost = next(iter(lost_operations(orbit)), None)
@@ -110,13 +110,13 @@ def _left(orbit: Orbit, turns: int) -> Left | None:
 
 def _other(space: BoundarySpace, first: Point, orbit: Orbit, side: int) -> Array:
     """The tangent of the other branch at a branch point."""
-    old, problem = cast(BoundarySpace, orbit.space), first.problem
+    old, problem = orbit.space, first.problem
     along = orbit.problem.prolong(orbit.point.tangent, problem).copy()
     along[-1] *= (old.to - old.statement.values[old.parameter]) / (space.to - space.statement.values[space.parameter])
     return leaving_tangent(space.point_solver, replace(first, tangent=along), side)
 
 
-def _problem(space: BoundarySpace, orbit: Orbit, turns: int) -> BoundaryProblem:
+def _problem(space: BoundarySpace, orbit: Orbit, turns: int) -> Any:
     """The discretisation with the mesh of the orbit once or twice."""
     resolutions = [r for r in space.levels.resolutions if r >= turns * orbit.intervals]
     resolution = resolutions[0] if resolutions else space.levels.resolutions[-1]
@@ -128,7 +128,7 @@ def _perturbation(orbit: Orbit, values: dict[str, float], t: Array) -> Array:
     """The perturbation that the orbit turns to its opposite in a period; shape (time, component)."""
     from scipy.integrate import solve_ivp
 
-    model = cast(BoundarySpace, orbit.space).model
+    model = orbit.space.model
     time = type(model.state).sym("t") if model.time is None else model.time
     rhs = model.vector_field(time, model.full_state, model.parameters)
     jacobian = model.function("J", ca.densify(ca.jacobian(rhs, model.full_state)))
@@ -170,11 +170,12 @@ def born_at(
     def guess(t: float) -> Array:
         return np.asarray(x + amplitude * (q * np.exp(1j * omega * t)).real)
 
-    statement = closed_statement(model, guess, period, values)
+    statement = statement_of(OrbitRequest(model, period, 1, values, np.zeros(model.full_size), guess))
     sizes = Sizes(1e-2 * size, np.array([1e-3 * period]))
     method, periodic = boundary_method({"corrector": "newton"}), Periodic(model, model, SymmetryClass.FULL)
     space = BoundarySpace(
-        statement, tolerance, method, sizes, periodic, parameter, to, at, None, settings, leaves=True
+        statement, tolerance, method, sizes, periodic,
+        parameter=parameter, to=to, at=at, settings=settings, leaves=True,
     )  # fmt: skip
     problem = stated(space.levels.problem(FIRST_INTERVALS))
     z = at_rest(problem, x, period, 0.0)
@@ -193,7 +194,7 @@ def other_solutions(
     solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings, side: int
 ) -> BoundarySpace:
     """The space of the other branch at a branch point of a boundary-value problem."""
-    old = cast(BoundarySpace, solution.space)
+    old = solution.space
     space = old.following(solution, parameter, to, at, settings)
     problem = space.levels.problem(solution.intervals).with_constants(solution.problem.constants)
     z, along = solution.point.z.copy(), solution.point.tangent.copy()
@@ -216,18 +217,21 @@ def doubled_solutions(
 
     Raises BoundaryError where the field is another one in the second turn.
     """
-    old, problem, z = cast(BoundarySpace, solution.space), solution.problem, solution.point.z
+    old, problem, z = solution.space, solution.problem, solution.point.z
     closure, p = old.closure, problem.parameters(z)
     if closure is None or not closure.goes_on(problem, z):
         why = "the field does not repeat itself after the interval, as conditions x(end) = S x(start) suppose"
         raise BoundaryError(f"{old.model.name}: no solutions of two turns leave at the period doubling: {why}")
     statement = closure.twice().with_parameters(**solution.parameters)
     sizes = Sizes(problem.floors, problem.scalar_floors)
-    space = BoundarySpace(statement, old.tolerance, old.method, sizes, None, parameter, to, at, None, settings, True)
+    space = BoundarySpace(
+        statement, old.tolerance, old.method, sizes,
+        parameter=parameter, to=to, at=at, settings=settings, leaves=True,
+    )  # fmt: skip
     resolutions = [r for r in space.levels.resolutions if r >= 2 * solution.intervals]
     resolution = resolutions[0] if resolutions else space.levels.resolutions[-1]
     lengths = mesh.resampled(np.tile(problem.constants, 2) / 2.0, resolution)
-    twice = cast(BoundaryProblem, space.levels.problem(resolution).with_constants(lengths))
+    twice = stated(space.levels.problem(resolution).with_constants(lengths))
 
     def over_two_turns(values: Array, shift: Array) -> Array:
         """States, or a direction, over the second turn as over the first, at the unknowns of two turns."""

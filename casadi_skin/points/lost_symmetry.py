@@ -10,14 +10,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch_points import other_tangent
-from casadi_skin.follow.family import Family
 from casadi_skin.follow.find import restated, with_amplitude
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.follow.special_points import SpecialPoint
@@ -78,7 +77,6 @@ BREAKING_KINDS = {
 def breaking_of(orbit: Orbit, mu: float) -> Breaking | None:
     """The orbits that leave at the edge of a real tongue with mu 0 or -1; None where there are none."""
     family = orbit.space
-    assert isinstance(family, Family)
     transition, acceleration = family.transition(orbit.point)
     blocks = dict(zip("ABCD", transition.blocks(), strict=True))
     scale = np.exp(family.whole.coordinates.log_scale)
@@ -127,7 +125,6 @@ def breaking_space(
     if breaking is None:
         raise ValueError("follow: given an extremum of the energy; accepted: a point at which another branch leaves")
     family = orbit.space
-    assert isinstance(family, Family)
     extended, _, select = with_amplitude(family.coordinates.model)
     first, symmetry = extended.first_order(), breaking.symmetry
     length = breaking.turns * start.period
@@ -138,11 +135,10 @@ def breaking_space(
     request = OrbitRequest(first, length, 1, values, np.zeros(first.full_size), start, symmetry, select, section)
     statement = statement_of(request)
     old = start.space
-    assert isinstance(old, BoundarySpace)
     sizes, method = Sizes.of(statement, start.states), replace(old.method, corrector="newton")
     space = BoundarySpace(
-        statement, old.tolerance, method, sizes, Periodic(extended, first, symmetry), parameter, to, at, None,
-        settings, leaves=True,
+        statement, old.tolerance, method, sizes, Periodic(extended, first, symmetry),
+        parameter=parameter, to=to, at=at, settings=settings, leaves=True,
     )  # fmt: skip
     problem = _problem(space, start, symmetry.value * breaking.turns)
     t = length * symmetry.value * problem._fractions()
@@ -162,7 +158,7 @@ def breaking_space(
     return replace(space, first=replace(own, tangent=tangent))
 
 
-def _problem(space: BoundarySpace, start: Orbit, part: float) -> BoundaryProblem:
+def _problem(space: BoundarySpace, start: Orbit, part: float) -> Any:
     """The discretisation of a part of the period with the mesh of the orbit, mirrored and repeated."""
     own = start.problem.constants / np.sum(start.problem.constants)
     there = [own, own[::-1]]
@@ -228,11 +224,11 @@ COMPARED_PLACES = 64  # along the orbit
 def lost_at(point: SpecialPoint) -> tuple[str, ...]:
     """Symmetries that orbits of the branch that leaves at a special point lack, in words; empty without any."""
     if point.mu is not None:
-        breaking = breaking_of(cast(Orbit, point.solution), point.mu)
+        breaking = breaking_of(point.solution, point.mu)
         return () if breaking is None else breaking.lost
     if point.kind != BRANCH_POINT or getattr(point.solution.space, "periodic", None) is None:
         return ()
-    return lost_symmetries(cast(Orbit, point.solution))
+    return lost_symmetries(point.solution)
 
 
 def lost_symmetries(orbit: Orbit) -> tuple[str, ...]:

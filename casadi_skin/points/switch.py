@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.branch_run import Following, run_following
 from casadi_skin.follow.find import find_equilibrium
 from casadi_skin.follow.follow import following_space
 from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium, Orbit, Solution, following_settings
-from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import duration
 from casadi_skin.points.leaving import DEFAULT_TOLERANCE, born_at, doubled_solutions, leaving_orbits, other_solutions
@@ -90,24 +88,24 @@ def switch(
 def leaving_space(
     point: SpecialPoint, parameter: str, to: float, *, side: int, at: Sequence[float], max_points: int,
     max_step: float, tolerance: float, back_to: float | None = None,
-) -> SolutionSpace:  # fmt: skip
+) -> Any:  # fmt: skip
     """The space of the branch that leaves at a special point; raises ValueError as `switch` does."""
     solution = point.solution
     if side not in (1, -1):
         raise ValueError(f"side: given {side!r}; accepted: 1 or -1")
-    if point.mu is not None and isinstance(solution, Orbit):
+    if point.mu is not None and solution.is_orbit:
         start = start_of(solution)
         chosen = following_settings(
             start, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
         )
         both = replace(chosen, parameter_min=chosen.parameter_min or -1.0, closing=False)
         return breaking_space(solution, point.mu, parameter, float(to), tuple(map(float, at)), both, side, start)
-    if point.kind == HOPF and isinstance(solution, Orbit):
+    if point.kind == HOPF and solution.is_orbit:
         return following_space(
             _at_rest(solution), parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
         )
-    of_equilibria = point.kind == HOPF and isinstance(solution, Equilibrium)
-    of_orbits = point.kind == DOUBLING and not isinstance(solution, Equilibrium)
+    of_equilibria = point.kind == HOPF and solution.is_equilibrium
+    of_orbits = point.kind == DOUBLING and not solution.is_equilibrium
     if not (of_equilibria or of_orbits or point.kind == BRANCH_POINT):
         accepted = "a Hopf point of equilibria, a period doubling, or a branch point"
         raise ValueError(f"follow: given a {point.kind} of {_kind_of(solution)}; accepted: {accepted}")
@@ -116,16 +114,16 @@ def leaving_space(
     )
     values = tuple(float(value) for value in at)
     both = replace(settings, parameter_min=settings.parameter_min or -1.0, closing=False)
-    if isinstance(solution, Orbit):
+    if solution.is_orbit:
         turns = 2 if point.kind == DOUBLING else 1
         return leaving_orbits(solution, turns, parameter, float(to), values, both, side)
-    if point.kind == HOPF and isinstance(solution, Equilibrium):
-        space = cast(EquilibriumSpace, solution.space)
+    if point.kind == HOPF and solution.is_equilibrium:
+        space = solution.space
         statics = Statics(space.model, solution.parameters)
         x = solution.positions  # what rounding leaves of a component that is zero has no size
         x = np.where(np.abs(x) > ROUNDED_COMPONENT_RATIO * space.sizes, x, 0.0)
         return born_at(statics, x, parameter, float(to), values, both, tolerance)
-    if not isinstance(solution, Equilibrium):
+    if not solution.is_equilibrium:
         leaving = doubled_solutions if point.kind == DOUBLING else other_solutions
         return leaving(solution, parameter, float(to), values, both, side)
     return other_branch(point, parameter, float(to), values, settings, side)
@@ -133,15 +131,15 @@ def leaving_space(
 
 def _at_rest(orbit: Orbit) -> Equilibrium:
     """The equilibrium that an orbit of amplitude zero is."""
-    space = cast(BoundarySpace, orbit.space)
+    space = orbit.space
     values = {name: orbit.parameters[name] for name in space.given.parameter_names}
     return find_equilibrium(space.given, orbit.evaluate(0.0), parameters=values)
 
 
 def _kind_of(solution: Solution) -> str:
-    if isinstance(solution, Equilibrium):
+    if solution.is_equilibrium:
         return "equilibria"
-    return "orbits" if isinstance(solution, Orbit) else "a boundary-value problem"
+    return "orbits" if solution.is_orbit else "a boundary-value problem"
 
 
 # The other branch at a branch point -----------------------------------------------------------------------------------
@@ -151,8 +149,8 @@ def other_branch(
     point: SpecialPoint, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings, side: int
 ) -> EquilibriumSpace:
     """The space of the other branch at a branch point of equilibria; raises ValueError where it goes elsewhere."""
-    solution = cast(Equilibrium, point.solution)
-    space = cast(EquilibriumSpace, solution.space)
+    solution = point.solution
+    space = solution.space
     if parameter != point.parameter:
         raise ValueError(f"parameter: given {parameter!r}; accepted: {point.parameter}, in which the point was found")
     direction = _other_direction(space, solution.point)
@@ -189,7 +187,15 @@ def _towards(
     assert old is not None
     n, span = statics.size, to - solution.parameters[space.parameter]
     leaving = EquilibriumSpace(
-        statics, space.tolerance, space.corrector, sizes, space.parameter, to, settings, at, leaves=True
+        statics,
+        space.tolerance,
+        space.corrector,
+        sizes,
+        parameter=space.parameter,
+        to=to,
+        settings=settings,
+        at=at,
+        leaves=True,
     )
     tangent = np.append(direction[:n] * space.sizes / sizes, direction[-1] * (old.to - old.start) / span)
     z = np.append(solution.positions / sizes, 0.0)

@@ -189,7 +189,7 @@ def _second(branch: Branch) -> str:
     """The default quantity drawn upwards: the free parameter of a curve, else the first state."""
     space = branch.space
     free = [name for name in space.free if name != "period" and not name.startswith("unfolding")]
-    return free[0] if space.connects == EQUILIBRIA and free else space.state_names[0]
+    return str(free[0] if space.connects == EQUILIBRIA and free else space.state_names[0])
 
 
 def _along(branch: Branch, name: str) -> Array:

@@ -109,7 +109,7 @@ def _guess(given: str | Numbers, path: Path, problem: BoundaryValueProblem, name
         with faults_at(f"{place}: "):
             return np.asarray(call(path, given, names[given], t), dtype=float).ravel()
 
-    start, _ = problem.span(np.array(list(problem.values.values())))
+    start, _ = problem.span()
     count = guess(start).size
     if count != len(states):
         raise refusal(place, f"{given}, which returns {count} numbers", f"{len(states)}: {', '.join(states)}")

@@ -18,8 +18,7 @@ import msgspec
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.family import Family
-from casadi_skin.follow.solution import Orbit, Solution
+from casadi_skin.follow.solution import Solution
 from casadi_skin.optimise.search import SearchResult
 from casadi_skin.results.branch_records import BranchRecord
 from casadi_skin.results.quantities import Place, columns_of, csv_row
@@ -63,7 +62,7 @@ def rows_of(
         values: dict[str, Value] = {}
         faults = [fault] if fault else []
         for number, branch in enumerate(branches):
-            several = sum(isinstance(b.space, Family) for b in branches) > 1
+            several = sum(b.space.is_family for b in branches) > 1
             suffix = f"_j{_mode(branch)}" if several else f"_{number + 1}" if number else ""
             solution, reason = _solution(branch, S)
             faults += [reason] if reason else []
@@ -75,8 +74,7 @@ def rows_of(
 
 
 def _mode(branch: Branch) -> int:
-    assert isinstance(branch.space, Family)
-    return branch.space.coordinates.mode_number
+    return int(branch.space.coordinates.mode_number)
 
 
 def _solution(branch: Branch, S: float | None) -> tuple[Solution | None, str]:
@@ -94,7 +92,7 @@ def _solution(branch: Branch, S: float | None) -> tuple[Solution | None, str]:
 
 def _of_solution(branch: Branch, solution: Solution) -> Iterator[tuple[str, Any, str]]:
     quantities = [q for q in columns_of(branch) if q.name not in LEFT_OUT]
-    mode = _mode(branch) if isinstance(branch.space, Family) else 0
+    mode = _mode(branch) if branch.space.is_family else 0
     row = csv_row(quantities, Place(solution, 0, mode))
     meanings = {q.name: q.meaning for q in quantities}
     for name, value in row.items():
@@ -150,7 +148,7 @@ def _instabilities(branch: Branch, growth: float) -> Iterator[tuple[str, Any, st
 
 def _special(branch: Branch) -> Iterator[tuple[str, Any, str]]:
     """The first special point of each kind, and how many there are."""
-    if isinstance(branch.space, Family):
+    if branch.space.is_family:
         return
     points = branch.special_points
     if branch.diagram_of_changes is None:
@@ -166,11 +164,11 @@ def _special(branch: Branch) -> Iterator[tuple[str, Any, str]]:
 def _start(branches: Sequence[Branch]) -> tuple[tuple[float, ...], float]:
     """State and period of the first solution of a branch that is no family: where a neighbour may start."""
     first = branches[0] if branches else None
-    if first is None or not len(first) or isinstance(first.space, Family):
+    if first is None or not len(first) or first.space.is_family:
         return (), 0.0
     solution = first.solutions[0]
     state = solution.evaluate(solution.interval[0])
-    return tuple(state.tolist()), solution.period if isinstance(solution, Orbit) else 0.0
+    return tuple(state.tolist()), solution.period if solution.is_orbit else 0.0
 
 
 def row_of_search(result: SearchResult, meanings: Meanings) -> Row:

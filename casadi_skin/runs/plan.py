@@ -5,8 +5,6 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-import numpy as np
-
 from casadi_skin.follow.family import Family
 from casadi_skin.model import methods
 from casadi_skin.model.conserved import SymmetryClass, symmetry_class
@@ -233,7 +231,7 @@ def _orbit_lines(request: Request) -> Lines:
 def _problem_lines(request: Request) -> Lines:
     problem = request.problem
     assert problem is not None
-    start, end = problem.span(np.array(list(request.parameters.values())))
+    start, end = problem.span(request.parameters.values())
     ends = sum(int(expression.numel()) for expression in problem.conditions)
     integrals = sum(int(expression.numel()) for expression in problem.integrals)
     words = f"t from {start:g} to {end:g}; {ends} conditions at the ends, {integrals} integrals"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from numbers import Real
-from typing import Any, Protocol, TypeAlias, TypeGuard, runtime_checkable
+from typing import Any, Protocol, TypeAlias, TypeGuard, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +14,8 @@ from casadi_skin.model.arguments import check_name, cut, number, short_repr
 from casadi_skin.model.expressions import real_array
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.statement import Statement
+
+T = TypeVar("T")
 
 
 @runtime_checkable
@@ -31,7 +34,7 @@ SMOOTH_RANGES = 50.0  # ranges that a state without jumps goes through in an int
 CLOSED_GUESS_RTOL = 1e-6  # relative to the ranges of the states: a function that closes to this is left alone
 CLOSER_RATIO = 0.1  # of how far it is from closing after the stated period, after its own
 NEAR_PERIOD_RATIO = 0.25  # of the stated period, where its own is sought
-CLOSING_STEP, CLOSING_STEPS = 1e-9, 12  # last step, relative to the period, and the number of steps
+CLOSING_STEP = 1e-9  # last step, relative to the period
 ACCEPTED_GUESSES = (
     "numbers, one a state; a function of t; numbers or functions by state name; (t, x) with x of shape (times, "
     "states) or (states, times); a simulation or a solution"
@@ -41,7 +44,7 @@ ACCEPTED_GUESSES = (
 def sampled(statement: Statement, guess: Guess, t: Array) -> Array:
     """The guess at times t, shape (time, component); raises ValueError unless it is one."""
     n = statement.model.full_size
-    values = _values(statement, guess, t)
+    values = _values(statement.model.state_names, guess, t)
     if values.shape != (t.size, n):
         one = values.ndim == 2 and len(values) == t.size
         given = f"{values.shape[1]} at a time" if one else f"shape {values.shape} at {t.size} times"
@@ -53,7 +56,7 @@ def sampled(statement: Statement, guess: Guess, t: Array) -> Array:
 
 def known_times(statement: Statement, guess: Guess, count: int) -> Array:
     """Times over the interval at which a guess is best sampled: those of a simulated cycle, or even ones."""
-    start, end = statement.span(np.array(list(statement.values.values())))
+    start, end = statement.span()
     known = getattr(guess, "times", None)
     return np.linspace(start, end, count) if known is None else start + (end - start) * known / known[-1]
 
@@ -65,55 +68,36 @@ def over_its_own_period(guess: Guess, names: Sequence[str], period: float, rotat
     does to the phases dies out slowly, so that Newton's method and Ipopt lose their way. `rotation` is what a period
     adds to the states called `names`.
     """
-    at = _function(guess, names)
-    if at is None:
+    functions = guess.values() if isinstance(guess, Mapping) else () if isinstance(guess, Evaluated) else (guess,)
+    if not any(map(callable, functions)):
         return guess
+
+    def at(t: float) -> Array:
+        return np.asarray(_values(names, guess, np.array([t]))[0], dtype=float)
+
     try:
         ratio = _closing_time(at, period, rotation) / period
     except Exception:  # of the user's function, beyond the period for one: reported where it is sampled
         return guess
-    if ratio == 1.0:
-        return guess
-    direct = guess if callable(guess) else at
-    return lambda t: direct(ratio * t)
-
-
-def _function(guess: Guess, names: Sequence[str]) -> Callable[[float], Array] | None:
-    """The guess as a function of time; None where it is none."""
-    if isinstance(guess, Mapping):
-        parts = [guess.get(name, 0.0) for name in names]
-        if set(guess) <= set(names) and any(callable(part) for part in parts):
-            return lambda t: np.array([float(part(t) if callable(part) else part) for part in parts])
-        return None
-    if not callable(guess) or isinstance(guess, Evaluated):
-        return None
-    function = guess
-    return lambda t: np.asarray(function(t), dtype=float).ravel()
+    return guess if ratio == 1.0 else lambda t: at(ratio * t)
 
 
 def _closing_time(at: Callable[[float], Array], period: float, rotation: Array) -> float:
-    """The time near the period after which a function closes, by the method of Gauss and Newton; the period else."""
-    ranges = np.ptp([at(period * k / 8.0) for k in range(9)], axis=0)
+    """The time near the period after which a function closes, by nonlinear least squares; the period else."""
+    from scipy.optimize import least_squares
+
+    ranges, first = np.ptp([at(period * k / 8.0) for k in range(9)], axis=0), at(0.0)
     sizes = np.where(ranges > 0.0, ranges, 1.0)
 
-    def scaled(t: float) -> Array:
-        return np.asarray((at(t) - first - rotation) / sizes)
+    def miss(ratio: Array) -> Array:
+        return np.asarray((at(period * float(ratio[0])) - first - rotation) / sizes)
 
-    first, own = at(0.0), period
-    miss = scaled(own)
-    before, h = float(np.linalg.norm(miss)), 1e-4 * period
+    before = float(np.linalg.norm(miss(np.ones(1))))
     if before <= CLOSED_GUESS_RTOL:
         return period
-    for _ in range(CLOSING_STEPS):
-        slope = (scaled(own + h) - scaled(own - h)) / (2.0 * h)
-        step = float(slope @ miss) / float(slope @ slope)
-        own -= step
-        if not abs(own - period) <= NEAR_PERIOD_RATIO * period:
-            return period
-        miss = scaled(own)
-        if abs(step) <= CLOSING_STEP * period:
-            break
-    return own if np.linalg.norm(miss) <= CLOSER_RATIO * before else period
+    limits = 1.0 - NEAR_PERIOD_RATIO, 1.0 + NEAR_PERIOD_RATIO
+    found = least_squares(miss, np.ones(1), bounds=limits, diff_step=[1e-6], xtol=CLOSING_STEP, ftol=None, gtol=None)
+    return period * float(found.x[0]) if np.linalg.norm(found.fun) <= CLOSER_RATIO * before else period
 
 
 def along_the_guess(statement: Statement, guess: Guess, counts: Sequence[int]) -> list[Array]:
@@ -124,7 +108,7 @@ def along_the_guess(statement: Statement, guess: Guess, counts: Sequence[int]) -
     """
     if is_straight(guess):
         return []
-    start, end = statement.span(np.array(list(statement.values.values())))
+    start, end = statement.span()
     for samples in (FIRST_SAMPLES, JUMP_SAMPLES):
         times = known_times(statement, guess, samples)
         fine = np.unique(np.concatenate([times, 0.5 * (times[1:] + times[:-1])]))
@@ -143,36 +127,30 @@ def along_the_guess(statement: Statement, guess: Guess, counts: Sequence[int]) -
 
 def is_straight(guess: Guess) -> bool:
     """Whether a guess is numbers, one a state, or samples at two times: such a guess says nothing of a mesh."""
-    return _is_constant(guess) or (_is_sampled(guess) and np.size(guess[0]) == 2)
-
-
-def _is_constant(guess: Guess) -> bool:
-    if not isinstance(guess, list | tuple | np.ndarray):
-        return False
-    return all(isinstance(entry, Real) for entry in guess)
+    constant = isinstance(guess, list | tuple | np.ndarray) and all(isinstance(entry, Real) for entry in guess)
+    return constant or (_is_sampled(guess) and np.size(guess[0]) == 2)
 
 
 def _is_sampled(guess: Guess) -> TypeGuard[tuple[ArrayLike, ArrayLike]]:
     """Whether a guess is (t, x)."""
-    if not isinstance(guess, list | tuple) or len(guess) != 2:
-        return False
-    return isinstance(guess[0], list | tuple | range | np.ndarray)
+    times = guess[0] if isinstance(guess, list | tuple) and len(guess) == 2 else None
+    return isinstance(times, list | tuple | range | np.ndarray)
 
 
-def _values(statement: Statement, guess: Guess, t: Array) -> Array:
-    names = statement.model.state_names
+def _values(names: Sequence[str], guess: Any, t: Array) -> Array:
     if not isinstance(guess, list | tuple | np.ndarray) and isinstance(guess, Evaluated):
-        return _evaluated(guess, t)
+        evaluated = partial(guess.evaluate, t)
+        return np.asarray(_called(evaluated, f"{short_repr(guess)} fails", ACCEPTED_GUESSES), dtype=float)
     if isinstance(guess, Mapping):
         for name in guess:
             check_name("guess", name, names)
         return np.stack([_column(name, guess.get(name, 0.0), t) for name in names], axis=1)
     if callable(guess):
-        try:
+
+        def rows() -> Array:
             return np.array([np.asarray(guess(float(x)), dtype=float).ravel() for x in t])
-        except Exception as error:  # of the user's function
-            accepted = f"one that gives {len(names)} numbers"
-            raise ValueError(f"guess: the function fails: {_words(error)}; accepted: {accepted}") from error
+
+        return _called(rows, "the function fails", f"one that gives {len(names)} numbers")
     if _is_sampled(guess):
         times, values = (real_array("guess", part, ACCEPTED_GUESSES) for part in guess)
         turned = values.shape == (len(names), times.size) != (times.size, len(names))  # as scipy has it
@@ -180,30 +158,25 @@ def _values(statement: Statement, guess: Guess, t: Array) -> Array:
     return np.tile(real_array("guess", guess, ACCEPTED_GUESSES).ravel(), (t.size, 1))
 
 
-def _evaluated(guess: Evaluated, t: Array) -> Array:
-    try:
-        return np.asarray(guess.evaluate(t), dtype=float)
-    except Exception as error:  # of a class, or of somebody else's object
-        raise ValueError(f"guess: {short_repr(guess)} fails: {_words(error)}; accepted: {ACCEPTED_GUESSES}") from error
-
-
 def _column(name: str, given: Any, t: Array) -> Array:
     """Values of one state from a number or a function."""
     accepted = "a number, or a function of t"
-    if not callable(given):
-        try:
-            return np.full(t.size, number(name, given))
-        except (TypeError, ValueError):
-            raise ValueError(f"guess: given {short_repr(given)} for {name}; accepted: {accepted}") from None
+    if callable(given):
+        column = partial(np.fromiter, (float(given(float(x))) for x in t), float)
+        return _called(column, f"the function for {name} fails", accepted)
     try:
-        return np.array([float(given(float(x))) for x in t])
-    except Exception as error:  # of the user's function, and of values that are no numbers
-        raise ValueError(f"guess: the function for {name} fails: {_words(error)}; accepted: {accepted}") from error
+        return np.full(t.size, number(name, given))
+    except (TypeError, ValueError):
+        raise ValueError(f"guess: given {short_repr(given)} for {name}; accepted: {accepted}") from None
 
 
-def _words(error: Exception) -> str:
-    """What a function of the user raised, in a line."""
-    return cut(" ".join(f"{type(error).__name__}: {error}".split()), 200)
+def _called(compute: Callable[[], T], words: str, accepted: str) -> T:
+    """The result of a function of the user, of a class, or of somebody else's object; raises ValueError as it fails."""
+    try:
+        return compute()
+    except Exception as error:
+        raised = cut(" ".join(f"{type(error).__name__}: {error}".split()), 200)
+        raise ValueError(f"guess: {words}: {raised}; accepted: {accepted}") from error
 
 
 def _interpolated(times: Array, values: Array, t: Array) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -35,7 +35,7 @@ class ErrorEstimate:
 class Refinement:
     """An orbit on the next finer level, one Newton step from the orbit prolonged: better by the error estimated."""
 
-    problem: Problem
+    problem: Any
     z: Array
 
 
@@ -137,9 +137,12 @@ class End(Enum):
 
 @dataclass(frozen=True)
 class Point:
-    """A converged point of the branch with its unit tangent; `step` is the step to try next."""
+    """A converged point of the branch with its unit tangent; `step` is the step to try next.
 
-    problem: Problem
+    `problem` is of the kind that its space states.
+    """
+
+    problem: Any
     z: Array
     tangent: Array
     error: ErrorEstimate
@@ -161,7 +164,7 @@ class Point:
     @property
     def Omega(self) -> float:
         """Frequency."""
-        return self.problem.frequency(self.z)
+        return float(self.problem.frequency(self.z))
 
     @property
     def parameter_rate(self) -> float:

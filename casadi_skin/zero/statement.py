@@ -137,7 +137,7 @@ class Statement(WithVerbs):
                 object.__setattr__(self, label, in_scalars(symbols, getattr(self, label)))
 
     def _check_values(self) -> None:
-        start, end = self.span(np.array(list(self.values.values())))
+        start, end = self.span()
         if not (np.isfinite(start) and np.isfinite(end) and end > start):
             raise ValueError(f"interval: given ({start:g}, {end:g}); accepted: finite ends, the second larger")
 
@@ -204,9 +204,9 @@ class Statement(WithVerbs):
         """Function (t, x, p) of an expression in these."""
         return ca.Function(name, [self._time, self.model.full_state, self.model.parameters], [expression])
 
-    def span(self, parameters: np.ndarray[Any, Any]) -> tuple[float, float]:
-        """Start and end of the interval at values of all parameters, in the model's order."""
-        start, end = self.ends_at(parameters)
+    def span(self, parameters: Iterable[float] | None = None) -> tuple[float, float]:
+        """Start and end of the interval at values of all parameters, in the model's order; at its own by default."""
+        start, end = self.ends_at(np.array(list(self.values.values() if parameters is None else parameters)))
         return float(start), float(end)
 
     @cached_property

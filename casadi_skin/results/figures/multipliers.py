@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casadi_skin.follow.family import Family
 from casadi_skin.results.figures.style import amplitude_label, blank, colours, finished, number, plain, style
 from casadi_skin.results.figures.style import title as model_title
 from casadi_skin.stability.result import LocalisedFloquet
@@ -176,7 +175,7 @@ def _draw_moduli(axes: Axes, branch: Branch, diagram: StabilityDiagram | None) -
         axes.set_ylim(bottom=max(axes.get_ylim()[0], 0.2 / largest))  # multipliers of strong damping come near to 0
     elif largest == 1.0:
         axes.set_ylim(0.9, 1.1)
-    if isinstance(branch.space, Family):
+    if branch.space.is_family:
         axes.set(xlim=(0.0, 1.03 * values.max()), xlabel=amplitude_label(branch.space.model))
     else:
         axes.set_xlabel(plain(branch.parameter))
@@ -321,13 +320,11 @@ def _panels(planes: int, with_angles: bool) -> tuple[Figure, dict[str, Axes]]:
 def _place(branch: Branch, value: float, passage: int) -> str:
     """A value of the quantity followed, in words, and how often it was passed before."""
     name, again = plain(branch.parameter), f" (passage {passage + 1})" if passage else ""
-    is_family = isinstance(branch.space, Family)
+    is_family = branch.space.is_family
     return (f"$S = {number(value)}$" if is_family else f"{name} = ${number(value)}$") + again
 
 
 def _title(branch: Branch, name: str) -> str:
     known = {key: value for key, value in branch.orbits[0].parameters.items() if key != branch.parameter}
     words = model_title(branch.space.model, known, name)
-    return (
-        f"family $j = {branch.space.coordinates.mode_number}$; {words}" if isinstance(branch.space, Family) else words
-    )
+    return f"family $j = {branch.space.coordinates.mode_number}$; {words}" if branch.space.is_family else words

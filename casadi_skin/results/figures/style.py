@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from matplotlib.text import Text
 
     from casadi_skin.follow.branch import Branch
-    from casadi_skin.follow.family import Family
 
 
 # Places of panels in a figure: by constrained layout, or, which is quicker, from the sizes of texts alone -------------
@@ -385,11 +384,9 @@ def common_model(branches: Sequence[Branch]) -> tuple[Any, Mapping[str, float]]:
     return model, dict(parameters)
 
 
-def family(branch: Branch) -> Family:
+def family(branch: Branch) -> Any:
     """The family of a branch; raises ValueError for another branch."""
-    from casadi_skin.follow.family import Family
-
-    if not isinstance(branch.space, Family):
+    if not branch.space.is_family:
         raise ValueError(f"branches: given a branch in {branch.parameter}; accepted: families")
     return branch.space
 
