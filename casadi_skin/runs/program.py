@@ -115,9 +115,8 @@ def value(name: str, words: str | None, metavar: str | None, kind: Callable[[str
 
 
 class Command(NamedTuple):
-    """A command: what it is for, what it does, an example, and its options."""
+    """A command: what it does, an example, and its options."""
 
-    purpose: str
     words: str
     example: str
     options: Sequence[Sequence[Option]]
@@ -135,27 +134,23 @@ MEASURED = (
 PAGE = "the file (default: DIR/explore.html, beside a file its name with .html)"
 COMMANDS = {
     "run": Command(
-        "compute what a scene asks for",
         "Compute what a scene asks for.",
         "casadi-skin run examples/softening_end_breather.toml --out results/breather",
         [SCENE, OUT, [switch("--resume", "go on with a run that was killed, interrupted or ended early"), OVERWRITE],
          OUTPUT],
     ),
     "check": Command(
-        "print the plan of a scene",
         "Print what a run would do.",
         "casadi-skin check examples/fput_modes.toml",
         [SCENE, [switch("--measure", "build and solve at the start of families too: unknowns, expected cost")], OUTPUT],
     ),
     "spectrum": Command(
-        "linear frequencies of a scene's model",
-        "Print the linear frequencies omega_j.",
+        "Print the linear frequencies omega_j of a scene's model.",
         "casadi-skin spectrum examples/fput_modes.toml --out results/spectrum",
         [SCENE, [value("--out", "also write spectrum.csv and its picture there", "DIR", Path)], [OVERWRITE], OUTPUT],
     ),
     "map": Command(
-        "a scene over one or two of its parameters, on one machine or many",
-        "Compute the map that a scene's table [map] asks for, cell by cell.",
+        "Compute a scene over one or two of its parameters, cell by cell, on one machine or many.",
         "casadi-skin map examples/stability_chart.toml --workers 2",
         [SCENE, OUT, [value("--workers", "processes on this machine (default: 1)", "N", int, default=1)],
          [value("--scheduler", "a dask scheduler, whose workers compute the cells", "ADDRESS", str),
@@ -165,7 +160,6 @@ COMMANDS = {
          [switch("--no-pictures", "tables alone")], OUTPUT],
     ),
     "tradeoff": Command(
-        "what accuracy costs, method by method",
         "Measure time, memory and true errors of every method and tolerance on one family.",
         "casadi-skin tradeoff examples/softening_end_breather.toml --quick",
         [[value("scene", MEASURED, "SCENE.toml", Path, nargs="?")],
@@ -173,15 +167,12 @@ COMMANDS = {
          [value("--repeats", "timed runs of each setting (default: 5; 1 if quick)", "K", int)]],
     ),
     "explore": Command(
-        "a page that shows a run or a map in a browser",
-        "Write one HTML file with linked pictures of the branches of a run, or of a map, without network. "
-        "A map, a branch or a diagram that was saved as one file is shown too.",
+        "Write one HTML file that shows a run, a map, or a branch or diagram that was saved, without network.",
         "casadi-skin explore results/chain",
         [[value("directory", "the directory of a run or of a map, or a file of one", "DIR", Path)],
          [value("--out", PAGE, "FILE.html", Path)], [QUIET]],
     ),
     "new": Command(
-        "write a commented scene to start from",
         "Write a scene of a chain, a lattice or a model, with a comment on every line, that runs as it is.",
         "casadi-skin new chain --out breather.toml",
         [[value("kind", "what the scene is of; a model comes with its Python file", None, str,
@@ -189,20 +180,17 @@ COMMANDS = {
          [value("--out", "the file (default: KIND.toml)", "SCENE.toml", Path)], [QUIET]],
     ),
     "schema": Command(
-        "the JSON schema of scenes, for editors",
         "Print the JSON schema of scenes; editors complete and check scenes with it.",
         "casadi-skin schema --out scene.schema.json",
         [[value("--out", "write it there in place of printing it", "FILE.json", Path)]],
     ),
     "completion": Command(
-        "completion of commands and options for a shell",
         "Print what a shell needs to complete commands, options and files.",
         'eval "$(casadi-skin completion bash)"',
         [[value("shell", None, None, str, choices=("bash", "zsh", "tcsh"))]],
     ),
 }  # fmt: skip
 COMMANDS["help"] = Command(
-    "what a command does",
     "Print what a command does, with an example.",
     "casadi-skin help run",
     [[value("verb", "default: all of them", "COMMAND", str, nargs="?", choices=(*COMMANDS, "help"))]],
@@ -239,9 +227,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version, and which kernels are in use")
     added = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, command in COMMANDS.items():
-        one = added.add_parser(
-            name, help=command.purpose, description=command.words, epilog=f"Example: {command.example}"
-        )
+        purpose = f"{command.words[0].lower()}{command.words[1:-1]}"
+        one = added.add_parser(name, help=purpose, description=command.words, epilog=f"Example: {command.example}")
         for options in command.options:
             group = one if len(options) == 1 else one.add_mutually_exclusive_group()
             for option, given in options:
