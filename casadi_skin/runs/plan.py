@@ -158,18 +158,18 @@ def _equilibrium_lines(request: Request, equilibrium: EquilibriumTable) -> Lines
     state = named(dict(zip(names, state_of(equilibrium.start, model.state_names), strict=False)))
     where = "near" if equilibrium.transient is None else f"where a simulation for {equilibrium.transient:g} rests, from"
     lines = [("equilibrium", f"{where} {state}"), ("unknowns", f"{model.size}: {listed(names)}")]
-    if table is not None:
-        at = f", points exactly at {', '.join(f'{value:g}' for value in table.at)}" if table.at else ""
-        lines.append(("branch", f"in {table.parameter} to {table.to:g}{at}; {table.max_points} points at most"))
-        lines.append(("located", "folds, branch points and Hopf points, with their normal forms"))
-        lines += _further_lines(table)
+    located = [("located", "folds, branch points and Hopf points, with their normal forms")]
+    lines += _branch_lines(table, located)
     lines.append(("tolerance", f"{request.tolerance:g}, relative, of each component of the state"))
     return lines
 
 
-def _further_lines(table: ContinuationTable) -> Lines:
-    """Branches that leave a branch, and curves in two parameters."""
-    lines: Lines = []
+def _branch_lines(table: ContinuationTable | None, located: Lines) -> Lines:
+    """A branch, what is located on it, the branches that leave it, and curves in two parameters."""
+    if table is None:
+        return []
+    at = f", points exactly at {', '.join(f'{value:g}' for value in table.at)}" if table.at else ""
+    lines = [("branch", f"in {table.parameter} to {table.to:g}{at}; {table.max_points} points at most"), *located]
     if table.switch or table.depth:
         kinds = " and ".join(table.switch or LEAVING)
         deep = "" if table.depth is None else f", {table.depth} deep and {table.limit} branches at most"
@@ -187,11 +187,7 @@ def _boundary_lines(request: Request) -> Lines:
     lines = _orbit_lines(request) if scene.orbit is not None else _problem_lines(request)
     if scene.orbit is None and scene.solution is None:
         return [*lines, ("not built", _nothing(request))]
-    table = scene.continuation
-    if table is not None:
-        at = f", points exactly at {', '.join(f'{value:g}' for value in table.at)}" if table.at else ""
-        lines.append(("branch", f"in {table.parameter} to {table.to:g}{at}; {table.max_points} points at most"))
-        lines += _further_lines(table)
+    lines += _branch_lines(scene.continuation, [])
     lines.append(("tolerance", f"{request.tolerance:g}, relative, of each state and free parameter"))
     lines.append(("unknowns", _unknowns(request)))
     if scene.stability is not None:
