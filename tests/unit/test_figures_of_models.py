@@ -268,6 +268,8 @@ def test_smooth_curves_pass_their_points_and_do_not_overshoot() -> None:
     level = smooth(np.column_stack([x, 1.0 + 1e-15 * np.sin(1e3 * x)]))  # a constant but for rounding
     assert np.all(np.diff(level[:, 0]) > 0.0)
     assert level[-1, 0] == x[-1]
+    lost = smooth(np.array([[0, 0], [1, 0], [1, 1e-30], [1, 2e-30], [2, 0], [3, 1], [4, 0]]))  # in the whole length
+    assert np.all(np.isfinite(lost))
 
 
 def test_branches_that_ended_early_say_so(cycles: Branch) -> None:

@@ -137,10 +137,11 @@ def smooth(path: Array) -> Array:
 
     extent = np.maximum(np.ptp(path, axis=0), ROUNDING_CHANGE * np.max(np.abs(path), axis=0, initial=0.0))
     lengths = np.hypot(*(np.diff(path, axis=0) / np.where(extent > 0.0, extent, 1.0)).T)
-    path = path[np.append(True, lengths > 0.0)]
-    if len(path) < FEWEST_SMOOTH_POINTS or not np.all(np.isfinite(path)):
+    places = np.append(0.0, np.cumsum(lengths))
+    apart = np.append(True, ~(np.diff(places) <= 0.0))  # also from what is lost in the sum
+    path, places = path[apart], places[apart]
+    if len(path) < FEWEST_SMOOTH_POINTS or not np.all(np.isfinite(places)):
         return path
-    places = np.append(0.0, np.cumsum(lengths[lengths > 0.0]))
     parts = np.linspace(0.0, 1.0, POINTS_BETWEEN + 1, endpoint=False)
     between = places[:-1, None] + np.diff(places)[:, None] * parts
     curve = Akima1DInterpolator(places, path, method="makima")(between)
