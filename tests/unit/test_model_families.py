@@ -51,10 +51,12 @@ def apart(found: ComplexArray, expected: ComplexArray) -> float:
 
 @dataclass(frozen=True)
 class Typed:
-    """The equations q'' = force(q) typed out in numpy, with their derivative."""
+    """The equations q'' = force(q) typed out in numpy; their derivative by a complex step, to rounding."""
 
-    force: Callable[[Array], Array]
-    derivative: Callable[[Array], Array]
+    force: Callable[[Any], Any]
+
+    def derivative(self, q: Array) -> Array:
+        return np.stack([self.force(q + 1e-30j * row).imag / 1e-30 for row in np.eye(q.size)], axis=1)
 
     def flow(self, start: Array, time: float, columns: int = 0) -> tuple[Array, Array]:
         """State after a time by DOP853, and the first columns of the transition matrix."""
@@ -98,13 +100,7 @@ def typed_lattice(bond: float, onsite: bool, gamma: float = 0.0) -> Typed:
         pull = d + bond * d**3
         return (1 - gamma) * pull[1:] - (1 + gamma) * pull[:-1] - (np.sin(q) if onsite else 0.0)
 
-    def derivative(q: Array) -> Array:
-        d = np.diff(q, prepend=0.0, append=0.0)
-        k = 1 + 3 * bond * d**2
-        diagonal = (1 - gamma) * k[1:] + (1 + gamma) * k[:-1] + (np.cos(q) if onsite else 0.0)
-        return -np.diag(diagonal) + np.diag((1 - gamma) * k[1:-1], 1) + np.diag((1 + gamma) * k[1:-1], -1)
-
-    return Typed(force, derivative)
+    return Typed(force)
 
 
 def harmonic_balance(typed: Typed, mode: Array, omega: float, amplitudes: Array, harmonics: int) -> tuple[float, Array]:
@@ -217,75 +213,81 @@ def test_pendulum_chains_by_integration(sites: int, mode: int, S: float) -> None
     assert abs(orbit.Omega - exact) <= orbit.Omega_error + 1e-11
 
 
-def test_forces_that_are_neither_odd_nor_polynomials() -> None:
-    """Toda's lattice between walls: half a period, by Gauss collocation."""
+def between_walls(name: str, potential: Callable[[ca.SX], ca.SX], odd: bool) -> OdeModel:
+    """Three sites between walls with a potential of their four bonds."""
     q, v = ca.SX.sym("q", 3), ca.SX.sym("v", 3)
-    d = ca.vertcat(q, 0) - ca.vertcat(0, q)
-    potential = ca.sum1(ca.exp(d) - d - 1)
-    toda = second_order(
-        "Toda", q, -ca.gradient(potential, q), odd=False, velocity=v, hamiltonian=v.T @ v / 2 + potential
-    )
-    branch = follow_family(toda, 1, 0.5, at=(0.5,), tolerance=1e-9, corrector="newton")
+    V = ca.sum1(potential(ca.vertcat(q, 0) - ca.vertcat(0, q)))
+    return second_order(name, q, -ca.gradient(V, q), odd=odd, velocity=v, hamiltonian=v.T @ v / 2 + V)
+
+
+def pulled(pull: Callable[[Any], Any], q: Any) -> Any:
+    """Forces on sites between walls by the pull of a bond of extension d."""
+    return np.diff(pull(np.diff(q, prepend=0.0, append=0.0)))
+
+
+M, K, Q3 = np.array([1.0, 4.0, 0.25]), np.array([1.0, 2.0, 3.0]), ca.SX.sym("q", 3)
+BONDS = ca.vertcat(Q3, 0) - ca.vertcat(0, Q3)
+TODA = between_walls("Toda", lambda d: ca.exp(d) - d - 1, odd=False)
+ALPHA = between_walls("alpha", lambda d: d**2 / 2 + d**3 / 12, odd=False)
+MASSES = second_order("masses", Q3, -ca.gradient(ca.sumsqr(BONDS) / 2 + ca.sum1(BONDS**4) / 4, Q3) / M)
+ONE_SIDED = 0.3 * (BONDS[1:] - BONDS[:-1]) - K * Q3 - Q3**3 - ca.vertcat(0, Q3[1] * Q3[2] ** 2, 0)
+GAIN = BONDS[1:] - BONDS[:-1] + 0.8 * BONDS[1:] ** 3 - 1.2 * BONDS[:-1] ** 3
+
+
+def one_sided(x: Any) -> Any:
+    return 0.3 * pulled(lambda d: d, x) - K * x - x**3 - np.array([0, x[1] * x[2] ** 2, 0])
+
+
+def gained(x: Any) -> Any:
+    d = np.diff(x, prepend=0.0, append=0.0)
+    return np.diff(d) + 0.8 * d[1:] ** 3 - 1.2 * d[:-1] ** 3
+
+
+@pytest.mark.parametrize(
+    ("model", "force", "mode", "S", "symplectic", "log_scale"),
+    [
+        # neither odd nor polynomials: half a period, by Gauss collocation
+        (TODA, lambda x: pulled(np.exp, x), 1, 0.5, True, np.zeros(3)),
+        # V = d^2/2 + d^3/12 has even harmonics too: half a period, and stability over half of it
+        (ALPHA, lambda x: pulled(lambda d: d + d**2 / 4, x), 1, 0.3, True, np.zeros(3)),
+        # M q'' = -grad V: D = M^(-1/2), and the flow is Hamiltonian in these coordinates
+        (MASSES, lambda x: pulled(lambda d: d + d**3, x) / M, 2, 0.7, True, 0.5 * np.log(0.25 / M)),
+        # bonds with one gain are Hamiltonian in their gauge
+        (lattice("gain", 5, 1.0, False, 0.3), typed_lattice(1.0, False, 0.3).force, 5, 1.0, True, np.arctanh(0.3)),
+        # -q_2 q_3^2 acts on site 2 alone: the linear part is symmetric as it is, and no coordinates do more
+        (second_order("one-sided", Q3, ONE_SIDED), one_sided, 2, 1.2, False, np.zeros(3)),
+        # linear bonds act both ways alike, cubic ones by 0.8 to the right and 1.2 to the left
+        (second_order("gain", Q3, GAIN), gained, 2, 2.0, False, np.zeros(3)),
+    ],
+)
+def test_any_forces_by_integration(
+    model: OdeModel, force: Callable[[Any], Any], mode: int, S: float, symplectic: bool, log_scale: Any
+) -> None:
+    branch = follow_family(model, mode, S, at=(S,), tolerance=1e-10, corrector="newton")
     assert branch.complete
+    coordinates, orbit = branch.space.coordinates, branch.at(S)
+    Typed(force).check(orbit, vectors=True)
+    assert coordinates.symplectic == symplectic
+    if np.ndim(log_scale):
+        np.testing.assert_allclose(
+            coordinates.log_scale - coordinates.log_scale[0], log_scale - log_scale[0], atol=1e-13
+        )
+    else:
+        np.testing.assert_allclose(np.diff(coordinates.log_scale), log_scale, rtol=1e-13)
+    assert np.sum(orbit.profile**2) == pytest.approx(S, rel=1e-14)
 
-    def force(x: Array) -> Array:
-        return np.diff(np.exp(np.diff(x, prepend=0.0, append=0.0)))
 
-    def derivative(x: Array) -> Array:
-        k = np.exp(np.diff(x, prepend=0.0, append=0.0))
-        return -np.diag(k[1:] + k[:-1]) + np.diag(k[1:-1], 1) + np.diag(k[1:-1], -1)
-
-    Typed(force, derivative).check(branch.at(0.5), vectors=True)
-    assert branch.at(0.5).floquet().stable  # it is integrable
-    assert np.sum(branch.at(0.5).profile ** 2) == pytest.approx(0.5, rel=1e-14)
-
-
-def test_fput_alpha_has_even_harmonics_too() -> None:
-    """V = d^2/2 + d^3/12: reversible but not odd, by Gauss on half of the period; stability over half of it."""
-    q, v = ca.SX.sym("q", 3), ca.SX.sym("v", 3)
-    d = ca.vertcat(q, 0) - ca.vertcat(0, q)
-    potential = ca.sumsqr(d) / 2 + ca.sum1(d**3) / 12
-    alpha = second_order(
-        "alpha", q, -ca.gradient(potential, q), odd=False, velocity=v, hamiltonian=v.T @ v / 2 + potential
-    )
-    branch = follow_family(alpha, 1, 0.3, at=(0.3,), tolerance=1e-9, stability=True, corrector="newton")
-    assert branch.complete
+def test_families_without_odd_harmonics_alone() -> None:
+    branch = follow_family(ALPHA, 1, 0.3, at=(0.3,), tolerance=1e-9, stability=True, corrector="newton")
     assert branch.space.request.method.transcription == "gauss"
-
-    def force(x: Array) -> Array:
-        d = np.diff(x, prepend=0.0, append=0.0)
-        return np.diff(d + d**2 / 4)
-
-    def derivative(x: Array) -> Array:
-        k = 1 + np.diff(x, prepend=0.0, append=0.0) / 2
-        return -np.diag(k[1:] + k[:-1]) + np.diag(k[1:-1], 1) + np.diag(k[1:-1], -1)
-
     orbit = branch.at(0.3)
-    Typed(force, derivative).check(orbit, vectors=True)
     mean = np.mean(orbit.evaluate(np.arange(64) / 64 * orbit.period), axis=0)
     assert np.max(np.abs(mean)) > 1e-3  # an odd orbit would have none
     with pytest.raises(ValueError, match="the orbit is no sum of odd cosines"):
         orbit.coefficients(8)
     with pytest.raises(ValueError, match=r"^transcription: given trigonometric; accepted: gauss, radau or shooting"):
-        follow_family(alpha, 2, 0.5, transcription="trigonometric")
-
-
-def test_masses_are_symmetrised() -> None:
-    """M q'' = -grad V with masses 1, 4, 0.25: D = M^(-1/2), and the flow is Hamiltonian in these coordinates."""
-    m = np.array([1.0, 4.0, 0.25])
-    q = ca.SX.sym("q", 3)
-    d = ca.vertcat(q, 0) - ca.vertcat(0, q)
-    potential = ca.sumsqr(d) / 2 + ca.sum1(d**4) / 4
-    branch = follow_family(
-        second_order("masses", q, -ca.gradient(potential, q) / m), 2, 0.7, at=(0.7,), tolerance=1e-10
-    )
-    coordinates = branch.space.coordinates
-    assert coordinates.symplectic
-    np.testing.assert_allclose(coordinates.scale, np.sqrt(0.25 / m), rtol=1e-14)
-    plain = typed_lattice(1.0, False)
-    typed = Typed(lambda x: plain.force(x) / m, lambda x: plain.derivative(x) / m[:, None])
-    typed.check(branch.at(0.7), vectors=True)
-    assert np.sum(branch.at(0.7).profile ** 2) == pytest.approx(0.7, rel=1e-14)
+        follow_family(ALPHA, 2, 0.5, transcription="trigonometric")
+    assert follow_family(TODA, 1, 0.5, at=(0.5,), tolerance=1e-9).at(0.5).floquet().stable  # it is integrable
 
 
 # The paper's chain, written by hand -----------------------------------------------------------------------------------
@@ -327,73 +329,28 @@ def test_the_chain_by_hand_has_the_numbers_of_the_chain(
 # Reversible, but not Hamiltonian in any diagonal coordinates ---------------------------------------------------------
 
 
-def test_cubic_bonds_with_a_gain() -> None:
-    """Linear bonds act both ways alike, cubic ones by 0.8 to the right and 1.2 to the left."""
+def test_cubic_bonds_with_a_gain_lose_stability() -> None:
+    """Six sites; without Hamiltonian coordinates there is neither an energy nor growth by their map."""
     q = ca.SX.sym("q", 6)
     d = ca.vertcat(q, 0) - ca.vertcat(0, q)
     force = d[1:] - d[:-1] + 0.8 * d[1:] ** 3 - 1.2 * d[:-1] ** 3
-    linear, cubic = typed_lattice(0.0, False), typed_lattice(1.0, False, 0.2)
-    same = typed_lattice(0.0, False, 0.2)
-    typed = Typed(
-        lambda x: linear.force(x) + cubic.force(x) - same.force(x),
-        lambda x: linear.derivative(x) + cubic.derivative(x) - same.derivative(x),
-    )
-    S = 3.0
-    branch = follow_family(second_order("gain", q, force), 3, S, at=(0.3, S), tolerance=1e-9, corrector="newton")
-    assert not branch.space.coordinates.symplectic
-    stable = []
-    for where in (0.3, S):
-        orbit = branch.at(where)
-        values = typed.check(orbit, vectors=True)
-        assert orbit.floquet().stable == (np.max(np.abs(values)) < 1 + 1e-6)
-        stable.append(orbit.floquet().stable)
+    branch = follow_family(second_order("gain", q, force), 3, 3.0, at=(0.3, 3.0), tolerance=1e-9, corrector="newton")
+    for S, stable in ((0.3, True), (3.0, False)):
+        orbit = branch.at(S)
+        values = Typed(gained).check(orbit, vectors=True)
+        assert orbit.floquet().stable == (np.max(np.abs(values)) < 1 + 1e-6) == stable
         with pytest.raises(ValueError, match="energy: gain declares no hamiltonian"):
             _ = orbit.energy
-    assert stable == [True, False]
+        with pytest.raises(ValueError, match="transient_growth: needs"):
+            orbit.transient_growth()
     assert apart(orbit.floquet("cvodes").multipliers, orbit.floquet().multipliers) < 1e-6
-
-
-def test_bonds_with_one_gain_are_hamiltonian_in_their_gauge() -> None:
-    branch = follow_family(lattice("gain", 5, 1.0, False, 0.3), 5, 1.0, at=(1.0,), tolerance=1e-10, corrector="newton")
-    assert branch.space.coordinates.symplectic
-    np.testing.assert_allclose(np.diff(branch.space.coordinates.log_scale), np.arctanh(0.3), rtol=1e-13)
-    typed_lattice(1.0, False, 0.3).check(branch.at(1.0), vectors=True)
-
-
-def test_a_nonlinear_coupling_of_one_site() -> None:
-    """-q_2 q_3^2 acts on site 2 alone; onsite springs 1, 2, 3 with cubic terms."""
-    q = ca.SX.sym("q", 3)
-    k = np.array([1.0, 2.0, 3.0])
-    d = ca.vertcat(q, 0) - ca.vertcat(0, q)
-    force = 0.3 * (d[1:] - d[:-1]) - k * q - q**3 - ca.vertcat(0, q[1] * q[2] ** 2, 0)
-    branch = follow_family(second_order("one-sided", q, force), 2, 1.5, at=(1.2,), tolerance=1e-10, stability=True)
-    assert branch.complete
-    coordinates = branch.space.coordinates
-    assert not coordinates.symplectic
-    np.testing.assert_array_equal(coordinates.scale, 1.0)  # the linear part is symmetric as it is
-
-    def force_of(x: Array) -> Array:
-        return 0.3 * np.diff(np.diff(x, prepend=0.0, append=0.0)) - k * x - x**3 - np.array([0, x[1] * x[2] ** 2, 0])
-
-    def derivative(x: Array) -> Array:
-        J = 0.3 * (-2 * np.eye(3) + np.eye(3, k=1) + np.eye(3, k=-1)) - np.diag(k + 3 * x**2)
-        J[1, 1] -= x[2] ** 2
-        J[1, 2] -= 2 * x[1] * x[2]
-        return J
-
-    Typed(force_of, derivative).check(branch.at(1.2), vectors=True)
-    with pytest.raises(ValueError, match="transient_growth: needs"):
-        branch.at(1.2).transient_growth()
 
 
 def test_couplings_that_act_one_way() -> None:
     """Site 1 drives site 2 and feels nothing: no diagonal coordinates make the linear part symmetric."""
     q = ca.SX.sym("q", 2)
     model = second_order("one way", q, ca.vertcat(-q[0] - q[0] ** 3, -2 * q[1] + 0.5 * q[0] - q[1] ** 3))
-    typed = Typed(
-        lambda x: np.array([-x[0] - x[0] ** 3, -2 * x[1] + 0.5 * x[0] - x[1] ** 3]),
-        lambda x: np.array([[-1 - 3 * x[0] ** 2, 0.0], [0.5, -2 - 3 * x[1] ** 2]]),
-    )
+    typed = Typed(lambda x: np.array([-x[0] - x[0] ** 3, -2 * x[1] + 0.5 * x[0] - x[1] ** 3]))
     for mode, S in ((1, 1.0), (2, 1.0)):
         branch = follow_family(model, mode, S, at=(S,), tolerance=1e-10)
         assert not branch.space.coordinates.symplectic
@@ -617,7 +574,7 @@ def test_a_fold_is_where_the_family_leaves_at_right_angles() -> None:
     assert abs(first.solution.S - np.max(branch.S)) < 2e-2
     assert np.max(branch.S[: len(branch) // 2]) <= first.solution.S
     A = 1.2 * np.eye(4, k=-1) + 0.8 * np.eye(4, k=1) - 3 * np.eye(4)
-    typed = Typed(lambda y: A @ y + y**3, lambda y: A + 3 * np.diag(y**2))
+    typed = Typed(lambda y: A @ y + y**3)
     start, orbit = np.append(first.solution.profile, np.zeros(4)), first.solution
     end, columns = typed.flow(start, orbit.period / 4, 4)
     np.testing.assert_allclose(end[:4], 0.0, atol=1e-7)
