@@ -119,7 +119,7 @@ def passage(
                 return solution
             passed += 1
     except _NotFoundError as error:
-        raise ArithmeticError(f"at: no {kind} was found towards {name} = {value:g}: {error}") from error
+        raise ArithmeticError(f"at: no {kind} was found at {name} = {value:g}: {error}") from error
     covered = f"{np.nanmin(values):g} to {np.nanmax(values):g}" if np.isfinite(values).any() else "no point"
     words = f"the branch covers {covered} and passes {name} {passed} times"
     raise ValueError(f"at: given {name} = {value!r}, which = {which}; {words}")

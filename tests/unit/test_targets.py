@@ -1,164 +1,25 @@
-"""Points at values of Omega, of the period and of S: hand-made curves in both walkers, then families of chains."""
+"""Points at values of Omega, of the period and of S on families of chains, by both continuations."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from math import factorial
 
-import casadi as ca
 import numpy as np
 import pytest
-from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit, follow_family
-from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.branch_run import Following
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.series import SeriesContinuation
-from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.results.branch_records import EndRecord, known_of, point_record
-from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import NewtonCorrector
-from casadi_skin.zero.problem import OrbitProblem, Scalar, Solve
 from casadi_skin.zero.request import family_request
-from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point, Target
+from casadi_skin.zero.settings import End
 
 Array = NDArray[np.float64]
 
-# Omega of the hand-made curve over the parameter: it passes 2 at 0.2, 0.5 and 0.8.
-COURSE = 2.0 + 8.0 * Polynomial.fromroots([0.2, 0.5, 0.8])
-
-
-class Graph(OrbitProblem):
-    """A curve with no orbit in it: one state that is 1, and Omega a polynomial of the parameter."""
-
-    symmetry = SymmetryClass.QUARTER
-    states = 1
-    output_scale = None
-
-    def __init__(self, resolution: int) -> None:
-        self.resolution = resolution
-
-    @property
-    def size(self) -> int:
-        return 3
-
-    def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
-        z = ca.MX.sym("z", 3)
-        Omega = sum(float(c) * z[2] ** k for k, c in enumerate(COURSE.coef))
-        residual = ca.vertcat(z[0] - 1.0, z[1] - Omega)
-        return z, residual, ca.jacobian(residual, z)
-
-    def pack(self, positions: Array, Omega: float, parameter: float) -> Array:
-        return np.array([positions[0], Omega, parameter])
-
-    def prolong(self, z: Array, finer: OrbitProblem) -> Array:
-        return z.copy()
-
-    def _spread(self, factors: Array) -> Array:
-        return factors
-
-    def sample(self, z: Array, theta: Array) -> Array:
-        return np.full((theta.size, 1), z[0])
-
-
-class Expansion:
-    """The power series of the hand-made curve, in which the parameter is linear."""
-
-    end: tuple[int, float] | None = None
-
-    def series(self, z: Array, slope: Array, solve: Solve) -> Array:
-        coefficients = np.zeros((9, 3))
-        coefficients[0], coefficients[1] = z, slope
-        for k in (2, 3):
-            coefficients[k, 1] = COURSE.deriv(k)(z[2]) / factorial(k) * slope[2] ** k
-        coefficients[4:] = 1e-30  # what no series has is no reason for a stretch to end
-        return coefficients
-
-
-def walked(
-    walker: str, settings: ContinuationSettings
-) -> tuple[ArclengthContinuation | SeriesContinuation, list[Point]]:
-    levels = Levels(Graph, lambda problem: NewtonCorrector(problem, 1e-13), (1, 2, 3))
-    point_solver = PointSolver(levels, settings)
-    start = point_solver.start(np.ones(1), float(COURSE(0.0)))
-    walk: ArclengthContinuation | SeriesContinuation
-    if walker == "arclength":
-        walk = ArclengthContinuation(point_solver, (start,))
-    else:
-        walk = SeriesContinuation(point_solver, (start,), lambda problem: Expansion(), lambda problem: 1e-9)
-    return walk, list(walk)
-
-
 WALKERS = pytest.mark.parametrize("walker", ["arclength", "series"])
-
-
-@WALKERS
-def test_every_passage_of_a_value_of_Omega_is_a_point(walker: str) -> None:
-    at = (Target(Scalar.OMEGA, 2.0), Target(Scalar.PARAMETER, 0.3), Target(Scalar.OMEGA, 1.9))
-    walk, points = walked(walker, ContinuationSettings(1.0, 1e-9, at))
-    assert walk.end is End.REACHED
-    assert walk.missed == []
-    asked = [p for p in points if p.requested]
-    below = [float(r.real) for r in (COURSE - 1.9).roots() if abs(r.imag) < 1e-12 and 0 < r.real < 1]
-    expected = sorted([0.2, 0.5, 0.8, 0.3, *below])
-    np.testing.assert_allclose([p.parameter for p in asked], expected, rtol=1e-11)
-    assert sum(p.Omega == 2.0 for p in asked) == 3
-    assert sum(p.Omega == 1.9 for p in asked) == len(below)
-    assert sum(p.parameter == 0.3 for p in asked) == 1
-    along = [p.parameter for p in points]
-    assert along == sorted(along)
-    assert len(set(along)) == len(along)
-
-
-@WALKERS
-@pytest.mark.parametrize("wanted", [(), (Target(Scalar.OMEGA, 2.0),)], ids=["plain", "asked for as well"])
-def test_a_walk_ends_at_a_value_of_Omega(walker: str, wanted: tuple[Target, ...]) -> None:
-    walk, points = walked(walker, ContinuationSettings(1.0, 1e-9, wanted, Omega_end=2.0))
-    assert walk.end is End.REACHED
-    last = points[-1]
-    assert last.Omega == 2.0
-    assert last.parameter == pytest.approx(0.2, rel=1e-11)
-    assert last.requested is bool(wanted)
-    assert [p.requested for p in points[:-1]] == [False] * (len(points) - 1)
-
-
-@WALKERS
-def test_the_first_end_that_is_reached_counts(walker: str) -> None:
-    _, points = walked(walker, ContinuationSettings(0.15, 1e-9, Omega_end=2.0))
-    assert points[-1].parameter == 0.15
-    assert points[-1].Omega < 2.0
-
-
-@WALKERS
-def test_a_value_of_Omega_that_is_not_passed_is_not_missed_by_the_walk(walker: str) -> None:
-    walk, points = walked(walker, ContinuationSettings(1.0, 1e-9, (Target(Scalar.OMEGA, 50.0),)))
-    assert walk.end is End.REACHED
-    assert walk.missed == []
-    assert not any(p.requested for p in points)
-
-
-def point_at(z: tuple[float, float, float], tangent: tuple[float, float, float]) -> Point:
-    return Point(Graph(1), np.array(z), np.array(tangent), ErrorEstimate(0.0, 0.0), 0.1, 1)
-
-
-def test_a_point_is_snapped_to_all_that_it_meets() -> None:
-    point = point_at((1.0, 2.0 + 1e-13, 0.5 - 1e-13), (0.0, 0.05, 0.5))
-    targets = (Target(Scalar.OMEGA, 2.0), Target(Scalar.PARAMETER, 0.5), Target(Scalar.PARAMETER, 0.6))
-    snapped = point.snapped(targets)
-    assert (snapped.Omega, snapped.parameter, snapped.requested) == (2.0, 0.5, True)
-    assert point.snapped(targets[2:]) is point
-
-
-@pytest.mark.parametrize("slope", [1e-6, 1e-12, 0.0])
-def test_a_value_that_hardly_changes_along_the_branch_is_not_met_from_afar(slope: float) -> None:
-    target = Target(Scalar.PARAMETER, 3.0)
-    assert target.meets(point_at((1.0, 2.0, 3.0 - 1e-12), (0.0, 0.05, 0.5)))
-    assert not target.meets(point_at((1.0, 2.0, 3.0 - 1e-12), (0.0, 0.05, slope)))
-    assert target.meets(point_at((1.0, 2.0, 3.0), (0.0, 0.05, slope))) is (slope == 1e-6)
 
 
 # Families of chains -------------------------------------------------------------------------------------------------
@@ -195,6 +56,19 @@ def test_points_at_Omega_and_period_are_among_the_orbits_and_are_what_the_branch
     assert abs(plain.at(period=period).S - other.S) <= 1e-8 * other.S
     assert branch.complete
     assert [o.S_error for o in asked if o.S == 1.0] == [0.0] * sum(o.S == 1.0 for o in asked)
+
+
+@WALKERS
+@pytest.mark.parametrize(("S", "period_max"), [(2.0, 5.0), (0.2, 9.0)])
+def test_the_first_end_that_is_reached_counts(walker: str, S: float, period_max: float) -> None:
+    """alpha = 1, g = -1: the oscillator y'' = -3 y + y^3, whose period grows from 3.63."""
+    branch = follow_family(Chain(1, 1.0, 0.0, -1.0), 1, S, period_max=period_max, corrector="newton", walker=walker)
+    assert branch.end is End.REACHED
+    assert branch.complete
+    ends = branch.S[-1] == S, branch.period[-1] == period_max
+    assert ends == (S == 0.2, S == 2.0)
+    assert branch.S[-1] <= S
+    assert not any(o.point.requested for o in branch.orbits[:-1])
 
 
 def test_what_a_branch_does_not_pass_is_named() -> None:
