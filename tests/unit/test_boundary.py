@@ -34,10 +34,14 @@ def bratu() -> BoundaryValueProblem:
 
 
 def bratu_angles(lam: float) -> list[float]:
-    """theta of u = -2 log(cosh(theta (x - 1/2) / 2) / cosh(theta / 4)); theta = sqrt(2 lambda) cosh(theta/4)."""
+    """theta = sqrt(2 lambda) cosh(theta/4) of both solutions."""
     equation = lambda theta: theta - np.sqrt(2.0 * lam) * np.cosh(theta / 4.0)  # noqa: E731
     top = 4.0 * np.arcsinh(4.0 / np.sqrt(2.0 * lam))
     return [brentq(equation, 0.0, top, xtol=1e-15), brentq(equation, top, 40.0, xtol=1e-15)]
+
+
+def bratu_solution(theta: float, x: np.ndarray) -> np.ndarray:
+    return np.asarray(-2.0 * np.log(np.cosh(theta * (x - 0.5) / 2.0) / np.cosh(theta / 4.0)))
 
 
 # Known answers --------------------------------------------------------------------------------------------------------
@@ -58,9 +62,8 @@ def test_both_branches_of_bratu_and_the_fold_between_them(corrector: str) -> Non
     x = np.linspace(0.0, 1.0, 301)
     for lam in (1.0, 3.0):
         for which, theta in enumerate(bratu_angles(lam)):
-            exact = -2.0 * np.log(np.cosh(theta * (x - 0.5) / 2.0) / np.cosh(theta / 4.0))
-            error = np.abs(branch.at(lam, which).evaluate(x)[:, 0] - exact).max() / exact.max()
-            assert error < 1e-9
+            exact = bratu_solution(theta, x)
+            assert np.abs(branch.at(lam, which).evaluate(x)[:, 0] - exact).max() / exact.max() < 1e-9
 
 
 @pytest.mark.parametrize("eps", [1e-2, *(pytest.param(eps, marks=pytest.mark.slow) for eps in (1e-4, 1e-6))])
@@ -231,51 +234,30 @@ class Lifted:
         return np.stack([0.14 * np.sin(np.pi * t), 0.4 * np.cos(np.pi * t)], axis=1)
 
 
-def guesses() -> dict[str, Any]:
-    t = np.linspace(0.0, 1.0, 9)
-    return {
-        "numbers": [0.0, 0.0],
-        "array": np.array([0.1, 0.0]),
-        "function": lambda t: [0.14 * np.sin(np.pi * t), 0.0],
-        "by name": {"u": lambda t: 0.1 * t * (1 - t)},
-        "by name, both": {"u": 0.1, "v": lambda t: 1 - 2 * t},
-        "samples": (t, Lifted().evaluate(t)),
-        "lists": (list(t), Lifted().evaluate(t).tolist()),
-        "evaluated": Lifted(),
-        "solution": bratu().with_parameters(**{"lambda": 0.5}).solve([0.0, 0.0]),
-    }
+T, FINE = np.linspace(0.0, 1.0, 9), np.linspace(0.0, 1.0, 65)
+SINE = Lifted().evaluate(T)
+GUESSES: dict[str, tuple[Any, Any]] = {  # each with its states at T
+    "numbers": ([0.0, 0.1], np.tile([0.0, 0.1], (9, 1))),
+    "array": (np.array([0.1, 0.0]), np.tile([0.1, 0.0], (9, 1))),
+    "function": (lambda t: [0.14 * np.sin(np.pi * t), 0.0], np.stack([SINE[:, 0], 0.0 * T], axis=1)),
+    "by name": ({"u": lambda t: 0.1 * t * (1 - t)}, np.stack([0.1 * T * (1 - T), 0.0 * T], axis=1)),
+    "by name, both": ({"u": 0.1, "v": lambda t: 1 - 2 * t}, np.stack([0.0 * T + 0.1, 1 - 2 * T], axis=1)),
+    "samples": ((FINE, Lifted().evaluate(FINE)), SINE),
+    "transposed lists": ((list(FINE), Lifted().evaluate(FINE).T.tolist()), SINE),
+    "evaluated": (Lifted(), SINE),
+    "beyond their times": (([0.25, 0.75], [[0.0, 0.4], [0.1, 0.0]]), np.interp(T, [0.25, 0.75], [0.0, 0.1])),
+}
 
 
-@pytest.mark.parametrize("kind", list(guesses()))
-def test_every_kind_of_guess_leads_to_the_solution(kind: str) -> None:
-    solution = bratu().solve(guesses()[kind])
+@pytest.mark.parametrize("kind", GUESSES)
+def test_every_kind_of_guess_is_what_it_says_and_leads_to_the_solution(kind: str) -> None:
+    from casadi_skin.zero.guesses import sampled
+
+    guess, states = GUESSES[kind]
+    found = sampled(bratu(), guess, T)
+    np.testing.assert_allclose(found if np.ndim(states) == 2 else found[:, 0], states, atol=1e-7)
     exact = 2.0 * np.log(np.cosh(bratu_angles(1.0)[0] / 4.0))
-    assert abs(solution.evaluate(0.5)[0] - exact) < 1e-8
-
-
-@pytest.mark.parametrize("kind", ["function", "samples", "by name", "evaluated", "numbers", "solution"])
-def test_guesses_are_what_they_say_at_every_time(kind: str) -> None:
-    from casadi_skin.zero.guesses import sampled
-
-    t = np.linspace(0.0, 1.0, 33)
-    lifted, fine = Lifted(), np.linspace(0.0, 1.0, 65)
-    given: dict[str, tuple[Any, np.ndarray]] = {
-        "function": (lambda t: [t, t**2], np.stack([t, t**2], axis=1)),
-        "samples": ((fine, lifted.evaluate(fine)), lifted.evaluate(t)),
-        "by name": ({"v": lambda t: t**3}, np.stack([0 * t, t**3], axis=1)),
-        "evaluated": (lifted, lifted.evaluate(t)),
-        "numbers": ([2.0, 3.0], np.tile([2.0, 3.0], (33, 1))),
-        "solution": ((solved := bratu().solve([0.0, 0.0])), solved.evaluate(t)),
-    }
-    guess, expected = given[kind]
-    np.testing.assert_allclose(sampled(bratu(), guess, t), expected, atol=1e-7)
-
-
-def test_samples_beyond_their_times_keep_the_last_value() -> None:
-    from casadi_skin.zero.guesses import sampled
-
-    found = sampled(bratu(), ([0.25, 0.75], [[1.0, 2.0], [3.0, 4.0]]), np.array([0.0, 0.5, 1.0]))
-    np.testing.assert_allclose(found, [[1.0, 2.0], [2.0, 3.0], [3.0, 4.0]])
+    assert abs(bratu().solve(guess).evaluate(0.5)[0] - exact) < 1e-8
 
 
 def test_the_guess_chooses_the_branch() -> None:
@@ -286,8 +268,7 @@ def test_the_guess_chooses_the_branch() -> None:
 def test_a_solution_as_guess_brings_its_mesh() -> None:
     case = LAYERS["2, layer at the end"]
     first = case.problem(1e-4).solve([0.0, 0.0], tolerance=1e-6)
-    again = case.problem(1e-4).solve(first, tolerance=1e-6)
-    np.testing.assert_array_equal(again.mesh, first.mesh)
+    np.testing.assert_array_equal(case.problem(1e-4).solve(first, tolerance=1e-6).mesh, first.mesh)
 
 
 # What a solution knows ------------------------------------------------------------------------------------------------
@@ -315,10 +296,13 @@ def test_a_model_of_second_order_has_velocities_among_its_ends() -> None:
     np.testing.assert_allclose(solution.evaluate(t)[:, 0], np.sin(t) / np.cos(1.0), atol=1e-11)
 
 
-def test_other_values_of_parameters_leave_the_statement_alone() -> None:
+def test_a_statement_is_restated_and_stays_as_it_is() -> None:
     problem = bratu()
     assert problem.with_parameters(**{"lambda": 2.0}).values == {"lambda": 2.0}
     assert problem.values == {"lambda": 1.0}
+    u = problem.model.state[0]
+    other = replace(problem, conditions=[problem.model.start(u), problem.model.end(u) - 0.1])
+    assert other.solve([0.0, 0.0]).evaluate(1.0)[0] == pytest.approx(0.1, abs=1e-12)
 
 
 # Other kinds of models ------------------------------------------------------------------------------------------------
@@ -334,10 +318,8 @@ def test_models_in_mx_symbols_and_programs_with_their_own_derivatives(opaque: bo
     model = OdeModel("Bratu", x, rhs, lam)
     problem = BoundaryValueProblem(model, [model.start(x)[0], model.end(x)[0]], parameters={"lam": 1.0})
     solution = problem.solve([0.0, 0.0], tolerance=1e-9)
-    theta = bratu_angles(1.0)[0]
     t = np.linspace(0.0, 1.0, 21)
-    exact = -2.0 * np.log(np.cosh(theta * (t - 0.5) / 2.0) / np.cosh(theta / 4.0))
-    assert np.abs(solution.evaluate(t)[:, 0] - exact).max() < 1e-9
+    assert np.abs(solution.evaluate(t)[:, 0] - bratu_solution(bratu_angles(1.0)[0], t)).max() < 1e-9
     branch = solution.follow("lam", 4.0, until=lambda s: s.states[:, 0].max() > 2.0)
     assert abs(branch.folds[0].parameters["lam"] - 3.513830719125) < 1e-8
 
@@ -350,10 +332,3 @@ def test_interval_ends_may_depend_on_parameters() -> None:
     last = first.follow("L", 2.5).solutions[-1]
     assert last.interval == (0.0, pytest.approx(2.5, rel=1e-12))
     assert abs(last.evaluate(1.0)[0] - np.sin(1.0) / np.sin(2.5)) < 1e-7
-
-
-def test_a_frozen_statement_can_be_restated() -> None:
-    problem = bratu()
-    u = problem.model.state[0]
-    other = replace(problem, conditions=[problem.model.start(u), problem.model.end(u) - 0.1])
-    assert other.solve([0.0, 0.0]).evaluate(1.0)[0] == pytest.approx(0.1, abs=1e-12)
