@@ -23,7 +23,7 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.find import find_orbit
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.solution import Orbit
-from casadi_skin.lattice.chain import FIRST, LAST, Chain
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.declaration import Array
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import ComplexArray
@@ -221,7 +221,7 @@ def threshold(chain: Chain) -> float:
 def _threshold_to(chain: Chain, amplitude_max: float) -> float | None:
     """S_c, or None where it is not below `amplitude_max`."""
     infinite = replace(chain, sites=math.inf)  # type: ignore[arg-type]
-    mode = infinite.mode_number(LAST if chain.g > 0 else FIRST)
+    mode = infinite.mode_number("last" if chain.g > 0 else "first")
     family = Family(family_request(infinite, mode, amplitude_max, tolerance=BALANCE_TOLERANCE, corrector="newton"))
     last = family.start
     coordinates: Any = family.coordinates  # of a core with its tail

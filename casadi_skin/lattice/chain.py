@@ -25,8 +25,7 @@ from casadi_skin.model.expressions import expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import NotPolynomialError, polynomial_terms
 from casadi_skin.model.result import WithVerbs
-
-FIRST, LAST = "first", "last"  # names of the modes of lowest and highest frequency
+from casadi_skin.zero.model_coordinates import FIRST, LAST, number_of_mode
 
 
 def _is_whole(number: object) -> bool:
@@ -85,11 +84,7 @@ class Chain(WithVerbs):
             if not isinstance(mode, str | int) or mode not in (FIRST, LAST, 1, -1):
                 raise ValueError(f"mode: given {short_repr(mode)}; accepted in an infinite chain: {FIRST}, {LAST}")
             return 1 if mode in (FIRST, 1) else -1
-        if isinstance(mode, str) and mode in (FIRST, LAST):
-            return 1 if mode == FIRST else self.sites
-        if not _is_whole(mode) or not 1 <= int(mode) <= self.sites:
-            raise ValueError(f"mode: given {short_repr(mode)}; accepted: 1..{self.sites}, {FIRST}, {LAST}")
-        return int(mode)
+        return number_of_mode(mode, self.sites)
 
     @property
     def parameters(self) -> dict[str, float]:

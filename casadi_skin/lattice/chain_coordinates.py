@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.lattice.chain import FIRST, LAST, Chain, check_no_parameters
+from casadi_skin.lattice.chain import Chain, check_no_parameters
 from casadi_skin.lattice.closed_forms import frequency, standing_wave
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.lattice.declaration import FIXED
-from casadi_skin.lattice.long_lattice import Core, LongLattice
+from casadi_skin.lattice.long_lattice import Core, LongLattice, nonlinear_cells
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.model.methods import EVERY_SITE, PAYS_FROM, TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.cosines import cosine_matrix, quarter_phases
 from casadi_skin.zero.family import Coordinates, Localised, normalised, numbered, shift_by_projection
-from casadi_skin.zero.model_coordinates import check_harmonics
+from casadi_skin.zero.model_coordinates import FIRST, LAST, check_harmonics
 from casadi_skin.zero.problem import Array, Indices, Problem
 from casadi_skin.zero.settings import Point
 
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 
 NARROWEST_BAND = 1e-10  # of its squared frequency, in which doubles distinguish modes; measured
-NEGLIGIBLE_CUBIC_RATIO = 1e-16  # of the cubic term: the part that the tail may leave out
 TAIL_PAYS_FACTOR = 8  # times the core's sites from which on the elimination of the tail is cheaper
 LONGEST_CORE = 5000
 
@@ -77,13 +76,8 @@ def chain_coordinates(
 
 def core_sites(chain: Chain, amplitude_max: float) -> int:
     """Number of sites at the edge outside of which the cubic term is below round-off, counted to LONGEST_CORE."""
-    reach = max(1.0, abs(chain.g) * amplitude_max)
-    decay, sites = 2.0 * math.atanh(min(abs(chain.gamma), 1.0 - 1e-16)), 2
-    while sites <= LONGEST_CORE and sites * decay < 2.0 * math.log(sites + 1) + math.log(
-        reach / NEGLIGIBLE_CUBIC_RATIO
-    ):
-        sites += max(1, sites // 64)
-    return sites
+    rate = 2.0 * math.atanh(min(abs(chain.gamma), 1.0 - 1e-16))
+    return nonlinear_cells(rate, max(1.0, abs(chain.g) * amplitude_max), LONGEST_CORE)
 
 
 def _check(chain: Chain, number: int) -> None:

@@ -19,12 +19,12 @@ from casadi_skin.model.arguments import check_name, short_repr
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import WithVerbs
 from casadi_skin.zero.linear_modes import symmetrising_scale
+from casadi_skin.zero.model_coordinates import FIRST, LAST, number_of_mode
 from casadi_skin.zero.statement import named_values
 
 if TYPE_CHECKING:
     from casadi_skin.zero.family import Coordinates
 
-FIRST, LAST = "first", "last"
 SAMPLE_CELLS = 6  # cells of a lattice from which the properties of one cell are read
 FEWEST = 8  # cells of a lattice that is long
 ROUND_OFF = 1e-12
@@ -273,12 +273,7 @@ class LongLattice(WithVerbs):
         if not self.modes:
             words = "none is bound in a gap, and the lattice does not lean there"
             raise ValueError(f"mode: the lattice has no mode at this edge ({words}); accepted: a Lattice")
-        if isinstance(mode, str) and mode in (FIRST, LAST):
-            return 1 if mode == FIRST else len(self.modes)
-        if isinstance(mode, bool) or not isinstance(mode, int) or not 1 <= mode <= len(self.modes):
-            accepted = f"1..{len(self.modes)} of the modes at the edge, {FIRST}, {LAST}"
-            raise ValueError(f"mode: given {short_repr(mode)}; accepted: {accepted}")
-        return mode
+        return number_of_mode(mode, len(self.modes), " of the modes at the edge")
 
     family_coordinates: ClassVar[Callable[..., Coordinates]]
     """Coordinates of the family that grows from a mode at the edge to S = `amplitude_max`; see `follow_family`."""
@@ -300,6 +295,19 @@ class Core:
     slowest: float
 
 
+def nonlinear_cells(rate: float, reach: float, most: int) -> int:
+    """Cells outside of which forces are below round-off, counted to somewhat beyond `most`.
+
+    Arguments:
+        rate: logarithm by which the square of displacements falls from cell to cell.
+        reach: size of the nonlinear forces at the edge, relative to the linear ones.
+    """
+    cells = 2
+    while cells <= most and cells * rate < 2.0 * math.log(cells + 1) + math.log(reach / NEGLIGIBLE_FORCE_RATIO):
+        cells += max(1, cells // 64)
+    return cells
+
+
 def core_of(lattice: LongLattice, mode: EdgeMode, amplitude_max: float) -> Core:
     """The cells outside of which nonlinear forces are below round-off; raises ValueError where there are none."""
     tail = lattice.tail(1)
@@ -314,14 +322,13 @@ def core_of(lattice: LongLattice, mode: EdgeMode, amplitude_max: float) -> Core:
             raise ValueError(f"mode: given one with {words}; accepted: harmonics that decay, or a Lattice of all sites")
     reach = max(1.0, amplitude_max * _nonlinearity(lattice, amplitude_max))
     for slowest in (0.0, KEPT_DECAY_RATIO * (decay + lattice.lean) - lattice.lean) if decay > 0.0 else (0.0,):
-        rate, cells = 2.0 * (slowest + lattice.lean), 2
-        while cells * len(lattice.sites) <= LONGEST_CORE and rate > 0.0:
-            if cells * rate >= 2.0 * math.log(cells + 1) + math.log(reach / NEGLIGIBLE_FORCE_RATIO):
-                if cells + 2 > lattice.cells:
-                    accepted = f"more than {cells + 2} cells, of which so many are nonlinear, or a Lattice"
-                    raise ValueError(f"cells: given {lattice.cells}; accepted: {accepted}")
-                return Core(cells, slowest)
-            cells += max(1, cells // 64)
+        most = LONGEST_CORE // len(lattice.sites)
+        cells = nonlinear_cells(2.0 * (slowest + lattice.lean), reach, most)
+        if cells <= most:
+            if cells + 2 > lattice.cells:
+                accepted = f"more than {cells + 2} cells, of which so many are nonlinear, or a Lattice"
+                raise ValueError(f"cells: given {lattice.cells}; accepted: {accepted}")
+            return Core(cells, slowest)
     words = f"one that falls by {max(decay + lattice.lean, 0.0):.3g} a cell"
     raise ValueError(f"mode: given {words}; accepted: {LONGEST_CORE} nonlinear sites at the edge at most")
 

@@ -60,12 +60,12 @@ def fixed_values(model: OdeModel, given: Mapping[str, float], free: tuple[str, .
     return {name: value for name, value in values.items() if name not in free}
 
 
-def number_of_mode(model: OdeModel, mode: int | str) -> int:
-    """Number of a mode that may be named; raises ValueError for one that is not there."""
+def number_of_mode(mode: int | str, count: int, kind: str = "") -> int:
+    """Number of one of `count` modes, of a `kind` for messages, that may be named; ValueError for none of them."""
     if isinstance(mode, str) and mode in (FIRST, LAST):
-        return 1 if mode == FIRST else model.size
-    if isinstance(mode, bool) or not isinstance(mode, int | np.integer) or not 1 <= int(mode) <= model.size:
-        raise ValueError(f"mode: given {short_repr(mode)}; accepted: 1..{model.size}, {FIRST}, {LAST}")
+        return 1 if mode == FIRST else count
+    if isinstance(mode, bool) or not isinstance(mode, int | np.integer) or not 1 <= int(mode) <= count:
+        raise ValueError(f"mode: given {short_repr(mode)}; accepted: 1..{count}{kind}, {FIRST}, {LAST}")
     return int(mode)
 
 
@@ -182,7 +182,7 @@ class ModelCoordinates(Coordinates):
             raise ValueError(
                 f"model: given {model.name} with {span}; accepted: up to exp({-DEEPEST_LOG_SCALE:g}), or a Chain"
             )
-        self.mode_number = number_of_mode(model, mode)
+        self.mode_number = number_of_mode(mode, model.size)
         self._check_mode()
         self._check_drift()
         self._check_amplitude()
