@@ -91,7 +91,8 @@ def certificate_of(model, S, decimals, harmonics=None):
     )
 
 
-def check_formulas(seed, count):
+@pytest.mark.parametrize(("seed", "count"), [(0, 12), pytest.param(1, 150, marks=pytest.mark.slow)])
+def test_periods_by_quadrature_of_random_formulas_are_inside(seed, count):
     generator = random.Random(seed)
     for texts, _ in zip(formulas(generator), range(count), strict=False):
         onsite = " + ".join(f"{text}*y^{k}" for k, text in texts.items())
@@ -106,15 +107,6 @@ def check_formulas(seed, count):
                 energy = sum(c * square ** ((k + 1) // 2) / (k + 1) for k, c in coefficients.items())
                 assert enclosed(certificate, frequency(coefficients, square)), (onsite, decimals)
                 assert certificate.energy[0] <= energy <= certificate.energy[1], (onsite, decimals)
-
-
-def test_periods_by_quadrature_of_random_formulas_are_inside():
-    check_formulas(seed=0, count=12)
-
-
-@pytest.mark.slow
-def test_periods_by_quadrature_of_many_random_formulas_are_inside():
-    check_formulas(seed=1, count=150)
 
 
 def test_difference_of_two_decimals_is_a_tenth():

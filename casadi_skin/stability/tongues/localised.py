@@ -110,6 +110,22 @@ def mu_of(sigma: float, Omega: float) -> float:
     return -float(np.sin(0.5 * np.pi * sigma / Omega) ** 2)
 
 
+def zero_between(
+    value: Callable[[float], float], moved: Callable[[float], float], a: float, b: float, size: float
+) -> tuple[float, float]:
+    """The zero of a function of `size` between places where it has opposite signs, and its error.
+
+    `moved` is by how much equations that show the errors of an orbit's change the function there.
+    """
+    from scipy.optimize import brentq
+
+    at = float(brentq(lambda c: value(float(c)), a, b, xtol=ZERO_XTOL * (b - a), rtol=4e-16 * 4))
+    low, high = np.clip([at - 1e-3 * (b - a), at + 1e-3 * (b - a)], a, b).tolist()
+    slope = abs(value(high) - value(low)) / (high - low)
+    error = abs(value(at)) + ERROR_SAFETY * moved(at) + DETERMINANT_ROUNDING * size
+    return at, float(error / slope) + ZERO_XTOL * (b - a)
+
+
 # Places on a branch where two localised multipliers meet, or one leaves the arcs: two equations, solved by Newton -----
 
 NEWTON_STEPS = 12
@@ -206,8 +222,6 @@ def collision(
     search: Search, a: float, before: Counts, b: float, after: Counts, gap: int
 ) -> tuple[float, float, float]:
     """Coordinate, error and exponent where two multipliers of a gap meet; raises MeetingError."""
-    from scipy.optimize import brentq
-
     start, other, counts = (a, b, before) if before.off < after.off else (b, a, after)
     zeros = [_gap(search, start, gap).place(sigma) for sigma in counts.zeros[gap]]
     first, last = min(pairwise(zeros), key=lambda two: two[1] - two[0])
@@ -224,15 +238,14 @@ def collision(
     else:
         raise MeetingError("two multipliers of a gap do not meet")
     end = start + float(part) * (other - start)
-    at = float(brentq(lambda c: square(float(c)), start, end, xtol=ZERO_XTOL * abs(b - a), rtol=1e-15))
-    here = pairs[min(pairs, key=lambda known: abs(known - at))]
-    step = 1e-3 * (b - a)
-    slope = abs(square(at + step) - square(at - step)) / (2.0 * step)
-    sample = search.at(at)
-    compared = [(hill, Gap(*layout_like(hill, sample).gaps[gap])) for hill in others(sample)]
-    errors = [abs(_pair_near(hill, there, here).square - here.square) for hill, there in compared]
-    sigma = float(_gap(search, at, gap).sigma(np.array([here.mean]))[0])
-    return at, float((ERROR_SAFETY * sum(errors) + DETERMINANT_ROUNDING) / slope) + ZERO_XTOL * (b - a), sigma
+
+    def moved(c: float) -> float:
+        here, sample = pairs[c], search.at(c)
+        compared = [(hill, Gap(*layout_like(hill, sample).gaps[gap])) for hill in others(sample)]
+        return sum(abs(_pair_near(hill, there, here).square - here.square) for hill, there in compared)
+
+    at, error = zero_between(square, moved, min(start, end), max(start, end), 1.0)
+    return at, error, float(_gap(search, at, gap).sigma(np.array([pairs[at].mean]))[0])
 
 
 def _gap(search: Search, coordinate: float, number: int) -> Gap:
@@ -366,19 +379,15 @@ def _brackets(search: Search, name: str, a: float, b: float) -> list[tuple[float
 
 def _zero(search: Search, name: str, a: float, b: float) -> Zero:
     """The zero between two places with values of opposite signs."""
-    from scipy.optimize import brentq
 
     def value(c: float) -> float:
         return search.at(c).function(name)
 
-    ends = [value(a), value(b)]
-    at = float(brentq(lambda c: value(float(c)), a, b, xtol=ZERO_XTOL * (b - a), rtol=4e-16 * 4))
-    sample, step = search.at(at), 1e-3 * (b - a)
-    low, high = np.clip([at - step, at + step], a, b).tolist()
-    slope = abs(value(high) - value(low)) / (high - low)
-    away = sum(abs(function_of(hill, layout_like(hill, sample), name) - value(at)) for hill in others(sample))
-    error = ERROR_SAFETY * away + abs(value(at)) + DETERMINANT_ROUNDING * max(map(abs, ends))
-    return Zero(at, float(error / slope) + ZERO_XTOL * (b - a), name)
+    def moved(c: float) -> float:
+        sample = search.at(c)
+        return sum(abs(function_of(hill, layout_like(hill, sample), name) - value(c)) for hill in others(sample))
+
+    return Zero(*zero_between(value, moved, a, b, max(abs(value(a)), abs(value(b)))), name)
 
 
 # Every change of localised multipliers along a branch of orbits at the edge of an endless linear medium ---------------
