@@ -23,6 +23,7 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.stability.closed_maps import (
     MapsAlong,
     Multipliers,
+    Spectrum,
     Trivial,
     multipliers_along,
     no_trivial,
@@ -31,7 +32,6 @@ from casadi_skin.stability.closed_maps import (
     units_of,
     vectors_along,
 )
-from casadi_skin.stability.product_spectrum import Spectrum
 from casadi_skin.stability.result import LARGEST_LOGARITHM, FullPeriodFloquet
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.closure import TURNED_FIELD_RTOL, Closure

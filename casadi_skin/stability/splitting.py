@@ -18,8 +18,7 @@ import numpy as np
 
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.native import kernels, transitions
-from casadi_skin.stability.flows import SteppedFlow
-from casadi_skin.stability.jacobian import JacobianAlong
+from casadi_skin.stability.flows import JacobianAlong, SteppedFlow
 from casadi_skin.zero.problem import Array
 
 # The splitting SRKN11b of order 6 (Blanes and Moan 2002): its coefficients, and its sequence of kicks and drifts ------

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_skin.stability.flows import StepMap, SteppedFlow
-from casadi_skin.stability.jacobian import JacobianAlong
+from casadi_skin.stability.flows import JacobianAlong, StepMap, SteppedFlow
 from casadi_skin.zero.butcher import gauss_table
 from casadi_skin.zero.problem import Array
 

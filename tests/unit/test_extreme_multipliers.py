@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 
 from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit, read_result, save_result
 from casadi_skin.follow.solution import Orbit, Solution
+from casadi_skin.stability.closed_maps import spectrum_of
 from casadi_skin.stability.flows import FlowError
-from casadi_skin.stability.product_spectrum import spectrum_of
 from casadi_skin.stability.result import HugeMultiplierWarning, LostMultiplierWarning
 
 

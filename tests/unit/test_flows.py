@@ -20,8 +20,15 @@ from casadi_skin.follow.branch_run import Following
 from casadi_skin.follow.family import Family
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability import family_stability
-from casadi_skin.stability.flows import CvodesFlow, FlowError, FlowMap, OrbitState, SteppedFlow, Transition
-from casadi_skin.stability.jacobian import JacobianAlong
+from casadi_skin.stability.flows import (
+    CvodesFlow,
+    FlowError,
+    FlowMap,
+    JacobianAlong,
+    OrbitState,
+    SteppedFlow,
+    Transition,
+)
 from casadi_skin.stability.multipliers import LARGE_EIGENVALUE_COUNT, eigenvalue_errors, floquet
 from casadi_skin.stability.reduction import Eigensystems, half_cosines
 from casadi_skin.stability.result import Floquet, ReversibleFloquet

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_skin.stability.closed_maps import without_copies
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues.assembly import SAME_MU, Group, edges_of, groups_of, place_at, tongues_of
 from casadi_skin.stability.tongues.crossings import NOT_LOOKED_AT, Crossings, find_crossings
@@ -27,6 +26,7 @@ from casadi_skin.stability.tongues.interpolation import (
     Piece,
     interpolate,
     joined,
+    without_copies,
 )
 from casadi_skin.stability.tongues.rotation import TWO_PI, Tracks, follow_angles
 from casadi_skin.zero.kinds import Unresolved
