@@ -115,10 +115,10 @@ def decoupled(
     vectors: Numbers,
     inverse: Numbers,
     matrices: Array,
-    errors: Array,
+    errors: Array | None,
     numbers: Indices,
 ) -> Forms:
-    """The forms on the columns at the nodes, with the errors.
+    """The forms on the columns at the nodes of any degree, with the errors where there are any.
 
     Of matrices and errors those of the intervals are taken by their `numbers`.
 
@@ -133,7 +133,7 @@ def decoupled(
     if special.any():
         S, by_left = _invariant(K.swapaxes(2, 3), same, _columns_of(columns, special))
         found &= by_left
-    matrices, errors = matrices[numbers], errors[numbers]
+    matrices, errors = matrices[numbers], None if errors is None else errors[numbers]
     right = vectors[:, None] @ T
     if matrices.shape[2] == 1:
         rows = np.zeros_like(right.swapaxes(2, 3))
@@ -144,7 +144,9 @@ def decoupled(
     return _forms(right, rows, _within(same, columns), found, matrices, errors)
 
 
-def _forms(right: Numbers, rows: Numbers, within: Booleans, found: Booleans, matrices: Array, errors: Array) -> Forms:
+def _forms(
+    right: Numbers, rows: Numbers, within: Booleans, found: Booleans, matrices: Array, errors: Array | None
+) -> Forms:
     """The forms by right bases, and left ones that are combinations of rows."""
     products = np.where(within[:, None], rows @ right, 0.0)
     found &= np.all(np.isfinite(products), axis=(1, 2, 3))
@@ -157,8 +159,8 @@ def _forms(right: Numbers, rows: Numbers, within: Booleans, found: Booleans, mat
     scale[scale == 0.0] = 1.0
     right, left = right * scale[..., None, :], left / scale[..., :, None]
     lengths = np.max(np.linalg.norm(right, axis=2), axis=1), np.max(np.linalg.norm(left, axis=3), axis=1)
-    forms, changes = (_between(each, right, left) for each in (matrices, errors))
-    return Forms(forms, changes, np.stack(lengths, axis=1) ** 2, found)
+    changes = np.zeros(0, right.dtype) if errors is None else _between(errors, right, left)
+    return Forms(_between(matrices, right, left), changes, np.stack(lengths, axis=1) ** 2, found)
 
 
 def _between(matrices: Array, right: Numbers, left: Numbers) -> Numbers:
@@ -284,7 +286,8 @@ class Blocks:
     `labels` (intervals, m) hold the block of each mu; `columns` (intervals, c) are the mu of the columns, -1 where an
     interval has fewer, and `forms` K, P and Q on them. `real` (intervals, m) marks the mu with real columns. Where
     `done` is False an interval is too long. `mu`, eigenvectors as columns of `vectors`, and the `rates` of mu per half
-    of the interval are those at the middle.
+    of the interval are those at the middle; `basis` are these vectors made real and apart, with its `inverse`, and
+    `near` marks the mu that may come to -1 or 0.
     """
 
     labels: Indices
@@ -295,6 +298,9 @@ class Blocks:
     mu: ComplexArray
     vectors: Numbers
     rates: Numbers
+    basis: Numbers
+    inverse: Numbers
+    near: Booleans
 
     def members(self) -> Iterator[tuple[Indices, Indices]]:
         """Blocks by their numbers of mu, where `done`: their intervals (b,) and the places of columns, (b, m)."""
@@ -305,6 +311,23 @@ class Blocks:
         for count in np.unique(counts).tolist():
             those = order[firsts[counts == count][:, None] + np.arange(count)]
             yield i[those[:, 0]], places[those]
+
+    def finer(self, chosen: Indices, columns: Indices, matrices: Array) -> tuple[Numbers, Booleans]:
+        """Some columns of some intervals anew, from the matrices at the nodes of a higher degree.
+
+        Arguments:
+            chosen: numbers of the intervals.
+            columns: mu of whole blocks, shape (intervals, c), -1 behind them.
+            matrices: shape (intervals, J, 3 or 1, m, m).
+
+        Returns:
+            Their parts (intervals, J, 3 or 1, c, c), and for which intervals these are found.
+        """
+        labels = self.labels[chosen]
+        same, basis, inverse = labels[:, :, None] == labels[:, None, :], self.basis[chosen], self.inverse[chosen]
+        K = inverse[:, None] @ applied(matrices[:, :, 0], basis[:, None])
+        forms = decoupled(K, same, columns, self.near[chosen], basis, inverse, matrices, None, np.arange(len(matrices)))
+        return forms.values, forms.found
 
 
 def blocks_of(matrices: Array, errors: Array) -> list[tuple[Indices, Blocks]]:
@@ -365,6 +388,9 @@ def _blocks(
         mu=np.asarray(mu, dtype=complex),
         vectors=original,
         rates=rates,
+        basis=vectors,
+        inverse=inverse,
+        near=near,
     )
 
 

@@ -45,6 +45,8 @@ SHORT_INTERVAL = 1e-3  # of the piece: an interval shorter than that whose linea
 EIGENVALUE_OVERHEAD = 3e4  # of an eigenvalue problem of any size, in units of m^3: measured, about a millisecond
 BATCH_WORK = 2e7  # work on intervals that are looked at together, from small coordinates on
 BLOCK_ENTRY_RTOL = 1e-9  # of a block's entries: what its series may leave out
+SMALL_ROWS = 6  # rows: series whose matrices are stacked to be evaluated
+FINE_DEGREE = 2 * SERIES_DEGREE  # degree of the series of a block that needs more than the others of its interval
 MOST_INTERVALS = 4096  # intervals of a series to begin with
 
 
@@ -63,10 +65,9 @@ class Interval:
         middle = 0.5 * (self.start + self.end)
         return replace(self, end=middle), replace(self, start=middle)
 
-    @property
-    def places(self) -> Array:
-        """Coordinates of the nodes, shape (DEGREE + 1,)."""
-        return self.start + 0.5 * (self.end - self.start) * (1.0 + chebyshev.nodes(SERIES_DEGREE))
+    def nodes(self, degree: int) -> Array:
+        """Coordinates of the nodes of any degree."""
+        return self.start + 0.5 * (self.end - self.start) * (1.0 + chebyshev.nodes(degree))
 
     @property
     def is_shortest(self) -> bool:
@@ -226,16 +227,24 @@ def _take_apart(batch: Sequence[Interval], found: Crossings, whole: int) -> Iter
 
 
 def _at_nodes(batch: Sequence[Interval]) -> tuple[Array, Array]:
-    """The matrices of intervals, and matrices like their errors, (intervals, J, 3 or 1, m, m) each."""
-    same: dict[int, list[int]] = defaultdict(list)
+    """The matrices of intervals, and matrices like their errors, (intervals, J, 3 or 1, m, m) each.
+
+    A large series is evaluated at all of its intervals together, small ones, with one or two of these each, side by
+    side.
+    """
+    small = batch[0].series.size <= SMALL_ROWS
+    groups: dict[tuple[int, ...], list[int]] = defaultdict(list)
     for i, interval in enumerate(batch):
-        same[id(interval.series)].append(i)
-    shape = len(batch), SERIES_DEGREE + 1, *batch[0].series.coefficients.shape[1:]
-    matrices, errors = np.empty(shape), np.empty(shape)
-    for numbers in same.values():
-        series, places = batch[numbers[0]].series, np.concatenate([batch[i].places for i in numbers])
-        matrices[numbers] = series.at(places).reshape(-1, *shape[1:])
-        errors[numbers] = series.errors_at(places).reshape(-1, *shape[1:])
+        series = interval.series
+        groups[(len(series.coefficients), len(series.errors)) if small else (id(series),)].append(i)
+    shape = SERIES_DEGREE + 1, *batch[0].series.coefficients.shape[1:]
+    matrices, errors = np.empty((len(batch), *shape)), np.empty((len(batch), *shape))
+    for numbers in groups.values():
+        bounds = np.array([(batch[i].start, batch[i].end) for i in numbers])
+        places = bounds[:, :1] + 0.5 * np.diff(bounds) * (1.0 + chebyshev.nodes(SERIES_DEGREE))
+        every = [batch[i].series for i in (numbers if small else numbers[:1])]
+        found = MatrixSeries.several_at(every, places.reshape(len(every), -1))
+        matrices[numbers], errors[numbers] = (each.reshape(-1, *shape) for each in found)
     return matrices, errors
 
 
@@ -243,10 +252,11 @@ def _at_nodes(batch: Sequence[Interval]) -> tuple[Array, Array]:
 class _Matrices:
     """Matrices of several blocks of one number of mu, with what bounds their errors: see `Block`.
 
-    `owners` are the numbers of their intervals.
+    `owners` are the numbers of their intervals, `members` (blocks, m) the places of their mu among the columns.
     """
 
     owners: Indices
+    members: Indices
     k: Numbers
     changes: Numbers
     noise: Array
@@ -266,35 +276,40 @@ class _Matrices:
     @property
     def rough(self) -> Booleans:
         """Which have series that leave out too much."""
-        return np.asarray(np.any(self.tails > BLOCK_ENTRY_RTOL * np.max(np.abs(self.k), axis=(1, 3, 4)), axis=1))
+        return _are_rough(self.k, self.tails)
 
-    def __iter__(self) -> Iterator[tuple[int, Numbers, Numbers, Array, Array]]:
-        return zip(self.owners.tolist(), self.k, self.changes, self.noise, self.tails, strict=True)
+    def __iter__(self) -> Iterator[tuple[int, Indices, Numbers, Numbers, Array, Array]]:
+        owners = self.owners.tolist()
+        return zip(owners, self.members, self.k, self.changes, self.noise, self.tails, strict=True)
 
 
 def _sort(parts: Sequence[_Part], blocks: Blocks) -> None:
     """Put the blocks of intervals where they belong."""
+    rough: list[_Matrices] = []
     for found, real in _by_size(parts, blocks):
-        for i, k, changes, noise, tails in found.of(~real):
+        for i, _, k, changes, noise, tails in found.of(~real):
             start, end = parts[i].interval.start, parts[i].interval.end
             parts[i].blocks.append(ComplexBlock(start, end, k, np.abs(changes), noise, tails))
         those = found.of(real).real
         if not those.owners.size:
             continue
         shortest = np.array([part.interval.is_shortest for part in parts])[those.owners]
-        if those.k.shape[-1] == 1:
-            _singles(parts, those, shortest)
+        if those.members.shape[1] == 1:
+            rough.append(_singles(parts, those, shortest))
             continue
-        if those.k.shape[-1] > 2:
+        if those.members.shape[1] > 2:
             open_ones = ~are_definite(those.k)
             those, shortest = those.of(open_ones), shortest[open_ones]
-        for (i, k, changes, noise, tails), rough in zip(those, those.rough & ~shortest, strict=True):
-            if rough:
-                parts[i].too_long = True
-            elif len(k[0, 0]) == 2:
+        again = those.rough & ~shortest
+        rough.append(those.of(again))
+        for i, _, k, changes, noise, tails in those.of(~again):
+            if len(k[0, 0]) == 2:
                 parts[i].pairs.append((k, changes, noise, tails))
             else:
                 parts[i].larger += _halves_of_block(parts[i].interval, k, changes, noise + tails)
+    entries = [entry for each in rough for entry in each]
+    if entries:
+        _refine(parts, blocks, entries)
 
 
 def _by_size(parts: Sequence[_Part], blocks: Blocks) -> Iterator[tuple[_Matrices, Booleans]]:
@@ -308,23 +323,49 @@ def _by_size(parts: Sequence[_Part], blocks: Blocks) -> Iterator[tuple[_Matrices
         right, left = (np.sum(squares[i[:, None], members], axis=1) for squares in (x, y))
         scales = np.stack([np.sqrt(right * left), right, left], axis=1)[:, : noise.shape[1]]
         real = np.all(blocks.real[i[:, None], blocks.columns[i[:, None], members]], axis=1)
-        yield _Matrices(i, k, change, noise[i] * scales, _tails(k)), np.asarray(real)
+        yield _Matrices(i, members, k, change, noise[i] * scales, _tails(k)), np.asarray(real)
 
 
-def _singles(parts: Sequence[_Part], those: _Matrices, shortest: Booleans) -> None:
-    """Make blocks of one mu, but for those that are stable on their whole intervals."""
+def _singles(parts: Sequence[_Part], those: _Matrices, shortest: Booleans) -> _Matrices:
+    """Make blocks of one mu, but for those that are stable on their whole intervals; those that need finer series."""
     coefficients = chebyshev.transform(SERIES_DEGREE) @ those.k[..., 0, 0]
     functions = single_functions(coefficients, those.changes[..., 0, 0], those.noise + those.tails)
     loud = np.array([not (f.excludes_zero and g.excludes_zero and f(0.0) * g(0.0) <= 0.0) for f, g in functions])
-    again = is_coarse(those.changes, those.noise, those.tails) & those.rough & ~shortest
-    for (i, k, changes, noise, tails), own, is_loud, rough in zip(
-        those, functions, loud.tolist(), again.tolist(), strict=True
-    ):
-        start, end = parts[i].interval.start, parts[i].interval.end
-        if is_loud and rough:
-            parts[i].too_long = True
-        elif is_loud:
-            parts[i].blocks.append(SingleBlock(start, end, k, changes, noise, tails, own))
+    again = loud & is_coarse(those.changes, those.noise, those.tails) & those.rough & ~shortest
+    kept = np.flatnonzero(loud & ~again)
+    for n in kept.tolist():
+        part = parts[int(those.owners[n])]
+        matrices = those.k[n], those.changes[n], those.noise[n], those.tails[n]
+        part.blocks.append(SingleBlock(part.interval.start, part.interval.end, *matrices, functions[n]))
+    return those.of(again)
+
+
+def _refine(
+    parts: Sequence[_Part], blocks: Blocks, rough: Sequence[tuple[int, Indices, Numbers, Numbers, Array, Array]]
+) -> None:
+    """Give series of a higher degree to some blocks of intervals, whose halves are then looked at on their own."""
+    by_owner: dict[int, list[tuple[int, Indices, Numbers, Numbers, Array, Array]]] = defaultdict(list)
+    for entry in rough:
+        by_owner[entry[0]].append(entry)
+    numbers = np.array(sorted(by_owner))
+    counts = [sum(entry[1].size for entry in by_owner[i]) for i in numbers.tolist()]
+    columns = np.full((numbers.size, max(counts)), -1, dtype=np.int64)
+    for n, i in enumerate(numbers.tolist()):
+        columns[n, : counts[n]] = blocks.columns[i][np.concatenate([entry[1] for entry in by_owner[i]])]
+    matrices = np.stack([parts[i].interval.series.at(parts[i].interval.nodes(FINE_DEGREE)) for i in numbers.tolist()])
+    found, fine = blocks.finer(numbers, columns, matrices)
+    for n, i in enumerate(numbers.tolist()):
+        part, first = parts[i], 0
+        part.too_long = not fine[n]
+        for _, members, _, changes, noise, _ in by_owner[i]:
+            inside = slice(first, first + members.size)
+            first += members.size
+            k = found[n][:, :, inside, inside].real
+            tails = _tails(k[None])
+            part.too_long = part.too_long or bool(_are_rough(k[None], tails)[0])
+            if part.too_long:
+                break
+            part.larger += _halves_of_block(part.interval, k, changes, noise + tails[0])
 
 
 def _tails(k: Numbers) -> Array:
@@ -332,6 +373,10 @@ def _tails(k: Numbers) -> Array:
     last = chebyshev.transform(k.shape[1] - 1)[-chebyshev.TAIL_COEFFICIENTS :]
     left_out = np.sum(np.abs(chebyshev.combined(last, k)), axis=1)
     return np.asarray(np.sqrt(np.sum(left_out**2, axis=(2, 3))))
+
+
+def _are_rough(k: Numbers, tails: Array) -> Booleans:
+    return np.asarray(np.any(tails > BLOCK_ENTRY_RTOL * np.max(np.abs(k), axis=(1, 3, 4)), axis=1))
 
 
 def _halves_of_block(interval: Interval, k: Array, change: Array, noise: Array) -> tuple[Interval, Interval]:

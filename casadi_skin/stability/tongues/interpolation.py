@@ -112,10 +112,18 @@ class MatrixSeries:
         flat = weights @ coefficients.reshape(len(coefficients), -1)
         return np.asarray(flat.reshape(len(weights), *coefficients.shape[1:]))
 
-    def errors_at(self, coordinates: Array) -> Array:
-        """Matrices like their errors, between nodes by straight lines, shape (points, 3 or 1, m, m)."""
-        weights = _by_straight_lines(self.local(coordinates), len(self.errors))
-        return np.asarray(chebyshev.combined(weights, self.errors[None])[0])
+    @staticmethod
+    def several_at(series: Sequence[MatrixSeries], coordinates: Array) -> tuple[Array, Array]:
+        """The matrices of series of one shape, each at places of its own, (series, points), and those like errors."""
+        starts, ends = (np.array([getattr(each, name) for each in series])[:, None] for name in ("start", "end"))
+        x = (2.0 * coordinates - starts - ends) / (ends - starts)
+        values, errors = (np.stack([getattr(each, name) for each in series]) for name in ("coefficients", "errors"))
+        shape = *x.shape, *values.shape[2:]
+        weights = chebyshev.basis(x, values.shape[1] - 1)
+        lines = _by_straight_lines(x.ravel(), errors.shape[1]).reshape(*x.shape, -1)
+        flat = (each.reshape(*each.shape[:2], -1) for each in (values, errors))
+        found = [(w @ each).reshape(shape) for w, each in zip((weights, lines), flat, strict=True)]
+        return found[0], found[1]
 
 
 def _by_straight_lines(x: Array, count: int) -> Array:
