@@ -3,7 +3,7 @@
 From the linearised collocation equations, whose interval maps are multiplied (Doedel 1981; Fairgrieve and Jepson 1991),
 and, sharing nothing with these, from CVODES sensitivities. Multipliers smaller than 1 are the inverses of those of the
 inverse maps multiplied the other way round: of a product with entries near 1 they would have no digits. Huge and tiny
-multipliers at once, and those that no double holds, come from a periodic Schur form (`product_spectrum`).
+multipliers at once, and those that no double holds, come from a periodic Schur form (`closed_maps`).
 
 The error of a multiplier is its distance from that of a better solution, and what rounding adds (`judging`).
 """
