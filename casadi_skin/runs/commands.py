@@ -179,7 +179,7 @@ def spectrum(arguments: argparse.Namespace) -> int:
         prepare(arguments.out, scene, text, Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE)
     frequencies = [float(omega) for omega in linear_frequencies(request.model, request.parameters)]
     if arguments.out is not None:
-        from casadi_skin.runs.files import write_spectrum
+        from casadi_skin.runs.run import write_spectrum
 
         write_spectrum(request, arguments.out)
     return _print_frequencies(frequencies, arguments)

@@ -3,27 +3,46 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, SolutionSpace
+from casadi_skin.follow.special_points import SpecialPoint
+from casadi_skin.lattice.spectrum import linear_frequencies
 from casadi_skin.model.files import replacing
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.results.dataset import write_csv
-from casadi_skin.results.quantities import Cell, Place, certified, columns_of, csv_row
+from casadi_skin.results import figures
+from casadi_skin.results.dataset import dataset_of, write_columns, write_csv, write_netcdf
+from casadi_skin.results.quantities import Cell, Place, certified, columns_of, csv_row, unique_names
+from casadi_skin.results.tables import (
+    EVENT_COLUMNS,
+    PROVED_COLUMNS,
+    TONGUE_COLUMNS,
+    UNRESOLVED,
+    edge_columns,
+    event_rows,
+    further_rows,
+    tongue_rows,
+)
 from casadi_skin.runs.branches import Branches
 from casadi_skin.runs.directory import JOURNAL_FILE, SCENE_MODEL, renew
-from casadi_skin.runs.files import write_branches, write_diagram, write_offshoots, write_spectrum
-from casadi_skin.runs.parts import ended_well, is_orbit, mode_of, origin
+from casadi_skin.runs.parts import Offshoots, ended_well, is_orbit, mode_of, origin, picture
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.solve.watch import one_thread
+from casadi_skin.zero.family import TWO_PI
+from casadi_skin.zero.stated_problem import PERIOD
 
 if TYPE_CHECKING:
+    from casadi_skin.points.edges import EdgeCurve
     from casadi_skin.runs.tasks import Task
+
 
 TABLE_PERIOD = 0.5  # seconds between two writings of the table while a run goes on
 
@@ -171,3 +190,212 @@ class Run(Branches):
             self.failures.append(
                 f"[stability]: the trivial multiplier is off at {count}, {size}; try a smaller tolerance"
             )
+
+
+# Files of branches and of linear spectra ------------------------------------------------------------------------------
+
+OFFSHOOT_COLUMNS = ("error", "Omega", "period", "mu", "loses")
+PARAMETER = "parameter "  # before its name
+DIAGRAM_COLUMNS = ("error", "period", "frequency", "coefficient", "criticality")
+EMPTY_CELL: Cell = ""
+PASSED_COLUMNS = ("mode", "S_before", "S_after", "Omega_before", "Omega_after", "changes", "meetings")
+
+
+def write_branches(
+    request: Request, branches: Sequence[Branch], scene_text: str, directory: Path, progress: Progress
+) -> None:
+    """All files of branches but the table of their points."""
+    scene = request.scene
+    family = branches[0].space.connects == FAMILY
+    vectors = scene.stability is not None and scene.stability.vectors
+    dataset = dataset_of(branches, vectors)
+    dataset = replace(dataset, attributes=origin(request, scene_text, branches[0]))
+    write_netcdf(directory / ("family.nc" if family else "branch.nc"), dataset)
+    if family:
+        _write_families(request, branches, directory)
+        if scene.family is not None and scene.family.film:
+            _write_films(branches, directory, progress)
+    else:
+        _write_branch(request, branches[0], directory)
+
+
+def _write_families(request: Request, branches: Sequence[Branch], directory: Path) -> None:
+    """events.csv with the tables beside it, and the pictures of families."""
+    stability = request.scene.stability
+    if stability is not None and any(branch.with_events for branch in branches):
+        diagrams = [(b, b.diagram_of_changes) for b in branches]
+        known = [(mode_of(b), diagram) for b, diagram in diagrams if diagram is not None]
+        if request.scene.accuracy.certify:
+            rows_of = [event_rows(mode_of(b), diagram, b.certify_change) for b, diagram in diagrams if diagram]
+            columns = (*EVENT_COLUMNS, *PROVED_COLUMNS)
+            write_csv(directory / "events.csv", columns, [row for rows in rows_of for row in rows])
+        else:
+            write_csv(directory / "events.csv", EVENT_COLUMNS, [row for each in known for row in event_rows(*each)])
+        for name, names, make in (
+            ("further_events", EVENT_COLUMNS, further_rows),
+            ("tongues", TONGUE_COLUMNS, tongue_rows),
+        ):
+            write_csv(directory / f"{name}.csv", names, [row for each in known for row in make(*each)])
+        passed = [row for branch in branches if branch.with_events for row in _passed_rows(branch)]
+        write_csv(directory / "passed_resonances.csv", PASSED_COLUMNS, passed)
+    picture(request.scene, directory / "frequency", figures.frequency_figure, branches)
+    picture(request.scene, directory / "profile", figures.profile_figure, branches)
+    for branch in branches:
+        if request.scene.chain is None:
+            from casadi_skin.results.figures.families import plane_figure
+
+            picture(request.scene, directory / f"plane_j{mode_of(branch)}", plane_figure, branch)
+        picture(request.scene, directory / f"multipliers_j{mode_of(branch)}", figures.multiplier_figure, branch)
+
+
+def _passed_rows(branch: Branch) -> list[dict[str, Cell]]:
+    """Rows of passed_resonances.csv."""
+    rows = [(mode_of(branch), *p.S, *p.Omega, p.changes, p.met) for p in branch.passed_resonances or ()]
+    return [dict(zip(PASSED_COLUMNS, row, strict=True)) for row in rows]
+
+
+def _write_films(branches: Sequence[Branch], directory: Path, progress: Progress) -> None:
+    """A film of each family's mode, at the last requested point or at the end."""
+    from casadi_skin.results.figures.solutions import animate
+
+    for branch in branches:
+        progress.say(f"film of j = {mode_of(branch)}")
+        requested = [orbit for orbit in branch.orbits if orbit.point.requested]
+        animate((requested or branch.orbits)[-1], directory / f"film_j{mode_of(branch)}.gif")
+
+
+def _write_branch(request: Request, branch: Branch, directory: Path) -> None:
+    """special_points.csv and the pictures of another branch, or of a single solution."""
+    title = request.scene.title or ""
+    if len(branch) > 1:
+        columns = _columns(
+            ["kind"], [branch.parameter], ["error", "period"] if is_orbit(branch.solutions[0]) else ["error"]
+        )
+        write_csv(directory / "special_points.csv", list(columns), branch_rows(branch, columns))
+        picture(request.scene, directory / "branch", figures.branch_figure, branch, title)
+    picture(request.scene, directory / "orbit", figures.orbit_figure, branch.solutions[-1], title)
+
+
+# Special points: a row each, of a single branch, of the branches of a diagram, and of those that leave families -------
+
+
+def special_rows(name: str, branch: Branch, columns: Mapping[str, str]) -> Iterator[dict[str, Cell]]:
+    """A row for each special point of a branch, and for each stretch that is not resolved: its error is its width.
+
+    `columns` says what a column is by its name, parameters with PARAMETER; what a point does not have is empty.
+    """
+    for point in branch.special_points:
+        orbit: Any = point.solution if is_orbit(point.solution) else None
+        cells: dict[str, Cell] = {PARAMETER + each: float(value) for each, value in point.parameters.items()}
+        cells |= {"branch": name, "kind": point.kind, "error": point.error}
+        if orbit is not None:
+            cells |= {"period": orbit.period, "Omega": orbit.Omega}
+        if point.mu is not None:
+            cells |= {"mu": point.mu, "loses": ", ".join(point.lost) if "loses" in columns else ""}
+        if "criticality" in columns:
+            cells |= _critical(point)
+        yield {column: cells.get(what, EMPTY_CELL) for column, what in columns.items()}
+    for stretch in branch.passed_over:
+        width = abs(stretch.end - stretch.start)
+        cells = {"branch": name, "kind": UNRESOLVED, PARAMETER + branch.parameter: stretch.start, "error": width}
+        yield {column: cells.get(what, EMPTY_CELL) for column, what in columns.items()}
+
+
+def _columns(before: Sequence[str], parameters: Sequence[str], after: Sequence[str]) -> dict[str, str]:
+    """Columns with parameters among them, whose names have " (of the model)" after them where the table has them."""
+    names = unique_names(parameters, (*before, *after))
+    stated = {name: PARAMETER + parameter for name, parameter in zip(names, parameters, strict=True)}
+    return {name: name for name in before} | stated | {name: name for name in after}
+
+
+def branch_rows(branch: Branch, columns: Mapping[str, str]) -> list[dict[str, Cell]]:
+    """Rows of a single branch: special points and changes of stability in its order; what is unresolved last."""
+    rows, found, changes = list[dict[str, Cell]](), special_rows("", branch, columns), iter(branch.located)
+    points = {id(point.solution) for point in branch.special_points}
+    for before, here in zip((None, *branch.solutions), branch.solutions, strict=False):
+        if branch.located and before is not None and before.stable != here.stable:
+            change = next(changes)
+            kind = f"stability {'gained' if change.stable_after else 'lost'} ({change.kind})"
+            cells = kind, change.value, change.error, TWO_PI / change.Omega
+            rows.append(dict(zip(columns, cells, strict=False)))
+        if id(here) in points:
+            rows.append(next(found))
+    return [*rows, *found]
+
+
+def _critical(point: SpecialPoint) -> dict[str, Cell]:
+    try:
+        frequency, coefficient, words = point.frequency, point.coefficient, point.criticality
+    except (ValueError, ArithmeticError):
+        return {}
+    known = {"frequency": frequency or EMPTY_CELL, "criticality": words}
+    return known if coefficient != coefficient else known | {"coefficient": coefficient}
+
+
+def write_diagram(
+    request: Request,
+    names: Sequence[str],
+    branches: Sequence[Branch],
+    attributes: dict[str, float | str],
+    directory: Path,
+) -> None:
+    """special_points.csv, a netCDF file a branch, and the pictures."""
+    title = request.scene.title or ""
+    for name, branch in zip(names, branches, strict=True):
+        write_netcdf(directory / f"{name}.nc", replace(dataset_of([branch]), attributes=attributes))
+    first = branches[0]
+    if not first.parameter:
+        return
+    others = [name for name in first.solutions[0].parameters if name != first.parameter]
+    known = [name for name in others if name not in first.space.free or name != PERIOD]  # a free period is one, too
+    columns = _columns(["branch", "kind"], [first.parameter, *known], DIAGRAM_COLUMNS)
+    rows = [row for name, branch in zip(names, branches, strict=True) for row in special_rows(name, branch, columns)]
+    write_csv(directory / "special_points.csv", list(columns), rows)
+    in_one = [branch for branch in branches if not branch.space.kind]
+    picture(request.scene, directory / "branch", figures.bifurcation_figure, in_one, title)
+    from casadi_skin.results.figures.solutions import chosen_solutions
+
+    chosen = chosen_solutions(in_one)
+    if chosen:
+        picture(request.scene, directory / "portrait", figures.portrait_figure, chosen, title)
+    curves = [branch for branch in branches if branch not in in_one]
+    if curves:
+        picture(request.scene, directory / "curves", figures.curves_figure, curves, title)
+
+
+def write_offshoots(
+    request: Request, families: Sequence[Branch], found: Offshoots, attributes: dict[str, float | str], directory: Path
+) -> None:
+    """special_points.csv; edges.csv with its picture; a netCDF file for each branch that leaves."""
+    columns = _columns(["branch", "kind"], ["S"], OFFSHOOT_COLUMNS)
+    named = [*((f"j{mode_of(family)}", family) for family in families), *found.leaving]
+    rows = [row for name, branch in named for row in special_rows(name, branch, columns)]
+    write_csv(directory / "special_points.csv", list(columns), rows)
+    for name, branch in found.leaving:
+        if len(branch):
+            write_netcdf(directory / f"{name}.nc", replace(dataset_of([branch]), attributes=attributes))
+    if found.edges:
+        table = [row for mode, listed, number, curve in found.edges for row in _edge_rows(mode, listed, number, curve)]
+        write_csv(directory / "edges.csv", list(table[0]), table)
+        curves = [curve for *_, curve in found.edges]
+        picture(request.scene, directory / "edges", figures.edges_figure, curves, request.scene.title or "")
+
+
+def _edge_rows(mode: int, listed: str, number: int, curve: EdgeCurve) -> Iterator[dict[str, Cell]]:
+    """A row for each point of an edge."""
+    columns = edge_columns(curve)
+    for k in range(len(curve)):
+        values: dict[str, Cell] = {name: values[k].item() for name, values in columns.items()}
+        yield {"mode": mode, "edge": number, "kind": curve.kind, "table": listed, **values}
+
+
+def write_spectrum(request: Request, directory: Path) -> None:
+    """spectrum.csv and the picture of the linear spectrum; of a lattice also where modes live, and its bands."""
+    if request.scene.lattice is not None:
+        from casadi_skin.runs.lattices import write_lattice_spectrum
+
+        write_lattice_spectrum(request.scene, request.model, request.parameters, directory)
+        return
+    frequencies = linear_frequencies(request.model, request.parameters)
+    write_columns(directory / "spectrum.csv", {"mode": np.arange(len(frequencies)) + 1, "omega": frequencies})
+    picture(request.scene, directory / "spectrum", figures.spectrum_figure, request.model, request.parameters)

@@ -17,7 +17,7 @@ import pytest
 from apart import BLANK
 
 from casadi_skin.results.journal import Journal
-from casadi_skin.runs import files as writing
+from casadi_skin.runs import run as writing
 from casadi_skin.runs.directory import MADE_BY_RUN
 from casadi_skin.runs.program import main
 
