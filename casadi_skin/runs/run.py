@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,7 +32,7 @@ from casadi_skin.results.tables import (
 )
 from casadi_skin.runs.branches import Branches
 from casadi_skin.runs.directory import JOURNAL_FILE, SCENE_MODEL, renew
-from casadi_skin.runs.parts import Offshoots, ended_well, is_orbit, mode_of, origin, picture
+from casadi_skin.runs.parts import ended_well, is_orbit, mode_of, origin, picture
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.solve.watch import one_thread
@@ -40,6 +40,8 @@ from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.stated_problem import PERIOD
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from casadi_skin.points.edges import EdgeCurve
     from casadi_skin.runs.tasks import Task
 
@@ -158,13 +160,106 @@ class Run(Branches):
         names = [name for name, rows in self._rows.items() if rows]
         for name in names:
             self._write_table(name)
-        if self.request.scene.has_diagram:
-            write_diagram(self.request, names, branches, origin(self.request, self.scene_text), self.directory)
+        scene, first = self.request.scene, branches[0]
+        if scene.has_diagram:
+            self._write_diagram(dict(zip(names, branches, strict=True)))
             return
-        write_branches(self.request, branches, self.scene_text, self.directory, self.progress)
-        if self.request.scene.family is not None and self.request.scene.continuation is not None:
-            attributes = origin(self.request, self.scene_text)
-            write_offshoots(self.request, branches, self.offshoots, attributes, self.directory)
+        vectors = scene.stability is not None and scene.stability.vectors
+        dataset = replace(dataset_of(branches, vectors), attributes=origin(self.request, self.scene_text, first))
+        if first.space.connects == FAMILY:
+            write_netcdf(self.directory / "family.nc", dataset)
+            self._write_families(branches)
+        else:
+            write_netcdf(self.directory / "branch.nc", dataset)
+            self._write_branch(first)
+        if scene.family is not None and scene.continuation is not None:
+            self._write_offshoots(branches)
+
+    def _picture(self, name: str, draw: Callable[..., Figure | None], *shown: Any) -> None:
+        picture(self.request.scene, self.directory / name, draw, *shown)
+
+    def _write_families(self, branches: Sequence[Branch]) -> None:
+        """events.csv with the tables beside it, the pictures of families, and films of their modes."""
+        scene, directory = self.request.scene, self.directory
+        if scene.stability is not None and any(branch.with_events for branch in branches):
+            known = [(b, diagram) for b in branches if (diagram := b.diagram_of_changes) is not None]
+            certify = scene.accuracy.certify
+            columns = (*EVENT_COLUMNS, *PROVED_COLUMNS) if certify else EVENT_COLUMNS
+            events = (event_rows(mode_of(b), d, *([b.certify_change] if certify else [])) for b, d in known)
+            write_csv(directory / "events.csv", columns, [row for rows in events for row in rows])
+            for name, names, make in (
+                ("further_events", EVENT_COLUMNS, further_rows),
+                ("tongues", TONGUE_COLUMNS, tongue_rows),
+            ):
+                write_csv(directory / f"{name}.csv", names, [row for b, d in known for row in make(mode_of(b), d)])
+            passed = [row for branch in branches if branch.with_events for row in _passed_rows(branch)]
+            write_csv(directory / "passed_resonances.csv", PASSED_COLUMNS, passed)
+        self._picture("frequency", figures.frequency_figure, branches)
+        self._picture("profile", figures.profile_figure, branches)
+        for branch in branches:
+            if scene.chain is None:
+                from casadi_skin.results.figures.families import plane_figure
+
+                self._picture(f"plane_j{mode_of(branch)}", plane_figure, branch)
+            self._picture(f"multipliers_j{mode_of(branch)}", figures.multiplier_figure, branch)
+        if scene.family is not None and scene.family.film:
+            from casadi_skin.results.figures.solutions import animate
+
+            for branch in branches:
+                self.progress.say(f"film of j = {mode_of(branch)}")
+                requested = [orbit for orbit in branch.orbits if orbit.point.requested]
+                animate((requested or branch.orbits)[-1], directory / f"film_j{mode_of(branch)}.gif")
+
+    def _write_branch(self, branch: Branch) -> None:
+        """special_points.csv and the pictures of another branch, or of a single solution."""
+        title = self.request.scene.title or ""
+        if len(branch) > 1:
+            after = ["error", "period"] if is_orbit(branch.solutions[0]) else ["error"]
+            columns = _columns(["kind"], [branch.parameter], after)
+            write_csv(self.directory / "special_points.csv", list(columns), branch_rows(branch, columns))
+            self._picture("branch", figures.branch_figure, branch, title)
+        self._picture("orbit", figures.orbit_figure, branch.solutions[-1], title)
+
+    def _write_datasets(self, branches: Mapping[str, Branch]) -> None:
+        attributes = origin(self.request, self.scene_text)
+        for name, branch in branches.items():
+            write_netcdf(self.directory / f"{name}.nc", replace(dataset_of([branch]), attributes=attributes))
+
+    def _write_diagram(self, branches: Mapping[str, Branch]) -> None:
+        """special_points.csv, a netCDF file a branch, and the pictures."""
+        from casadi_skin.results.figures.solutions import chosen_solutions
+
+        self._write_datasets(branches)
+        first, title = next(iter(branches.values())), self.request.scene.title or ""
+        if not first.parameter:
+            return
+        others = [name for name in first.solutions[0].parameters if name != first.parameter]
+        known = [name for name in others if name not in first.space.free or name != PERIOD]  # a free period is one, too
+        columns = _columns(["branch", "kind"], [first.parameter, *known], DIAGRAM_COLUMNS)
+        rows = [row for name, branch in branches.items() for row in special_rows(name, branch, columns)]
+        write_csv(self.directory / "special_points.csv", list(columns), rows)
+        in_one = [branch for branch in branches.values() if not branch.space.kind]
+        curves = [branch for branch in branches.values() if branch.space.kind]
+        self._picture("branch", figures.bifurcation_figure, in_one, title)
+        for name, draw, shown in (
+            ("portrait", figures.portrait_figure, chosen_solutions(in_one)),
+            ("curves", figures.curves_figure, curves),
+        ):
+            if shown:
+                self._picture(name, draw, shown, title)
+
+    def _write_offshoots(self, families: Sequence[Branch]) -> None:
+        """special_points.csv; edges.csv with its picture; a netCDF file for each branch that leaves."""
+        found, columns = self.offshoots, _columns(["branch", "kind"], ["S"], OFFSHOOT_COLUMNS)
+        named = [*((f"j{mode_of(family)}", family) for family in families), *found.leaving]
+        rows = [row for name, branch in named for row in special_rows(name, branch, columns)]
+        write_csv(self.directory / "special_points.csv", list(columns), rows)
+        self._write_datasets({name: branch for name, branch in found.leaving if len(branch)})
+        if found.edges:
+            table = [row for edge in found.edges for row in _edge_rows(*edge)]
+            write_csv(self.directory / "edges.csv", list(table[0]), table)
+            curves = [curve for *_, curve in found.edges]
+            self._picture("edges", figures.edges_figure, curves, self.request.scene.title or "")
 
     def _report_unproved(self, branches: Sequence[Branch]) -> None:
         """Report orbits without a proof."""
@@ -201,79 +296,10 @@ EMPTY_CELL: Cell = ""
 PASSED_COLUMNS = ("mode", "S_before", "S_after", "Omega_before", "Omega_after", "changes", "meetings")
 
 
-def write_branches(
-    request: Request, branches: Sequence[Branch], scene_text: str, directory: Path, progress: Progress
-) -> None:
-    """All files of branches but the table of their points."""
-    scene = request.scene
-    family = branches[0].space.connects == FAMILY
-    vectors = scene.stability is not None and scene.stability.vectors
-    dataset = dataset_of(branches, vectors)
-    dataset = replace(dataset, attributes=origin(request, scene_text, branches[0]))
-    write_netcdf(directory / ("family.nc" if family else "branch.nc"), dataset)
-    if family:
-        _write_families(request, branches, directory)
-        if scene.family is not None and scene.family.film:
-            _write_films(branches, directory, progress)
-    else:
-        _write_branch(request, branches[0], directory)
-
-
-def _write_families(request: Request, branches: Sequence[Branch], directory: Path) -> None:
-    """events.csv with the tables beside it, and the pictures of families."""
-    stability = request.scene.stability
-    if stability is not None and any(branch.with_events for branch in branches):
-        diagrams = [(b, b.diagram_of_changes) for b in branches]
-        known = [(mode_of(b), diagram) for b, diagram in diagrams if diagram is not None]
-        if request.scene.accuracy.certify:
-            rows_of = [event_rows(mode_of(b), diagram, b.certify_change) for b, diagram in diagrams if diagram]
-            columns = (*EVENT_COLUMNS, *PROVED_COLUMNS)
-            write_csv(directory / "events.csv", columns, [row for rows in rows_of for row in rows])
-        else:
-            write_csv(directory / "events.csv", EVENT_COLUMNS, [row for each in known for row in event_rows(*each)])
-        for name, names, make in (
-            ("further_events", EVENT_COLUMNS, further_rows),
-            ("tongues", TONGUE_COLUMNS, tongue_rows),
-        ):
-            write_csv(directory / f"{name}.csv", names, [row for each in known for row in make(*each)])
-        passed = [row for branch in branches if branch.with_events for row in _passed_rows(branch)]
-        write_csv(directory / "passed_resonances.csv", PASSED_COLUMNS, passed)
-    picture(request.scene, directory / "frequency", figures.frequency_figure, branches)
-    picture(request.scene, directory / "profile", figures.profile_figure, branches)
-    for branch in branches:
-        if request.scene.chain is None:
-            from casadi_skin.results.figures.families import plane_figure
-
-            picture(request.scene, directory / f"plane_j{mode_of(branch)}", plane_figure, branch)
-        picture(request.scene, directory / f"multipliers_j{mode_of(branch)}", figures.multiplier_figure, branch)
-
-
 def _passed_rows(branch: Branch) -> list[dict[str, Cell]]:
     """Rows of passed_resonances.csv."""
     rows = [(mode_of(branch), *p.S, *p.Omega, p.changes, p.met) for p in branch.passed_resonances or ()]
     return [dict(zip(PASSED_COLUMNS, row, strict=True)) for row in rows]
-
-
-def _write_films(branches: Sequence[Branch], directory: Path, progress: Progress) -> None:
-    """A film of each family's mode, at the last requested point or at the end."""
-    from casadi_skin.results.figures.solutions import animate
-
-    for branch in branches:
-        progress.say(f"film of j = {mode_of(branch)}")
-        requested = [orbit for orbit in branch.orbits if orbit.point.requested]
-        animate((requested or branch.orbits)[-1], directory / f"film_j{mode_of(branch)}.gif")
-
-
-def _write_branch(request: Request, branch: Branch, directory: Path) -> None:
-    """special_points.csv and the pictures of another branch, or of a single solution."""
-    title = request.scene.title or ""
-    if len(branch) > 1:
-        columns = _columns(
-            ["kind"], [branch.parameter], ["error", "period"] if is_orbit(branch.solutions[0]) else ["error"]
-        )
-        write_csv(directory / "special_points.csv", list(columns), branch_rows(branch, columns))
-        picture(request.scene, directory / "branch", figures.branch_figure, branch, title)
-    picture(request.scene, directory / "orbit", figures.orbit_figure, branch.solutions[-1], title)
 
 
 # Special points: a row each, of a single branch, of the branches of a diagram, and of those that leave families -------
@@ -330,55 +356,6 @@ def _critical(point: SpecialPoint) -> dict[str, Cell]:
         return {}
     known = {"frequency": frequency or EMPTY_CELL, "criticality": words}
     return known if coefficient != coefficient else known | {"coefficient": coefficient}
-
-
-def write_diagram(
-    request: Request,
-    names: Sequence[str],
-    branches: Sequence[Branch],
-    attributes: dict[str, float | str],
-    directory: Path,
-) -> None:
-    """special_points.csv, a netCDF file a branch, and the pictures."""
-    title = request.scene.title or ""
-    for name, branch in zip(names, branches, strict=True):
-        write_netcdf(directory / f"{name}.nc", replace(dataset_of([branch]), attributes=attributes))
-    first = branches[0]
-    if not first.parameter:
-        return
-    others = [name for name in first.solutions[0].parameters if name != first.parameter]
-    known = [name for name in others if name not in first.space.free or name != PERIOD]  # a free period is one, too
-    columns = _columns(["branch", "kind"], [first.parameter, *known], DIAGRAM_COLUMNS)
-    rows = [row for name, branch in zip(names, branches, strict=True) for row in special_rows(name, branch, columns)]
-    write_csv(directory / "special_points.csv", list(columns), rows)
-    in_one = [branch for branch in branches if not branch.space.kind]
-    picture(request.scene, directory / "branch", figures.bifurcation_figure, in_one, title)
-    from casadi_skin.results.figures.solutions import chosen_solutions
-
-    chosen = chosen_solutions(in_one)
-    if chosen:
-        picture(request.scene, directory / "portrait", figures.portrait_figure, chosen, title)
-    curves = [branch for branch in branches if branch not in in_one]
-    if curves:
-        picture(request.scene, directory / "curves", figures.curves_figure, curves, title)
-
-
-def write_offshoots(
-    request: Request, families: Sequence[Branch], found: Offshoots, attributes: dict[str, float | str], directory: Path
-) -> None:
-    """special_points.csv; edges.csv with its picture; a netCDF file for each branch that leaves."""
-    columns = _columns(["branch", "kind"], ["S"], OFFSHOOT_COLUMNS)
-    named = [*((f"j{mode_of(family)}", family) for family in families), *found.leaving]
-    rows = [row for name, branch in named for row in special_rows(name, branch, columns)]
-    write_csv(directory / "special_points.csv", list(columns), rows)
-    for name, branch in found.leaving:
-        if len(branch):
-            write_netcdf(directory / f"{name}.nc", replace(dataset_of([branch]), attributes=attributes))
-    if found.edges:
-        table = [row for mode, listed, number, curve in found.edges for row in _edge_rows(mode, listed, number, curve)]
-        write_csv(directory / "edges.csv", list(table[0]), table)
-        curves = [curve for *_, curve in found.edges]
-        picture(request.scene, directory / "edges", figures.edges_figure, curves, request.scene.title or "")
 
 
 def _edge_rows(mode: int, listed: str, number: int, curve: EdgeCurve) -> Iterator[dict[str, Cell]]:
