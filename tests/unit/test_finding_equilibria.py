@@ -132,31 +132,25 @@ def test_a_black_box_in_mx_is_followed_by_first_derivatives_alone() -> None:
 # Refusals -------------------------------------------------------------------------------------------------------------
 
 
-def test_a_forced_model_is_refused_with_the_reason() -> None:
-    x, t = symbols("x t")
-    forced = OdeModel("forced", x, ca.cos(t) - x, time=t, forcing_period=2 * np.pi)
-    with pytest.raises(
-        ValueError, match=r"^model: given forced, which is forced: .*depends on time, with period 6.28319"
-    ):
-        find_equilibrium(forced, [0.0])
+A, B, P, T = symbols("a b p t")
 
 
-def test_equilibria_that_are_not_alone_are_refused_by_name() -> None:
-    a, b = symbols("a b")
-    exchange = OdeModel("exchange", ca.vertcat(a, b), ca.vertcat(b - a, a - b))
-    with pytest.raises(EquilibriumError, match="the equation of a and the equation of b depend on each other"):
-        find_equilibrium(exchange, [1.0, 2.0])
-
-
-def test_no_equilibrium_names_the_equation() -> None:
-    x, p = symbols("x p")
-    with pytest.raises(EquilibriumError, match=r"no equilibrium near the guess: newton: .*the equation of x"):
-        find_equilibrium(OdeModel("none", x, x**2 + p, p), [1.0], parameters={"p": 1.0})
-
-
-def test_a_simulation_that_does_not_settle_says_so() -> None:
-    with pytest.raises(EquilibriumError, match="does not settle: over its last quarter"):
-        find_equilibrium(lorenz(), [1.0, 1.0, 1.0], parameters={"r": 28.0}, transient=50.0)
+@pytest.mark.parametrize(
+    ("model", "guess", "options", "words"),
+    [
+        (OdeModel("forced", A, ca.cos(T) - A, time=T, forcing_period=2 * np.pi), [0.0], {},
+         r"^model: given forced, which is forced: .*depends on time, with period 6.28319"),
+        (OdeModel("exchange", ca.vertcat(A, B), ca.vertcat(B - A, A - B)), [1.0, 2.0], {},
+         "the equation of a and the equation of b depend on each other"),
+        (OdeModel("none", A, A**2 + P, P), [1.0], {"parameters": {"p": 1.0}},
+         r"no equilibrium near the guess: newton: .*the equation of a"),
+        (lorenz(), [1.0, 1.0, 1.0], {"parameters": {"r": 28.0}, "transient": 50.0},
+         "does not settle: over its last quarter"),
+    ],
+)  # fmt: skip
+def test_what_has_no_equilibrium_says_why(model: OdeModel, guess: list[float], options: dict, words: str) -> None:
+    with pytest.raises(ValueError if "forced" in words else EquilibriumError, match=words):
+        find_equilibrium(model, guess, **options)
 
 
 @pytest.mark.parametrize(

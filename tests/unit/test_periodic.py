@@ -14,6 +14,7 @@ from programs import Program
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipk
+from small_models import van_der_pol
 
 from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.find import find_orbit
@@ -30,11 +31,6 @@ def flow(field: Callable[[float, Array], Any], start: Array, time: float, method
 
 
 # Models ---------------------------------------------------------------------------------------------------------------
-
-
-def van_der_pol() -> OdeModel:
-    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
-    return OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu)
 
 
 def circle(t: float) -> list[float]:
@@ -192,17 +188,9 @@ def test_a_section_in_place_of_the_phase_condition() -> None:
 
 @pytest.mark.parametrize("phase", [0.0, 1.0, 3.0])
 def test_the_phase_follows_the_guess(phase: float) -> None:
-    model = van_der_pol()
-    turned = find_orbit(model, lambda t: circle(t + phase), 2 * np.pi, parameters={"mu": 0.1})
-    at_zero = turned.evaluate(0.0)
+    turned = find_orbit(van_der_pol(), lambda t: circle(t + phase), 2 * np.pi, parameters={"mu": 0.1})
     assert abs(turned.period - 2 * np.pi * (1 + 0.1**2 / 16)) < 1e-5  # Lindstedt and Poincare
-    np.testing.assert_allclose(at_zero, circle(phase), atol=0.12)
-
-
-def test_an_orbit_is_a_guess_of_an_orbit() -> None:
-    first = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0})
-    again = find_orbit(van_der_pol(), first, parameters={"mu": 1.1})
-    assert again.period > first.period
+    np.testing.assert_allclose(turned.evaluate(0.0), circle(phase), atol=0.12)
 
 
 def test_multipliers_that_are_sought_where_the_mesh_is_coarse_warn() -> None:
@@ -392,15 +380,18 @@ def test_an_unfolding_that_does_not_vanish_is_told() -> None:
         (duffing, {"symmetric": True}, "symmetric: given for Duffing, which is forced"),
         (lambda: three_bodies()[0], {"period": 2.7}, "select: given none; accepted: an expression, for conservative"),
         (lambda: three_bodies()[0], {"period": 2.7, "symmetric": True}, "select: given none"),
+        (van_der_pol, {"period": 6.6, "guess": [0.0, 0.0]}, "guess: given a state that does not move; accepted: one"),
+        (van_der_pol, {"period": 6.6, "select": ca.SX(0), "symmetric": True},
+         "symmetric: given for van der Pol, which declares no reversal; accepted: with one"),
     ],
-)
+)  # fmt: skip
 def test_arguments_that_do_not_fit_the_model_are_refused(
     make: Callable[[], OdeModel], arguments: dict[str, Any], words: str
 ) -> None:
     model = make()
     given = {"parameters": dict.fromkeys(model.parameter_names, 1.0)} | arguments
     with pytest.raises((ValueError, TypeError)) as error:
-        find_orbit(model, [0.1] * model.full_size, **given)  # type: ignore[arg-type]
+        find_orbit(model, **({"guess": [0.1] * model.full_size} | given))  # type: ignore[arg-type]
     assert words in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -420,19 +411,6 @@ def test_a_forcing_period_after_which_the_equations_do_not_repeat_is_refused() -
         orbit.follow("omega", 1.5)
 
 
-def test_a_guess_that_does_not_move_is_refused() -> None:
-    with pytest.raises(ValueError, match="guess: given a state that does not move; accepted: one period of an orbit"):
-        find_orbit(van_der_pol(), [0.0, 0.0], 6.6, parameters={"mu": 1.0})
-
-
-def test_a_symmetric_orbit_of_a_model_without_reversal_is_refused() -> None:
-    model = van_der_pol()
-    with pytest.raises(
-        ValueError, match="symmetric: given for van der Pol, which declares no reversal; accepted: with one"
-    ):
-        find_orbit(model, circle, 6.6, parameters={"mu": 1.0}, select=model.state[0] - 2, symmetric=True)
-
-
 def test_another_way_to_multipliers_is_refused() -> None:
     orbit = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0})
     with pytest.raises(ValueError, match="by: given 'hand'; accepted: collocation, cvodes"):
@@ -442,26 +420,15 @@ def test_another_way_to_multipliers_is_refused() -> None:
 # Programs -------------------------------------------------------------------------------------------------------------
 
 
-def van_der_pol_program() -> Program:
-    s, mu = ca.SX.sym("s", 2), ca.SX.sym("mu")
-    return Program(ca.Function("field", [s, mu], [ca.vertcat(s[1], mu * (1 - s[0] ** 2) * s[1] - s[0])]))
-
-
 @pytest.mark.slow
-def test_an_orbit_through_a_program_with_its_own_derivatives() -> None:
-    s, mu, field = ca.MX.sym("s", 2), ca.MX.sym("mu"), van_der_pol_program()
+def test_an_orbit_through_a_program_with_its_own_derivatives_is_found_and_followed() -> None:
+    x, nu, s, mu = ca.SX.sym("s", 2), ca.SX.sym("mu"), ca.MX.sym("s", 2), ca.MX.sym("mu")
+    field = Program(ca.Function("field", [x, nu], [ca.vertcat(x[1], nu * (1 - x[0] ** 2) * x[1] - x[0])]))
     model = OdeModel("program", s, field(s, mu), mu)
     orbit = find_orbit(model, circle, 6.6, parameters={"mu": 1.0}, tolerance=1e-9)
     symbolic = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0}, tolerance=1e-9)
     assert abs(orbit.period - 6.6632868593231301897) < 1e-9
     for by in ("collocation", "cvodes"):
         np.testing.assert_allclose(orbit.floquet(by).multipliers, symbolic.floquet(by).multipliers, atol=1e-8)
-
-
-@pytest.mark.slow
-def test_a_program_is_followed() -> None:
-    s, mu, field = ca.MX.sym("s", 2), ca.MX.sym("mu"), van_der_pol_program()
-    orbit = find_orbit(OdeModel("program", s, field(s, mu), mu), circle, 6.6, parameters={"mu": 1.0})
     last = orbit.follow("mu", 1.2).solutions[-1]
-    assert isinstance(last, Orbit)
     assert abs(last.period - find_orbit(van_der_pol(), last, parameters={"mu": 1.2}).period) < 1e-7
