@@ -16,18 +16,13 @@ from casadi_skin.follow.corners import PassedResonance, passed_resonances
 from casadi_skin.follow.events import StabilityChange
 from casadi_skin.follow.passages import passage
 from casadi_skin.follow.solution import Orbit, Solution
-from casadi_skin.follow.space import FAMILY
 from casadi_skin.follow.special_points import SpecialPoint, folds_of_family, special_point
 from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.model.arguments import cut, number, short_repr, whole
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.result import Result
 from casadi_skin.solve.watch import Budget, TimeLimitError
-from casadi_skin.stability.tongues.diagram import (
-    Place,
-    StabilityDiagram,
-    StabilityEdge,
-)
+from casadi_skin.stability.tongues.diagram import Place, StabilityDiagram, StabilityEdge
 from casadi_skin.zero.kinds import EDGE, FOLD, STABILITY, Unresolved, count_in_words
 from casadi_skin.zero.model_coordinates import nearest_resonance
 from casadi_skin.zero.problem import Array
@@ -170,57 +165,48 @@ class Branch(Result):
     # Changes of stability ---------------------------------------------------------------------------------------------
 
     @cached_property
+    def diagram_of_changes(self) -> StabilityDiagram | None:
+        """Changes of stability of a family: `stability_diagram`, or `localised_diagram` of one with an endless tail.
+
+        Computed on first use, from the course of the family and not from its points. None where changes of stability
+        are not sought, or without a family.
+        """
+        if not (self.with_stability and self.with_events and self.solutions and self.space.is_family):
+            return None
+        from casadi_skin.follow.family_changes import family_tongues, localised_changes
+
+        family, points = self.space, [solution.point for solution in self.solutions]
+        if self._is_localised:
+            return self._within_time(STABILITY, lambda: localised_changes(family, points))
+        stability = (None, *(orbit.known_floquet for orbit in self.orbits))
+        return self._within_time(STABILITY, lambda: family_tongues(family, (self.start, *points), stability=stability))
+
+    @property
+    def _is_localised(self) -> bool:
+        """Whether multipliers of a family are those of localised perturbations: its linear tail is endless, or cut."""
+        return bool(self.space.is_family and self.space.coordinates.localised is not None)
+
+    @property
     def stability_diagram(self) -> StabilityDiagram | None:
         """Every tongue of instability of a family; None where changes of stability are not sought, or without a family.
 
-        Computed on first use, from the course of the family and not from its points.
+        Computed on first use, as `diagram_of_changes`.
         """
-        if not (self._seeks_changes and self._family) or self._family.coordinates.localised is not None:
-            return None
-        from casadi_skin.follow.family_changes import family_tongues
-
-        family, points = self._family, (self.start, *(solution.point for solution in self.solutions))
-        stability = (None, *(orbit.known_floquet for orbit in self.orbits))
-        return self._within_time(STABILITY, lambda: family_tongues(family, points, stability=stability))
+        return None if self._is_localised else self.diagram_of_changes
 
     @property
-    def changes_known(self) -> bool:
-        """Whether changes of stability need no computation now: those of a family are sought on first use."""
-        cut = STABILITY in self._cut
-        return (
-            cut
-            or self.space.connects != FAMILY
-            or not {"stability_diagram", "localised_diagram"}.isdisjoint(
-                name for name, value in vars(self).items() if value is not None
-            )
-        )
-
-    @cached_property
     def localised_diagram(self) -> StabilityDiagram | None:
         """Every change of localised multipliers of a family whose linear tail is endless, or cut; None of others.
 
         Computed on first use. Weak instabilities of waves in the tail depend on its length, and are not among them.
         """
-        if not (self._seeks_changes and self._family) or self._family.coordinates.localised is None:
-            return None
-        from casadi_skin.follow.family_changes import localised_changes
-
-        family, points = self._family, [solution.point for solution in self.solutions]
-        return self._within_time(STABILITY, lambda: localised_changes(family, points))
+        return self.diagram_of_changes if self._is_localised else None
 
     @property
-    def _family(self) -> Any:
-        """The space of a family; None of other branches."""
-        return self.space if self.space.connects == FAMILY else None
-
-    @property
-    def _seeks_changes(self) -> bool:
-        return bool(self.with_stability and self.with_events and self.solutions)
-
-    @property
-    def diagram_of_changes(self) -> StabilityDiagram | None:
-        """Changes of stability of a family: `stability_diagram`, or `localised_diagram` of one with an endless tail."""
-        return self.localised_diagram if self.stability_diagram is None else self.stability_diagram
+    def changes_known(self) -> bool:
+        """Whether changes of stability need no computation now: those of a family are sought on first use."""
+        known = vars(self).get("diagram_of_changes") is not None
+        return bool(known or STABILITY in self._cut or not self.space.is_family)
 
     @property
     def changes(self) -> tuple[StabilityChange | StabilityEdge, ...]:
@@ -272,9 +258,9 @@ class Branch(Result):
         is not sought: without odd cosines, or where the Jacobian is not symmetric; and where the time limit ends the
         search.
         """
-        if self.space.connects != FAMILY:
+        if not self.space.is_family:
             return None
-        family, points = self._family, [solution.point for solution in self.solutions]
+        family, points = self.space, [solution.point for solution in self.solutions]
         return self._within_time(
             "internal resonance",
             lambda: passed_resonances(family.point_solver, points, lambda point: family.value("S", point)),

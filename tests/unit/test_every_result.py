@@ -262,7 +262,7 @@ def test_printing_computes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     family = follow_family(Chain(2, 1.0, 0.25, 1.0), 1, 0.05, stability=True, tolerance=1e-4)
     monkeypatch.setattr(type(family.space), "floquets", None)
     assert "changes of stability" not in f"{family}{family!r}"
-    assert "stability_diagram" not in vars(family)
+    assert "diagram_of_changes" not in vars(family)
 
 
 def test_results_are_drawn_as_asked() -> None:
