@@ -36,6 +36,14 @@ def asymmetric_oscillator(**changes: Any) -> OdeModel:
     return OdeModel("asymmetric", q, -q - p * q**2, p, 2, v, **(declared | changes))
 
 
+def oscillators(**changes: Any) -> OdeModel:
+    """Two coupled cubic oscillators written by hand: q'' = -K q - p q^3, q(0).q(0) = 1."""
+    q, v, p = ca.SX.sym("q", 2), ca.SX.sym("v", 2), ca.SX.sym("p")
+    force = -ca.DM([[2.0, -0.5], [-0.5, 3.0]]) @ q - p * q**3
+    declared: dict[str, Any] = {"reversal": (1, 1, -1, -1), "half_period": (-1,) * 4, "normalisation": ca.dot(q, q) - 1}
+    return OdeModel("oscillators", q, force, p, 2, v, **(declared | changes))
+
+
 def predator_and_prey(**changes: Any) -> OdeModel:
     """x' = x (p - y), y' = y (x - 1) with x = 2 at its maximum: conservative, of first order, with no reversal."""
     x, p = ca.SX.sym("x", 2), ca.SX.sym("p")

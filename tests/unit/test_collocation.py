@@ -1,16 +1,14 @@
-"""Collocation on a mesh that moves: Radau tables and order, meshes as constants, and what their placement saves."""
+"""Collocation on a mesh that moves: meshes as constants, what their placement saves, and the degree."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
 
-import mpmath as mp
 import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from orbit_problems import check_jacobian, check_table, gauss_problem, radau_problem, solved
+from orbit_problems import gauss_problem, radau_problem, solved
 
 from casadi_skin import Branch, Chain, Orbit
 from casadi_skin.follow.branch_run import Following
@@ -36,61 +34,7 @@ def lengths_of(intervals: int, seed: int = 0) -> Array:
     return np.random.default_rng(seed).dirichlet(8.0 * np.ones(intervals))
 
 
-# Radau tables -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("degree", range(1, 13))
-def test_radau_table_agrees_with_forty_digits(degree: int) -> None:
-    table = radau_table(degree)
-    assert table.nodes[-1] == table.ends[-1] == 1.0
-    with mp.workdps(40):
-        polynomial = lambda s: mp.legendre(degree, s) - mp.legendre(degree - 1, s)  # noqa: E731
-        guesses = [mp.mpf(2 * c - 1) for c in table.nodes[:-1].tolist()]
-        nodes = [*((mp.findroot(polynomial, guess) + 1) / 2 for guess in guesses), mp.mpf(1)]
-        check_table(table, nodes, nodes)
-
-
-def test_the_known_radau_method_of_two_stages() -> None:
-    table = radau_table(2)
-    np.testing.assert_allclose(table.extended, [[5 / 12, -1 / 12], [3 / 4, 1 / 4]], rtol=1e-15)
-    np.testing.assert_allclose(table.nodes, [1 / 3, 1.0], rtol=1e-15)
-    assert gauss_table(2).ends[-1] == 1.0
-    assert gauss_table(2).extended.shape == (3, 2)
-
-
-@pytest.mark.parametrize("symmetry", [QUARTER, FULL])
-@pytest.mark.parametrize("degree", [2, 3, 4])
-def test_radau_converges_with_one_order_less_than_twice_the_degree(degree: int, symmetry: SymmetryClass) -> None:
-    chain, S = Chain(1, 1.0, 0.0, 1.0), 2.0
-    exact = duffing_frequency(3.0, 1.0, np.sqrt(S))
-    first = {2: 6, 3: 3, 4: 2}[degree] * round(4 * symmetry.value)
-    errors, damping = [], []
-    for intervals in (first, 2 * first, 4 * first):
-        problem = radau_problem(chain.gauge_model(), intervals, symmetry, degree)
-        z = solved(problem, chain, 1, S, steps=2)
-        errors.append(abs(z[problem.Omega_index] - exact))
-        if symmetry is FULL:
-            damping.append(abs(z[problem.damping_index]))
-    assert errors[-1] > 1e-13  # truncation, not round-off, is what is seen
-    orders = [np.log2(a / b) for a, b in pairwise(errors)]
-    # On the full period the damping takes the error of odd order, and what is left of Omega is smaller.
-    expected = 2 * degree - 1 if symmetry is QUARTER else 2 * degree
-    assert orders[-1] == pytest.approx(expected, abs=0.5)
-    if symmetry is FULL:
-        assert np.log2(damping[-2] / damping[-1]) == pytest.approx(2 * degree - 1, abs=0.5)
-
-
 # A mesh as constants ------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("symmetry", SymmetryClass)
-def test_jacobian_agrees_with_finite_differences_on_an_uneven_mesh(kind: Kind, symmetry: SymmetryClass) -> None:
-    even = kind(Chain(2, 0.8, 0.3, 1.0).gauge_model(), 3, symmetry, degree=2)
-    problem = even.with_constants(lengths_of(3))
-    z = np.random.default_rng(1).normal(size=problem.size)
-    z[problem.Omega_index] = 1.3
-    check_jacobian(problem, z)
 
 
 def test_problems_that_differ_in_their_mesh_share_what_was_built_and_keep_their_own_numbers() -> None:
@@ -133,18 +77,6 @@ def test_a_corrector_built_once_serves_every_mesh(make: type[NewtonCorrector | I
         assert correction.converged
         assert problem.relative_residual(correction.z) < 1e-13
     assert corrector.problem is even
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_refined_mesh_holds_the_polynomials_of_the_coarse_one(kind: Kind) -> None:
-    model = Chain(2, 1.0, 0.3, 1.0).gauge_model()
-    coarse = kind(model, 3, QUARTER, degree=3).with_constants(lengths_of(3))
-    fine = coarse.transferred(kind(model, 6, QUARTER, degree=3))
-    np.testing.assert_allclose(fine.constants, np.repeat(coarse.constants / 2, 2), rtol=1e-12)
-    z = np.random.default_rng(1).normal(size=coarse.size)
-    theta = np.random.default_rng(2).uniform(0, np.pi / 2, 30)
-    expected = coarse.sample(z, theta)
-    np.testing.assert_allclose(fine.sample(coarse.prolong(z, fine), theta), expected, atol=1e-11)
 
 
 # Placement along a branch -------------------------------------------------------------------------------------------

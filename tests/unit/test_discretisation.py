@@ -1,4 +1,4 @@
-"""Equations assembled by structure beside CasADi's own graph of them, and what Ipopt says of a solution."""
+"""Equations assembled by structure beside CasADi's own graph of them, and what is built once."""
 
 from __future__ import annotations
 
@@ -7,19 +7,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
 from casadi_skin import BoundaryValueProblem
 from casadi_skin.follow.boundary_space import BoundaryError
-from casadi_skin.follow.find import find_orbit
 from casadi_skin.follow.first import packed, space_of
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.solve import ipopt, watch
 from casadi_skin.solve.bordered import BorderedSolver
-from casadi_skin.solve.ipopt import STEP_SHRINKAGE, ArbitratedCorrector, IpoptCorrector
-from casadi_skin.solve.newton import Correction, NewtonCorrector, Status
 from casadi_skin.zero import butcher
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.problem import Problem
@@ -49,83 +44,6 @@ def test_the_assembled_equations_are_those_of_the_graph(options: dict[str, objec
     matrix[problem.pattern] = nonzeros
     np.testing.assert_allclose(matrix, jacobian.full(), rtol=0, atol=1e-14)
     assert np.array_equal(problem.pattern, jacobian.sparsity().get_triplet())
-
-
-def line() -> tuple[BoundaryProblem, NDArray[np.float64]]:
-    """u'' = u, u(0) = 0, u(1) = 1 on five intervals, and zeros as a guess."""
-    u, v = ca.SX.sym("u"), ca.SX.sym("v")
-    model = OdeModel("line", ca.vertcat(u, v), ca.vertcat(v, u))
-    problem = BoundaryValueProblem(model, [model.start(u), model.end(u) - 1.0])
-    found = space_of(problem, [0.0, 0.0], {}).levels.problem(5)
-    assert isinstance(found, BoundaryProblem)
-    return found, np.zeros(found.size)
-
-
-def test_ipopt_on_assembled_equations_finds_what_newton_finds() -> None:
-    problem, guess = line()
-    row = problem.parameter_row()
-    found = ArbitratedCorrector(problem).correct(guess, row, 0.0)
-    for one_scalar in (False, True):
-        other = IpoptCorrector(problem, 1e-12, 20, one_scalar).correct(guess, row, 0.0)
-        assert found.converged
-        assert other.converged
-        np.testing.assert_allclose(other.z, found.z, atol=1e-11)
-    assert problem.sample(found.z, np.array([0.5]))[0, 0] == pytest.approx(np.sinh(0.5) / np.sinh(1.0), abs=1e-12)
-
-
-def test_ipopt_takes_over_where_newton_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem, guess = line()
-    corrector = ArbitratedCorrector(problem)
-    monkeypatch.setattr(NewtonCorrector, "correct", lambda *_: Correction(guess, Status.DIVERGED, 1))
-    assert corrector.correct(guess, problem.parameter_row(), 0.0).converged
-
-
-def test_newton_is_left_where_its_steps_grow() -> None:
-    """They lead from 1.9 by 4.8 and 13.5 to the root 4 pi of the sine."""
-    x = ca.SX.sym("x")
-    model = OdeModel("constant", x, ca.SX(0.0))
-    problem = BoundaryValueProblem(model, [ca.sin(model.start(x))])
-    by_newton, found = (problem.solve([1.9], corrector=c).states[0, 0] for c in ("newton", "ipopt"))
-    assert by_newton == pytest.approx(4 * np.pi, abs=1e-12)
-    assert found == pytest.approx(np.pi, abs=1e-12)
-
-
-def test_the_last_word_is_ipopts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A solution stays as it is where Ipopt agrees, becomes Ipopt's where it moves it, and is refused with it."""
-    problem, guess = line()
-    corrector, row = ArbitratedCorrector(problem, far=True), problem.parameter_row()
-    z = corrector.correct(guess, row, 0.0).z
-    assert corrector.confirm_all([(z, row, 0.0)])[0].z is z
-    (moved,) = corrector.confirm_all([(z + 1e-4 * (row == 0.0), row, 0.0)])
-    np.testing.assert_allclose(moved.z, z, atol=1e-11)
-    refuse = lambda self, z, *_: Correction(z + 1e-6, Status.INFEASIBLE, 3, "Ipopt: no")  # noqa: E731
-    monkeypatch.setattr(IpoptCorrector, "correct", refuse)
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    model = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, (1 - x**2) * y - x))
-    with pytest.raises(BoundaryError, match="no point near the guess satisfies the equations"):
-        find_orbit(model, lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6)
-
-
-def test_what_meets_ipopts_own_test_is_not_handed_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ipopt takes no step from there; one step it takes, and so it is called, where the residuals are a bit larger."""
-    problem, guess = line()
-    row, tolerance = problem.parameter_row(), 1e-9
-    z = NewtonCorrector(problem, 1e-14).correct(guess, row, 0.0).z
-    along = np.where(np.arange(problem.size) == 3, 1.0, 0.0)
-    base = problem.evaluate(z)[0]
-    moved = np.max(np.abs(problem.evaluate(z + 1e-3 * along)[0] - base)) / np.max(np.abs(z))
-    size = 1e-3 * tolerance / moved
-    calls = []
-    true_correct = IpoptCorrector.correct
-    monkeypatch.setattr(IpoptCorrector, "correct", lambda *a: calls.append(1) or true_correct(*a))
-    for part, called in ((0.0, 0), (0.99, 0), (1.01, 1)):
-        near = z + part * size * along
-        calls.clear()
-        assert ArbitratedCorrector(problem, tolerance, always=False).confirm_all([(near, row, 0.0)])[0].converged
-        assert len(calls) == called
-        assert (IpoptCorrector(problem, tolerance).correct(near, row, 0.0).iterations > 0) == bool(called)
-        ArbitratedCorrector(problem, tolerance).confirm_all([(near, row, 0.0)])
-        assert len(calls) == called + 2
 
 
 def test_solving_again_builds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -221,16 +139,6 @@ def test_a_solve_tells_how_far_it_is_and_ends_in_time() -> None:
         problem.solve(guess, time_limit=-1)
 
 
-def test_ipopt_ends_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem, guess = line()
-    row, corrector = problem.parameter_row(), IpoptCorrector(problem)
-    calls = iter(range(1000))
-    monkeypatch.setattr(watch, "is_over", lambda: next(calls) > 1)
-    monkeypatch.setattr(ipopt, "is_over", watch.is_over)
-    with watch.watched(10.0), pytest.raises(watch.TimeLimitError, match="the time allowed, 10 s, is over, at Ipopt"):
-        corrector.correct(guess, row, 0.0)
-
-
 def ring(units: int) -> BoundaryValueProblem:
     """A wave around a ring of van der Pol oscillators: with a period to be found and a phase that an integral fixes."""
     x, y, T = ca.SX.sym("x", units), ca.SX.sym("y", units), ca.SX.sym("T")
@@ -265,19 +173,6 @@ def test_factors_of_a_ring_are_sparse_and_solve_as_dense_elimination_does() -> N
     np.testing.assert_allclose(closed @ found, right, rtol=0, atol=1e-9 * np.abs(found).max())
     fill = [splu(csc_matrix(closed[:, o]), permc_spec="NATURAL").nnz for o in (order, np.arange(problem.size))]
     assert fill[0] < 0.6 * fill[1]
-
-
-def test_newton_with_smaller_residuals_finds_what_ipopt_finds() -> None:
-    """From a guess whose first steps do not halve, both halve the same steps."""
-    problem = space_of(ring(30), wave(30), {}).levels.problem(5)
-    assert isinstance(problem, BoundaryProblem)
-    guess, row = 1.3 * packed(problem, wave(30)), problem.parameter_row()
-    assert not NewtonCorrector(problem, shrink=STEP_SHRINKAGE).correct(guess, row, 0.0).converged
-    found = NewtonCorrector(problem, 1e-10, 30, decreasing=True).correct(guess, row, 0.0)
-    expected = IpoptCorrector(problem, 1e-10, 60).correct(guess, row, 0.0)
-    assert found.converged
-    assert expected.converged
-    np.testing.assert_allclose(found.z, expected.z, rtol=0, atol=1e-7)
 
 
 def test_a_second_method_of_as_many_stages_has_equations_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
