@@ -22,6 +22,7 @@ from scipy.integrate import solve_ivp
 
 from casadi_skin.follow.family import CVODES_DIGITS, Family
 from casadi_skin.follow.follow import follow_family
+from casadi_skin.follow.following import Following
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.model.conserved import SymmetryClass
@@ -262,9 +263,14 @@ def test_two_folds_are_passed_as_odd_cosines_pass_them() -> None:
     folds = []
     for name in ("shooting", "trigonometric"):
         options: dict[str, Any] = {"tolerance": 1e-6, "transcription": name, "corrector": "newton"}
-        branch = follow_family(Chain(4, 1.0, 0.2, -1.0), 1, 8.0, max_points=80, **options)
-        turns = np.flatnonzero(np.diff(np.sign(np.diff(branch.S))) != 0)[:2]
-        folds.append(branch.S[turns + 1])
+        S, turns = list[float](), np.zeros(0, dtype=int)
+        for orbit in Following(Family(family_request(Chain(4, 1.0, 0.2, -1.0), 1, 8.0, **options))):
+            S.append(orbit.S)  # type: ignore[union-attr]
+            turns = np.flatnonzero(np.diff(np.sign(np.diff(S))) != 0)
+            if turns.size == 2:
+                break
+        folds.append([S[i + 1] for i in turns])
+    assert len(folds[0]) == 2
     np.testing.assert_allclose(folds[0], folds[1], atol=2e-3)  # the points next to a fold are not the fold
     assert folds[0][0] > 3.9 > 2.3 > folds[0][1]
 

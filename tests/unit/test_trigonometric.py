@@ -62,7 +62,7 @@ def test_half_bandwidth_holds_every_coupling(reach: int) -> None:
 
 def test_chains_that_differ_in_numbers_share_what_is_built_and_keep_their_own() -> None:
     """Residual and Jacobian by the functions that chains share, and by those made of one chain's own expressions."""
-    chains = Chain(5, 1.0, 0.3, -1.0), Chain(5, 1.7, -0.2, 2.0), Chain(5, 0.5, 0.0, 1.0), Chain(4, 1.0, 0.3, -1.0)
+    chains = Chain(5, 1.0, 0.3, -1.0), Chain(5, 2.0, 0.1, 3.0), Chain(5, 0.5, 0.0, 1.0), Chain(4, 1.0, 0.3, -1.0)
     one, other, third, shorter = (TrigonometricProblem(chain.gauge_model(), 6) for chain in chains)
     assert one.shared is other.shared
     assert one.shared is not shorter.shared
