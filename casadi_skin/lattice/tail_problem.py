@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter, TailSeries, TailValues
@@ -88,9 +87,6 @@ class CoreWithTailProblem(TrigonometricProblem):
         """Regime of the tail at z."""
         return self.tail.regime(self.values(z))
 
-    def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
-        raise NotImplementedError("the tail is no expression of CasADi: `evaluate` assembles the equations")
-
     @cached_property
     def core(self) -> TrigonometricProblem:
         """The same core, without the bond to the tail."""
@@ -135,10 +131,6 @@ class CoreWithTailProblem(TrigonometricProblem):
     @property
     def pattern(self) -> tuple[Indices, Indices]:
         return self._pattern.rows, self._pattern.columns
-
-    def with_constants(self, constants: Array) -> Self:
-        self.check_constants(constants)  # there are none
-        return self
 
     @property
     def numbers(self) -> Array:

@@ -97,7 +97,7 @@ def _measured(request: Request, family: Family) -> Lines:
     sizes = f"{problem.size} at the start ({problem.resolution_in_words()}); {problem.size - 1} equations"
     return [
         ("unknowns", f"{sizes}; more where the tolerance asks for it"),
-        ("non-zeros", f"{problem.function.nnz_out(1)} in the Jacobian"),
+        ("non-zeros", f"{problem.pattern[0].size} in the Jacobian"),
         ("first error", f"{error.relative(family.coordinates.frequency):.1e} estimated at the start"),
         ("expected cost", _cost(request, family, problem, building)),
     ]

@@ -101,9 +101,9 @@ class Problem(ABC):
     output_scale: Array | None = None  # factors from state values to those that users see
     constants: Array = np.zeros(0)
 
-    @abstractmethod
     def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
         """Symbols z, residual R(z), sparse Jacobian dR/dz assembled from its structure; see `constants_symbol`."""
+        raise NotImplementedError("these equations are no expressions of CasADi: `evaluate` assembles them")
 
     @abstractmethod
     def prolong(self, z: Array, finer: Self) -> Array:
@@ -249,6 +249,8 @@ class Problem(ABC):
         Raises ValueError where their number differs.
         """
         self.check_constants(constants)
+        if not constants.size:
+            return self
         _ = self.symbols, self.pattern, self._buffers, self.shared  # kept by the copy as well
         other = copy.copy(self)
         other.constants = constants

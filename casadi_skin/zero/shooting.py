@@ -1,16 +1,16 @@
 """Multiple shooting with SUNDIALS CVODES: the flow and its forward sensitivities join states at a few phases.
 
-Unknowns are full states at the ends of M segments of a quarter, half or full period; the equations are continuity by
-the flow (Stoer and Bulirsch 2002, section 7.3.5; Hindmarsh et al. 2005). `resolution` counts the digits of CVODES'
-local tolerance. The residual jumps by about that tolerance wherever CVODES steps otherwise: no corrector can
-be more accurate.
+x_(k+1) = phi(x_k, sigma) for M segments of a quarter, half or full period, with the flow phi over one of x' = F(x,
+sigma)/M in the time of a segment, and the conditions of `orbit_formulation` at both ends (Stoer and Bulirsch 2002,
+section 7.3.5; Hindmarsh et al. 2005). Unknowns are x_0, x_1, ..., x_M, n components each, and sigma = (Omega,
+parameter, damping of a full period). `resolution` counts the digits of CVODES' local tolerance. The residual jumps by about that
+tolerance wherever CVODES steps otherwise: no corrector can be more accurate.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -19,120 +19,14 @@ from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
 from casadi_skin.model.integrators import TIGHT_ITERATION, CvodesOptions, cvodes_reason, dop853_reason, solve_dop853
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.zero.orbit_collocation import FirstOrderProblem, border_conditions, unfolded_field
-from casadi_skin.zero.problem import Array, Problem, SingularError
+from casadi_skin.zero.orbit_collocation import FirstOrderProblem, orbit_formulation
+from casadi_skin.zero.problem import Array, Evaluate, Indices, Problem, SingularError
 
 if TYPE_CHECKING:
     from scipy.integrate import OdeSolution
 
-
-# The flow over one segment of an orbit by SUNDIALS CVODES, as CasADi callbacks that do not fail but report ------------
-
-FAR_STATE = 1e20
 SENSITIVITY_DIGITS = 8  # Newton's steps then err by 1e-6 of themselves, and cost a quarter of those with 13 digits
 MAX_STEPS = 5_000  # in one segment: ten times what steep orbits need with 14 digits
-
-Evaluation = Callable[[ca.DM, ca.DM], list[ca.DM]]
-
-
-class _Callback(ca.Callback):  # type: ignore[misc]
-    """A Python function of (x, parameters) as a CasADi function with results of given shapes."""
-
-    def __init__(
-        self,
-        name: str,
-        sizes: tuple[int, int],
-        shapes: list[tuple[int, int]],
-        evaluation: Evaluation,
-        jacobian: ca.Function | None = None,
-    ) -> None:
-        ca.Callback.__init__(self)
-        self._sizes, self._shapes, self._evaluation, self._jacobian = sizes, shapes, evaluation, jacobian
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        return 2
-
-    def get_n_out(self) -> int:
-        return len(self._shapes)
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self._sizes[i])
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(*self._shapes[i])
-
-    def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
-        return self._evaluation(arguments[0], arguments[1])
-
-    def has_jacobian(self) -> bool:
-        return self._jacobian is not None
-
-    def get_jacobian(self, name: str, inames: list[str], onames: list[str], options: dict[str, Any]) -> ca.Function:
-        assert self._jacobian is not None
-        arguments = [ca.MX.sym("x", self._sizes[0]), ca.MX.sym("p", self._sizes[1])]
-        result = ca.MX.sym("result", *self._shapes[0])
-        return ca.Function(name, [*arguments, result], self._jacobian(*arguments), inames, onames)
-
-
-class SegmentFlow:
-    """The state at the end of a segment from that at its start, to a number of digits, and its derivatives.
-
-    Parameters are those of the model, the coefficient of the unfolding damping, and the duration. Local tolerances are
-    relative to the largest component of the start.
-    """
-
-    def __init__(self, model: OdeModel, digits: int) -> None:
-        n, parameters = model.full_size, int(model.parameters.numel()) + 2
-        self.failure: str | None = None
-        local = 10.0**-digits
-        self._flow = _integrator(model, CvodesOptions(local, local, MAX_STEPS, iteration=TIGHT_ITERATION))
-        local = 10.0 ** -min(digits, SENSITIVITY_DIGITS)
-        loose = _integrator(model, CvodesOptions(local, local, MAX_STEPS, sensitivity_errors=True))
-        # The integrator of the sensitivities itself: a call that is not nested in another fails without printing.
-        inside = loose.forward(n + parameters).find_functions()
-        self._variational = next(f for f in inside if f.class_name() == loose.class_name())
-        seeds = ca.DM.eye(n + parameters)
-        self._seeds = seeds[:n, :], ca.vertcat(seeds[n:, :], ca.DM(1, n + parameters))
-        sizes = (n, parameters)
-        self.sensitivities = _Callback("sensitivities", sizes, [(n, n), (n, parameters)], self._sensitivities)
-        self.end = _Callback("end", sizes, [(n, 1)], self._end, self.sensitivities)
-
-    def _end(self, x: ca.DM, p: ca.DM) -> list[ca.DM]:
-        """The state at the end."""
-        scale = _scale(x)
-        try:
-            return [scale * self._flow(x0=x / scale, p=ca.vertcat(p, scale))["xf"]]
-        except RuntimeError as error:
-            self.failure = f"cvodes {cvodes_reason(error)}"
-            return [x + FAR_STATE]
-
-    def _sensitivities(self, x: ca.DM, p: ca.DM) -> list[ca.DM]:
-        """Its derivatives with respect to the start, (n, n), and to the parameters, (n, parameters)."""
-        scale, (of_start, of_parameters) = _scale(x), self._seeds
-        start, parameters = ca.horzcat(x / scale, of_start), ca.horzcat(ca.vertcat(p, scale), of_parameters)
-        try:
-            derivatives = self._variational(x0=start, p=parameters)["xf"][:, 1:]
-        except RuntimeError as error:
-            self.failure = f"cvodes {cvodes_reason(error)}"
-            return [ca.DM.eye(x.numel()), ca.DM.zeros(x.numel(), p.numel())]
-        return [derivatives[:, : x.numel()], scale * derivatives[:, x.numel() :]]
-
-
-def _integrator(model: OdeModel, options: CvodesOptions) -> ca.Function:
-    """CVODES over the unit of time, with parameters (model's, damping, duration, scale of the state)."""
-    x, parameters = ca.SX.sym("x", model.full_size), ca.SX.sym("p", model.parameters.numel() + 1)
-    duration, scale = ca.SX.sym("duration"), ca.SX.sym("scale")
-    rate = duration / scale * ca.densify(unfolded_field(model)(scale * x, parameters)[0])
-    dae = {"x": x, "p": ca.vertcat(parameters, duration, scale), "ode": rate}
-    return options.integrator("segment", dae, (0.0, 1.0))
-
-
-def _scale(x: ca.DM) -> float:
-    largest = float(ca.mmax(ca.fabs(x)))
-    return largest if np.isfinite(largest) and largest > 0 else 1.0
-
-
 DIGITS_RANGE = (3, 15)  # of CVODES' local tolerance
 QUARTER_SEGMENTS = 4  # of a quarter of the period: with two the metric of a walk sees too little of steep orbits
 PATH_TOLERANCE = 3e-14  # of the paths between the segments' ends, which are off by two or three times as much
@@ -149,8 +43,9 @@ class ShootingError(SingularError):
 class ShootingProblem(FirstOrderProblem):
     """Equations of M segments of equal duration; unknowns ordered in time: x_0, x_1, ..., x_M.
 
-    `digits` of the local tolerance are the resolution; by default a quarter of the period has four segments. `evaluate`
-    raises ShootingError. Raises ValueError for missing symmetries and for digits or segments out of range.
+    `digits` of the local tolerance are the resolution; by default a quarter of the period has four segments. Local
+    tolerances are relative to the largest component of a segment's start. `evaluate` raises ShootingError. Raises
+    ValueError for missing symmetries and for digits or segments out of range.
     """
 
     def __init__(self, model: OdeModel, digits: int, symmetry: SymmetryClass, segments: int | None = None) -> None:
@@ -160,48 +55,71 @@ class ShootingProblem(FirstOrderProblem):
         self.segments = round(4 * symmetry.value) * QUARTER_SEGMENTS if segments is None else segments
         if self.segments < 1:
             raise ValueError(f"segments: given {segments}; accepted: a whole number >= 1")
-        self.states = model.full_size * (self.segments + 1)
-        self.flow = SegmentFlow(model, digits)
-        self.noise = 10.0**-digits
+        self.states, self.noise = model.full_size * (self.segments + 1), 10.0**-digits
+        self.formulation = orbit_formulation(model, symmetry, self.pinned, self.unfolded)
+        local = max(self.noise, 10.0**-SENSITIVITY_DIGITS)
+        self._flow = self._integrator(CvodesOptions(self.noise, self.noise, MAX_STEPS, iteration=TIGHT_ITERATION))
+        loose = self._integrator(CvodesOptions(local, local, MAX_STEPS, sensitivity_errors=True))
+        n, seeds = model.full_size, ca.DM.eye(model.full_size + self.size - self.states)
+        # The integrator of the sensitivities itself: a call that is not nested in another fails without printing.
+        inside = loose.forward(seeds.size1()).find_functions()
+        self._variational = next(f for f in inside if f.class_name() == loose.class_name())
+        self._seeds = seeds[:n, :], ca.vertcat(seeds[n:, :], ca.DM(1, seeds.size1()))
         self._paths: dict[bytes, dict[int, OdeSolution]] = {}
+
+    def _integrator(self, options: CvodesOptions) -> ca.Function:
+        """CVODES over the unit of time, of the state over its scale, with parameters (sigma, scale)."""
+        of, scale = self.formulation, ca.SX.sym("scale")
+        rate = ca.substitute(ca.densify(of.field), of.x, scale * of.x) / (scale * self.segments)
+        return options.integrator("segment", {"x": of.x, "p": ca.vertcat(of.scalars, scale), "ode": rate}, (0.0, 1.0))
 
     # Equations ------------------------------------------------------------------------------------------------------
 
-    def _duration(self, Omega: float | ca.MX) -> float | ca.MX:
-        """Time that a segment takes."""
-        return self.symmetry.value * 2.0 * np.pi / self.segments / Omega
+    def _segment(self, x: Array, sigma: Array) -> tuple[Array, Array]:
+        """The state at the end of a segment, and its derivatives by the start and by sigma, shape (n, n + sigma)."""
+        largest = float(np.max(np.abs(x)))
+        scale = largest if np.isfinite(largest) and largest > 0 else 1.0
+        start, parameters, (of_start, of_parameters) = ca.DM(x / scale), ca.DM([*sigma, scale]), self._seeds
+        end = scale * self._flow(x0=start, p=parameters)["xf"]
+        seeded = ca.horzcat(start, of_start), ca.horzcat(parameters, of_parameters)
+        derivatives = np.array(self._variational(x0=seeded[0], p=seeded[1])["xf"][:, 1:])
+        derivatives[:, x.size :] *= scale
+        return np.array(end).ravel(), derivatives
 
-    def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
-        n, M = self.model.full_size, self.segments
-        z = ca.MX.sym("z", self.size)
-        states = ca.horzsplit(ca.reshape(z[: self.states], n, M + 1))
-        Omega, p = z[self.Omega_index], z[self.parameter_index]
-        duration = self._duration(Omega)
-        parameters = ca.vertcat(p, z[self.damping_index] if self.unfolded else 0, duration)
-        border = border_conditions(self.model, self.pinned, self.unfolded)
-        conditions, by_first, by_last, by_p = border(states[0], states[-1], p)
-        residual, rows = [], []
-        for k in range(M):
-            residual.append(states[k + 1] - self.flow.end(states[k], parameters))
-            by_start, by_parameters = self.flow.sensitivities(states[k], parameters)
-            blocks = [ca.MX(n, k * n), -by_start, ca.MX.eye(n), ca.MX(n, (M - k - 1) * n)]
-            borders = [by_parameters[:, 2] * (duration / Omega), -by_parameters[:, 0]]
-            if self.unfolded:
-                borders.append(-by_parameters[:, 1])
-            rows.append(ca.horzcat(*blocks, *borders))
-        m = conditions.numel()
-        inner, damping = ca.MX(m, (M - 1) * n), ca.MX(m, int(self.unfolded))
-        rows.append(ca.horzcat(by_first, inner, by_last, ca.MX(m, 1), by_p, damping))
-        return z, ca.vertcat(*residual, conditions), ca.vertcat(*rows)
+    @cached_property
+    def _places(self) -> tuple[Indices, Indices, Indices]:
+        """Rows and columns of the non-zeros, column by column, and the order in which parts of them come so."""
+        n, M, m = self.model.full_size, self.segments, self.size - self.states
+        k, i, j = (index.ravel() for index in np.indices((M, n, n + m)))
+        rows, columns = [k * n + i], [np.where(j < n, k * n + j, self.states + j - n)]
+        rows.append(np.arange(M * n))
+        columns.append(np.arange(M * n) + n)
+        for pattern, first in zip(self.formulation.patterns[1], (0, M * n, self.states), strict=True):
+            rows.append(M * n + np.array(pattern[0], dtype=np.int64))
+            columns.append(first + np.array(pattern[1], dtype=np.int64))
+        at = np.concatenate(rows), np.concatenate(columns)
+        order = np.lexsort(at)
+        return at[0][order], at[1][order], order
+
+    @property
+    def pattern(self) -> tuple[Indices, Indices]:
+        return self._places[:2]
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:
-        """Residual and non-zeros of the Jacobian, as in every problem; raises ShootingError."""
-        self.flow.failure = None
-        with interrupts_deferred():
-            values = super().evaluate(z)
-        if self.flow.failure is not None:
-            raise ShootingError(f"the flow over a segment of the period cannot be computed: {self.flow.failure}")
-        return values
+        states, sigma = z[: self.states].reshape(-1, self.model.full_size), z[self.states :]
+        try:
+            with interrupts_deferred():
+                found = [self._segment(x, sigma) for x in states[:-1]]
+        except RuntimeError as error:
+            reason = f"cvodes {cvodes_reason(error)}"
+            raise ShootingError(f"the flow over a segment of the period cannot be computed: {reason}") from error
+        ends, derivatives = (np.array(part) for part in zip(*found, strict=True))
+        conditions, *by = self.formulation.condition_buffers(states[0], states[-1], sigma, self.constants)
+        values = [-derivatives.ravel(), np.ones(ends.size), *by]
+        return np.append(states[1:] - ends, conditions), np.concatenate(values)[self._places[2]]
+
+    def evaluator(self) -> Evaluate:
+        return lambda z, _: self.evaluate(z)
 
     # Values ---------------------------------------------------------------------------------------------------------
 
@@ -242,11 +160,9 @@ class ShootingProblem(FirstOrderProblem):
         return paths[segment]
 
     def _integrate(self, z: Array, segment: int) -> OdeSolution:
-        n = self.model.full_size
-        start = z[segment * n : (segment + 1) * n]
-        parameters = np.array([z[self.parameter_index], z[self.damping_index] if self.unfolded else 0.0])
-        duration = float(self._duration(z[self.Omega_index]))
-        solution = solve_dop853(self._field, parameters, start, 1.0, PATH_TOLERANCE, rate=duration)
+        start = z[: self.states].reshape(-1, self.model.full_size)[segment]
+        rate = 1.0 / self.segments
+        solution = solve_dop853(self._field, z[self.states :], start, 1.0, PATH_TOLERANCE, rate=rate)
         path: OdeSolution | None = solution.sol
         if path is None or not solution.success:
             raise ShootingError(f"the orbit cannot be followed: {dop853_reason(solution)}")
@@ -254,6 +170,6 @@ class ShootingProblem(FirstOrderProblem):
 
     @cached_property
     def _field(self) -> ca.Function:
-        """Function (t, x, (p, damping)) -> dense time derivative."""
-        t, x, parameters = ca.SX.sym("t"), ca.SX.sym("x", self.model.full_size), ca.SX.sym("p", 2)
-        return ca.Function("field", [t, x, parameters], [ca.densify(unfolded_field(self.model)(x, parameters)[0])])
+        """Function (s, x, sigma) -> dense derivative by the fraction s of the part of the period."""
+        of = self.formulation
+        return ca.Function("field", [of.s, of.x, of.scalars], [ca.densify(of.field)])

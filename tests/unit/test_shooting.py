@@ -197,7 +197,7 @@ def test_what_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(**_: ca.DM) -> None:
         raise RuntimeError('Error in Function\n.../cvodes.cpp:403: CVode returned "CV_ERR_FAILURE". Consult it.')
 
-    monkeypatch.setattr(problem.flow, "_variational", fail)
+    monkeypatch.setattr(problem, "_variational", fail)
     with pytest.raises(ShootingError, match=r"cvodes returned CV_ERR_FAILURE$"):
         problem.evaluate(z)
     refused = {(2, 1): "digits: given 2", (16, 1): "digits: given 16", (8, 0): "segments: given 0"}
