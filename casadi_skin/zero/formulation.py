@@ -25,7 +25,7 @@ class Formulation:
     coefficients) are symbols of one kind, SX or MX, and so are the `constants`, whose values may change without
     anything being built again: all expressions may have them in. `conditions` are expressions in `ends` and in sigma;
     `integrands` are expressions in s, x and sigma. Together they are one less than components of x and scalars: one
-    scalar is held or followed. Where all scalars are `idle` they are in no expression.
+    scalar is held or followed.
     """
 
     s: Expression
@@ -36,7 +36,6 @@ class Formulation:
     conditions: Expression
     integrands: Expression
     constants: Expression
-    idle: bool = False
 
     @cached_property
     def discretisations(self) -> dict[tuple[int, CollocationTable], Any]:
@@ -89,7 +88,7 @@ class Formulation:
         return self._along("integrands", self.integrands, sparse=False)
 
     def _along(self, name: str, values: Expression, sparse: bool) -> ca.Function:
-        by_x, by_scalars = ca.jacobian(values, self.x), _dense(self._by_scalars(values))
+        by_x, by_scalars = ca.jacobian(values, self.x), _dense(ca.jacobian(values, self.scalars))
         results = [_dense(values), by_x if sparse else _dense(by_x), by_scalars]
         return ca.Function(name, self._arguments, results)
 
@@ -100,15 +99,12 @@ class Formulation:
     @cached_property
     def condition_function(self) -> ca.Function:
         """Function (x at start, x at end, sigma, constants) -> (rows, sparse derivatives by the first three)."""
-        derivatives = [*(ca.jacobian(self.conditions, end) for end in self.ends), self._by_scalars(self.conditions)]
+        derivatives = [
+            *(ca.jacobian(self.conditions, end) for end in self.ends),
+            ca.jacobian(self.conditions, self.scalars),
+        ]
         results = [_dense(self.conditions), *derivatives]
         return ca.Function("conditions", [*self.ends, self.scalars, self.constants], results)
-
-    def _by_scalars(self, values: Expression) -> Expression:
-        """The derivative by the scalars, sparse."""
-        if self.idle:
-            return type(self.scalars)(values.numel(), self.scalars.numel())
-        return ca.jacobian(values, self.scalars)
 
     @cached_property
     def condition_buffers(self) -> Buffers:

@@ -3,8 +3,8 @@
 x_(k+1) = phi(x_k, sigma) for M segments of a quarter, half or full period, with the flow phi over one of x' = F(x,
 sigma)/M in the time of a segment, and the conditions of `orbit_formulation` at both ends (Stoer and Bulirsch 2002,
 section 7.3.5; Hindmarsh et al. 2005). Unknowns are x_0, x_1, ..., x_M, n components each, and sigma = (Omega,
-parameter, damping of a full period). `resolution` counts the digits of CVODES' local tolerance. The residual jumps by about that
-tolerance wherever CVODES steps otherwise: no corrector can be more accurate.
+parameter, damping of a full period). `resolution` counts the digits of CVODES' local tolerance. The residual jumps by
+about that tolerance wherever CVODES steps otherwise: no corrector can be more accurate.
 """
 
 from __future__ import annotations

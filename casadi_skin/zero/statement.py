@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.model.arguments import by_name, check_name, number, short_repr
-from casadi_skin.model.expressions import Expression, expression_of, in_scalars, is_comparison, product, total
+from casadi_skin.model.expressions import Expression, expression_of, in_scalars, is_comparison
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import WithVerbs
 from casadi_skin.zero.formulation import Formulation
@@ -234,34 +234,7 @@ class Statement(WithVerbs):
         return np.array(values if walking is None else [*values, end - self.values[walking]])
 
     def _formulated(self, walking: str | None) -> Formulation:
-        if isinstance(self.model.state, ca.MX):
-            return self._formulated_by_calls(walking)
-        model, (t0, t1) = self.model, self.interval
-        unit = not any(isinstance(end, ca.SX) for end in (t0, t1)) and (t0, t1) == (0.0, 1.0)
-        s, u, way = self._time, ca.SX.sym("u"), ca.SX.sym("way", int(walking is not None))
-        field = model.full_rhs if unit else product(model.full_rhs, t1 - t0)
-        conditions, integrands = _stacked(ca.SX, self.conditions), _stacked(ca.SX, self.integrals)
-        if self.integrals:
-            integrands = product(integrands, t1 - t0)
-        several = bool(self.free) or walking is not None
-        symbols = dict(zip(model.parameter_names, ca.vertsplit(model.parameters), strict=True)) if several else {}
-        if not unit and (model.forced or self.integrals):
-            s = ca.SX.sym("s")
-            field, integrands = ca.substitute([field, integrands], [self._time], [total(product(s, t1 - t0), t0)])
-        if walking is not None:  # the ends of the interval may depend on it
-            along = [symbols[walking]], [symbols[walking] + u * way]
-            field, conditions, integrands = ca.substitute([field, conditions, integrands], *along)
-        scalars, constants = u, model.parameters
-        if self.free:
-            scalars = ca.vertcat(*(symbols[name] for name in self.free), u)
-        if several:
-            given = [ca.SX.sym(name) if name in self.free else symbol for name, symbol in symbols.items()]
-            constants = ca.vertcat(*given, way)
-        x, ends, idle = model.full_state, model.ends, not several
-        return Formulation(s, x, ends, scalars, field, conditions, integrands, constants, idle)
-
-    def _formulated_by_calls(self, walking: str | None) -> Formulation:
-        """The same of programs, in which nothing can be replaced."""
+        """By calls of functions, as in programs nothing can be replaced."""
         model, kind = self.model, type(self.model.state)
         s, x, last = kind.sym("s"), kind.sym("x", model.full_size), kind.sym("end", model.full_size)
         scalars = kind.sym("scalars", len(self.free) + 1)

@@ -91,26 +91,6 @@ def test_other_values_of_parameters_build_nothing(monkeypatch: pytest.MonkeyPatc
         first.with_parameters(c=1.0)
 
 
-@pytest.mark.parametrize("walking", [None, "a", "b"])
-@pytest.mark.parametrize("interval", ["fixed", "moves", "unit"])
-def test_equations_in_the_symbols_of_a_model_are_those_of_calls_of_it(walking: str | None, interval: str) -> None:
-    t, x, y, a, b, c = (ca.SX.sym(name) for name in ("t", "x", "y", "a", "b", "c"))
-    rates, parameters = ca.vertcat(y, ca.sin(a * t) - c * x * y), ca.vertcat(a, b, c)
-    model = OdeModel("m", ca.vertcat(x, y), rates, parameters, time=t, forcing_period=2 * ca.pi / a)
-    spans: dict[str, tuple[Any, Any]] = {"fixed": (-1.0, 2.0), "moves": (b, 2 * a + b), "unit": (0, 1)}
-    conditions = [model.start(x) - b, model.end(x * y) - a]
-    problem = BoundaryValueProblem(
-        model, conditions, [x * t - c], spans[interval], {"a": 0.7, "b": -0.4, "c": 0.3}, free=["c"]
-    )
-    one, other = problem._formulated(walking), problem._formulated_by_calls(walking)
-    generator = np.random.default_rng(3)
-    for name in ("field_function", "integrand_function", "condition_function"):
-        function, expected = getattr(one, name), getattr(other, name)
-        values = [generator.normal(size=function.size1_in(i)) for i in range(function.n_in())]
-        for found, known in zip(function(*values), expected(*values), strict=True):
-            np.testing.assert_allclose(np.array(found), np.array(known), rtol=1e-13, atol=1e-13)
-
-
 def test_linear_equations_are_factorised_once_where_a_mesh_suffices(monkeypatch: pytest.MonkeyPatch) -> None:
     sizes = []
     factored = BorderedSolver._factored
