@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from casadi_skin.follow.following import Following
 from numpy.typing import NDArray
 from orbit_problems import (
     corrector_of,
@@ -22,7 +23,6 @@ from scipy.integrate import solve_ivp
 
 from casadi_skin.follow.family import CVODES_DIGITS, Family
 from casadi_skin.follow.follow import follow_family
-from casadi_skin.follow.following import Following
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.model.conserved import SymmetryClass
