@@ -12,7 +12,7 @@ from casadi_skin.lattice.tail_parameter import Regime, TailParameter, TailSeries
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.native import TAIL, Structure
 from casadi_skin.zero.cosines import TrigonometricProblem, cosine_matrix
-from casadi_skin.zero.problem import FREQUENCY_WEIGHT, Array, Evaluate, Indices, Problem, Scalar, SingularError, Solve
+from casadi_skin.zero.problem import FREQUENCY_WEIGHT, Array, Indices, Problem, Scalar, SingularError, Solve
 from casadi_skin.zero.recursion import PolynomialForm, TaylorRecursion
 
 
@@ -192,11 +192,8 @@ class CoreWithTailProblem(TrigonometricProblem):
         core, own = self.by_itself(z)
         return core.rounding(own)
 
-    def evaluator(self) -> Evaluate:
-        return lambda z, _: self.evaluate(z)
-
-    def evaluator_of_all(self) -> Evaluate | None:
-        return None if self.core.evaluator_of_all() is None else lambda z, _: self.evaluate_all(z)
+    def evaluated(self, z: Array, numbers: Array) -> tuple[Array, Array]:
+        return self.evaluate_all(z)
 
     def metric(self, z: Array, parameter_scale: float) -> Array:
         return np.asarray(self.metrics(z[None], parameter_scale)[0])

@@ -16,7 +16,7 @@ import numpy as np
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.solve.newton import Correction, Corrector, HeldState, NewtonCorrector, Status
 from casadi_skin.solve.watch import heed, is_over
-from casadi_skin.zero.problem import Array, Evaluate, Problem
+from casadi_skin.zero.problem import Array, Problem
 
 # Nonlinear programs for Ipopt (Waechter and Biegler 2006): solvers are built, and their endings put in words, here ----
 
@@ -77,32 +77,16 @@ def residual_scale(problem: Problem, z: Array) -> float:
     return max(1.0, float(np.max(np.abs(z[: problem.states]))))
 
 
-def _evaluator_of_all(problem: Problem) -> Evaluate:
-    """Residuals and non-zeros of Jacobians at several points; not a number where the model cannot be evaluated."""
-    evaluate, size, nonzeros = problem.evaluator(), problem.size - 1, problem.pattern[0].size
-
-    def evaluated(z: Array, numbers: Array) -> tuple[Array, Array]:
-        found = np.full((len(z), size), np.nan), np.full((len(z), nonzeros), np.nan)
-        for k, point in enumerate(z):
-            try:
-                found[0][k], found[1][k] = evaluate(point, numbers)
-            except (ArithmeticError, RuntimeError):
-                continue
-        return found
-
-    return evaluated
-
-
 class _Once:
     """Values of a function of unknowns and numbers, kept for the next call: constraints and Jacobian are one."""
 
     def __init__(self, problem: Problem) -> None:
-        self._evaluate = problem.evaluator_of_all() or _evaluator_of_all(problem)
+        self._problem = problem
         self._last: tuple[Array, Array, tuple[Array, Array]] | None = None
 
     def __call__(self, z: Array, numbers: Array) -> tuple[Array, Array]:
         if self._last is None or not (np.array_equal(z, self._last[0]) and np.array_equal(numbers, self._last[1])):
-            self._last = z.copy(), numbers.copy(), self._evaluate(z, numbers)
+            self._last = z.copy(), numbers.copy(), self._problem.evaluated(z, numbers)
         return self._last[2]
 
 

@@ -20,7 +20,7 @@ from casadi_skin.zero import mesh
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.discretisation import Discretisation, missed
 from casadi_skin.zero.formulation import Formulation
-from casadi_skin.zero.problem import Array, Evaluate, Indices, Other, Problem, Solve, sparse_matrix
+from casadi_skin.zero.problem import Array, Indices, Other, Problem, Solve, sparse_matrix
 
 NO_VALUES: Array = np.zeros(0)
 NEARBY_FACTORS_RATIO = 0.1  # of a step: the largest part that factors of another Jacobian may have left
@@ -82,8 +82,8 @@ class CollocationEquations(Problem):
     def evaluate(self, z: Array) -> tuple[Array, Array]:
         return self.discretisation(z, self.numbers)
 
-    def evaluator(self) -> Evaluate:
-        return self.discretisation
+    def _values(self, z: Array, numbers: Array) -> tuple[Array, Array]:
+        return self.discretisation(z, numbers)
 
     @property
     def numbers(self) -> Array:

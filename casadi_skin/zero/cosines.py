@@ -25,7 +25,6 @@ from casadi_skin.zero.problem import (
     EPSILON,
     Array,
     Buffers,
-    Evaluate,
     Indices,
     OrbitProblem,
     Problem,
@@ -377,8 +376,8 @@ class TrigonometricProblem(OrbitProblem):
     def evaluate_all(self, z: Array) -> tuple[Array, Array]:
         return super().evaluate_all(z) if self._kernel is None else self._kernel.kernel(z, self.numbers)
 
-    def evaluator_of_all(self) -> Evaluate | None:
-        return None if self._kernel is None else self._kernel.kernel
+    def evaluated(self, z: Array, numbers: Array) -> tuple[Array, Array]:
+        return super().evaluated(z, numbers) if self._kernel is None else self._kernel.kernel(z, numbers)
 
     def recursion(self, form: PolynomialForm, orders: int) -> Recursion:
         """Power series of branches."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from enum import Enum
 from functools import cached_property, lru_cache
 from typing import Any, Protocol, Self, TypeVar
@@ -18,7 +19,6 @@ from casadi_skin.model.ode import OdeModel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Evaluate = Callable[[Array, Array], tuple[Array, Array]]  # of unknowns and numbers: residual, non-zeros of its Jacobian
 
 Other = TypeVar("Other", bound="Problem")
 
@@ -221,7 +221,7 @@ class Problem(ABC):
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:
         """Residual, shape (size - 1,), and the non-zeros of the Jacobian in the order of `pattern`."""
-        residual, nonzeros = self._buffers(z, self.numbers)
+        residual, nonzeros = self._values(z, self.numbers)
         return residual.copy(), nonzeros.copy()
 
     def evaluate_all(self, z: Array) -> tuple[Array, Array]:
@@ -229,19 +229,17 @@ class Problem(ABC):
         residuals, nonzeros = zip(*(self.evaluate(one) for one in z), strict=True)
         return np.stack(residuals), np.stack(nonzeros)
 
-    def evaluator(self) -> Evaluate:
-        """As `evaluate`, a function of z and `numbers` that shares nothing with it."""
-        buffers = Buffers(self.compiled)
+    def evaluated(self, z: Array, numbers: Array) -> tuple[Array, Array]:
+        """As `evaluate_all` at other `numbers`; not a number where the model cannot be evaluated."""
+        found = np.full((len(z), self.size - 1), np.nan), np.full((len(z), self.pattern[0].size), np.nan)
+        for k, one in enumerate(z):
+            with suppress(ArithmeticError, RuntimeError):
+                found[0][k], found[1][k] = self._values(one, numbers)
+        return found
 
-        def evaluated(z: Array, numbers: Array) -> tuple[Array, Array]:
-            residual, nonzeros = buffers(z, numbers)
-            return residual.copy(), nonzeros.copy()  # the next call overwrites them
-
-        return evaluated
-
-    def evaluator_of_all(self) -> Evaluate | None:
-        """As `evaluate_all`, a function of states and `numbers`; None where states are evaluated one by one."""
-        return None
+    def _values(self, z: Array, numbers: Array) -> Sequence[Array]:
+        """Residual and non-zeros of the Jacobian at one state, which the next call may overwrite."""
+        return self._buffers(z, numbers)
 
     def with_constants(self, constants: Array) -> Self:
         """The same equations with other constants; the compiled function is shared.

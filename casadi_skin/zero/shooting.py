@@ -20,7 +20,7 @@ from casadi_skin.model.integrators import TIGHT_ITERATION, CvodesOptions, cvodes
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.orbit_collocation import FirstOrderProblem, orbit_formulation
-from casadi_skin.zero.problem import Array, Evaluate, Indices, Problem, SingularError
+from casadi_skin.zero.problem import Array, Indices, Problem, SingularError
 
 if TYPE_CHECKING:
     from scipy.integrate import OdeSolution
@@ -118,8 +118,8 @@ class ShootingProblem(FirstOrderProblem):
         values = [-derivatives.ravel(), np.ones(ends.size), *by]
         return np.append(states[1:] - ends, conditions), np.concatenate(values)[self._places[2]]
 
-    def evaluator(self) -> Evaluate:
-        return lambda z, _: self.evaluate(z)
+    def _values(self, z: Array, numbers: Array) -> tuple[Array, Array]:
+        return self.evaluate(z)
 
     # Values ---------------------------------------------------------------------------------------------------------
 

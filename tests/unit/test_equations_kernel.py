@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 from kernels import needs_kernels, numpy_alone
 from lattices import plane
+from orbit_problems import gauss_problem
 from small_models import pendulums
 
 from casadi_skin import Chain, follow_family
+from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.native import OPERATIONS
-from casadi_skin.solve import ipopt
 from casadi_skin.zero.cosines import TrigonometricProblem
+from casadi_skin.zero.orbit_collocation import CollocationProblem
 from casadi_skin.zero.problem import Problem
 from casadi_skin.zero.request import family_request
 
@@ -83,17 +85,20 @@ def test_a_model_with_another_operation_is_left_to_casadi() -> None:
     np.testing.assert_array_equal(found[0][1], problem.evaluate(z[1])[0])
 
 
-def test_points_of_one_programme_that_cannot_be_evaluated_leave_the_others_as_they_are() -> None:
-    problem = TrigonometricProblem(Chain(4, 1.0, 0.3, -1.0).gauge_model(), 3)
+def test_points_of_one_programme_that_cannot_be_evaluated_leave_the_others_as_they_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem = gauss_problem(Chain(4, 1.0, 0.3, -1.0).gauge_model(), 2, SymmetryClass.QUARTER, 3)
     z = np.random.default_rng(1).normal(size=(3, problem.size))
+    assembled = CollocationProblem._values
 
-    def evaluate(point: np.ndarray, _: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def values(self: CollocationProblem, point: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if np.array_equal(point, z[1]):
             raise ArithmeticError
-        return problem.evaluate(point)
+        return assembled(self, point, numbers)
 
-    problem.evaluator = lambda: evaluate  # type: ignore[method-assign]
-    residuals, nonzeros = ipopt._evaluator_of_all(problem)(z, problem.numbers)
+    monkeypatch.setattr(CollocationProblem, "_values", values)
+    residuals, nonzeros = problem.evaluated(z, problem.numbers)
     assert np.all(np.isnan(residuals[1]))
     assert np.all(np.isnan(nonzeros[1]))
     expected = problem.evaluate_all(z[::2])
