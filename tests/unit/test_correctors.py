@@ -9,11 +9,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from casadi_skin.follow.refined import BoundaryError
 from numpy.typing import NDArray
 from orbit_problems import gauss_problem, linear_mode
 
 from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit, follow_family
+from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.first import packed, space_of
 from casadi_skin.follow.polynomials import Stretch
 from casadi_skin.lattice.chain import Chain

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from orbit_problems import linear_mode
 
-from casadi_skin import Branch, Chain, follow_family
+from casadi_skin import Branch, Chain, OdeModel, follow_family
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.polynomials import Stretch

@@ -13,7 +13,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from casadi_skin.follow.following import Following
 from numpy.typing import NDArray
 from orbit_problems import (
     corrector_of,
@@ -21,6 +20,7 @@ from orbit_problems import (
 )
 from scipy.integrate import solve_ivp
 
+from casadi_skin.follow.branch_run import Following
 from casadi_skin.follow.family import CVODES_DIGITS, Family
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.lattice.chain import Chain
