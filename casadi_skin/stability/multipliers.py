@@ -110,8 +110,9 @@ class _Solved:
 
     results: list[ReversibleFloquet]
     flow_errors: Array
-    reflections: Reflections
+    reflections: Reflections | None
     systems: Eigensystems
+    similar: Array
 
 
 def floquet(transition: Transition, acceleration: Array) -> ReversibleFloquet:
@@ -163,23 +164,22 @@ def floquets(
     return results
 
 
-def _solve(transitions: Sequence[Transition], accelerations: Array, better_accelerations: Array) -> _Solved:
+def _solve(transitions: Sequence[Transition], accelerations: Array | None, better: Array | None) -> _Solved:
+    """With the trivial direction that accelerations give taken out; of all mu, with no trivial one, where without."""
     power = power_of(transitions[0])
-    trivial = -1.0 if power == 2 else 0.0
     matrices = stacked([t.matrix for t in transitions])
-    reflections = Reflections.of(accelerations)
-    similar = reflections.similar(half_cosines(matrices))
-    # (0, a_0) is a left eigenvector, so the first row is (trivial, 0, ..., 0) but for the errors of flow and orbit.
-    similar[:, 0, 0] -= trivial
-    deviations = np.max(np.abs(similar[:, 0]), axis=1)
-    reduced = similar[:, 1:, 1:]
+    similar, deviations = half_cosines(matrices), np.zeros(len(transitions))
+    own, others = (None if each is None else Reflections.of(each) for each in (accelerations, better))
+    reduced = similar
+    if own is not None:
+        similar = own.similar(similar)
+        # (0, a_0) is a left eigenvector: the first row is (trivial, 0, ..., 0) but for the errors of flow and orbit.
+        similar[:, 0, 0] -= -1.0 if power == 2 else 0.0
+        deviations, reduced = np.max(np.abs(similar[:, 0]), axis=1), similar[:, 1:, 1:]
     mu, errors = np.zeros(reduced.shape[:2], dtype=complex), np.zeros(reduced.shape[:2])
     flow_errors, systems = np.zeros(len(transitions)), Eigensystems(mu, reduced, reduced)
     if mu.size:
-        parts = [
-            flow_part_of(transitions, matrices, reflections),
-            orbit_part_of(transitions, reflections, Reflections.of(better_accelerations)),
-        ]
+        parts = [flow_part_of(transitions, matrices, own), orbit_part_of(transitions, own, others)]
         norms = frobenius_norms(parts[0]) + frobenius_norms(parts[1])
         round_off = round_off_of(transitions, matrices)
         for those, systems in Eigensystems.groups(reduced):
@@ -188,7 +188,7 @@ def _solve(transitions: Sequence[Transition], accelerations: Array, better_accel
             errors[those], first = eigenvalue_errors(systems, *of_those)
             flow_errors[those] = np.max(first / np.maximum(1.0, np.abs(systems.values)), axis=1)
     rows = zip(mu, errors, deviations.tolist(), strict=True)
-    return _Solved([ReversibleFloquet(*row, power) for row in rows], flow_errors, reflections, systems)
+    return _Solved([ReversibleFloquet(*row, power) for row in rows], flow_errors, own, systems, similar)
 
 
 def with_reversed_block(transition: Transition) -> Transition:
@@ -266,6 +266,7 @@ def floquet_vectors(
     """
     solved = _solve([transition], acceleration[None, :], acceleration[None, :])
     (result,), reflections, systems = solved.results, solved.reflections, solved.systems
+    assert reflections is not None
     A, _, C, _ = transition.blocks()
     columns = [vector.astype(complex) for vector in trivial_pair(transition, acceleration)]
     for mu, root, reduced in zip(result.mu, result.root, systems.right[0].T, strict=True):
@@ -390,34 +391,24 @@ def localised_floquet(
     Returns:
         The multipliers, with errors of flow, orbit, rounding and cut.
     """
-    power = power_of(transition)
-    trivial = -1.0 if power == 2 else 0.0
-    matrix = transition.matrix[None]
-    K, n = half_cosines(matrix), matrix.shape[1] // 2
-    reflections = [Reflections.of(a[None]) for a in accelerations]
-    similar = reflections[0].similar(K)
-    similar[:, 0, 0] -= trivial
-    deviation = float(np.max(np.abs(similar[0, 0])))
-    bound = deviation <= tolerance  # else the velocity of the flow fills the tail: the cut problem has no such vector
-    reduced = similar[:, 1:, 1:] if bound else K
-    systems = Eigensystems.of(reduced)
-    parts = [
-        flow_part_of([transition], matrix, reflections[0] if bound else None),
-        orbit_part_of([transition], reflections[0] if bound else None, reflections[1] if bound else None),
-    ]
-    norms = np.array([sum(np.linalg.norm(part) for part in parts)])
-    errors = eigenvalue_errors(systems, parts, norms, round_off_of([transition], matrix))[0][0]
+    solved, n = _solve([transition], *(a[None] for a in accelerations)), accelerations[0].size
+    (found,) = solved.results
+    power, trivial = found.power, -1.0 if found.power == 2 else 0.0
+    bound = found.trivial_deviation <= tolerance
+    if not bound:  # the velocity of the flow fills the tail: the cut problem has no such vector
+        solved = _solve([transition], None, None)
+    systems, errors = solved.systems, solved.results[0].mu_error
     if bound:
-        errors = errors + _by_deviation(systems, similar[0], trivial)
+        errors = errors + _by_deviation(systems, solved.similar[0], trivial)
     corner = slice(0, CORNER_CELLS * cell) if cut_first else slice(-CORNER_CELLS * cell, n)
-    cut = _by_cut(systems, reflections[0].u[0] if bound else None, corner)
+    cut = _by_cut(systems, None if solved.reflections is None else solved.reflections.u[0], corner)
     mu, local = systems.values[0], cut <= tolerance * np.maximum(1.0, np.abs(systems.values[0]))
     if not bound:  # the velocity of the flow may decay enough to be localised all the same
         local &= np.abs(mu - trivial) > errors + cut
-    off = ~ReversibleFloquet(mu, errors, deviation, power).is_inside & ~local
+    off = ~ReversibleFloquet(mu, errors, found.trivial_deviation, power).is_inside & ~local
     continuous = ContinuousSpectrum(Omega, bands, power)
     return LocalisedFloquet(
-        mu[local], (errors + cut)[local], deviation if bound else 0.0, power,
+        mu[local], (errors + cut)[local], found.trivial_deviation if bound else 0.0, power,
         continuous, n, mu[off & (cut > WAVE_CHANGE)], mu[off & (cut <= WAVE_CHANGE)],
     )  # fmt: skip
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import expm
 
-from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError, Samples
+from casadi_skin.stability.tongues.interpolation import Samples
 
 Array = np.ndarray
 Entries = Callable[[float], Array]
@@ -72,7 +72,6 @@ class SymplecticFamily:
     blocks: Sequence[Entries]
     swapped: bool = False
     S: Callable[[Array], Array] = field(default=lambda s: s)
-    missing: tuple[float, float] | None = None
     error: float = 0.0
     noise: float = 0.0
     bias: float = 0.0
@@ -101,10 +100,6 @@ class SymplecticFamily:
 
     def sample(self, coordinates: Array) -> Samples:
         """Samples at coordinates."""
-        if self.missing is not None:
-            low, high = self.missing
-            if np.any((coordinates > low) & (coordinates < high)):
-                raise OrbitNotFoundError(f"no orbit between {low} and {high}")
         transitions = np.array([self.transition(s) for s in coordinates.tolist()])
         errors = self.error * np.cos(np.arange(transitions[0].size)).reshape(transitions[0].shape)
         transitions += self.bias * errors
