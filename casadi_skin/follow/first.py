@@ -108,18 +108,9 @@ def _turns(solution: Solution) -> bool:
 
 # Solving a stated boundary-value problem: a mesh that adapts until the estimated error meets the tolerance ------------
 
-FIRST_SOLUTION_OPTIONS = (
-    "tolerance",
-    "transcription",
-    "degree",
-    "corrector",
-    "intervals",
-    "flow",
-    "walker",
-    "time_limit",
-    "progress",
-)
 NOT_METHODS = ("tolerance", "time_limit", "progress")
+METHODS = ("transcription", "degree", "corrector", "intervals", "flow", "walker")
+FIRST_SOLUTION_OPTIONS = (NOT_METHODS[0], *METHODS, *NOT_METHODS[1:])
 RESOLUTIONS_TRIED = 6  # resolutions on which a first solution is sought
 GUESS_SAMPLES = 2001  # of a guess that is looked at for jumps
 QUICK_TRIES = 1  # the same by another way
@@ -137,7 +128,7 @@ def accuracy_of(options: Mapping[str, Any]) -> tuple[float, Method]:
     tolerance = number("tolerance", options.get("tolerance", 1e-8))
     if not low <= tolerance <= high:
         raise ValueError(f"tolerance: given {tolerance!r}; accepted: {low:g} to {high:g}")
-    return tolerance, boundary_method({k: v for k, v in options.items() if k not in NOT_METHODS and v is not None})
+    return tolerance, boundary_method({k: v for k, v in options.items() if k in METHODS and v is not None})
 
 
 def space_of(statement: Statement, guess: Guess, options: Mapping[str, Any]) -> BoundarySpace:

@@ -10,7 +10,6 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.follow.space import FAMILY
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import check_name, number, numbers, whole
 from casadi_skin.model.conserved import SymmetryClass
@@ -386,7 +385,7 @@ class Orbit(Solution):
 
     def __repr__(self) -> str:
         name = getattr(self.model, "name", None) or repr(self.model)
-        S = f"S = {self.S:.6g}, " if self._grown else ""
+        S = f"S = {self.S:.6g}, " if self.space.is_family else ""
         return f"<Orbit of {name}: {S}Omega = {self.Omega:.10g}, period = {self.period:.10g}; error {self.error:.1e}>"
 
     @property
@@ -397,7 +396,7 @@ class Orbit(Solution):
     @property
     def Omega(self) -> float:
         """Frequency."""
-        return self.point.Omega if self._grown else 2.0 * np.pi / self.period
+        return self.point.Omega if self.space.is_family else 2.0 * np.pi / self.period
 
     @property
     def period(self) -> float:
@@ -410,7 +409,7 @@ class Orbit(Solution):
     @property
     def Omega_error(self) -> float:
         """Estimated absolute error of Omega."""
-        return self.point.error.Omega if self._grown else self.parameter_error * self.Omega
+        return self.point.error.Omega if self.space.is_family else self.parameter_error * self.Omega
 
     @property
     def period_error(self) -> float:
@@ -419,7 +418,7 @@ class Orbit(Solution):
 
     @property
     def parameter_error(self) -> float:
-        if self._grown:
+        if self.space.is_family:
             return self.point.error.Omega / self.point.Omega
         return super().parameter_error
 
@@ -451,12 +450,12 @@ class Orbit(Solution):
     @cached_property
     def t(self) -> Array:
         """Times of the unknowns: of an orbit of a family those of the phases at which its equations are solved."""
-        return np.asarray(self.point.problem.phases() / self.Omega) if self._grown else super().t
+        return np.asarray(self.point.problem.phases() / self.Omega) if self.space.is_family else super().t
 
     @cached_property
     def states(self) -> Array:
         """States at `t`, shape (time, component); of an orbit of a family displacements at `output_sites`."""
-        return self.evaluate(self.t, self.output_sites) if self._grown else super().states
+        return self.evaluate(self.t, self.output_sites) if self.space.is_family else super().states
 
     # Shape ----------------------------------------------------------------------------------------------------------
 
@@ -479,9 +478,9 @@ class Orbit(Solution):
 
     def _at_phases(self, theta: Array, sites: ArrayLike | None = None) -> Array:
         numbers = site_numbers(sites)
-        if self._grown:
+        if self.space.is_family:
             return np.asarray(self._scale * self._family().positions(self.point, theta, numbers))
-        return np.asarray(self._boundary_space.states_at(self.point, theta, numbers))
+        return np.asarray(self.space.states_at(self.point, theta, numbers))
 
     @cached_property
     def _scale(self) -> float:
@@ -505,9 +504,9 @@ class Orbit(Solution):
         A model with a normalisation has the S of that in its place. Raises ValueError for an orbit of a model
         without positions.
         """
-        if self._grown:
+        if self.space.is_family:
             return self.value("S")
-        space = self._boundary_space
+        space = self.space
         positions = space.positions
         if not positions:
             raise NoQuantityError("S: an orbit of a model of first order has no amplitude of positions")
@@ -585,18 +584,12 @@ class Orbit(Solution):
     @cached_property
     def certificate(self) -> Any:
         """The proof that `certify` makes without options, kept."""
-        try:
-            return self.certify()
-        except ValueError as error:
-            raise NoQuantityError(str(error)) from error
+        return _proof(self.certify)
 
     @cached_property
     def proved_stability(self) -> Any:
         """The proof that `certify_stability` makes, kept."""
-        try:
-            return self.certify_stability()
-        except ValueError as error:
-            raise NoQuantityError(str(error)) from error
+        return _proof(self.certify_stability)
 
     # Stability ------------------------------------------------------------------------------------------------------
 
@@ -632,19 +625,17 @@ class Orbit(Solution):
         free = coordinates.free_motions
         return transient_growth(transition, acceleration, coordinates.log_scale, self.period, quarters, free)
 
-    @property
-    def _grown(self) -> bool:
-        """Whether the orbit is one of a family that grows from a linear mode."""
-        return bool(self.space.connects == FAMILY)
-
     def _family(self) -> Any:
-        if not self._grown:
+        if not self.space.is_family:
             raise NoQuantityError("this quantity is that of an orbit of a family that grows from a linear mode")
         return self.space
 
-    @property
-    def _boundary_space(self) -> Any:
-        return self.space
+
+def _proof(certify: Callable[[], Any]) -> Any:
+    try:
+        return certify()
+    except ValueError as error:
+        raise NoQuantityError(str(error)) from error
 
 
 # An orbit as a closed curve in the space of states, and the distance of a state from it -------------------------------
