@@ -30,9 +30,6 @@ NEARBY_DISTANCE = 0.3  # of the distance of neighbouring points: how far an orbi
 # Steps to the end of the branch, and how far it may be, of the distance of the last points.
 END_STEPS, NEAR_END = 2, 0.01
 PREDICTING_POINTS = 4  # points that an orbit is predicted from
-NEARER_FRACTION = 0.25  # of the way from a point to an orbit that is not found: where one is sought next
-NEAREST_FRACTION = 1e-4  # of that way, at least
-MOST_ADDED_ORBITS = 24  # orbits that are added for one that is not found, at most
 # Responses to rounding within a piece, one over another, beyond which the larger is looked at as well.
 UNEVEN_RESPONSES = 2.0
 ORBIT_SAFETY = 2.0
@@ -74,17 +71,6 @@ class _Section:
             found[here] = curve(places[here, None])
         found += np.multiply.outer((places - found @ self.row) / (self.row @ self.row), self.row)
         return found, self.places[right] - self.places[right - 1]
-
-    def neighbours(self, place: float) -> tuple[float, float]:
-        """The places of the points on either side."""
-        right = int(np.clip(np.searchsorted(self.places, place), 1, self.places.size - 1))
-        return float(self.places[right - 1]), float(self.places[right])
-
-    def denser(self, place: float, z: Array, slope: Array) -> _Section:
-        """The section with another orbit."""
-        i = int(np.searchsorted(self.places, place))
-        places = np.insert(self.places, i, place)
-        return replace(self, places=places, z=np.insert(self.z, i, z, 0), slopes=np.insert(self.slopes, i, slope, 0))
 
 
 class OrbitSampler:
@@ -292,24 +278,12 @@ class OrbitSampler:
         )
 
     def _by_itself(self, number: int, coordinate: float) -> SectionOrbit:
-        """The orbit at a coordinate of a section; where it is not found, orbits nearer to the points come first."""
-        place, share, added = float(self._sections[number].at(np.array(coordinate))), 1.0, 0
-        while True:
-            try:
-                return self._predicted_orbit(self._sections[number], place)
-            except OrbitNotFoundError:
-                share *= NEARER_FRACTION
-                if share < NEAREST_FRACTION or added >= MOST_ADDED_ORBITS:
-                    self._lost.append(coordinate)
-                    raise
-            before, after = self._sections[number].neighbours(place)
-            for target in (before + share * (place - before), after - share * (after - place)):
-                try:
-                    orbit = self._predicted_orbit(self._sections[number], target)
-                except OrbitNotFoundError:
-                    continue
-                self._sections[number] = self._sections[number].denser(target, orbit.z, orbit.along)
-                share, added = 1.0, added + 1
+        """The orbit at a coordinate of a section; raises OrbitNotFoundError where it is not near its prediction."""
+        try:
+            return self._predicted_orbit(self._sections[number], float(self._sections[number].at(np.array(coordinate))))
+        except OrbitNotFoundError:
+            self._lost.append(coordinate)
+            raise
 
     def _predicted_orbit(self, section: _Section, place: float) -> SectionOrbit:
         """The orbit at a place of a section near where its points predict it."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
@@ -192,20 +192,9 @@ def is_polynomial(coordinates: Coordinates) -> bool:
 
 
 def family_request(
-    model: FamilyModel,
-    mode: int | str,
-    amplitude_max: float,
-    *,
-    at: Sequence[float] = (),
-    at_Omega: Sequence[float] = (),
-    at_period: Sequence[float] = (),
-    period_max: float | None = None,
-    max_points: int | None = None,
-    tolerance: float = 1e-8,
-    parameters: Mapping[str, float] | None = None,
-    **method: Any,
-) -> FamilyRequest:
-    """A request from keywords as scripts write them; `method` are fields of `Method`. Raises as `FamilyRequest`."""
-    some = {} if max_points is None else {"max_points": max_points}
-    targets = Targets(at, at_Omega, at_period, period_max, **some)
-    return FamilyRequest(model, mode, amplitude_max, targets, tolerance, Method(**method), parameters)
+    model: FamilyModel, mode: int | str, amplitude_max: float, *, tolerance: float = 1e-8,
+    parameters: Mapping[str, float] | None = None, **more: Any,
+) -> FamilyRequest:  # fmt: skip
+    """A request from keywords as scripts write them: fields of `Targets` and of `Method`. Raises as `FamilyRequest`."""
+    targets = Targets(**{field.name: more.pop(field.name) for field in fields(Targets) if field.name in more})
+    return FamilyRequest(model, mode, amplitude_max, targets, tolerance, Method(**more), parameters)
