@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from outputs import EXAMPLES, read_rows
 from scipy.integrate import solve_ivp
 
 from casadi_skin.runs.program import main
-
-ROOT = Path(__file__).parents[2]
 
 # (g, mode, S): Omega and the largest |multiplier|, N = 24, alpha = 1, gamma = 0.25; computed independently.
 REFERENCE = {
@@ -26,8 +24,7 @@ REFERENCE = {
 
 
 def requested_points(directory: Path) -> dict[tuple[int, float], tuple[float, float]]:
-    with (directory / "family.csv").open(encoding="utf-8", newline="") as file:
-        table = [row for row in csv.DictReader(file) if row["requested"] == "1"]
+    table = [row for row in read_rows(directory / "family.csv") if row["requested"] == "1"]
     return {(int(r["mode"]), float(r["S"])): (float(r["Omega"]), float(r["max_abs_multiplier"])) for r in table}
 
 
@@ -45,7 +42,7 @@ def test_pictures_of_a_run_are_drawn(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("pictures")
 def test_softening_end_breather(tmp_path: Path) -> None:
-    assert main(["run", str(ROOT / "examples" / "softening_end_breather.toml"), "--out", str(tmp_path / "out")]) == 0
+    assert main(["run", str(EXAMPLES / "softening_end_breather.toml"), "--out", str(tmp_path / "out")]) == 0
     points = requested_points(tmp_path / "out")
     assert len(points) == 3
     for (mode, S), values in points.items():
@@ -56,7 +53,7 @@ def test_softening_end_breather(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "g"), [("hardening", 1.0), ("softening", -1.0)])
 def test_twelve_families_of_figure_3(name: str, g: float, tmp_path: Path) -> None:
     xarray = pytest.importorskip("xarray")
-    assert main(["run", str(ROOT / "examples" / f"families_{name}.toml"), "--out", str(tmp_path / "out")]) == 0
+    assert main(["run", str(EXAMPLES / f"families_{name}.toml"), "--out", str(tmp_path / "out")]) == 0
     points = requested_points(tmp_path / "out")
     assert len(points) == 24
     known = {(mode, S): values for (sign, mode, S), values in REFERENCE.items() if sign == g}
@@ -95,11 +92,7 @@ def test_lattices_of_ones_own(
 ) -> None:
     """Orbits at requested points come back to themselves in an integration of equations written anew."""
     xarray = pytest.importorskip("xarray")
-    text = (
-        (ROOT / "examples" / f"{name}.toml")
-        .read_text(encoding="utf-8")
-        .replace('"models/', f'"{ROOT}/examples/models/')
-    )
+    text = (EXAMPLES / f"{name}.toml").read_text(encoding="utf-8").replace('"models/', f'"{EXAMPLES}/models/')
     for old, new in FEWER.items() if fewer else ():
         text = text.replace(old, new)
     (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
@@ -116,7 +109,6 @@ def test_lattices_of_ones_own(
             allowed = 1e-7 * max(1.0, float(data.max_abs_multiplier[place]))
             np.testing.assert_allclose(flow.y[:, -1], [*y, *np.zeros(n)], atol=allowed)
     if name == "pendulum_chain":
-        with (tmp_path / "out" / "dynamics.csv").open(encoding="utf-8", newline="") as file:
-            table = [[float(value) for value in row.values()] for row in csv.DictReader(file)]
+        table = [[float(value) for value in row.values()] for row in read_rows(tmp_path / "out" / "dynamics.csv")]
         np.testing.assert_allclose(table[100], [table[100][0], *table[0][1:]], atol=1e-6)  # a period later
         assert np.ptp([row[1] for row in table]) < 1e-9

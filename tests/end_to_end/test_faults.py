@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import resource
 import shutil
@@ -14,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from apart import BLANK
+from apart import BLANK, Ended
+from outputs import read_rows as rows
 
 from casadi_skin.results.journal import Journal
 from casadi_skin.runs import run as writing
@@ -46,9 +46,7 @@ def scene(tmp_path: Path) -> Path:
 
 def run(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
     """casadi-skin with these words, in a process of its own; its pictures stay blank."""
-    code = (
-        f"{BLANK}from casadi_skin.runs.program import main\nraise SystemExit(main({[str(word) for word in words]!r}))"
-    )
+    code = f"{BLANK}from casadi_skin.runs.program import main\nraise SystemExit(main({[*map(str, words)]!r}))"
     streams: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | options
     folder = Path(__file__).parents[1]
     return subprocess.run([sys.executable, "-c", code], cwd=folder, text=True, check=False, timeout=60, **streams)
@@ -58,11 +56,6 @@ def one_line(told: str, words: str) -> None:
     assert words in told
     assert told.count("\n") == 1
     assert told.startswith("casadi-skin: ")
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
 
 
 # Streams ------------------------------------------------------------------------------------------------------------
@@ -203,18 +196,16 @@ def test_a_directory_that_is_removed_during_a_run_is_made_again_with_what_was_co
 @pytest.mark.parametrize("out", ["/proc/out", "/dev/null/out", "a" * 300, "b/" + "a" * 300])
 @pytest.mark.parametrize("command", ["run", "spectrum"])
 def test_a_directory_that_cannot_be_made_is_refused_before_anything_is_computed(
-    command: str, out: str, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+    command: str, out: str, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Callable[..., Ended]
+) -> None:
     if out.startswith("/") and not Path(out).parent.exists():
         pytest.skip(f"needs {Path(out).parent}")
     monkeypatch.chdir(tmp_path)
     started = time.monotonic()
-    assert main([command, str(scene), "--out", out]) == 2
+    done = cli(command, scene, "--out", out)
     assert time.monotonic() - started < 5.0
-    told = capsys.readouterr()
-    assert told.out == ""
-    one_line(told.err, out)
+    assert done.out == ""
+    one_line(done.line, out)
     assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
 
 

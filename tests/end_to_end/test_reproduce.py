@@ -10,7 +10,7 @@ import pytest
 from figures_families import sensitivity_figure
 from outputs import read_rows
 from paper_data import PaperData
-from reproduce import FIGURES, PaperReproduction
+from reproduce import FIGURES
 from reproduce import main as reproduce
 
 from casadi_skin import Chain
@@ -49,12 +49,8 @@ def test_pictures_are_the_same_bytes_again(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_sensitivity_figure_on_a_few_chains(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in (
-        ("SIZES", (8, 16, 24)),
-        ("SIZE_GAMMAS", (0.25, 0.7)),
-        ("GAMMAS", (0.2, 0.4)),
-        ("GAMMA_SIZES", (24,)),
-    ):
+    few = {"SIZES": (8, 16, 24), "SIZE_GAMMAS": (0.25, 0.7), "GAMMAS": (0.2, 0.4), "GAMMA_SIZES": (24,)}
+    for name, value in few.items():
         monkeypatch.setattr(paper_data, name, value)
     _, tables = sensitivity_figure(PaperData())
     rows = tables["fig4_size"][1]
@@ -86,13 +82,10 @@ def test_an_unknown_target_is_refused_in_one_line(
 ) -> None:
     assert reproduce(["fig1", given, "--out", str(tmp_path / "out")]) == 2
     told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.count("\n") == 1
+    assert (told.out, told.err.count("\n")) == ("", 1)
     assert repr(given) in told.err
     assert near in told.err
     assert not (tmp_path / "out").exists()
-    with pytest.raises(ValueError, match="targets"):
-        PaperReproduction(tmp_path / "out", [given])
 
 
 @pytest.mark.usefixtures("pictures")
@@ -102,10 +95,7 @@ def test_a_directory_that_holds_something_is_refused_unless_overwritten(
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
     assert reproduce(["fig1", "--out", str(tmp_path)]) == 2
     told = capsys.readouterr().err
-    assert "holds notes.txt" in told
-    assert "--overwrite" in told
-    assert "--resume" not in told
-    assert told.count("\n") == 1
+    assert told.endswith("holds notes.txt; accepted: an empty or new directory, or --overwrite\n")
     assert reproduce(["fig1", "--out", str(tmp_path), "--overwrite"]) == 0
     assert (tmp_path / "notes.txt").read_text(encoding="utf-8") == "mine"
     assert (tmp_path / "fig1.png").exists()
