@@ -96,16 +96,13 @@ class Dynamics(Task):
     def plan(self) -> Lines:
         """The orbit followed in time, and the method."""
         asked = self.asked
-        kicks = {"site": f"at site {asked.site}", "vector": "along a vector", "seed": f"at random, seed {asked.seed}"}
-        kicked = [words for name, words in kicks.items() if getattr(asked, name) is not None]
-        start = f", perturbed by {asked.size:g} {kicked[0]}" if kicked else ""
+        start = f", perturbed by {asked.size:g} {_direction(asked)}" if asked.size is not None else ""
         end = f"t = {asked.duration:g}" if asked.duration is not None else f"{asked.periods:g} periods"
         samples = f"{asked.samples} times" if asked.samples is not None else "20 times a period, 401 to 4001 in all"
         orbit = "the last orbit"
         if self.alone:
             what = "velocities" if asked.moving else "displacements"
-            how = f"in linear mode {asked.mode}" if asked.mode is not None else kicked[0]
-            orbit, start = f"{what} of {asked.size:g} {how}, from rest", ""
+            orbit, start = f"{what} of {asked.size:g} {_direction(asked)}, from rest", ""
         elif self.request.families:
             orbit = f"the orbit j = {asked.mode or self.request.families[0].mode}, S = {asked.S:g}"
         words = f"{orbit}{start}, to {end}; {samples}; {asked.method}, tolerance {asked.tolerance:g}"
@@ -221,9 +218,9 @@ def sample_times(dynamics: DynamicsTable, period: float) -> Array:
 def _origin_of(orbit: Orbit | None, dynamics: DynamicsTable) -> tuple[dict[str, float | str], str]:
     """Start of the motion: attributes, and words of a title."""
     if orbit is None:
-        what = "velocities" if dynamics.moving else "displacements"
-        start: dict[str, float | str] = {"start_size": dynamics.size or 0.0, "start": f"{what} {_direction(dynamics)}"}
-        return start, f"{what} of ${number(dynamics.size or 0.0)}$ {_direction(dynamics)}"
+        what, size = "velocities" if dynamics.moving else "displacements", dynamics.size or 0.0
+        start: dict[str, float | str] = {"start_size": size, "start": f"{what} {_direction(dynamics)}"}
+        return start, f"{what} of ${number(size)}$ {_direction(dynamics)}"
     start = {"orbit_Omega": orbit.Omega}
     space: Any = orbit.space
     if space.connects != FAMILY:
