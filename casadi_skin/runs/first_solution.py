@@ -57,12 +57,11 @@ def _orbit(request: Request, guess: Cycle, options: dict[str, Any]) -> Orbit:
         options = options | {"rotations": orbit.rotations}
     if model.forced:
         return find_orbit(model, guess, parameters=values, cycles=orbit.cycles, **options)
-    select, section = _vanishing(request.condition(orbit.select)), _vanishing(request.condition(orbit.section))
+    select, section = request.condition(orbit.select), request.condition(orbit.section)
     followed = request.scene.continuation
     if followed is not None and followed.parameter == SELECTED and SELECTED not in values:
-        expression, value = _known(request.condition(orbit.select))
-        values[SELECTED] = value
-        model, expression = with_selected(model, expression)
+        ((name, values[SELECTED]),) = (orbit.select or {}).items()
+        model, expression = with_selected(model, request.quantity(name))
         select = expression - model.parameters[-1]
     return find_orbit(
         model, guess, guess.period, parameters=values, select=select, section=section, symmetric=orbit.symmetric,
@@ -99,7 +98,7 @@ def cycle(request: Request) -> Cycle:
         reason = "perhaps it rests, or has not settled: another start, or a longer transient"
         raise ValueError(f"[orbit] start: {error} ({reason})") from error
     section = request.condition(orbit.section)
-    return found if section is None else _from_section(found, section[0] - section[1])
+    return found if section is None else _from_section(found, section)
 
 
 def turns_of(rotations: Mapping[str, int], model: OdeModel) -> tuple[int, ...]:
@@ -189,16 +188,6 @@ def with_selected(model: OdeModel, expression: Expression) -> tuple[OdeModel, Ex
     own |= {"rhs": rhs, "parameters": p, "outputs": outputs, "conserved": conserved, "symmetries": symmetries}
     own |= {"hamiltonian": energy.get(HAMILTONIAN), "normalisation": None, "nominal": None, "checked": False}
     return OdeModel(**own | {"parameter_labels": (*model.parameter_names, SELECTED)}), selected
-
-
-def _known(condition: tuple[Expression, float] | None) -> tuple[Expression, float]:
-    if condition is None:
-        raise ValueError("[orbit] select: missing; accepted: a table with one number")
-    return condition
-
-
-def _vanishing(condition: tuple[Expression, float] | None) -> Expression | None:
-    return None if condition is None else condition[0] - condition[1]
 
 
 def start_near_rest(request: Request) -> tuple[Array, Array | None]:

@@ -137,16 +137,15 @@ class Request:
         given = {name: value for name in names if (value := getattr(self.scene.method, name)) is not None}
         return {"tolerance": self.tolerance, **given}
 
-    def condition(self, given: Mapping[str, float] | None) -> tuple[Expression, float] | None:
-        """The expression named by a table with one number, and the number."""
-        if given is None:
-            return None
-        ((name, value),) = given.items()
-        model, names = self.ode, self.ode.state_names
-        if name in names:
-            return model.state[names.index(name)], value
-        named = {**model.outputs, **model.conserved, CONSERVED: model.hamiltonian}
-        return named[name], value
+    def quantity(self, name: str) -> Expression:
+        """A state, an output, or what is conserved, by name."""
+        model = self.ode
+        states = {state: model.state[i] for i, state in enumerate(model.state_names)}
+        return {**model.outputs, **model.conserved, CONSERVED: model.hamiltonian, **states}[name]
+
+    def condition(self, given: Mapping[str, float] | None) -> Expression | None:
+        """What vanishes where a quantity has its value, from a table with one number by its name."""
+        return next((self.quantity(name) - value for name, value in (given or {}).items()), None)
 
 
 def method_of(scene: Scene) -> Method:
