@@ -312,17 +312,10 @@ def _largest(owners: Indices, values: Array, places: Array, before: Array, where
 # Changes ------------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Edges:
-    """Changes of stability, further edges, and windows that are not decided, each in order along the branch."""
-
-    changes: tuple[StabilityEdge, ...]
-    further: tuple[StabilityEdge, ...]
-    windows: tuple[StableWindow, ...]
-
-
-def edges_of(groups: Sequence[Group], tongues: Sequence[Tongue], pieces: Sequence[Piece], power: int) -> Edges:
-    """Edges of decided tongues, distinguished by whether orbits on either side are stable."""
+def edges_of(
+    groups: Sequence[Group], tongues: Sequence[Tongue], pieces: Sequence[Piece], power: int
+) -> tuple[list[StabilityEdge], list[StableWindow]]:
+    """Edges of decided tongues, and windows that are not decided, each in order along the branch."""
     unions, windows = _unions(groups, tongues)
     rows = []  # edge, whether stable before, whether stable after, number of its group
     for union in unions:
@@ -334,16 +327,14 @@ def edges_of(groups: Sequence[Group], tongues: Sequence[Tongue], pieces: Sequenc
                 rows.append((edge, before, after, i))
     rows.sort(key=lambda row: row[0].coordinate)
     if not rows:
-        return Edges((), (), tuple(windows))
+        return [], windows
     at = places(pieces, np.array([row[0].coordinate for row in rows]), np.array([row[0].error for row in rows]))
     widths = [tongue.width for tongue in tongues]
     every = [
         StabilityEdge(place, edge.kind, edge.mu, edge.signatures, before, after, power, i, widths[i])
         for place, (edge, before, after, i) in zip(at, rows, strict=True)
     ]
-    made = _each_once(every)
-    changes = tuple(edge for edge in made if edge.stable_before != edge.stable_after)
-    return Edges(changes, tuple(edge for edge in made if edge.stable_before == edge.stable_after), tuple(windows))
+    return _each_once(every), windows
 
 
 def _each_once(edges: Sequence[StabilityEdge]) -> list[StabilityEdge]:

@@ -24,6 +24,7 @@ from casadi_skin.stability.tongues.blocks import (
     comes_apart,
 )
 from casadi_skin.stability.tongues.chebyshev import SERIES_DEGREE
+from casadi_skin.stability.tongues.diagram import signatures_of
 from casadi_skin.stability.tongues.interpolation import FAILURE_ERRORS, Gap, MatrixSeries, in_words
 from casadi_skin.stability.tongues.pairs import (
     Block,
@@ -406,15 +407,10 @@ def _finish_pairs(parts: Sequence[_Part]) -> None:
 
 def _spectra(batch: Sequence[Interval], matrices: Array, blocks: Blocks) -> Iterator[Spectrum]:
     """Spectra at the middles of intervals, from the matrices there."""
-    forms = np.zeros(blocks.mu.shape)
-    if matrices.shape[1] == 3:
-        forms = np.sum(blocks.vectors * (matrices[:, 1] @ blocks.vectors), axis=1).real
-    mu = blocks.mu
-    on_circle = (mu.imag == 0.0) & (mu.real > -1.0) & (mu.real < 0.0)
-    signatures = np.where(on_circle, -np.sign(forms), 0.0).astype(np.int64)
+    signatures = signatures_of(blocks.mu, blocks.vectors, matrices)
     for i, interval in enumerate(batch):
         half = 0.5 * (interval.end - interval.start)
-        yield Spectrum(interval.start + half, mu[i], blocks.rates[i].astype(complex) / half, signatures[i])
+        yield Spectrum(interval.start + half, blocks.mu[i], blocks.rates[i].astype(complex) / half, signatures[i])
 
 
 def are_definite(parts: Array) -> Booleans:

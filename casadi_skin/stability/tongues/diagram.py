@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,12 +129,6 @@ class Tongue:
     S_deepest: float
     decided: bool
 
-    def holds(self, coordinate: float) -> bool:
-        """Whether a coordinate lies inside, or at an end where it goes on."""
-        after_start = self.start.coordinate < coordinate or (self.open_start and self.start.coordinate == coordinate)
-        before_end = coordinate < self.end.coordinate or (self.open_end and self.end.coordinate == coordinate)
-        return after_start and before_end
-
     @property
     def width(self) -> float:
         """Length in S."""
@@ -165,7 +161,7 @@ class Passage:
 class StabilityDiagram(Result):
     """Every change of stability along a branch, and stability as a function of the coordinate along it.
 
-    `changes` are the changes between stable and unstable, in order along the branch; `further` the other edges, where
+    Of `all` edges in order along the branch `changes` are those between stable and unstable, `further` those where
     orbits are unstable on both sides. `tongues` are in order of their starts. Not counted are `undecided` tongues,
     which are shallower than errors, `windows` between tongues that are narrower than these, and `passages` of
     multipliers of one signature. `unresolved` lists the unresolved parts. `symplectic` is true where signatures exist;
@@ -174,8 +170,7 @@ class StabilityDiagram(Result):
     of orbits at the edge of an endless linear medium: it has changes alone, between which nothing is stored.
     """
 
-    changes: tuple[StabilityEdge, ...]
-    further: tuple[StabilityEdge, ...]
+    all: tuple[StabilityEdge, ...]
     unresolved: tuple[Unresolved, ...]
     samples: int
     tongues: tuple[Tongue, ...] = ()
@@ -198,10 +193,15 @@ class StabilityDiagram(Result):
         """Whether no stretch of the branch is unresolved."""
         return not self.unresolved
 
-    @property
-    def all(self) -> tuple[StabilityEdge, ...]:
-        """`changes` and `further` in order along the branch."""
-        return tuple(sorted((*self.changes, *self.further), key=lambda edge: edge.place.coordinate))
+    @cached_property
+    def changes(self) -> tuple[StabilityEdge, ...]:
+        """Edges between stable and unstable, in order along the branch."""
+        return tuple(edge for edge in self.all if edge.stable_before != edge.stable_after)
+
+    @cached_property
+    def further(self) -> tuple[StabilityEdge, ...]:
+        """The others."""
+        return tuple(edge for edge in self.all if edge.stable_before == edge.stable_after)
 
     @property
     def first_loss(self) -> StabilityEdge | None:
@@ -226,16 +226,16 @@ class StabilityDiagram(Result):
 
     def S(self, coordinates: Array) -> Array:
         """Amplitudes at coordinates, shape (points,)."""
-        result = np.empty(len(coordinates))
-        for piece, chosen in by_piece(self.pieces, coordinates):
-            result[chosen] = piece.S(coordinates[chosen])
-        return result
+        return self._values(coordinates, Piece.S)
 
     def Omega(self, coordinates: Array) -> Array:
         """Frequencies at coordinates, shape (points,)."""
+        return self._values(coordinates, Piece.Omega)
+
+    def _values(self, coordinates: Array, of_piece: Callable[[Piece, Array], Array]) -> Array:
         result = np.empty(len(coordinates))
         for piece, chosen in by_piece(self.pieces, coordinates):
-            result[chosen] = piece.Omega(coordinates[chosen])
+            result[chosen] = of_piece(piece, coordinates[chosen])
         return result
 
     def spectrum(self, coordinates: Array) -> tuple[ComplexArray, NDArray[np.int64]]:
@@ -248,10 +248,10 @@ class StabilityDiagram(Result):
 
     def is_stable(self, coordinate: float) -> bool:
         """Whether a coordinate lies in no tongue."""
-        return not any(tongue.holds(coordinate) for tongue in self.tongues)
+        return not self._inside(np.array([coordinate]))[0]
 
     def _inside(self, coordinates: Array) -> NDArray[np.bool_]:
-        """Whether coordinates lie in tongues, as `is_stable` for one."""
+        """Whether coordinates lie in tongues, or at an end where one goes on."""
         if not self.tongues:
             return np.zeros(len(coordinates), dtype=bool)
         ends = np.array([(t.start.coordinate, t.end.coordinate) for t in self.tongues])
@@ -305,12 +305,16 @@ def spectra(matrices: Array) -> tuple[ComplexArray, NDArray[np.int64]]:
     """
     mu, vectors = np.linalg.eig(matrices[:, 0])
     mu = np.asarray(mu, dtype=complex)
-    signatures = np.zeros(mu.shape, dtype=np.int64)
-    if matrices.shape[1] > 1:
-        forms = np.sum(vectors * (matrices[:, 1] @ vectors), axis=1).real
-        on_circle = (mu.imag == 0.0) & (mu.real > -1.0) & (mu.real < 0.0)
-        signatures[on_circle] = -np.sign(forms[on_circle]).astype(np.int64)
-    return mu, signatures
+    return mu, signatures_of(mu, vectors, matrices)
+
+
+def signatures_of(mu: ComplexArray, vectors: NDArray[Any], matrices: Array) -> NDArray[np.int64]:
+    """Those of mu with their vectors as columns, (points, m) and (points, m, m)."""
+    if matrices.shape[1] == 1:
+        return np.zeros(mu.shape, dtype=np.int64)
+    forms = np.sum(vectors * (matrices[:, 1] @ vectors), axis=1).real
+    on_circle = (mu.imag == 0.0) & (mu.real > -1.0) & (mu.real < 0.0)
+    return np.where(on_circle, -np.sign(forms), 0.0).astype(np.int64)
 
 
 def places(pieces: Sequence[Piece], coordinates: Array, errors: Array) -> list[Place]:

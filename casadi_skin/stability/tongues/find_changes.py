@@ -145,15 +145,14 @@ def find_changes(
     tracks = None if modes is None else _tracks(known, found, modes, branch.fraction)
     tongues = tongues_of(groups, known.pieces, power, tracks)
     decided = [i for i, tongue in enumerate(tongues) if tongue.decided]
-    edges = edges_of([groups[i] for i in decided], [tongues[i] for i in decided], known.pieces, power)
+    edges, windows = edges_of([groups[i] for i in decided], [tongues[i] for i in decided], known.pieces, power)
     return StabilityDiagram(
-        changes=edges.changes,
-        further=edges.further,
+        all=tuple(edges),
         unresolved=tuple(_unresolved(branch, known, found)),
         samples=known.samples,
         tongues=tuple(tongues[i] for i in decided),
         undecided=tuple(tongue for tongue in tongues if not tongue.decided),
-        windows=edges.windows,
+        windows=tuple(windows),
         passages=tuple(_passages(known, found)),
         symplectic=branch.symplectic,
         power=power,

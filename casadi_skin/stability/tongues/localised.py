@@ -421,18 +421,12 @@ def find_localised_changes(branch: EdgeBranch) -> StabilityDiagram:
             _across(search, before, after)
         except FAILURE_ERRORS as error:
             search.gaps.append((*missing, str(error)))
-    ordered = sorted(search.found, key=lambda change: change.place.coordinate)
+    ordered = tuple(sorted(search.found, key=lambda change: change.place.coordinate))
     unresolved = tuple(
         Unresolved(search.amplitude(start), search.amplitude(end), reason, coordinates=(start, end))
         for start, end, reason in search.gaps
     )
-    return StabilityDiagram(
-        tuple(change for change in ordered if change.stable_before != change.stable_after),
-        tuple(change for change in ordered if change.stable_before == change.stable_after),
-        unresolved,
-        len(search.known),
-        localised=True,
-    )
+    return StabilityDiagram(ordered, unresolved, len(search.known), localised=True)
 
 
 def _across(search: Search, before: _Stretch, after: _Stretch) -> None:
