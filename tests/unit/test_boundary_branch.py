@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from small_models import van_der_pol
 
 from casadi_skin import BoundaryValueProblem, Branch, Orbit, find_orbit
 from casadi_skin.follow.boundary_space import BoundarySpace
@@ -80,32 +81,16 @@ def test_a_branch_ends_where_it_is_told_to(cubic: Solution) -> None:
     assert seen == list(branch.values)
 
 
-def test_too_few_points_are_told(cubic: Solution) -> None:
+def test_a_branch_of_too_few_points_is_not_complete(cubic: Solution) -> None:
     branch = cubic.follow("a", 4.0, max_points=4)
     assert not branch.complete
     assert len(branch) <= 5
     assert branch.reason
 
 
-def test_a_branch_that_comes_back_says_so() -> None:
-    """Bratu's branch turns at 3.51 and comes back to where it started."""
-    u, v, lam = (ca.SX.sym(name) for name in ("u", "v", "lambda"))
-    model = OdeModel("Bratu", ca.vertcat(u, v), ca.vertcat(v, -lam * ca.exp(u)), lam)
-    first = BoundaryValueProblem(model, [model.start(u), model.end(u)], parameters={"lambda": 1.0}).solve([0.0, 0.0])
-    branch = first.follow("lambda", 4.0)
-    assert not branch.complete
-    assert "came back to the value" in branch.reason
-    assert len(branch.folds) == 1
-
-
-def test_followed_towards_smaller_values(cubic: Solution) -> None:
-    branch = cubic.follow("a", -5.0, at=[-4.5])
-    x = branch.at(-4.5).states[0, 0]
+def test_branches_follow_branches_towards_smaller_values_and_back(cubic: Solution) -> None:
+    x = cubic.follow("a", -5.0, at=[-4.5]).at(-4.5).states[0, 0]
     assert abs(x**3 - 3 * x + 4.5) < 1e-9
-
-
-@pytest.mark.slow
-def test_branches_follow_branches(cubic: Solution) -> None:
     middle = cubic.follow("a", -3.0).solutions[-1]
     assert middle.follow("a", 4.0).solutions[-1].states[0, 0] == pytest.approx(2.195823345445647, abs=1e-9)  # x^3-3x=4
 
@@ -137,12 +122,10 @@ def test_errors_hold_along_the_branch() -> None:
         assert solution.error <= 1e-8
 
 
-def van_der_pol() -> Orbit:
-    """The limit cycle at mu = 1."""
-    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
-    model = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu)
+def limit_cycle() -> Orbit:
+    """The limit cycle of van der Pol's oscillator at mu = 1."""
     guess = lambda t: [2 * np.cos(t), -2 * np.sin(t)]  # noqa: E731
-    return find_orbit(model, guess, 6.6, parameters={"mu": 1.0}, tolerance=1e-8, corrector="newton")
+    return find_orbit(van_der_pol(), guess, 6.6, parameters={"mu": 1.0}, tolerance=1e-8, corrector="newton")
 
 
 @pytest.mark.slow
@@ -183,7 +166,7 @@ def test_values_next_to_a_fold_are_found_after_a_break(count: int, cubic: Soluti
 @pytest.mark.parametrize("kind", [pytest.param("solutions", marks=pytest.mark.slow), "orbits"])
 def test_a_branch_read_from_its_journal_goes_on_as_if_not_broken_off(kind: str, cubic: Solution) -> None:
     """Folds, values asked for and multipliers among it."""
-    first, name, to, at = (cubic, "a", 4.0, [0.0]) if kind == "solutions" else (van_der_pol(), "mu", 1.6, [1.3])
+    first, name, to, at = (cubic, "a", 4.0, [0.0]) if kind == "solutions" else (limit_cycle(), "mu", 1.6, [1.3])
     stability = kind == "orbits"
 
     def space() -> BoundarySpace:
@@ -212,7 +195,7 @@ def test_a_branch_read_from_its_journal_goes_on_as_if_not_broken_off(kind: str, 
 
 
 def test_orbits_at_a_period_of_a_branch() -> None:
-    branch = van_der_pol().follow("mu", 2.0)
+    branch = limit_cycle().follow("mu", 2.0)
     by_period = branch.at(period=7.0)
     assert by_period.period == 7.0
     assert by_period.parameters["mu"] == pytest.approx(branch.at(Omega=2 * np.pi / 7.0).parameters["mu"], rel=1e-9)

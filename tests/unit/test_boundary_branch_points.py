@@ -62,6 +62,8 @@ def test_no_branch_point_is_seen_where_there_is_a_fold_alone() -> None:
     branch = problem.solve([0.0, 0.0]).follow("lam", 4.0)
     assert [point.kind for point in branch.special_points] == ["fold"]
     assert branch.special_points[0].parameters["lam"] == pytest.approx(3.513830719125, abs=1e-11)
+    assert not branch.complete  # it turns there
+    assert "came back to the value" in branch.reason
 
 
 @pytest.mark.slow

@@ -259,24 +259,6 @@ def test_the_amplitude_of_a_forced_orbit_by_harmonic_balance() -> None:
     np.testing.assert_allclose(orbit.evaluate(t)[:, 0], c @ basis, atol=1e-9)
 
 
-@pytest.mark.parametrize("cycles", [1, 2, 3])
-def test_a_linear_forced_oscillator_has_the_multipliers_of_its_matrix(cycles: int) -> None:
-    q, v, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("t")
-    matrix = np.array([[0.0, 1.0], [-2.0, -0.3]])
-    model = OdeModel("linear", ca.vertcat(q, v), matrix @ ca.vertcat(q, v) + ca.vertcat(0, ca.sin(3 * t)), time=t,
-                     forcing_period=2 * np.pi / 3)  # fmt: skip
-    orbit = find_orbit(model, [0.0, 0.0], cycles=cycles, tolerance=1e-11)
-    assert orbit.period == pytest.approx(2 * np.pi / 3 * cycles, rel=1e-15)
-    exact = np.sort_complex(np.exp(np.linalg.eigvals(matrix) * orbit.period))
-    np.testing.assert_allclose(np.sort_complex(orbit.floquet().multipliers), exact, atol=1e-10)
-    response = (1j * 3 * np.eye(2) - matrix) @ np.array([0, 0]) if cycles == 0 else np.linalg.solve(
-        3j * np.eye(2) - matrix, np.array([0.0, 1.0])
-    )  # fmt: skip
-    at = np.linspace(0, orbit.period, 7)
-    exact_q = np.imag(response[0] * np.exp(3j * at))
-    np.testing.assert_allclose(orbit.evaluate(at)[:, 0], exact_q, atol=1e-10)
-
-
 # Conservative and reversible ------------------------------------------------------------------------------------------
 
 
