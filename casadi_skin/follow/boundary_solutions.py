@@ -28,6 +28,7 @@ from casadi_skin.stability.full_period import FULL_PERIOD_FLOWS, Closed, Returne
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
 from casadi_skin.zero import mesh
+from casadi_skin.zero.augmented import Singularity, SingularProblem
 from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.closure import Closure, closure_of
 from casadi_skin.zero.family import TWO_PI, Method, numbered
@@ -70,6 +71,7 @@ class BoundarySolutions(ParameterSpace):
         sizes: least sizes by which states and free parameters are measured.
         periodic: conditions that make the solutions orbits; None where they are none.
         left: the orbits that it left there, where it may come back to them.
+        singularity: of special solutions alone, what makes them special.
     """
 
     statement: Statement
@@ -78,7 +80,7 @@ class BoundarySolutions(ParameterSpace):
     sizes: Sizes
     periodic: Periodic | None = None
     left: ParentBranch | None = None
-    problem_class: ClassVar[type[BoundaryProblem]] = BoundaryProblem
+    singularity: Singularity | None = None
     error: ClassVar[type[ArithmeticError]] = BoundaryError
 
     @property
@@ -100,8 +102,12 @@ class BoundarySolutions(ParameterSpace):
         return self.statement.free
 
     def _corrector(self, problem: Problem) -> Corrector:
-        """The corrector, for a hundredth of the tolerance where rounding allows it; every orbit is put to Ipopt."""
-        tolerance = float(np.clip(1e-2 * self.tolerance, 1e-12, 1e-6))
+        """The corrector, for a hundredth of the tolerance where rounding allows it; every orbit is put to Ipopt.
+
+        Special solutions are solved further: their null vectors, of which points of codimension two are made, are not.
+        """
+        part = 1e-2 if self.singularity is None else 1e-3
+        tolerance = float(np.clip(part * self.tolerance, 1e-12, 1e-6))
         name = self.method.corrector
         make = CORRECTORS[name]
         if name == "ipopt":
@@ -111,15 +117,17 @@ class BoundarySolutions(ParameterSpace):
     @cached_property
     def levels(self) -> Levels:
         """Discretisations from coarse to fine; the scalar u is held, or follows the parameter."""
-        walking = self.parameter or None
-        formulation = self.statement.formulation(walking)
+        walking, special = self.parameter or None, self.singularity
+        if special is None:
+            formulation = self.statement.formulation(walking)
+        else:
+            formulation = special.formulation(self.statement, walking)
         table = TABLES[str(self.method.transcription)](self.method.degree)
         sizes = self.sizes
 
         def build(intervals: int) -> Problem:
-            return self.problem_class(
-                self.statement, formulation, intervals, table, sizes.states, sizes.scalars, walking, self.to
-            )
+            given = self.statement, formulation, intervals, table, sizes.states, sizes.scalars, walking, self.to
+            return BoundaryProblem(*given) if special is None else SingularProblem(special, *given)
 
         return Levels(
             build, self._corrector, tuple(sorted({*MESH_INTERVALS, int(self.method.intervals or FIRST_INTERVALS)}))

@@ -27,7 +27,8 @@ from casadi_skin.follow.branch_points import double_between, interpolated
 from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.location import jacobian_of
 from casadi_skin.follow.normal_forms import (
-    branching_equation,
+    NullVectors,
+    branching_terms,
     critical_functions,
     quadratic_term,
     second_singular,
@@ -496,8 +497,8 @@ class OrbitCurveSearch(CurveSearch):
                 return float(found)
         linear = space.linearised(point)
         angle = float(np.arccos(np.clip(space.kappa(point), -1.0, 1.0))) if self.kind == TORUS else 0.0
-        assert space.critical is not None
-        turn = space.critical.turn if space.critical.turn.size else None
+        assert space.singularity is not None
+        turn = space.singularity.turn
         value = float(
             np.sum(terms_of(self.kind, linear, angle, *critical_functions(self.kind, linear, angle, turn), turn))
         )
@@ -505,7 +506,11 @@ class OrbitCurveSearch(CurveSearch):
         return value
 
     def branching_terms(self, point: Point) -> tuple[Array, Array]:
-        return branching_equation(self.space, point).terms
+        return branching_terms(self.space, point, self._null_vectors)
+
+    @cached_property
+    def _null_vectors(self) -> NullVectors:
+        return NullVectors(self.space.linearised(self.ends[0]))
 
     def symmetric_ratio(self, point: Point) -> float:
         return max(SYMMETRIC_TERM_RATIO, 100.0 * point.error.profile)

@@ -5,8 +5,8 @@ A special point located to rounding, by Newton's method on the extended system o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -15,15 +15,12 @@ from casadi_skin.follow.equilibrium_equations import EquilibriumEquations, corre
 from casadi_skin.solve.levels import ExactLevels
 from casadi_skin.zero.augmented import (
     BranchSystem,
-    Critical,
     ExtendedSystem,
     FoldSystem,
     HopfSystem,
-    component_sizes,
-    critical_plane,
-    normal_of,
-    seen_push,
-    started,
+    Singularity,
+    SingularProblem,
+    singularity_of,
 )
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, TORUS
 from casadi_skin.zero.orbit import Sizes
@@ -31,6 +28,7 @@ from casadi_skin.zero.problem import EPSILON, Array, Scalar, SingularError
 from casadi_skin.zero.rest_problem import AlgebraicProblem
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import stated
+from casadi_skin.zero.statement import Statement
 from casadi_skin.zero.statics import balanced
 
 # A special point located to rounding, by Newton's method on the extended system of which it is a regular solution -----
@@ -127,7 +125,7 @@ def jacobian_of(problem: AlgebraicProblem, z: Array) -> Array:
 
 
 NEAR_STEP_FRACTION = 0.5  # of the longest step: how far from its approximate place a special orbit may be
-PUSH_RTOL = 1e-7  # of the null vector: a push of the field that is none
+PUSH_RTOL = 1e-7  # of the terms of the equations: a push of the field that is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,125 +133,92 @@ class LocatedOrbit:
     """A special orbit.
 
     Attributes:
-        critical: the extended system that it solves.
-        point: its unknowns, those of the linearisation among them.
-        value: of the parameter that was found with it.
-        error: estimated absolute error of that.
+        singularity: what makes it special.
+        point: its unknowns, the parameter that was found with it among them.
+        value: of that parameter.
+        error: estimated absolute error of it.
     """
 
-    critical: Critical
+    singularity: Singularity
     point: Point
     value: float
     error: float
 
 
-def extended_space(
-    critical: Critical,
-    old: BoundarySolutions,
-    values: Mapping[str, float],
+def special_solutions(
+    singularity: Singularity,
+    orbits: BoundarySolutions,
+    statement: Statement,
     unit: float,
     parameter: str = "",
     to: float = 1.0,
 ) -> BoundarySolutions:
-    """The space of solutions of an extended problem, at values of the parameters that are held."""
-    statement = critical.statement()
-    statement = replace(statement, parameters={**statement.parameters, **values})
-    states = np.concatenate(
-        [old.sizes.states, *[1e-3 * critical.sizes] * (len(statement.model.state_names) // critical.states - 1)]
+    """The space of special solutions of a statement; `unit` is a usual change of the parameter found with them."""
+    scalars = np.concatenate([orbits.sizes.scalars, [unit], np.ones(singularity.added)])
+    method = replace(orbits.method, corrector="newton")
+    sizes = Sizes(orbits.sizes.states, scalars)
+    return BoundarySolutions(
+        statement, orbits.tolerance, method, sizes, parameter=parameter, to=to, singularity=singularity
     )
-    scalars = np.concatenate([old.sizes.scalars, [unit], np.ones(len(critical.added))])
-    method = replace(old.method, corrector="newton")
-    return BoundarySolutions(statement, old.tolerance, method, Sizes(states, scalars), parameter=parameter, to=to)
 
 
-def critical_of(kind: str, space: BoundarySolutions, point: Point, angle: float, first: str) -> Critical:
-    """Equations of a critical orbit beside those of any orbit, linearised at an orbit near it."""
-    problem = stated(point.problem)
-    values = point.z[: problem.states].reshape(problem.columns, -1)
-    sizes = component_sizes(values)
-    normal, turn = np.zeros(values.shape[1]), np.zeros((0, 0))
-    if kind in (DOUBLING, TORUS) and space.closure is not None:
-        turn = space.closure.matrix
-    autonomous = kind == TORUS and space.moves_freely(point)
-    if kind == TORUS:
-        normal = normal_of(critical_plane(problem, point.z, angle, sizes, turn, autonomous)[2], sizes)
-    push, push_ends = np.zeros((0, 0)), np.zeros(0)
-    if kind == BRANCH_POINT:
-        push, push_ends = seen_push(problem, point.z, space.statement, sizes)
-    return Critical(kind, space.statement, first, sizes, normal, turn, autonomous, push, push_ends)
-
-
-def locate(space: BoundarySolutions, kind: str, point: Point, angle: float = np.pi) -> LocatedOrbit | None:
+def locate(space: BoundarySolutions, kind: str, near: Point, angle: float = np.pi) -> LocatedOrbit | None:
     """The special orbit of a kind near an orbit of a branch; None where Newton's method finds none there.
 
     `angle` is that of the multipliers of a torus.
     """
     if kind not in (FOLD, DOUBLING, TORUS, BRANCH_POINT):
         return None
-    unit = abs(space.to - space.statement.values[space.parameter])
     try:
-        critical = critical_of(kind, space, point, angle, space.parameter)
-        return solved(space, critical, point, unit, angle)
-    except (ArithmeticError, RuntimeError, NotImplementedError):  # a black box has no second derivatives
+        return _located(space, kind, near, angle)
+    except (ArithmeticError, RuntimeError):  # the linearised equations are singular in another way
         return None
 
 
-def solved(
-    space: BoundarySolutions, critical: Critical, point: Point, unit: float, angle: float = np.pi
-) -> LocatedOrbit | None:
-    """The solution of an extended problem near an orbit; `unit` is a usual change of the parameter found with it."""
-    value, problem = space.parameters(point)[critical.first], stated(point.problem)
-    extended = extended_space(critical, space, {critical.first: value}, unit)
-    finer = extended.levels.problem(problem.resolution).with_constants(problem.constants)
-    z, row = started(critical, problem, point.z, value, angle), finer.parameter_row()
-    correction = extended.levels.corrector(finer).correct(z, row, 0.0)
-    if not correction.converged:
+def _located(space: BoundarySolutions, kind: str, near: Point, angle: float) -> LocatedOrbit | None:
+    value, problem, first = space.parameters(near)[space.parameter], stated(near.problem), space.parameter
+    turn = np.zeros((0, 0)) if space.closure is None else space.closure.matrix
+    autonomous = kind == TORUS and space.moves_freely(near)
+    singularity = singularity_of(kind, problem, near.z, first, angle, turn, autonomous)
+    unit = abs(space.to - space.statement.values[first])
+    special = special_solutions(singularity, space, space.statement.with_parameters(**{first: value}), unit)
+    own = cast(SingularProblem, special.levels.problem(problem.resolution).with_constants(problem.constants))
+    if own.rests(near.z):
+        own = cast(SingularProblem, special.levels.finer(own) or own)
+    added = [np.cos(angle)] if kind == TORUS else [0.0] * singularity.added
+    z, row = np.concatenate([problem.prolong(near.z, own)[:-1], [value], added, [0.0]]), own.parameter_row()
+    correction = special.levels.corrector(own).correct(z, row, 0.0)
+    found = special.point_solver.refined(own, correction, row, Scalar.PARAMETER) if correction.converged else None
+    if found is None or (kind == BRANCH_POINT and abs(float(found.z[-2])) > PUSH_RTOL):
         return None
-    found = extended.point_solver.refined(finer, correction, row, Scalar.PARAMETER)
-    if found is None:
-        return None
-    if critical.kind == BRANCH_POINT and abs(float(found.z[-2])) > PUSH_RTOL:
-        return None
-    index = found.problem.states + len(space.statement.free)
-    return LocatedOrbit(critical, found, float(found.z[index]), _error(extended, found, index))
-
-
-def _error(space: BoundarySolutions, point: Point, index: int) -> float:
-    """Estimated error of one of the unknown scalars: the difference to a finer level, rounding, and its last digit."""
-    problem, better = point.problem, point.better
+    problem, better, index = stated(found.problem), found.better, len(space.statement.free)
     assert better is not None
-    value = float(point.z[index])
+    residual, rounding = problem.evaluate(found.z)[0], problem.rounding(found.z) * problem.probe
+    solve = special.point_solver.factor(problem, found.z, problem.parameter_row())
+    step, noise = (solve(np.append(b, 0.0)) for b in (residual, rounding))
+    z, index = found.z - step, problem.states + index
+    value = float(z[index])
     apart = abs(float(better.z[better.problem.states + index - problem.states]) - value)
-    solve = space.point_solver.factor(problem, point.z, problem.parameter_row())
-    noise = solve(np.append(problem.rounding(point.z) * problem.probe, 0.0))
-    return 2.0 * apart + abs(float(noise[index])) + EPSILON * abs(value)
-
-
-def point_of(located: LocatedOrbit, space: BoundarySolutions, near: Point, kind: str) -> Point:
-    """A special orbit as a point of a branch, with the tangent of one near it."""
-    extended, count = located.point, len(space.statement.free)
-    problem = space.levels.problem(extended.problem.resolution).with_constants(extended.problem.constants)
-    states = extended.z[: extended.problem.states].reshape(
-        -1, extended.problem.states // problem.states * located.critical.states
-    )
-    free = extended.z[extended.problem.states :][:count]
-    start = space.statement.values[space.parameter]
-    u = (located.value - start) / (space.to - start)
-    z = np.concatenate([states[:, : located.critical.states].ravel(), free, [u]])
-    error = replace(extended.error, parameter=located.error / abs(space.to - start) / problem.parameter_size(z))
-    tangent = near.problem.prolong(near.tangent, problem)
-    return replace(
-        near, problem=problem, z=z, tangent=tangent, error=error, better=None, special=kind, walked=False,
-        requested=False, at_round_off=extended.at_round_off,
-    )  # fmt: skip
+    error = 2.0 * apart + abs(float(noise[index])) + EPSILON * max(abs(value), unit)
+    return LocatedOrbit(singularity, replace(found, z=z), value, error)
 
 
 def special_orbit(space: BoundarySolutions, kind: str, near: Point, angle: float = np.pi) -> Point | None:
-    """The special orbit of a kind near an orbit of a branch as a point of it; None where none is found."""
+    """The special orbit of a kind near an orbit of a branch as a point of it, with the tangent of that orbit.
+
+    None where none is found.
+    """
     located = locate(space, kind, near, angle)
     if located is None:
         return None
-    found = point_of(located, space, near, kind)
-    there = near.problem.prolong(near.z, found.problem)
-    apart = float(np.sqrt(np.sum(space.point_solver.metric(found.problem, there) * (found.z - there) ** 2)))
-    return found if apart <= NEAR_STEP_FRACTION * space.point_solver.settings.max_step else None
+    special, start = located.point, space.statement.values[space.parameter]
+    problem = space.levels.problem(special.problem.resolution).with_constants(special.problem.constants)
+    z = np.append(special.z[: problem.size - 1], (located.value - start) / (space.to - start))
+    error = located.error / abs(space.to - start) / problem.parameter_size(z)
+    there, tangent = (near.problem.prolong(v, problem) for v in (near.z, near.tangent))
+    if space.point_solver.distance(problem, there, z) > NEAR_STEP_FRACTION * space.point_solver.settings.max_step:
+        return None
+    return replace(
+        near, problem=problem, z=z, tangent=tangent, error=replace(special.error, parameter=error), better=None,
+        special=kind, walked=False, requested=False, at_round_off=special.at_round_off,
+    )  # fmt: skip

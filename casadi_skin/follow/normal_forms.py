@@ -23,11 +23,12 @@ from casadi_skin.follow.space import Followed
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.closure import Closure
 from casadi_skin.zero.kinds import DOUBLING, FOLD, TORUS
-from casadi_skin.zero.linearised import Linearised, Vector, full_derivative, null_vectors
+from casadi_skin.zero.linearised import Linearised, Vector, null_vectors
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import BoundaryProblem
 
+PLACES_ALONG_SOLUTION = 65  # at which null vectors are compared
 UNKNOWN_DERIVATIVES_WORDS = "unknown: the model has no higher derivatives"
 
 
@@ -136,8 +137,9 @@ def quadratic_term(space: Followed, beside: Point) -> Callable[[Point], float]:
     def term(point: Point) -> float:
         psi, normal = _normal(space, point)
         linear = space.linearised(point)
-        v = linear.joined_vector
-        return float(0.5 * np.copysign(1.0, normal @ reference) * (psi @ full_derivative(linear, v, v)))
+        v = linear.null_vectors[0]
+        v = v / np.sqrt(v[: linear.states] @ v[: linear.states] / linear.problem.columns)
+        return float(0.5 * np.copysign(1.0, normal @ reference) * (psi @ linear.full_derivative(v, v)))
 
     return term
 
@@ -145,7 +147,7 @@ def quadratic_term(space: Followed, beside: Point) -> Callable[[Point], float]:
 def _normal(space: Followed, point: Point) -> tuple[Array, Array]:
     """The left null vector of norm 1, and its products with the derivatives by both parameters."""
     linear = space.linearised(point)
-    psi = np.asarray(null_vectors(linear.jacobian)[1])
+    psi = linear.null_vectors[1]
     return psi, np.array([psi @ linear.by_scalar(len(linear.statement.free)), psi @ linear.by_scalar(-1)])
 
 
@@ -153,37 +155,53 @@ def _normal(space: Followed, point: Point) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class BranchingEquation:
-    """Its coefficients at a solution of the extended equations of branch points, which is linearised there."""
+class NullVectors:
+    """Those at a branch point: v, with mean square 1 along the solution, and psi.
+
+    Signs are those of a `reference` at another point of the curve: of v by its values, of psi by what it sees of v.
+    """
 
     linear: Linearised
+    reference: NullVectors | None = None
 
     @cached_property
-    def terms(self) -> tuple[Array, Array]:
-        """The terms of a and c; these are zero but for rounding where a symmetry makes them so."""
-        from scipy.sparse import bmat, csc_matrix
-        from scipy.sparse.linalg import splu
+    def v(self) -> Array:
+        v, states = self.linear.null_vectors[0], self.linear.states
+        v = v / np.sqrt(v[:states] @ v[:states] / self.linear.problem.columns)
+        return v if self.reference is None else v * np.sign(np.sum(self._values(v) * self.reference._values()))
 
-        matrix, v = self.linear.jacobian, self.linear.joined_vector
-        psi = np.asarray(null_vectors(matrix)[1])
-        twice, thrice = full_derivative(self.linear, v, v), full_derivative(self.linear, v, v, v)
-        closed = bmat([[matrix, csc_matrix(psi[:, None])], [csc_matrix(v[None, :]), None]]).tocsc()
-        bent = np.asarray(splu(closed).solve(np.append(-twice, 0.0))[:-1])
-        over = psi @ self.linear.by_scalar(-2)  # by the push
-        cubic = [*(psi * thrice / 6.0), *(0.5 * psi * full_derivative(self.linear, v, bent))]
-        return 0.5 * psi * twice / over, np.array(cubic) / over
+    def _values(self, v: Array | None = None) -> Array:
+        problem, v = self.linear.problem, self.v if v is None else v
+        return np.append(problem.sample(v, np.linspace(0.0, 1.0, PLACES_ALONG_SOLUTION)), v[self.linear.states :])
+
+    @cached_property
+    def seen(self) -> Array:
+        """Means of products of components, and products of conditions with the ends of v."""
+        psi, (n, inner) = self.linear.null_vectors[1], (self.linear.components, self.linear.inner)
+        ends = np.concatenate([self.v[:n], self.v[inner:]])
+        return np.concatenate([self.linear.products(psi, self.v).ravel(), np.outer(psi[inner:], ends).ravel()])
 
 
-def branching_equation(space: Followed, point: Point) -> BranchingEquation:
-    """The equation at a point of a curve of branch points."""
-    return BranchingEquation(space.linearised(point))
+def branching_terms(space: Followed, point: Point, reference: NullVectors) -> tuple[Array, Array]:
+    """The terms of a and c at a point of a curve; these are zero but for rounding where a symmetry makes them so."""
+    from scipy.sparse import bmat, csc_matrix
+    from scipy.sparse.linalg import splu
+
+    linear = space.linearised(point)
+    own = NullVectors(linear, reference)
+    matrix, v, psi = linear.jacobian, own.v, linear.null_vectors[1]
+    twice, thrice = linear.full_derivative(v, v), linear.full_derivative(v, v, v)
+    closed = bmat([[matrix, csc_matrix(psi[:, None])], [csc_matrix(v[None, :]), None]]).tocsc()
+    bent = np.asarray(splu(closed).solve(np.append(-twice, 0.0))[:-1])
+    over = own.seen @ reference.seen
+    cubic = [*(psi * thrice / 6.0), *(0.5 * psi * linear.full_derivative(v, bent))]
+    return 0.5 * psi * twice / over, np.array(cubic) / over
 
 
 def second_singular(space: Followed, point: Point) -> float:
     """The smallest singular value of the Jacobian bordered by its null vectors."""
     from scipy.sparse import bmat, csc_matrix
 
-    matrix = space.linearised(point).jacobian
-    right, left = null_vectors(matrix)
+    matrix, (right, left) = space.linearised(point).jacobian, space.linearised(point).null_vectors
     closed = bmat([[matrix, csc_matrix(left[:, None])], [csc_matrix(right[None, :]), None]]).tocsc()
     return float(np.linalg.norm(closed @ null_vectors(closed)[0]))

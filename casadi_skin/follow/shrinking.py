@@ -52,11 +52,11 @@ def _states(space: Followed, point: Point) -> Array:
 def _hopf_near(space: Followed, orbit: Point) -> SpecialPoint | None:
     """The Hopf point near an orbit of small amplitude, in the first parameter, from its mean and its period."""
     model, values = space.model, space.parameters(orbit)
-    assert space.critical is not None
-    name, period = space.critical.first, space.interval(orbit)[1]
+    assert space.singularity is not None
+    name, period = space.singularity.first, space.interval(orbit)[1]
     x = _states(space, orbit).mean(axis=0)
     statics = Statics(model, {key: values[key] for key in model.parameter_names})
-    unit = float(space.sizes.scalars[len(space.critical.orbit.free)])
+    unit = float(space.sizes.scalars[len(space.statement.free)])
     equilibria = EquilibriumSpace(statics, 1e-10, "newton", sizes_of([x]), parameter=name, to=values[name] + unit)
     found = locate_rest(equilibria, HOPF, x / equilibria.sizes, 0.0, 2j * np.pi / period)
     if found is None:
@@ -71,12 +71,9 @@ def _hopf_near(space: Followed, orbit: Point) -> SpecialPoint | None:
 
 def _as_orbit(space: Followed, orbit: Point, end: SpecialPoint) -> Point:
     """The end as an orbit of amplitude zero of the curve."""
-    problem = stated(orbit.problem)
-    assert space.critical is not None
-    n, z = space.critical.states, orbit.z.copy()
-    states = z[: problem.states].reshape(problem.columns, -1)
-    states[:, :n] = end.solution.evaluate(0.0)
-    for place, name in enumerate(space.statement.free, start=problem.states):
+    problem, z = stated(orbit.problem), orbit.z.copy()
+    z[: problem.states].reshape(problem.columns, -1)[:] = end.solution.evaluate(0.0)
+    for place, name in enumerate(problem.statement.free, start=problem.states):
         if name == PERIOD:
             values = end.solution.eigenvalues
             known = 2.0j * np.pi / z[place]

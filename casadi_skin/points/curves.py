@@ -15,7 +15,7 @@ from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.branch_run import Following, run_following
 from casadi_skin.follow.codimension_two import ORBIT_CURVES, OrbitCurveSearch, special_on_curve
-from casadi_skin.follow.location import LocatedOrbit, extended_space, locate
+from casadi_skin.follow.location import LocatedOrbit, locate, special_solutions
 from casadi_skin.follow.normal_forms import on_circle
 from casadi_skin.follow.shrinking import shrunk
 from casadi_skin.follow.solution import Solution, following_settings
@@ -25,7 +25,7 @@ from casadi_skin.model.arguments import check_name
 from casadi_skin.points.edges import CrossingWalk, EdgeCurve, EdgeWalk, edge_curve, parameters_of
 from casadi_skin.points.lost_symmetry import turns_of
 from casadi_skin.stability.result import Floquet
-from casadi_skin.zero.augmented import KAPPA, PUSH, Critical, CriticalProblem
+from casadi_skin.zero.augmented import SingularProblem
 from casadi_skin.zero.closure import Closure
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS, Unresolved
 from casadi_skin.zero.linearised import Linearised
@@ -43,17 +43,14 @@ class OrbitCurveSpace(BoundarySpace):
 
     Attributes:
         kind: "fold", "period doubling", "torus" or "branch point".
-        critical: the extended problem that they solve.
         orbits: the space of the branch on which the first was found.
         repeats: whether solutions of a stated problem go on after its interval as they close, so that they have normal
             forms.
     """
 
     kind: str = FOLD
-    critical: Critical | None = None
     orbits: BoundarySpace | None = None
     repeats: bool = False
-    problem_class = CriticalProblem
 
     @property
     def stability_included(self) -> bool:
@@ -66,33 +63,18 @@ class OrbitCurveSpace(BoundarySpace):
         return self.orbits.closure if self.repeats and self.orbits is not None else None
 
     @property
-    def _critical(self) -> Critical:
-        assert self.critical is not None
-        return self.critical
-
-    @property
     def free(self) -> tuple[str, ...]:
         """The parameter that is solved for with the orbit, and those that every orbit has free."""
-        return (self._critical.first, *self._critical.orbit.free)
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        return self._critical.orbit.model.state_names
-
-    def parameters(self, point: Point) -> dict[str, float]:
-        known, names = super().parameters(point), self._critical.orbit.model.parameter_names
-        return {name: known[name] for name in names}
+        assert self.singularity is not None
+        return (self.singularity.first, *self.statement.free)
 
     def kappa(self, point: Point) -> float:
         """The cosine of the angle of a torus's multipliers; beyond 1 and -1 these are real with product 1."""
-        return super().parameters(point)[KAPPA]
-
-    def span(self, point: Point) -> tuple[float, float]:
-        return self._critical.orbit.span(self.parameters(point).values())
+        return float(point.z[cast(SingularProblem, point.problem).added_index])
 
     def linearised(self, point: Point) -> Linearised:
         """The equations of the orbit of a point around it."""
-        return Linearised(cast(Any, point.problem), point.z, self._critical.orbit)
+        return Linearised(cast(SingularProblem, point.problem), point.z, self.statement)
 
     def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
         """Points of codimension two on the stretch between two points, in order, and parts that are not resolved."""
@@ -109,10 +91,8 @@ class OrbitCurveSpace(BoundarySpace):
     ) -> BoundarySpace:
         """The space of the orbits through one of these in one parameter."""
         assert self.orbits is not None
-        linear, point = self.linearised(solution.point), solution.point
-        states = point.z[: linear.problem.states].reshape(linear.problem.columns, -1)[:, : linear.components]
-        free = [solution.parameters[name] for name in self.orbits.statement.free]
-        first = replace(point, z=np.concatenate([states.ravel(), free, [0.0]]), special="")
+        point, count = solution.point, len(self.orbits.statement.free)
+        first = replace(point, z=np.append(point.z[: point.problem.states + count], 0.0), special="")
         statement = self.orbits.statement.with_parameters(**solution.parameters)
         return replace(
             self.orbits, statement=statement, parameter=parameter, to=to, at=at, first=first, settings=settings,
@@ -132,7 +112,8 @@ class OrbitCurveSpace(BoundarySpace):
 
     def _variation(self, point: Point) -> Array:
         states = self.states_at(point, np.linspace(0.0, 2.0 * np.pi, 65)[:-1], None)
-        return np.asarray((states - states.mean(axis=0)) / self._critical.sizes)
+        assert self.singularity is not None
+        return np.asarray((states - states.mean(axis=0)) / self.singularity.sizes)
 
     def floquet(self, point: Point) -> Floquet:
         """Multipliers, computed once for the last few points."""
@@ -228,7 +209,7 @@ def curve_space(
     orbits = solution.space
     located = locate(orbits, point.kind, solution.point, angle)
     if located is None:
-        why = "its extended equations are not solved, or the model has no second derivatives"
+        why = "its extended equations are not solved"
         raise BoundaryError(f"{orbits.model.name}: the {point.kind} cannot be followed: {why}")
     unit = abs(orbits.to - orbits.statement.values[point.parameter])
     space = _space(orbits, located, unit, solution.parameters, parameter, to, at, settings)
@@ -242,8 +223,7 @@ def curve_space(
 def _check_kept(space: OrbitCurveSpace) -> None:
     """Raise UnfoldingError where branch points of orbits are none at other values of the second parameter."""
     start = space.start
-    push = start.problem.states + list(space.statement.free).index(PUSH)
-    if abs(float(start.tangent[push])) > UNFOLDING_PUSH:
+    if abs(float(start.tangent[cast(SingularProblem, start.problem).added_index])) > UNFOLDING_PUSH:
         why = "no symmetry, and nothing else, keeps both branches together"
         raise of_equilibria.UnfoldingError(
             f"{space.model.name}: the branch point is none at other values of {space.parameter}: {why}"
@@ -255,9 +235,10 @@ def _space(
     to: float, at: Sequence[float], settings: ContinuationSettings,
 ) -> OrbitCurveSpace:  # fmt: skip
     """The space of the curve through a located orbit, at the parameters of the branch that it was found on."""
-    critical = located.critical
+    singularity = located.singularity
     held = {name: parameters[name] for name in orbits.statement.model.parameter_names}
-    extended = extended_space(critical, orbits, {**held, critical.first: located.value}, unit, parameter, float(to))
-    given = {f.name: getattr(extended, f.name) for f in fields(BoundarySpace) if f.init}
+    statement = orbits.statement.with_parameters(**{**held, singularity.first: located.value})
+    special = special_solutions(singularity, orbits, statement, unit, parameter, float(to))
+    given = {f.name: getattr(special, f.name) for f in fields(BoundarySpace) if f.init}
     given |= {"periodic": orbits.periodic, "at": tuple(map(float, at)), "first": located.point, "settings": settings}
-    return OrbitCurveSpace(**given, kind=critical.kind, critical=critical, orbits=orbits)
+    return OrbitCurveSpace(**given, kind=singularity.kind, orbits=orbits)

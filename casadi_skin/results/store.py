@@ -66,7 +66,7 @@ SAVED_CLASSES = {  # that a file may name, by module: "other=own" where the name
     "stability.result": "ContinuousSpectrum FullPeriodFloquet LocalisedFloquet ReversibleFloquet",
     "stability.tongues.diagram": "Passage Place StabilityDiagram StabilityEdge StableWindow Tongue",
     "stability.tongues.interpolation": "MatrixSeries Piece",
-    "zero.augmented": "Critical",
+    "zero.augmented": "Singularity",
     "zero.family": "Method Targets",
     "zero.kinds": "Unresolved",
     "zero.orbit": "Periodic Sizes",

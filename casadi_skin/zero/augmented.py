@@ -1,16 +1,18 @@
-"""Boundary-value problems whose regular solutions are special orbits.
+"""Minimally augmented problems, whose regular solutions are special points.
 
-The orbit's own problem on the unit interval is joined by its linearisation. Of a fold along a null vector (v, w), in
-which w changes the free parameters; of a period doubling along v with v(1) = -v(0); of a torus over two turns, along v1
-and v2 with v2(0) = v1(1) and v2(1) - 2 kappa v2(0) + v1(0) = 0, where kappa is the cosine of the angle of the
-multipliers. The last stays real, and regular where kappa goes through 1 and -1 (Doedel, Keller and Kernevez 1991;
-Govaerts 2000, chapter 8); of an autonomous orbit up to a multiple of the velocity, across which v1 starts, as the
-trivial multiplier is 1 as well.
+Orbits and solutions of boundary-value problems. Beside their own equations F = 0, of which one more parameter is free,
+stand the entries of a small matrix G(z), which vanishes where a matrix B(z) of their linearisation loses rank:
 
-Of a branch point along a null vector v1, and v2 by which the orbits of the branch change with the parameter, orthogonal
-to it; the field is pushed by a multiple of a constant matrix times v1 that comes back as zero (after Moore 1980;
-regular where exactly two branches cross transversally, whether a symmetry is lost there or not). The matrix is that for
-which the left null vector sees the push: in mechanics it may be orthogonal to v1 itself.
+    [ B    L ] [ V ]   [ 0 ]        [ B^T  R ] [ Psi ]   [ 0 ]
+    [ R^T  0 ] [ G ] = [ I ],       [ L^T  0 ] [  H  ] = [ I ],        dG = -Psi^T dB V
+
+with borders L and R in general position (Govaerts 2000, chapters 3 and 8). B is, with its shape but for the rank that
+it loses: of a fold F_x, (m, m); of a branch point (F_x, F_p), (m, m + 1), where F is pushed along L by an unknown that
+comes back as zero; of a period doubling the linearised equations of the state with v(1) = -v(0), (k, k); of a torus two
+copies of them with v2(0) = v1(1) and v2(1) - 2 kappa v2(0) + v1(0) = 0, (2 k + 1, 2 k), where kappa is the cosine of
+the angle of the multipliers: real, and regular where kappa goes through 1 and -1 (Doedel, Keller and Kernevez 1991). Of
+an autonomous orbit v2 closes up to a multiple of the velocity, across which v1 starts, as the trivial multiplier is 1
+as well. Products with F_xx are differences of F_x, which a Newton step needs to few digits.
 
 Extended systems whose regular solutions are folds, Hopf points and branch points of equilibria.
 
@@ -22,17 +24,18 @@ constants that measure null vectors by the units of the state where the system i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_skin.model.expressions import Expression
-from casadi_skin.model.ode import OdeModel
+from casadi_skin.zero.formulation import Formulation
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, FOLD, TORUS
 from casadi_skin.zero.linearised import Linearised, Vector, null_vectors, velocities
-from casadi_skin.zero.problem import Array
+from casadi_skin.zero.problem import EPSILON, Array, Indices, Problem, SingularError, Solve
 from casadi_skin.zero.rest_problem import AlgebraicProblem, Course
 from casadi_skin.zero.stated_problem import ZERO_SOLUTION_SIZE, BoundaryProblem
 from casadi_skin.zero.statement import Statement
@@ -174,256 +177,309 @@ def plane(q: ComplexArray) -> tuple[Array, Array]:
     return v, d / np.linalg.norm(d)
 
 
-LINEARISED_WEIGHT = 0.1  # weight of linearised states beside those of the orbit in the length of a step
-KAPPA, SHIFT, PUSH = "cosine of the angle", "shift along the orbit", "push along the null vector"
+# Special orbits and solutions, minimally augmented --------------------------------------------------------------------
 
-
-@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class _Joined(OdeModel):
-    """A model with its linearisation; its values are as good as those of the one that it is made of."""
-
-    inner: OdeModel
-
-    @property
-    def rounding(self) -> float:
-        return self.inner.rounding
-
-
-class CriticalProblem(BoundaryProblem):
-    """An extended problem along a curve: its steps are long where the orbit changes little and its linearisation does.
-
-    As where the plane of a torus's functions turns, whose phase is held against a vector that does not.
-    """
-
-    def metric(self, z: Array, parameter_scale: float) -> Array:
-        weights, model = super().metric(z, parameter_scale), self.statement.model
-        assert isinstance(model, _Joined)
-        weights[: self.states].reshape(self.columns, -1)[:, model.inner.full_size :] *= LINEARISED_WEIGHT**2
-        return weights
+RESTING_COMPONENT_RATIO = 1e-5  # of the largest component: what a smaller one changes by is not known from its size
+LONG_ROW_FACTOR = 1e-2  # of the rows of a border, which are no pivots then
+SUM_ROUNDING = 4.0  # times the root of the sum of squares of terms of G, each rounded: that of G, null vectors among it
+DIFFERENCE_STEP = EPSILON ** (1.0 / 3.0)  # of the sizes of unknowns: that of differences of the Jacobian
 
 
 @dataclass(frozen=True, eq=False)
-class Critical:
-    """Data of the extended statement of critical orbits.
+class Singularity:
+    """What makes an orbit or a solution special.
 
     Attributes:
         kind: "fold", "period doubling", "torus" or "branch point".
-        orbit: the statement of the orbits themselves.
-        first: name of the parameter that is found with the orbit.
-        sizes: units of the components of v, shape (components of the state,).
+        first: name of the parameter that is found with the solution.
+        sizes: units of the components of the state, shape (components,).
         normal: of a torus, shape (components,): v1 is orthogonal to it at the start.
         turn: the matrix S of solutions that close as x(1) = S x(0), where it is not 1.
         autonomous: of a torus, whether the velocity is a Floquet function with the multiplier 1.
-        push: of a branch point, shape (components, components): the field is pushed along this times v1, or v1 itself.
-        push_ends: likewise, what the conditions are pushed by where they alone decide, shape (conditions,), or empty.
     """
 
     kind: str
-    orbit: Statement
     first: str
     sizes: Array
     normal: Array
     turn: Array = field(default_factory=lambda: np.zeros((0, 0)))
     autonomous: bool = False
-    push: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    push_ends: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
-    def changes(self) -> tuple[str, ...]:
-        """Names of the changes of the free parameters along the null vector, of a branch point along v2 too."""
-        along = [f"change of {name}" for name in self.orbit.free] if self.kind in (FOLD, BRANCH_POINT) else []
-        return (*along, *(f"{name} with {self.first}" for name in along if self.kind == BRANCH_POINT))
+    def shape(self) -> tuple[int, int]:
+        """The shape of G: numbers of left and of right null vectors."""
+        return (2, 1) if self.kind == TORUS else (1, 2) if self.kind == BRANCH_POINT else (1, 1)
 
     @property
-    def added(self) -> tuple[str, ...]:
-        """Names of parameters that the model of the orbit does not have."""
-        if self.kind == BRANCH_POINT:
-            return (*self.changes, PUSH)
-        if self.kind != TORUS:
-            return self.changes
-        return (KAPPA, SHIFT) if self.autonomous else (KAPPA,)
+    def added(self) -> int:
+        """Number of unknowns beside those of the solution, one less than entries of G: kappa, or the push."""
+        return self.shape[0] * self.shape[1] - 1
+
+    def formulation(self, statement: Statement, walking: str | None) -> Formulation:
+        """That of the solutions themselves; their scalars are the free parameters, `first`, the added ones and u."""
+        known = statement.with_free(self.first).formulation(walking)
+        if not self.added:
+            return known
+        kind, last = type(known.scalars), int(known.scalars.numel()) - 1
+        scalars = kind.sym("scalars", last + self.added + 1)
+        values = [known.field, known.conditions, known.integrands]
+        inner = ca.vertcat(scalars[:last], scalars[last + self.added])
+        field, conditions, integrands = ca.substitute(values, [known.scalars], [inner])
+        return replace(known, scalars=scalars, field=field, conditions=conditions, integrands=integrands)
+
+
+class SingularProblem(BoundaryProblem):
+    """Unknowns z = (states, free parameters, the first parameter, kappa or the push, u) of special solutions."""
+
+    def __init__(self, singularity: Singularity, statement: Statement, *arguments: Any) -> None:
+        super().__init__(statement.with_free(singularity.first), *arguments)
+        self.singularity, self.orbit = singularity, statement
+        self._last: tuple[bytes, tuple[Array, Array], Array] | None = None
+
+    def parameters(self, z: Array) -> Array:
+        last = self.states + len(self.statement.free)
+        scalars = np.append(z[self.states : last], z[-1])
+        return np.asarray(self.statement.parameters_at(scalars, self.walking, self.end), dtype=float)
 
     @property
-    def copies(self) -> int:
-        """Number of linearised states."""
-        return 2 if self.kind in (TORUS, BRANCH_POINT) else 1
+    def added_index(self) -> int:
+        """Place of kappa, or of the push, among the unknowns."""
+        return self.size - 2
+
+    def kept(self, name: str, make: Callable[[], Any]) -> Any:
+        return super().kept(f"{name} of a {self.singularity.kind}", make)
 
     @property
-    def states(self) -> int:
-        """Number of components of the orbit's state."""
-        return self.orbit.model.full_size
+    def pattern(self) -> tuple[Indices, Indices]:
+        rows, columns, _ = self._entries
+        return rows, columns
 
-    def statement(self) -> Statement:
-        """The extended problem on the unit interval."""
-        model = self._model()
-        conditions, integrals = self._conditions(model)
-        free = (*self.orbit.free, self.first, *self.added)
-        values = {**self.orbit.values, **dict.fromkeys(self.added, 0.0)}
-        return Statement(model, conditions, integrals, (0.0, 1.0), values, free)
+    @property
+    def _entries(self) -> tuple[Indices, Indices, Indices]:
+        """Rows and columns of the non-zeros, column by column, and which of them each value that `evaluate` has is."""
 
-    def _model(self) -> OdeModel:
-        inner = self.orbit.model
-        kind, n, count = type(inner.state), self.states, len(inner.parameter_names)
-        copies = self.copies
-        s, x, p = kind.sym("s"), kind.sym("x", n * (1 + copies)), kind.sym("p", count + len(self.added))
-        field = self._field(s, x[:n], p[:count])
-        rows = [field, *(ca.jtimes(field, x, self._direction(x, k)) for k in range(1, 1 + copies))]
-        for row in range(1, 1 + copies if self.kind in (FOLD, BRANCH_POINT) else 1):
-            rows[row] = rows[row] + ca.jtimes(field, p, self._change(p, row))
-        if self.kind == BRANCH_POINT:
-            v1 = x[n : 2 * n]
-            rows[0] = rows[0] + p[-1] * (ca.DM(self.push) @ v1 if self.push.size else v1)
-        names = [*inner.state_names, *(f"v{k} of {name}" for k in range(1, 1 + copies) for name in inner.state_names)]
-        return _Joined(
-            inner.name, x, ca.vertcat(*rows), p, time=s, forcing_period=1.0, checked=False,
-            state_labels=tuple(names), parameter_labels=(*inner.parameter_names, *self.added), inner=inner,
-        )  # fmt: skip
+        def made() -> tuple[Indices, Indices, Indices]:
+            own, size = self.equations, self.size
+            parts = [(self.discretisation.rows, self.discretisation.columns)]
+            if self.singularity.kind == BRANCH_POINT:
+                parts.append((np.arange(own), np.full(own, self.added_index)))
+            more = np.arange(own, size - 1)
+            parts.append((np.repeat(more, size), np.tile(np.arange(size), more.size)))
+            keys = np.concatenate([columns * (size - 1) + rows for rows, columns in parts])
+            found, slots = np.unique(keys, return_inverse=True)
+            return found % (size - 1), found // (size - 1), slots
 
-    def _field(self, s: Expression, x: Expression, p: Expression) -> Expression:
-        """The derivative of the orbit on the unit interval."""
-        start, end = self.orbit.ends_at(p)
-        return (end - start) * self.orbit.model.vector_field(start + s * (end - start), x, p)
+        entries: tuple[Indices, Indices, Indices] = self.kept("entries", made)
+        return entries
 
-    def _direction(self, x: Expression, copy: int) -> Expression:
-        """The direction in all states that changes the orbit's by a copy of the linearised state."""
-        n = self.states
-        return ca.vertcat(x[copy * n : (copy + 1) * n], type(x).zeros(int(x.numel()) - n))
+    def evaluate(self, z: Array) -> tuple[Array, Array]:
+        at = z.tobytes() + self.numbers.tobytes()
+        if self._last is None or self._last[0] != at:
+            self._last = at, *self._evaluated(z)
+        return self._last[1]
 
-    def _change(self, p: Expression, copy: int = 1) -> Expression:
-        """The direction in all parameters that belongs to a copy: along v2 the one that is found changes too."""
-        names = self.orbit.model.parameter_names
-        entries = {name: type(p)(0) for name in names} | dict(zip(self.orbit.free, self._changed(p, copy), strict=True))
-        if copy == 2:
-            entries[self.first] = type(p)(self.size_of(self.first))
-        return ca.vertcat(*(entries[name] for name in names), type(p).zeros(len(self.added)))
-
-    def _changed(self, p: Expression, copy: int) -> list[Expression]:
-        """The changes of the free parameters that belong to a copy."""
-        first = len(self.orbit.model.parameter_names) + (copy - 1) * len(self.orbit.free)
-        return [p[first + k] for k in range(len(self.orbit.free))]
-
-    def _conditions(self, model: OdeModel) -> tuple[list[Expression], list[Expression]]:
-        """Conditions: expressions that vanish at the ends, and in the mean."""
-        orbit, n, count = self.orbit, self.states, len(self.orbit.model.parameter_names)
-        first, last, p = *model.ends, model.parameters
-        stacked = ca.vertcat(*(ca.vec(c) for c in orbit.conditions))
-        border = ca.Function("border", [*orbit.model.ends, orbit.model.parameters], [stacked])
-        rows = border(first[:n], last[:n], p[:count])
-        pushed = rows - p[-1] * ca.DM(self.push_ends) if self.push_ends.size else rows
-        conditions, integrals = [pushed], self._means(model)
-        v0, v1 = first[n : 2 * n], last[n : 2 * n]
-        if self.kind in (FOLD, BRANCH_POINT):
-            for copy in range(1, 1 + self.copies):
-                at_ends = [ca.jtimes(rows, end, self._direction(end, copy)) for end in (first, last)]
-                conditions.append(sum(at_ends) + ca.jtimes(rows, p, self._change(p, copy)))
-        elif self.kind == DOUBLING:
-            conditions.append(v1 + (ca.DM(self.turn) @ v0 if self.turn.size else v0))
-        else:
-            w0, w1, kappa = first[2 * n :], last[2 * n :], p[count]
-            if self.turn.size:
-                back = ca.DM(np.linalg.inv(self.turn))
-                v1, w1 = back @ v1, back @ w1
-            closing = w1 - 2 * kappa * w0 + v0
-            if self.autonomous:
-                closing = closing - p[count + 1] * self._field(0.0, first[:n], p[:count])
-                conditions.append(self._along(first, p, v0))
-            conditions += [w0 - v1, closing, ca.dot(ca.DM(self.normal), v0)]
-        return conditions, integrals
-
-    def _along(self, start: Expression, p: Expression, v: Expression) -> Expression:
-        """The part of a direction at the start that is along the velocity there."""
-        count = len(self.orbit.model.parameter_names)
-        velocity = self._field(0.0, start[: self.states], p[:count])
-        return ca.dot(velocity / ca.DM(self.sizes), v / ca.DM(self.sizes))
-
-    def _means(self, model: OdeModel) -> list[Expression]:
-        orbit, n, count = self.orbit, self.states, len(self.orbit.model.parameter_names)
-        x, p, s = model.state, model.parameters, model.time
-        means: list[Expression] = []
-        if orbit.integrals:
-            start, end = orbit.ends_at(p[:count])
-            stacked = ca.vertcat(*(ca.vec(e) for e in orbit.integrals))
-            along = orbit.along("means", stacked)(start + s * (end - start), x[:n], p[:count])
-            means.append((end - start) * along)
-        whole = means[0] if means else None
-        for copy in range(1, 1 + self.copies if self.changes and whole is not None else 1):
-            means.append(ca.jtimes(whole, x, self._direction(x, copy)) + ca.jtimes(whole, p, self._change(p, copy)))
-        products = [self._product(x, p, 1) - 1]
-        if self.kind == BRANCH_POINT:
-            products.append(self._product(x, p, 2))
-        return [*means, *products]
-
-    def _product(self, x: Expression, p: Expression, copy: int) -> Expression:
-        """The product of v1 and a copy, by the sizes of components, with the changes of free parameters."""
-        n, sizes = self.states, ca.DM(self.sizes)
-        found = ca.dot(x[n : 2 * n] / sizes, x[copy * n : (copy + 1) * n] / sizes) / n
-        if self.changes:
-            for name, a, b in zip(self.orbit.free, self._changed(p, 1), self._changed(p, copy), strict=True):
-                found = found + a * b / self.size_of(name) ** 2
+    def rounding(self, z: Array) -> Array:  # type: ignore[override]
+        found = super().rounding(z)
+        assert self._last is not None
+        found[self.equations :] = SUM_ROUNDING * self.statement.model.rounding * self._last[2]
         return found
 
-    def size_of(self, name: str) -> float:
-        """Scale of the change of a free parameter."""
-        value = abs(self.orbit.values[name])
-        return value if value > 0.0 else 1.0
+    def rests(self, z: Array) -> bool:
+        """Whether the solution is constant, and its mesh says nothing about null vectors."""
+        values = z[: self.states].reshape(self.columns, -1)
+        return bool(np.all(np.ptp(values, axis=0) <= RESTING_COMPONENT_RATIO * self.singularity.sizes))
+
+    def expected_error(self, z: Array, error: float, other: Problem) -> float:
+        return np.inf if self.rests(z) else super().expected_error(z, error, other)
+
+    def improvement(self, z: Array, solve: Solve) -> tuple[Array, float] | None:
+        return None
+
+    def _evaluated(self, z: Array) -> tuple[tuple[Array, Array], Array]:
+        """The equations, and the size of the terms of G."""
+        residual, nonzeros = self.discretisation(z, self.numbers)
+        border = self._border(z, nonzeros)
+        values = [nonzeros]
+        if self.singularity.kind == BRANCH_POINT:
+            residual = residual + z[self.added_index] * border.push
+            values.append(border.push)
+        values.append(self._slopes(z, border).ravel())
+        rows, _, slots = self._entries
+        found = np.bincount(slots, np.concatenate(values), rows.size).astype(float)
+        return (np.concatenate([residual, border.G.ravel()]), found), border.terms.ravel()
+
+    def _border(self, z: Array, nonzeros: Array) -> Border:
+        """The solution of the bordered equations of B, whose rows are measured by the components of the state."""
+        given, sizes, n, k = self.singularity, self.sizes(z), self.formulation.states, self.states
+        sizes[:k] = np.tile(given.sizes, self.columns)
+        if given.kind in (FOLD, BRANCH_POINT):
+            width = k + len(self.orbit.free) + (given.kind == BRANCH_POINT)
+            B, rows = self._leading(nonzeros, self.equations, width), np.full(self.equations, np.max(given.sizes))
+            rows[: k - n] = sizes[: k - n]
+            return Border.of(B, rows, sizes[:width], given.shape, self._order(1, width))
+        field, turn, one = self._leading(nonzeros, k - n, k), given.turn, np.eye(n)
+        turn = turn if turn.size else one
+        if given.kind == DOUBLING:
+            B = field + _blocks((k - n, 0, turn), (k - n, k - n, one))
+            return Border.of(B, sizes[:k], sizes[:k], (1, 1), self._order(1, k))
+        second, back, kappa = field.moved(k - n, k), np.linalg.inv(turn), z[self.added_index]
+        end, start, shifts = 2 * (k - n), z[:n], int(given.autonomous)
+        closing = [
+            (end, k - n, -back), (end, k, one), (end + n, 0, one), (end + n, k, -2.0 * kappa * one),
+            (end + n, 2 * k - n, back), (2 * k, 0, given.normal[None]),
+        ]  # fmt: skip
+        if shifts:
+            velocity = np.array(self.formulation.field_function(0.0, start, z[k:], self.values)[0]).ravel()
+            closing += [(end + n, 2 * k, -velocity[:, None]), (2 * k + 1, 0, (velocity / given.sizes**2)[None])]
+        columns = np.concatenate([sizes[:k], sizes[:k], np.ones(shifts)])
+        B, rows = field + second + _blocks(*closing), np.append(columns, 1.0)
+        return Border.of(B, rows, columns, (2, 1), self._order(2, columns.size))
+
+    def _order(self, copies: int, size: int) -> Indices:
+        """An order of the columns of B in which its factors are sparse: copies side by side at ends of intervals."""
+
+        def made() -> Indices:
+            order, k, n = self.elimination_order, self.states, self.formulation.states
+            order = order[order < k]
+            inner = k - (self.resolution + 1) * n
+            ends = [order[inner:].reshape(-1, n) + copy * k for copy in range(copies)]
+            parts = [*(order[:inner] + copy * k for copy in range(copies)), np.hstack(ends).ravel()]
+            return np.concatenate([*parts, np.arange(copies * k, size)])
+
+        order: Indices = self.kept("order", made)
+        return order
+
+    def _leading(self, nonzeros: Array, rows: int, columns: int) -> Triplets:
+        """The first rows and columns of the solution's own Jacobian."""
+        end = int(np.searchsorted(self.discretisation.columns, columns))
+        chosen = np.flatnonzero(self.discretisation.rows[:end] < rows)
+        return Triplets(nonzeros[chosen], self.discretisation.rows[chosen], self.discretisation.columns[chosen])
+
+    def _slopes(self, z: Array, border: Border) -> Array:
+        """The derivatives of G by all unknowns, shape (entries, size)."""
+        kind, own = self.singularity.kind, self.equations
+        rows = self.states - self.formulation.states if kind in (DOUBLING, TORUS) else own
+        found = np.zeros((*border.G.shape, self.size))
+        for j, v in enumerate(border.right.T):
+            for copy in range(2 if kind == TORUS else 1):
+                width = self.states if kind in (DOUBLING, TORUS) else v.size
+                direction = np.zeros(self.size)
+                direction[:width] = v[copy * self.states :][:width]
+                change = self._change(z, direction)[:rows]
+                for i, psi in enumerate(border.left.T):
+                    found[i, j] -= psi[copy * rows :][:rows] @ change
+            if kind == TORUS:
+                found[:, j] += self._slopes_at_ends(z, border.left, v)
+        return found.reshape(-1, self.size)
+
+    def _slopes_at_ends(self, z: Array, left: Array, v: Array) -> Array:
+        """The part of the closing rows of a torus, by kappa and by the velocity at the start, shape (left, size)."""
+        n, given = self.formulation.states, self.singularity
+        closing = left[2 * (self.states - n) + n :]
+        found = np.zeros((left.shape[1], self.size))
+        found[:, self.added_index] = 2.0 * closing[:n].T @ v[self.states :][:n]
+        if given.autonomous:
+            at_start = self.formulation.field_function(0.0, z[:n], z[self.states :], self.values)
+            by_velocity = closing[:n].T * v[-1] - closing[n + 1 :].T * v[:n] / given.sizes**2
+            found[:, :n] += by_velocity @ np.array(at_start[1])
+            found[:, self.states :] += by_velocity @ np.array(at_start[2])
+        return found
+
+    def _change(self, z: Array, direction: Array) -> Any:
+        """The derivative of the solution's own Jacobian in a direction, by differences, sparse."""
+        from scipy.sparse import csc_matrix
+
+        h = DIFFERENCE_STEP / max(float(np.max(np.abs(direction) / self.sizes(z))), 1e-300)
+        ahead, behind = (self.discretisation(z + side * h * direction, self.numbers)[1] for side in (1.0, -1.0))
+        places = self.discretisation.rows, self.discretisation.columns
+        return csc_matrix(((ahead - behind) / (2.0 * h), places), shape=(self.equations, self.size))
+
+    def _place(self, equation: int, z: Array) -> str:
+        if equation >= self.equations:
+            return f"the condition of a {self.singularity.kind}"
+        return super()._place(equation, z)
 
 
-# Start of Newton's method on the extended problem of a special orbit: an orbit near it, and its null vectors ----------
+@dataclass(frozen=True, eq=False)
+class Triplets:
+    """Entries of a sparse matrix with their rows and columns."""
 
-UNSEEN_FIELD_RATIO = 1e-9  # of what a left null vector sees of the conditions: less of the field is rounding
-RESTING_COMPONENT_RATIO = 1e-5  # of the largest component: what a smaller one changes by is not known from its size
+    values: Array
+    rows: Indices
+    columns: Indices
 
+    def __add__(self, other: Triplets) -> Triplets:
+        both = zip((self.values, self.rows, self.columns), (other.values, other.rows, other.columns), strict=True)
+        return Triplets(*(np.concatenate(pair) for pair in both))
 
-def started(critical: Critical, problem: BoundaryProblem, z: Array, value: float, angle: float = np.pi) -> Array:
-    """Unknowns of the extended problem, on the mesh of an orbit, from the orbit's and the parameter's value."""
-    n, count = critical.states, len(critical.orbit.free)
-    linear = Linearised(problem, z, critical.orbit)
-    if critical.kind == FOLD:
-        v, added, size = _of_fold(critical, problem, null_vectors(linear.jacobian)[0])
-    elif critical.kind == BRANCH_POINT:
-        v, added, size = _of_branch_point(critical, linear)
-    elif critical.kind == DOUBLING:
-        v, added = null_vectors(linear.twisted(-1.0 + 0.0j, critical.turn))[0].reshape(-1, n), np.zeros(0)
-        size = np.sqrt(_mean(problem, v / critical.sizes))
-    else:
-        v, added, size = _of_torus(critical, problem, z, angle)
-    added = np.append(np.cos(angle), added[1:] / size) if critical.kind == TORUS else added / size
-    states = np.hstack([z[: problem.states].reshape(-1, n), v / size])
-    return np.concatenate([states.ravel(), z[problem.states : problem.states + count], [value], added, [0.0]])
+    def moved(self, rows: int, columns: int) -> Triplets:
+        """The same, further down and to the right."""
+        return Triplets(self.values, self.rows + rows, self.columns + columns)
 
 
-def _of_fold(critical: Critical, problem: BoundaryProblem, null: Array) -> tuple[Array, Array, float]:
-    """A null vector in states, in changes of the free parameters, and its size."""
-    v, added = null[: problem.states].reshape(-1, critical.states), null[problem.states :]
-    changes = np.sum((added / [critical.size_of(name) for name in critical.orbit.free]) ** 2)
-    return v, added, float(np.sqrt(_mean(problem, v / critical.sizes) + changes))
+def _blocks(*blocks: tuple[int, int, Array]) -> Triplets:
+    """Dense matrices with the places of their first entries."""
+    parts = []
+    for row, column, block in blocks:
+        rows, columns = np.indices(block.shape).reshape(2, -1)
+        parts.append((block.ravel(), row + rows, column + columns))
+    return Triplets(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
-def _of_branch_point(critical: Critical, linear: Linearised) -> tuple[Array, Array, float]:
-    """v1 and v2 side by side, their changes of free parameters and the push; the size of v1."""
-    from scipy.sparse import bmat, csc_matrix
-    from scipy.sparse.linalg import splu
+@dataclass(frozen=True, eq=False)
+class Border:
+    """G, (nl, nr), with the size of its `terms`, and null vectors: `right` V, (columns, nr), `left` Psi, (rows, nl).
 
-    problem, matrix = linear.problem, linear.jacobian
-    right, left = null_vectors(matrix)
-    v, added, size = _of_fold(critical, problem, right)
-    closed = bmat([[matrix, csc_matrix(left[:, None])], [csc_matrix(right[None, :]), None]]).tocsc()
-    slope = linear.slope * critical.size_of(critical.first)
-    second = np.asarray(splu(closed).solve(np.append(-slope, 0.0))[:-1])
-    w, changes = second[: problem.states].reshape(v.shape), second[problem.states :]
-    return np.hstack([v, size * w]), np.concatenate([added, size * changes, [0.0]]), size
+    `push` is the first column of L.
+    """
+
+    G: Array
+    terms: Array
+    right: Array
+    left: Array
+    push: Array
+
+    @classmethod
+    def of(cls, B: Triplets, rows: Array, columns: Array, shape: tuple[int, int], order: Indices) -> Border:
+        """Of a matrix whose rows and columns have sizes, and its columns an order of elimination.
+
+        Raises SingularError.
+        """
+        from scipy.sparse import csc_matrix
+        from scipy.sparse.linalg import splu
+
+        (nl, nr), p, q, generator = shape, rows.size, columns.size, np.random.default_rng(0)
+        scaled = Triplets(B.values * columns[B.columns] / rows[B.rows], B.rows, B.columns)
+        L, R = generator.normal(size=(p, nl)), generator.normal(size=(q, nr))
+        K = scaled + _blocks((0, q, L), (p, 0, LONG_ROW_FACTOR * R.T))
+        places = np.empty(q + nl, dtype=np.int64)
+        places[np.append(order, np.arange(q, q + nl))] = np.arange(q + nl)
+        matrix = csc_matrix((K.values, (K.rows, places[K.columns])), shape=(p + nr, p + nr))
+        try:
+            factors = splu(matrix, permc_spec="NATURAL")
+        except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
+            raise SingularError(f"the linearised equations lose more rank than expected: {error}") from error
+        right = factors.solve(np.vstack([np.zeros((p, nr)), LONG_ROW_FACTOR * np.eye(nr)]))[places[:q]]
+        both = np.vstack([np.zeros((q, nl)), np.eye(nl)])
+        left = factors.solve(both, trans="T")[:p]  # type: ignore[call-overload]
+        if not (np.all(np.isfinite(right)) and np.all(np.isfinite(left))):
+            raise SingularError("the linearised equations lose more rank than expected")
+        products = scaled.values[:, None, None] * left[scaled.rows][:, :, None] * right[scaled.columns][:, None, :]
+        G = -np.sum(products, axis=0)  # as good as both vectors together
+        return cls(G, np.linalg.norm(products, axis=0), right * columns[:, None], left / rows[:, None], L[:, 0] * rows)
 
 
-def _of_torus(critical: Critical, problem: BoundaryProblem, z: Array, angle: float) -> tuple[Array, Array, float]:
-    """v1 and v2 side by side; the cosine and the shift; the size of v1."""
-    q, shift, start = critical_plane(problem, z, angle, critical.sizes, critical.turn, critical.autonomous)
-    turn = np.exp(0.5j * np.pi - 1j * np.angle(critical.normal @ start))  # v1 is orthogonal to the normal
-    along = np.real(turn * shift) * velocities(problem, z) if critical.autonomous else 0.0
-    v1, v2 = (turn * q).real - along, (turn * q * np.exp(1j * angle)).real - along
-    added = [np.cos(angle)]
-    if critical.autonomous:
-        added.append(float(np.real(turn * shift)) * 2.0 * (np.cos(angle) - 1.0))
-    return np.hstack([v1, v2]), np.array(added), float(np.sqrt(_mean(problem, v1 / critical.sizes)))
+def singularity_of(
+    kind: str, problem: BoundaryProblem, z: Array, first: str, angle: float, turn: Array, autonomous: bool
+) -> Singularity:
+    """The singularity of a kind near a solution; `angle` is that of the multipliers of a torus."""
+    sizes = component_sizes(z[: problem.states].reshape(problem.columns, -1))
+    if kind not in (DOUBLING, TORUS):
+        return Singularity(kind, first, sizes, np.zeros_like(sizes))
+    normal = np.zeros_like(sizes)
+    if kind == TORUS:
+        normal = normal_of(_start_of_plane(problem, z, angle, sizes, turn, autonomous), sizes)
+    return Singularity(kind, first, sizes, normal, turn, autonomous)
 
 
 def component_sizes(values: Array) -> Array:
@@ -435,20 +491,17 @@ def component_sizes(values: Array) -> Array:
     return np.asarray(np.where(moves, largest, np.median(largest[moves])))
 
 
-def critical_plane(
+def _start_of_plane(
     problem: BoundaryProblem, z: Array, angle: float, sizes: Array, turn: Array, autonomous: bool
-) -> tuple[Vector, complex, Vector]:
-    """The function q with q(1) = exp(i angle) turn q(0), shape (columns, components), and how it starts.
-
-    Its start is a multiple of the velocity of an autonomous orbit, which is second; the part across it is third.
-    """
-    twisted = Linearised(problem, z, problem.statement).twisted(complex(np.exp(1j * angle)), turn)
-    q = null_vectors(twisted)[0].reshape(problem.columns, -1)
+) -> Vector:
+    """The start of the function q with q(1) = exp(i angle) turn q(0), of an autonomous orbit across the velocity."""
+    q = null_vectors(Linearised(problem, z, problem.statement).twisted(complex(np.exp(1j * angle)), turn))[0]
+    start = q[: problem.formulation.states]
     if not autonomous:
-        return q, 0.0, q[0]
+        return start
     velocity = velocities(problem, z)[0]
-    shift = complex((velocity / sizes) @ (q[0] / sizes) / np.sum((velocity / sizes) ** 2))
-    return q, shift, q[0] - shift * velocity
+    shift = complex((velocity / sizes) @ (start / sizes) / np.sum((velocity / sizes) ** 2))
+    return np.asarray(start - shift * velocity)
 
 
 def normal_of(start: Vector, sizes: Array) -> Array:
@@ -460,23 +513,3 @@ def normal_of(start: Vector, sizes: Array) -> Array:
     turned = scaled * np.exp(-0.5j * np.angle(np.sum(scaled * scaled)))
     longer, shorter = (part / np.linalg.norm(part) for part in (turned.real, turned.imag))
     return np.asarray((longer - shorter) / np.sqrt(2.0) / sizes)
-
-
-def seen_push(problem: BoundaryProblem, z: Array, statement: Statement, sizes: Array) -> tuple[Array, Array]:
-    """The matrix of norm 1 that turns the null vector at a branch point to the largest product with its left one.
-
-    Where conditions alone decide, which that vector sees and not the field, the changes of these instead, of norm 1.
-    """
-    linear = Linearised(problem, z, statement)
-    v, psi = null_vectors(linear.jacobian)
-    seen = linear.products(psi, v) * np.outer(sizes, 1.0 / sizes)
-    conditions = psi[linear.inner :][: problem.formulation.conditions.numel()]
-    if np.linalg.norm(seen) > UNSEEN_FIELD_RATIO * np.linalg.norm(conditions):
-        return np.asarray(seen / np.linalg.norm(seen) * np.outer(sizes, 1.0 / sizes)), np.zeros(0)
-    return np.zeros_like(seen), np.asarray(conditions / np.linalg.norm(conditions))
-
-
-def _mean(problem: BoundaryProblem, v: Array) -> float:
-    """The mean over the interval, and over the components, of the squares of v, shape (columns, components)."""
-    weights = np.outer(problem.constants, problem.table.extended[-1]).ravel()
-    return float(weights @ np.mean(v[problem.stages] ** 2, axis=1))

@@ -267,6 +267,13 @@ class Statement(WithVerbs):
             return np.array(entries, dtype=float)
         return ca.vertcat(*entries) if entries else type(self.model.parameters)(0, 1)
 
+    def with_free(self, name: str) -> Statement:
+        """The same equations with one more free parameter, which they leave open."""
+        other = copy.copy(self)
+        other.__dict__.pop("_formulations", None)
+        object.__setattr__(other, "free", (*self.free, name))
+        return other
+
     def with_parameters(self, **values: float) -> Statement:
         """The same problem at other values of parameters; functions built for one serve all."""
         _ = self._formulations  # shared by the copy
