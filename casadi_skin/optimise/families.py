@@ -8,7 +8,6 @@ of the period (bvp.trigonometric), and Omega^2 is an unknown.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -179,43 +178,62 @@ class Observables:
 # The family of one mode, with parameters free -------------------------------------------------------------------------
 
 
-class Family(ABC):
-    """One mode's family of a model: its equations at any values of its parameters, and its members."""
+class Family:
+    """One mode's family of a model of second order: its equations at any values of its parameters, and its members.
+
+    `values` are those of all parameters.
+    """
 
     model: Any
     mode: int
-    method: ClassVar[Mapping[str, Any]]  # of `follow_family`, for members
+    values: Mapping[str, float]
+    method: ClassVar[Mapping[str, Any]] = {"corrector": "newton"}  # of `follow_family`, for members
 
     @property
-    @abstractmethod
     def size(self) -> int:
         """Number of components."""
+        return int(self.model.size)
 
     @property
-    @abstractmethod
     def columns(self) -> tuple[str, ...]:
         """Parameters that tables show."""
+        return tuple(self.model.parameter_names)
 
     @property
-    @abstractmethod
     def free(self) -> Mapping[str, FreeNumber]:
         """Parameters that may be free."""
+        return {name: FreeNumber(value, -math.inf, math.inf, (name,)) for name, value in self.values.items()}
 
     def limited(self, bounds: Mapping[str, tuple[float, float]]) -> Family:
         """The family for parameters within bounds; raises ValueError for bounds that cannot be."""
         return self
 
-    @abstractmethod
     def equations(self, values: Mapping[str, ca.SX], S: ca.SX) -> FamilyEquations:
         """The equations of an orbit; parameters that are missing have the model's own values."""
+        model, q, scale = self.model, ca.SX.sym("q", self.size), ca.sqrt(S)
+        parameters = ca.vertcat(*(values.get(name, ca.SX(value)) for name, value in self.values.items()))
+        energy = [] if model.hamiltonian is None else [model.hamiltonian]
+        function = model.function("at_rest", model.rhs, *model.outputs.values(), *energy)
+        rest = ca.vertcat(scale * q, ca.SX.zeros(self.size))
+        rhs, *others = function.call([0.0, rest, parameters], True, False)
+        outputs = dict(zip(model.outputs, others, strict=False))
+        return FamilyEquations(
+            state=q,
+            S=S,
+            acceleration=rhs / scale,
+            weights=ca.SX.ones(self.size),
+            energy=others[-1] if energy else None,
+            shared=dict(zip(self.values, ca.vertsplit(parameters), strict=True)) if self.values else {},
+            own={name: partial(Observables.at_rest, expression=e) for name, e in outputs.items()},
+        )
 
-    @abstractmethod
     def at(self, values: Mapping[str, Any]) -> Any:
         """The model with these parameters; None where it is of no kind that has families."""
+        return self.model.with_nominal(tuple(float(values.get(name, value)) for name, value in self.values.items()))
 
-    @abstractmethod
     def scale(self, values: Mapping[str, Any], S: float) -> Array:
         """Factors that make displacements of q, shape (components,)."""
+        return np.full(self.size, math.sqrt(S))
 
     def plain(self, values: Mapping[str, Any]) -> OdeModel:
         """The equations of q at these parameters, with S as the parameter that is left."""
@@ -344,58 +362,16 @@ def chain_family(chain: Chain, mode: int | str | None, parameters: Mapping[str, 
     return ChainFamily(chain, chain.mode_number(mode if mode is not None else "last" if chain.g > 0 else "first"))
 
 
-# The family of one linear mode of a second-order model, with its parameters free --------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class ModelFamily(Family):
-    """One mode's family of a model, by ascending linear frequency from 1; `values` are those of all parameters."""
+    """One mode's family of a model, by ascending linear frequency from 1."""
 
     model: OdeModel
     mode: int = 1
     values: Mapping[str, float] = field(default_factory=dict)
-    method: ClassVar[Mapping[str, Any]] = {"corrector": "newton"}
 
     def __reduce__(self) -> tuple[Any, ...]:
         return ModelFamily, (self.model, self.mode, dict(self.values))
-
-    @property
-    def size(self) -> int:
-        return self.model.size
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        return self.model.parameter_names
-
-    @property
-    def free(self) -> Mapping[str, FreeNumber]:
-        return {name: FreeNumber(value, -math.inf, math.inf, (name,)) for name, value in self.values.items()}
-
-    def equations(self, values: Mapping[str, ca.SX], S: ca.SX) -> FamilyEquations:
-        model, q, scale = self.model, ca.SX.sym("q", self.model.size), ca.sqrt(S)
-        parameters = ca.vertcat(*(values.get(name, ca.SX(value)) for name, value in self.values.items()))
-        energy = [] if model.hamiltonian is None else [model.hamiltonian]
-        function = model.function("at_rest", model.rhs, *model.outputs.values(), *energy)
-        rest = ca.vertcat(scale * q, ca.SX.zeros(model.size))
-        rhs, *others = function.call([0.0, rest, parameters], True, False)
-        outputs = dict(zip(model.outputs, others, strict=False))
-
-        return FamilyEquations(
-            state=q,
-            S=S,
-            acceleration=rhs / scale,
-            weights=ca.SX.ones(model.size),
-            energy=others[-1] if energy else None,
-            shared=dict(zip(self.values, ca.vertsplit(parameters), strict=True)) if self.values else {},
-            own={name: partial(Observables.at_rest, expression=e) for name, e in outputs.items()},
-        )
-
-    def at(self, values: Mapping[str, Any]) -> OdeModel:
-        nominal = tuple(float(values.get(name, value)) for name, value in self.values.items())
-        return self.model.with_nominal(nominal)
-
-    def scale(self, values: Mapping[str, Any], S: float) -> Array:
-        return np.full(self.size, math.sqrt(S))
 
 
 def model_family(model: OdeModel, mode: int | str | None, parameters: Mapping[str, float] | None) -> ModelFamily:

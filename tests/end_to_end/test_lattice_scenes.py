@@ -37,24 +37,11 @@ at = [0.2]
 [stability]
 events = false
 """
-SHORT = "[chain]\nsites = 12\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n[spectrum]" + CHAIN.partition("[spectrum]")[2]
 
 
 def column(path: Path, name: str) -> np.ndarray:
     """A column of a CSV file."""
     return np.atleast_1d(np.genfromtxt(path, delimiter=",", names=True)[name])
-
-
-@pytest.mark.slow
-def test_a_lattice_runs_as_the_chain_does(tmp_path: Path) -> None:
-    for name, text in (("long", CHAIN), ("short", SHORT)):
-        (tmp_path / f"{name}.toml").write_text(text)
-        assert main(["run", str(tmp_path / f"{name}.toml"), "--out", str(tmp_path / name), "--quiet"]) == 0
-    for quantity, allowed in (("S", 1e-15), ("Omega", 1e-13), ("energy", 1e-12), ("max_abs_multiplier", 1e-9)):
-        mine, theirs = (column(tmp_path / name / "family.csv", quantity)[-1] for name in ("long", "short"))
-        assert mine == pytest.approx(theirs, rel=allowed)
-    mine, theirs = (column(tmp_path / name / "spectrum.csv", "omega") for name in ("long", "short"))
-    assert mine == pytest.approx(theirs, rel=1e-13)
 
 
 def test_check_prints_what_the_lattice_shows_of_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -98,35 +85,42 @@ def test_faults_are_told_in_one_line_with_the_place(
 
 
 @pytest.mark.slow
-def test_an_endless_lattice_runs_and_what_needs_all_its_sites_is_refused(
+def test_lattices_run_as_the_chain_does_and_what_needs_all_sites_is_refused_of_an_endless_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By the chain of the same scene, whose tail has a closed form."""
-    family = '[family]\nmode = "last"\namplitude_max = 1.0\n[accuracy]\ntolerance = 1e-9\n'
-    endless = CHAIN.replace("cells = 12", "cells = inf").replace("g = -1.0", "g = 1.0").partition("[spectrum]")[0]
-    short = "[chain]\nsites = inf\nalpha = 1.0\ngamma = 0.25\ng = 1.0\n"
-    for name, text in (("long", endless), ("short", short)):
-        (tmp_path / f"{name}.toml").write_text(text + family)
+    """By the chain of the same scene: of twelve cells, and of infinitely many."""
+
+    def run(name: str, text: str) -> tuple[float, ...]:
+        (tmp_path / f"{name}.toml").write_text(text)
         assert main(["run", str(tmp_path / f"{name}.toml"), "--out", str(tmp_path / name), "--quiet"]) == 0
-    for quantity, allowed in (("Omega", 1e-13), ("Omega_shift", 1e-9), ("energy", 1e-11)):
-        mine, theirs = (column(tmp_path / name / "family.csv", quantity)[-1] for name in ("long", "short"))
-        assert mine == pytest.approx(theirs, rel=allowed)
+        columns = ("Omega", "Omega_shift", "energy", "max_abs_multiplier")
+        return tuple(column(tmp_path / name / "family.csv", quantity)[-1] for quantity in columns)
+
+    def refused(name: str, text: str) -> str:
+        (tmp_path / f"{name}.toml").write_text(text)
+        assert main(["check", str(tmp_path / f"{name}.toml")]) == 2
+        return capsys.readouterr().err
+
+    endless = CHAIN.replace("cells = 12", "cells = inf").replace("g = -1.0", "g = 1.0").partition("[spectrum]")[0]
+    family = '[family]\nmode = "last"\namplitude_max = 1.0\n[accuracy]\ntolerance = 1e-9\n'
+    rest = "[spectrum]" + CHAIN.partition("[spectrum]")[2]
+    short = CHAIN.partition("[spectrum]")[0]
+    cases = (("short", short, rest, 12, -1.0), ("long", endless, f"{family}[stability]\n", "inf", 1.0))
+    for name, lattice, more, sites, g in cases:
+        chain = f"[chain]\nsites = {sites}\nalpha = 1.0\ngamma = 0.25\ng = {g}\n"
+        mine, theirs = run(name, lattice + more), run(f"{name}_chain", chain + more)
+        for one, other, allowed in zip(mine, theirs, (1e-13, 1e-9, 1e-11, 1e-8), strict=True):
+            assert one == pytest.approx(other, rel=allowed)
+    spectra = [column(tmp_path / name / "spectrum.csv", "omega") for name in ("short", "short_chain")]
+    assert spectra[0] == pytest.approx(spectra[1], rel=1e-13)
     assert main(["check", str(tmp_path / "long.toml")]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert "inf cells of 1, 1 bonds a cell; ends fixed; a linear tail behind the last cells" in printed
     assert "edge modes 1.03127 (pinned to a band), 2.22182 (pinned to a band)" in printed
-    for name, text in (("stable", endless), ("stable_short", short)):
-        (tmp_path / f"{name}.toml").write_text(text + family + "[stability]\n")
-        assert main(["run", str(tmp_path / f"{name}.toml"), "--out", str(tmp_path / name), "--quiet"]) == 0
-    for quantity, allowed in (("max_abs_multiplier", 1e-8), ("localised", 0.0)):
-        mine, theirs = (column(tmp_path / name / "family.csv", quantity)[-1] for name in ("stable", "stable_short"))
-        assert mine == pytest.approx(theirs, rel=allowed)
-    (tmp_path / "vectors.toml").write_text(endless + family + "[stability]\nvectors = true\n")
-    assert main(["check", str(tmp_path / "vectors.toml")]) == 2
-    assert "[stability] vectors: given true with a linear tail" in capsys.readouterr().err
-    (tmp_path / "moving.toml").write_text(endless + family + "[dynamics]\nduration = 1.0\n")
-    assert main(["check", str(tmp_path / "moving.toml")]) == 2
-    assert "[dynamics]: given with a linear tail (edge, or more than 100000 cells)" in capsys.readouterr().err
+    vectors = refused("vectors", endless + family + "[stability]\nvectors = true\n")
+    assert "[stability] vectors: given true with a linear tail" in vectors
+    moving = refused("moving", endless + family + "[dynamics]\nduration = 1.0\n")
+    assert "[dynamics]: given with a linear tail (edge, or more than 100000 cells)" in moving
 
 
 def test_an_orbit_of_a_lattice_is_followed_in_the_value_that_selects_it(tmp_path: Path) -> None:

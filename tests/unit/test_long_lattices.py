@@ -98,22 +98,6 @@ def test_an_eliminated_tail_changes_nothing(
         assert found.energy == pytest.approx(other.energy, rel=1e-9)
 
 
-@pytest.mark.slow
-def test_the_family_of_an_infinite_chain_declared_as_a_lattice_is_that_of_the_chain(tmp_path: Path) -> None:
-    at = (0.2, 1.0, 3.0)
-    cell = [Site("a", "y + g*y^3")], [Bond("a", "a", (1,), "d", GAINS)]
-    branch = follow_family(long(cell, math.inf, gamma=0.25, g=1.0), "last", 3.0, at=at, tolerance=1e-11)
-    known = follow_family(Chain(math.inf, 1.0, 0.25, 1.0), "last", 3.0, at=at, tolerance=1e-11)  # type: ignore[arg-type]
-    for S in at:
-        one, other = branch.at(S=S), known.at(S=S)
-        assert one.Omega == pytest.approx(other.Omega, rel=1e-14)
-        assert one.energy == pytest.approx(other.energy, rel=1e-12)
-        pinned = branch.space.coordinates.regime(one.point) is Regime.PINNED
-        assert pinned == (S < 0.367762)
-    save_result(branch, tmp_path / "branch")
-    assert np.array_equal(read_result(tmp_path / "branch").Omega, branch.Omega)
-
-
 def test_the_edge_mode_is_accepted_where_the_cut_of_its_cells_has_another_of_the_same_frequency() -> None:
     """Without nonreciprocity the dimer is its own mirror image; sites b alone move, by -u from cell to cell."""
     lattice = long(DIMER, math.inf, edge="last", **{**VALUES, "gamma": 0.0})
@@ -203,21 +187,32 @@ def test_localised_multipliers_are_those_of_finite_lattices_with_all_sites(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cells", [math.inf, 400])
-def test_stability_of_a_chain_declared_as_a_lattice_is_that_of_the_chain(cells: float, tmp_path: Path) -> None:
-    """Pinned, where the orbit fills the tail, and bound; the result is saved and read back."""
-    cell, at = ([Site("a", "y + g*y^3")], [Bond("a", "a", (1,), "d", GAINS)]), (0.2, 3.0)
-    branch = follow_family(long(cell, cells, gamma=0.25, g=-1.0), "first", 3.0, at=at, tolerance=1e-9)
-    chain = Chain(cells, 1.0, 0.25, -1.0)
-    other = follow_family(chain, "first", 3.0, at=at, tolerance=1e-9, stability_sites=190)
+@pytest.mark.parametrize(
+    ("cells", "g", "mode"), [(math.inf, -1.0, "first"), (math.inf, 1.0, "last"), (400, -1.0, "first")]
+)
+def test_a_chain_declared_as_a_long_lattice_has_the_family_and_the_stability_of_the_chain(
+    cells: float, g: float, mode: str, tmp_path: Path
+) -> None:
+    """Pinned, where the orbit fills the tail, and bound; results are saved and read back."""
+    cell, at = ([Site("a", "y + g*y^3")], [Bond("a", "a", (1,), "d", GAINS)]), (0.2, 1.0, 3.0)
+    branch = follow_family(long(cell, cells, gamma=0.25, g=g), mode, 3.0, at=at, tolerance=1e-9)
+    other = follow_family(Chain(cells, 1.0, 0.25, g), mode, 3.0, at=at, tolerance=1e-9, stability_sites=190)  # type: ignore[arg-type]
     for S in at:
-        mine, theirs = branch.at(S=S).floquet(), other.at(S=S).floquet()
+        one, two = branch.at(S=S), other.at(S=S)
+        assert one.Omega == pytest.approx(two.Omega, rel=1e-14)
+        assert one.energy == pytest.approx(two.energy, rel=1e-12)
+        assert (branch.space.coordinates.regime(one.point) is Regime.PINNED) == (S < 0.3669)
+        if S == 1.0:
+            continue
+        mine, theirs = one.floquet(), two.floquet()
         assert isinstance(mine, LocalisedFloquet)
         assert isinstance(theirs, LocalisedFloquet)
         assert mine.sites == theirs.sites == 190
         np.testing.assert_allclose(mine.mu, theirs.mu, rtol=0, atol=float(np.max(mine.mu_error + theirs.mu_error)))
         np.testing.assert_allclose(mine.continuous.arcs, theirs.continuous.arcs, rtol=1e-12)
+    save_result(branch, tmp_path / "branch")
     save_result(branch.at(S=3.0), tmp_path / "orbit.json")
+    assert np.array_equal(read_result(tmp_path / "branch").Omega, branch.Omega)
     np.testing.assert_array_equal(read_result(tmp_path / "orbit.json").floquet().mu, branch.at(S=3.0).floquet().mu)
 
 

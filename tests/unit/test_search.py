@@ -9,7 +9,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.optimize import minimize_scalar
 
 from casadi_skin import Chain, follow_family, search_orbit
 from casadi_skin.lattice.closed_forms import duffing_frequency
@@ -18,7 +17,6 @@ from casadi_skin.optimise.family_search import FamilyNlp, FamilySearch
 from casadi_skin.optimise.names import NAMED
 from casadi_skin.optimise.nlp import optimality
 from casadi_skin.optimise.search import SearchResult, SearchStatus
-from casadi_skin.optimise.search_orbit import pareto_front
 from casadi_skin.optimise.search_problem import Ending
 from casadi_skin.solve.processes import SearchProgress
 
@@ -49,9 +47,7 @@ def search(chain: Chain = SHORT, **changes: Any) -> SearchResult:
 @pytest.mark.parametrize(
     ("g", "gamma"),
     [
-        (1.0, 0.3),
-        (-1.0, -0.3),
-        (1.0, 0.0),
+        *((1.0, 0.3), (-1.0, -0.3), (1.0, 0.0)),
         *(pytest.param(g, gamma, marks=pytest.mark.slow) for g, gamma in ((1.0, -0.3), (-1.0, 0.3), (-1.0, 0.0))),
     ],
 )
@@ -100,29 +96,11 @@ def test_derivatives_are_exact() -> None:
 
 def test_one_site_is_duffing() -> None:
     """S at which the frequency is 2: the closed form of Duffing's oscillator, solved here by bisection."""
-    result = search_orbit(
-        Chain(1, 1.0, 0.0, 1.0), objective="S", free=("S",), bounds={"S": (0.1, 5), "Omega": (2, 3)}, starts=2
-    )
+    bounds = {"S": (0.1, 5), "Omega": (2, 3)}
+    result = search_orbit(Chain(1, 1.0, 0.0, 1.0), objective="S", free=("S",), bounds=bounds, starts=2)
     assert result.status is SearchStatus.ON_BOUND
     assert result.best.active == ("Omega >= 2",)
     assert abs(duffing_frequency(3.0, 1.0, amplitude=float(np.sqrt(result.best.S))) - 2.0) < 1e-9
-
-
-def slope_of(gamma: float) -> float:
-    at = 1.0 + 0.01 * np.array([-2.0, -1.0, 1.0, 2.0])
-    branch = follow_family(Chain(6, 1.0, gamma, 1.0), "last", at[-1], at=at, tolerance=1e-11)
-    a, b, c, d = (branch.at(S=S).Omega for S in at)
-    return float((8 * (c - b) - (d - a)) / 0.12)
-
-
-@pytest.mark.slow
-def test_least_slope_is_that_of_plain_families() -> None:
-    result = search(objective="Omega_slope", bounds={"gamma": (0.2, 0.8)}, starts=3)
-    plain = minimize_scalar(slope_of, bounds=(0.2, 0.8), method="bounded", options={"xatol": 1e-6})
-    assert result.status is SearchStatus.FOUND
-    assert abs(result.best.gamma - plain.x) < 1e-4
-    assert abs(result.best.objective - plain.fun) < 1e-7
-    assert result.best.curvature > 0
 
 
 def test_every_optimum_is_solved_again_as_a_plain_orbit() -> None:
@@ -152,17 +130,6 @@ def test_wrong_multipliers_are_no_optimum() -> None:
     assert optimality(nlp, solution).kkt.stationarity > 1e-3
 
 
-@pytest.mark.slow
-def test_mirrored_chains_have_the_same_optimum() -> None:
-    right = search(objective="Omega_slope", bounds={"gamma": (0.2, 0.8)}, starts=1).best
-    left = search(
-        Chain(6, 1.0, -0.3, 1.0), objective="Omega_slope", bounds={"gamma": (-0.8, -0.2)}, starts=1
-    ).best  # fmt: skip
-    assert abs(right.gamma + left.gamma) < 1e-6
-    assert abs(right.objective - left.objective) < 1e-10
-    np.testing.assert_allclose(np.abs(right.orbit.profile), np.abs(left.orbit.profile[::-1]), atol=1e-6)
-
-
 def test_uneven_chain_meets_its_target() -> None:
     """The curve of a uniform chain with alpha = 0.9 and 1.01 of it at the larger S: met within the bounds."""
     plain = follow_family(Chain(6, 0.9, 0.3, 1.0), "last", 0.8, at=[0.3, 0.8])
@@ -187,26 +154,6 @@ def test_uneven_chain_meets_its_target() -> None:
         padded = np.pad(y, ((0, 0), (1, 1)))
         force = 1.3 * padded[:, :-2] + 0.7 * padded[:, 2:] - (2 + best.alpha_n) * y - y**3
         assert np.max(np.abs(acceleration - force)) < 1e-6
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("points", [2, pytest.param(4, marks=pytest.mark.slow)])
-def test_pareto_front_has_no_dominated_point(points: int) -> None:
-    front = pareto_front(
-        SHORT,
-        "participation",
-        "log_amplification",
-        points=points,
-        free=("gamma",),
-        bounds={"gamma": (0.1, 0.6)},
-        starts=1,
-    )
-    assert front.complete
-    assert np.all(np.diff(front.values[:, 1]) > 0)
-    assert np.all(np.diff(front.values[:, 0]) < 0)
-    for value, optimum in zip(front.values, front.points, strict=True):
-        orbit = follow_family(Chain(6, 1.0, optimum.gamma, 1.0), "last", 1.0, at=[1.0]).at(S=1.0)
-        assert abs(1 / np.sum(orbit.profile**4) - value[0]) < 1e-6
 
 
 # What a search says of itself ----------------------------------------------------------------------------------------
