@@ -38,8 +38,18 @@ def check_no_parameters(given: Mapping[str, float] | None) -> None:
         raise ValueError(f"parameters: given {short_repr(given)}; accepted: with an OdeModel alone")
 
 
+class WithOwnParameters(WithVerbs):
+    """What every model has, as data of one whose parameters are its own: none of them is given a value beside it."""
+
+    parameter_names: ClassVar[tuple[str, ...]] = ()
+    place: ClassVar[str] = "site"
+    forced: ClassVar[bool] = False
+    normalisation: ClassVar[None] = None
+    declaration: ClassVar[None] = None
+
+
 @dataclass(frozen=True)
-class Chain(WithVerbs):
+class Chain(WithOwnParameters):
     """A chain of `sites` oscillators with fixed ends; a_+- = 1 -+ gamma, |gamma| <= 1; dimensionless.
 
     `sites` may be `math.inf`: a chain whose other end is infinitely far from the edge that its modes lean to. It has
@@ -51,13 +61,7 @@ class Chain(WithVerbs):
     alpha: float
     gamma: float
     g: float
-    parameter_names: ClassVar[tuple[str, ...]] = ()
-    """Names of parameters that may be given values beside it: none."""
     name: ClassVar[str] = "chain"
-    place: ClassVar[str] = "site"
-    forced: ClassVar[bool] = False
-    normalisation: ClassVar[None] = None
-    declaration: ClassVar[None] = None
 
     def __post_init__(self) -> None:
         endless = isinstance(self.sites, float) and self.sites == np.inf

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, ClassVar
 import casadi as ca
 import numpy as np
 
+from casadi_skin.lattice.chain import WithOwnParameters
 from casadi_skin.lattice.declaration import FIXED, PERIODIC, Array, Bond, Site
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.spectrum import LinearSpectrum
 from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.model.arguments import check_name, short_repr
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.result import WithVerbs
 from casadi_skin.zero.linear_modes import symmetrising_scale
 from casadi_skin.zero.model_coordinates import FIRST, LAST, number_of_mode
 from casadi_skin.zero.statement import named_values
@@ -45,7 +45,7 @@ class EdgeMode:
 
 
 @dataclass(frozen=True, eq=False)
-class LongLattice(WithVerbs):
+class LongLattice(WithOwnParameters):
     """A lattice of so many alike cells that all but those at one edge are linear; one direction; dimensionless.
 
     Attributes:
@@ -67,12 +67,6 @@ class LongLattice(WithVerbs):
     parameters: Mapping[str, float] = field(default_factory=dict)
     edge: str | None = None
     name: str = "lattice"
-    parameter_names: ClassVar[tuple[str, ...]] = ()
-    """Names of parameters that may be given values beside it: none."""
-    place: ClassVar[str] = "site"
-    forced: ClassVar[bool] = False
-    normalisation: ClassVar[None] = None
-    declaration: ClassVar[None] = None
 
     def __post_init__(self) -> None:
         whole = isinstance(self.cells, int) and not isinstance(self.cells, bool)
