@@ -32,6 +32,13 @@ def polynomial_of(values: list[float]) -> np.polynomial.Polynomial:
     return polynomial
 
 
+def product(symbol: ca.SX, values: list[float]) -> ca.SX:
+    found = ca.SX(1.0)
+    for root in values:
+        found = found * (symbol - root)
+    return found
+
+
 @examples(20, deadline=None)
 @given(roots, tolerances, steps)
 @example(PAIR_IN_A_STEP, 1e-10, 0.2)
@@ -55,46 +62,29 @@ def test_every_fold_of_a_random_curve_is_found(values: list[float], tolerance: f
         assert abs(point.parameters["p"] - f(root)) <= 10.0 * point.error + 1e-13 * (1.0 + abs(f(root)))
 
 
+@pytest.mark.parametrize("kind", ["hopf", "branch point"])
 @examples(20, deadline=None)
 @given(roots, st.floats(0.3, 30.0), tolerances, steps)
 @example(PAIR_IN_A_STEP, 1.0, 1e-10, 0.2)
-def test_every_crossing_of_a_pair_is_found(
-    values: list[float], omega: float, tolerance: float, max_step: float
+def test_every_crossing_of_the_axis_is_found(
+    kind: str, values: list[float], omega: float, tolerance: float, max_step: float
 ) -> None:
-    """The growth rate of a pair is prod (p - r_k): Hopf points at each r_k, with the frequency of the pair."""
+    """With g = prod (p - r_k) the growth rate of a pair, or x = g(p) crossing x = 0, for whatever it is there."""
     values = sorted(values)
     polynomial_of(values)
     u, v, p = (ca.SX.sym(name) for name in "uvp")
-    growth = 1.0
-    for root in values:
-        growth = growth * (p - root)
+    g = product(p, values)
     r2 = u**2 + v**2
-    rhs = ca.vertcat((growth - r2) * u - omega * v, omega * u + (growth - r2) * v)
-    model = OdeModel("pair", ca.vertcat(u, v), rhs, p)
-    start = find_equilibrium(model, [0.0, 0.0], parameters={"p": -2.0}, tolerance=tolerance)
+    pair = [(g - r2) * u - omega * v, omega * u + (g - r2) * v]
+    x, rhs = (ca.vertcat(u, v), pair) if kind == "hopf" else (u, [u * (g - u)])
+    model = OdeModel("crossing", x, ca.vertcat(*rhs), p)
+    start = find_equilibrium(model, np.zeros(len(rhs)), parameters={"p": -2.0}, tolerance=tolerance)
     points = start.follow("p", 2.0, max_step=max_step).special_points
-    assert [point.kind for point in points] == ["hopf"] * len(values)
+    assert [point.kind for point in points] == [kind] * len(values)
     np.testing.assert_allclose([point.parameters["p"] for point in points], values, atol=1e-9)
-    np.testing.assert_allclose([point.frequency for point in points], omega, rtol=1e-9)
-    assert {point.criticality for point in points} == {"supercritical"}
-
-
-@examples(20, deadline=None)
-@given(roots, tolerances, steps)
-@example(PAIR_IN_A_STEP, 1e-10, 0.2)
-def test_every_branch_point_of_a_random_curve_is_found(values: list[float], tolerance: float, max_step: float) -> None:
-    """x' = x (g(p) - x) with g = prod (p - r_k): x = g(p) crosses x = 0 at each r_k, for whatever it is there."""
-    values = sorted(values)
-    polynomial_of(values)
-    x, p = ca.SX.sym("x"), ca.SX.sym("p")
-    crossing = 1.0
-    for root in values:
-        crossing = crossing * (p - root)
-    model = OdeModel("crossing", x, x * (crossing - x), p)
-    start = find_equilibrium(model, [0.0], parameters={"p": -2.0}, tolerance=tolerance)
-    points = start.follow("p", 2.0, max_step=max_step).special_points
-    assert [point.kind for point in points] == ["branch point"] * len(values)
-    np.testing.assert_allclose([point.parameters["p"] for point in points], values, atol=1e-9)
+    if kind == "hopf":
+        np.testing.assert_allclose([point.frequency for point in points], omega, rtol=1e-9)
+        assert {point.criticality for point in points} == {"supercritical"}
 
 
 @pytest.mark.slow
@@ -138,9 +128,7 @@ def test_every_point_on_a_curve_of_hopf_points_is_found(values: list[float], max
     polynomial_of(values)
     x = ca.SX.sym("x", 4)
     p, q = ca.SX.sym("p"), ca.SX.sym("q")
-    g, h = 1.0, 1.0
-    for root in values:
-        g, h = g * (q - root), h * (q + 0.125 - root)
+    g, h = product(q, values), product(q + 0.125, values)
     r2, s2 = x[0] ** 2 + x[1] ** 2, x[2] ** 2 + x[3] ** 2
     a, b = p + g * r2 - r2**2, h - s2
     rhs = ca.vertcat(a * x[0] - x[1], x[0] + a * x[1], b * x[2] - 2 * x[3], 2 * x[2] + b * x[3])

@@ -2,14 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
-from casadi_skin import OdeModel
+from casadi_skin import Branch, OdeModel, find_equilibrium
 
 
 def symbols(names: str) -> list[ca.SX]:
     return [ca.SX.sym(name) for name in names.split()]
+
+
+def branch_of(states: str, rhs: Callable[..., Sequence[Any]], guess: Any, to: float, **start: float) -> Branch:
+    """Equilibria of x' = rhs(states, parameters), followed in the first of the parameters from its start."""
+    x, p = symbols(states), symbols(" ".join(start))
+    model = OdeModel("model", ca.vertcat(*x), ca.vertcat(*rhs(*x, *p)), ca.vertcat(*p), nominal=tuple(start.values()))
+    branch: Branch = find_equilibrium(model, guess).follow(next(iter(start)), to)
+    return branch
+
+
+def has_points(branch: Branch, known: Sequence[tuple[str, float]], atol: float, rtol: float = 0.0) -> None:
+    """The special points of a branch are the known ones, in order, and nothing is unresolved."""
+    assert [point.kind for point in branch.special_points] == [kind for kind, _ in known]
+    found = [point.parameters[branch.parameter] for point in branch.special_points]
+    np.testing.assert_allclose(found, [place for _, place in known], atol=atol, rtol=rtol)
+    assert branch.unresolved == ()
 
 
 def ab() -> OdeModel:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import BoundaryValueProblem, Branch, OdeModel, find_orbit, read_result, save_result
+from casadi_skin.follow.solution import Solution
 from casadi_skin.zero.settings import End
 
 X, Y, P, Q, T = (ca.SX.sym(name) for name in ("x", "y", "p", "q", "t"))
@@ -23,17 +24,28 @@ def ends_at_bound(branch: Branch, value: float, words: str, within: float = 1e-1
     assert not branch.complete
 
 
-@pytest.mark.parametrize(("to", "bounds", "value", "words"), [
-    (3.0, (-10.0, 1.0), 1.0, "x comes to its upper bound 1 at t = 1, with p = 1"),
-    (-3.0, (-2.0, 10.0), -2.0, "x comes to its lower bound -2 at t = 1, with p = -2"),
+def line(bounds: tuple[float, float]) -> Solution:
+    """x' = p from 0: x(1) = p, at p = 1/2."""
+    model = OdeModel("line", X, P + 0 * X, P)
+    return BoundaryValueProblem(model, [model.start(X)], parameters={"p": 0.5}, bounds={"x": bounds}).solve([0.0])
+
+
+@pytest.mark.parametrize(("to", "bounds", "value", "words", "within"), [
+    (3.0, (-10.0, 1.0), 1.0, "x comes to its upper bound 1 at t = 1, with p = 1", 1e-10),
+    (-3.0, (-2.0, 10.0), -2.0, "x comes to its lower bound -2 at t = 1, with p = -2", 1e-10),
+    (5.0, (0.0, 2.0), 2.0, "x comes to its upper bound 2 at t = 1", 1e-10),  # its start is held at a bound
+    (-1.0, (0.0, 2.0), 0.0, "x comes to its lower bound 0", 1e-7),
 ])  # fmt: skip
 def test_a_line_ends_where_its_end_meets_a_bound(
-    to: float, bounds: tuple[float, float], value: float, words: str
+    to: float, bounds: tuple[float, float], value: float, words: str, within: float
 ) -> None:
-    """x' = p from 0: x(1) = p."""
-    model = OdeModel("line", X, P + 0 * X, P)
-    problem = BoundaryValueProblem(model, [model.start(X)], parameters={"p": 0.5}, bounds={"x": bounds})
-    ends_at_bound(problem.solve([0.0]).follow("p", to), value, words)
+    ends_at_bound(line(bounds).follow("p", to), value, words, within)
+
+
+def test_without_a_bound_in_its_way_a_branch_reaches_its_end() -> None:
+    branch = line((-1.0, np.inf)).follow("p", 3.0)
+    assert branch.complete
+    assert branch.special_points == ()
 
 
 def test_a_bound_holds_between_points_of_the_mesh() -> None:
@@ -66,23 +78,6 @@ def test_a_bound_that_is_passed_and_left_within_a_step_ends_the_branch() -> None
     ends_at_bound(branch, 0.5 - np.sqrt(1e-4 / 40.0), "x comes to its upper bound 1")
 
 
-def test_a_state_that_a_condition_holds_at_its_bound_does_not_end_a_branch() -> None:
-    """x' = p from 0 within x >= 0: at p = 0 it leaves the bound that its start is on."""
-    model = OdeModel("line", X, P + 0 * X, P)
-    problem = BoundaryValueProblem(model, [model.start(X)], parameters={"p": 0.5}, bounds={"x": (0.0, 2.0)})
-    solution = problem.solve([0.0])
-    ends_at_bound(solution.follow("p", 5.0), 2.0, "x comes to its upper bound 2 at t = 1")
-    ends_at_bound(solution.follow("p", -1.0), 0.0, "x comes to its lower bound 0", 1e-7)
-
-
-def test_without_a_bound_in_its_way_a_branch_reaches_its_end() -> None:
-    model = OdeModel("line", X, P + 0 * X, P)
-    problem = BoundaryValueProblem(model, [model.start(X)], parameters={"p": 0.5}, bounds={"x": (-1.0, np.inf)})
-    branch = problem.solve([0.0]).follow("p", 3.0)
-    assert branch.complete
-    assert branch.special_points == ()
-
-
 def test_a_bound_holds_along_orbits() -> None:
     """The circle of radius sqrt(mu): x comes to 1.2 at mu = 1.44."""
     mu, r2 = ca.SX.sym("mu"), X**2 + Y**2
@@ -105,11 +100,7 @@ def test_a_bound_holds_on_the_orbits_that_leave_others() -> None:
 
 
 def test_a_branch_that_ended_at_a_bound_is_read_back(tmp_path: Path) -> None:
-    model = OdeModel("line", X, P + 0 * X, P)
-    problem = BoundaryValueProblem(model, [model.start(X)], parameters={"p": 0.5}, bounds={"x": (-10.0, 1.0)})
-    branch = problem.solve([0.0]).follow("p", 3.0)
-    save_result(branch, tmp_path / "branch.json")
-    back = read_result(tmp_path / "branch.json")
-    assert back.end is End.BOUND
-    assert back.reason == branch.reason
+    branch = line((-10.0, 1.0)).follow("p", 3.0)
+    back = read_result(save_result(branch, tmp_path / "branch.json"))
+    assert (back.end, back.reason) == (End.BOUND, branch.reason)
     assert [point.kind for point in back.special_points] == ["bound"]

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pytest
-from equilibrium_models import Brusselator, ab, carbon_monoxide, hopf_pairs, symbols
+from equilibrium_models import Brusselator, ab, branch_of, carbon_monoxide, has_points, hopf_pairs
 from scipy.optimize import fsolve
 
 from casadi_skin import OdeModel, find_equilibrium
-
-
-def _model(name: str, states: list[ca.SX], rhs: list[ca.SX], parameters: list[ca.SX], nominal: tuple) -> OdeModel:
-    return OdeModel(name, ca.vertcat(*states), ca.vertcat(*rhs), ca.vertcat(*parameters), nominal=nominal)
 
 
 def test_the_folds_of_ab_meet_in_the_cusp_in_closed_form() -> None:
@@ -35,28 +33,25 @@ def test_the_folds_of_ab_meet_in_the_cusp_in_closed_form() -> None:
 @pytest.mark.parametrize("rest", [0.0, 1.0, 1e-4])
 def test_states_that_take_no_part_change_no_curve(rate: float, rest: float) -> None:
     """x' = a + b x - x^3, y' = rate (rest - y): one cusp, at a = b = 0, and folds along 27 a^2 = 4 b^3."""
-    x, y, a, b = symbols("x y a b")
-    model = _model("cusp", [x, y], [a + b * x - x**3, rate * (rest - y)], [a, b], (-1.0, 1.0))
-    branch = find_equilibrium(model, [-1.3, rest], parameters={"a": -1.0, "b": 1.0}).follow("a", 1.0)
-    assert [point.kind for point in branch.special_points] == ["fold", "fold"]
-    assert abs(abs(branch.special_points[0].coefficient) - np.sqrt(3.0)) < 1e-9  # 3 x with x^2 = 1/3
-    curve = branch.special_points[0].curve("b", -1.0)
-    np.testing.assert_allclose(27.0 * curve.parameters["a"] ** 2, 4.0 * curve.parameters["b"] ** 3, atol=1e-12)
-    assert [point.kind for point in curve.special_points] == ["cusp"]
-    assert abs(curve.special_points[0].parameters["a"]) + abs(curve.special_points[0].parameters["b"]) < 1e-12
+    rates = lambda x, y, a, b: [a + b * x - x**3, rate * (rest - y)]  # noqa: E731
+    points = branch_of("x y", rates, [-1.3, rest], 1.0, a=-1.0, b=1.0).special_points
+    assert [point.kind for point in points] == ["fold", "fold"]
+    assert abs(abs(points[0].coefficient) - np.sqrt(3.0)) < 1e-9  # 3 x with x^2 = 1/3
+    curve = points[0].curve("b", -1.0)
+    np.testing.assert_allclose(27.0 * curve["a"] ** 2, 4.0 * curve["b"] ** 3, atol=1e-12)
+    has_points(curve, [("cusp", 0.0)], 1e-12)
+    assert abs(curve.special_points[0].parameters["a"]) < 1e-12
 
 
 @pytest.mark.parametrize("rate", [1e-3, 1.0, 1e3])
 def test_states_that_take_no_part_change_no_curve_of_branch_points(rate: float) -> None:
     """x' = (a - k) x + (k^2 - 1/4) x^3, y' = -rate y: pitchforks along a = k, degenerate where k = 1/2."""
-    x, y, a, k = symbols("x y a k")
-    model = _model("pitchfork", [x, y], [(a - k) * x + (k**2 - 0.25) * x**3, -rate * y], [a, k], (-1.0, 0.0))
-    branch = find_equilibrium(model, [0.0, 0.0], parameters={"a": -1.0, "k": 0.0}).follow("a", 1.0)
-    assert [point.kind for point in branch.special_points] == ["branch point"]
-    curve = branch.special_points[0].curve("k", 1.0)
-    np.testing.assert_allclose(curve.parameters["a"], curve.parameters["k"], atol=1e-12)
-    assert [point.kind for point in curve.special_points] == ["degenerate pitchfork"]
-    assert abs(curve.special_points[0].parameters["k"] - 0.5) < 1e-10
+    rates = lambda x, y, a, k: [(a - k) * x + (k**2 - 0.25) * x**3, -rate * y]  # noqa: E731
+    (point,) = branch_of("x y", rates, [0.0, 0.0], 1.0, a=-1.0, k=0.0).special_points
+    assert point.kind == "branch point"
+    curve = point.curve("k", 1.0)
+    np.testing.assert_allclose(curve["a"], curve["k"], atol=1e-12)
+    has_points(curve, [("degenerate pitchfork", 0.5)], 1e-10)
 
 
 @pytest.mark.slow
@@ -121,76 +116,58 @@ def _where(model: OdeModel, point, conditions) -> np.ndarray:  # type: ignore[no
 
 def test_the_bogdanov_takens_normal_form_in_closed_form() -> None:
     """x' = y, y' = b1 + b2 x + x^2 - x y: folds at b1 = b2^2/4, Hopf points at b1 = 0 for b2 < 0, both end at 0."""
-    x, y, b1, b2 = symbols("x y b1 b2")
-    model = _model("Bogdanov-Takens", [x, y], [y, b1 + b2 * x + x**2 - x * y], [b1, b2], (-0.5, -1.0))
-    hopf, fold = find_equilibrium(model, [-0.37, 0.0]).follow("b1", 0.5).special_points
+    rates = lambda x, y, b1, b2: [y, b1 + b2 * x + x**2 - x * y]  # noqa: E731
+    hopf, fold = branch_of("x y", rates, [-0.37, 0.0], 0.5, b1=-0.5, b2=-1.0).special_points
     assert (hopf.kind, fold.kind) == ("hopf", "fold")
-    curve = hopf.curve("b2", 1.0)
+    curve, folds = (point.curve("b2", 1.0) for point in (hopf, fold))
     np.testing.assert_allclose(curve["b1"], 0.0, atol=1e-12)
     assert "end at a Bogdanov-Takens point" in curve.reason
-    assert abs(curve.special_points[-1].parameters["b2"]) < 1e-9
-    folds = fold.curve("b2", 1.0)
     np.testing.assert_allclose(folds["b1"], folds["b2"] ** 2 / 4.0, atol=1e-12)
-    assert [point.kind for point in folds.special_points] == ["bogdanov-takens"]
-    assert abs(folds.special_points[0].parameters["b2"]) < 1e-9
     assert folds.complete
-
-
-def test_the_cusp_normal_form_in_closed_form() -> None:
-    """x' = b1 + b2 x - x^3: 27 b1^2 = 4 b2^3."""
-    x, b1, b2 = symbols("x b1 b2")
-    model = _model("cusp", [x], [b1 + b2 * x - x**3], [b1, b2], (-2.0, 1.0))
-    fold = find_equilibrium(model, [-1.5]).follow("b1", 2.0).special_points[0]
-    curve = fold.curve("b2", -1.0)
-    np.testing.assert_allclose(27.0 * curve["b1"] ** 2, 4.0 * curve["b2"] ** 3, atol=1e-11)
-    (cusp,) = curve.special_points
-    assert cusp.kind == "cusp"
-    assert abs(cusp.parameters["b1"]) < 1e-12
-    assert abs(cusp.parameters["b2"]) < 1e-12
+    for one in (curve, folds):
+        has_points(one, [("bogdanov-takens", 0.0)], 1e-9)
 
 
 @pytest.mark.slow
 def test_the_bautin_normal_form_in_closed_form() -> None:
     """r' = r (b1 + b2 r^2 - r^4): Hopf points at b1 = 0, degenerate at b2 = 0."""
-    u, v, b1, b2 = symbols("u v b1 b2")
-    r2 = u**2 + v**2
-    growth = b1 + b2 * r2 - r2**2
-    model = _model("Bautin", [u, v], [growth * u - 2 * v, 2 * u + growth * v], [b1, b2], (-1.0, -1.0))
-    (hopf,) = find_equilibrium(model, [0.0, 0.0]).follow("b1", 1.0).special_points
-    (point,) = hopf.curve("b2", 1.0).special_points
-    assert point.kind == "generalized hopf"
-    assert abs(point.parameters["b2"]) < 1e-10
+
+    def rates(u: Any, v: Any, b1: Any, b2: Any) -> list[Any]:
+        growth = b1 + b2 * (u**2 + v**2) - (u**2 + v**2) ** 2
+        return [growth * u - 2 * v, 2 * u + growth * v]
+
+    (hopf,) = branch_of("u v", rates, [0.0, 0.0], 1.0, b1=-1.0, b2=-1.0).special_points
+    has_points(hopf.curve("b2", 1.0), [("generalized hopf", 0.0)], 1e-10)
 
 
 @pytest.mark.slow
 def test_hopf_hopf_and_zero_hopf_points_in_closed_form() -> None:
-    p, q, x, u, v = symbols("p q x u v")
+    p, q = ca.SX.sym("p"), ca.SX.sym("q")
     both = hopf_pairs([p, p - q], ca.vertcat(p, q), [1.0, 1.7])
     hopf = find_equilibrium(both, np.zeros(4), parameters={"p": -1.0, "q": 0.5}).follow("p", 0.25).special_points[0]
-    (point,) = hopf.curve("q", -0.5).special_points
-    assert point.kind == "hopf-hopf"
-    assert abs(point.parameters["q"]) < 1e-10
-    r2 = u**2 + v**2
-    growth = q + x - r2
-    rhs = [p + x**2 - r2, growth * u - 1.3 * v, 1.3 * u + growth * v]
-    saddle = _model("zero-Hopf", [x, u, v], rhs, [p, q], (-1.0, 0.5))
-    points = find_equilibrium(saddle, [-1.0, 0.0, 0.0]).follow("p", 0.5).special_points
+    has_points(hopf.curve("q", -0.5), [("hopf-hopf", 0.0)], 1e-10)
+
+    def rates(x: Any, u: Any, v: Any, p: Any, q: Any) -> list[Any]:
+        r2 = u**2 + v**2
+        growth = q + x - r2
+        return [p + x**2 - r2, growth * u - 1.3 * v, 1.3 * u + growth * v]
+
+    points = branch_of("x u v", rates, [-1.0, 0.0, 0.0], 0.5, p=-1.0, q=0.5).special_points
     assert [point.kind for point in points] == ["hopf", "fold"]
-    for start, beyond in zip(points, (["generalized hopf"], []), strict=True):
-        found, *others = start.curve("q", -0.5).special_points
-        assert found.kind == "zero-hopf"
-        at_end = [(point.kind, point.parameters["q"]) for point in others]
-        assert at_end == [(kind, -0.5) for kind in beyond]  # l1 is a multiple of 1/(2 x) - 1, and x = -q
-        assert abs(found.parameters["q"]) < 1e-9
-        assert abs(found.parameters["p"]) < 1e-9
+    for start, beyond in zip(points, ([("generalized hopf", -0.5)], []), strict=True):
+        curve = start.curve("q", -0.5)  # l1 is a multiple of 1/(2 x) - 1, and x = -q
+        has_points(curve, [("zero-hopf", 0.0), *beyond], 1e-9)
+        assert abs(curve.special_points[0].parameters["p"]) < 1e-9
+
+
+def lorenz(x: Any, y: Any, z: Any, r: Any, s: Any) -> list[Any]:
+    return [s * (y - x), r * x - y - x * z, x * y - 8 * z / 3]
 
 
 @pytest.mark.slow
 def test_the_hopf_curve_of_lorenz_in_closed_form() -> None:
     """r = s (s + b + 3)/(s - b - 1), with b = 8/3, in s from 10 to 20."""
-    x, y, z, r, s = symbols("x y z r s")
-    model = _model("Lorenz", [x, y, z], [s * (y - x), r * x - y - x * z, x * y - 8 * z / 3], [r, s], (14.0, 10.0))
-    (hopf,) = find_equilibrium(model, [6.0, 6.0, 13.0]).follow("r", 30.0).special_points
+    (hopf,) = branch_of("x y z", lorenz, [6.0, 6.0, 13.0], 30.0, r=14.0, s=10.0).special_points
     curve = hopf.curve("s", 20.0, at=[15.0])
     s_, b = curve["s"], 8.0 / 3.0
     np.testing.assert_allclose(curve["r"], s_ * (s_ + b + 3.0) / (s_ - b - 1.0), rtol=1e-11)
@@ -217,9 +194,7 @@ def test_curves_are_refused_in_one_line() -> None:
         fold.curve("q", 1.0)
     with pytest.raises(ValueError, match="follow: given a fold, where the equations at a held p2 are singular"):
         fold.curve("p3", 2.1).solutions[-1].follow("p2", 13.0)
-    x, p, q = symbols("x p q")
-    chance = _model("chance", [x], [p * x - x**2 + q], [p, q], (-1.0, 0.0))
-    (point,) = find_equilibrium(chance, [0.0]).follow("p", 1.0).special_points
+    (point,) = branch_of("x", lambda x, p, q: [p * x - x**2 + q], [0.0], 1.0, p=-1.0, q=0.0).special_points
     with pytest.raises(ArithmeticError, match="the branch point is none at other values of q"):
         point.curve("q", 1.0)
 
@@ -227,27 +202,21 @@ def test_curves_are_refused_in_one_line() -> None:
 @pytest.mark.slow
 def test_branch_points_that_a_symmetry_keeps_are_followed_in_closed_form() -> None:
     """Lorenz's pitchfork at r = 1 for any sigma; x'' = p x + q x' - x^3 - x^2 x'."""
-    x, y, z, r, s = symbols("x y z r s")
-    model = _model("Lorenz", [x, y, z], [s * (y - x), r * x - y - x * z, x * y - 8 * z / 3], [r, s], (0.5, 10.0))
-    (pitchfork,) = find_equilibrium(model, [0.0, 0.0, 0.0]).follow("r", 2.0).special_points
+    (pitchfork,) = branch_of("x y z", lorenz, [0.0, 0.0, 0.0], 2.0, r=0.5, s=10.0).special_points
     curve = pitchfork.curve("s", 20.0)
     assert curve.complete
     np.testing.assert_allclose(curve["r"], 1.0, rtol=1e-12)
-    p, q = symbols("p q")
-    model = _model("van der Pol and Duffing", [x, y], [y, p * x + q * y - x**3 - x**2 * y], [p, q], (-1.0, -1.0))
-    (pitchfork,) = find_equilibrium(model, [0.0, 0.0]).follow("p", 1.0).special_points
+    rates = lambda x, y, p, q: [y, p * x + q * y - x**3 - x**2 * y]  # noqa: E731
+    (pitchfork,) = branch_of("x y", rates, [0.0, 0.0], 1.0, p=-1.0, q=-1.0).special_points
     curve = pitchfork.curve("q", 1.0)
     np.testing.assert_allclose(curve["p"], 0.0, atol=1e-12)
-    (takens,) = curve.special_points
-    assert takens.kind == "bogdanov-takens"
-    assert abs(takens.parameters["q"]) < 1e-9
+    has_points(curve, [("bogdanov-takens", 0.0)], 1e-9)
 
 
 @pytest.mark.slow
 def test_a_hopf_curve_goes_on_where_its_plane_turns_by_a_right_angle() -> None:
     """The pair p +- i in a plane that turns by 180 degrees for q from 0 to 1: at p = 0 for every q."""
-    p, q = symbols("p q")
-    x = ca.SX.sym("x", 4)
+    p, q, x = ca.SX.sym("p"), ca.SX.sym("q"), ca.SX.sym("x", 4)
     c, s = ca.cos(np.pi * q), ca.sin(np.pi * q)
     one, zero = ca.SX.eye(2), ca.SX(2, 2)
     turned = ca.vertcat(ca.horzcat(c * one, -s * one), ca.horzcat(s * one, c * one))

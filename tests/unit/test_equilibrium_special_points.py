@@ -5,36 +5,30 @@ from __future__ import annotations
 import warnings
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
-from equilibrium_models import Brusselator, ab, carbon_monoxide, hopf_pairs, lorenz, symbols
+from equilibrium_models import Brusselator, ab, branch_of, carbon_monoxide, has_points, hopf_pairs, lorenz, symbols
 
 from casadi_skin import OdeModel, find_equilibrium, read_result, save_result
 from casadi_skin.follow.rest_space import EquilibriumError
 
 
 def test_ab_has_the_folds_and_the_hopf_point_of_auto() -> None:
-    """AUTO-07p's demo `ab`: folds at (1 -+ sqrt(1 - 12/14))/2 in closed form, Hopf point at 0.130900045."""
-    points = find_equilibrium(ab(), [0, 0]).follow("p", 0.25).special_points
-    assert [point.kind for point in points] == ["fold", "fold", "hopf"]
-    for point, sign in zip(points[:2], (-1, 1), strict=True):
+    """AUTO-07p's demo `ab`: folds at (1 -+ sqrt(1 - 12/14))/2, the Hopf point at trace zero: 0.130900045."""
+    *folds, hopf = find_equilibrium(ab(), [0, 0]).follow("p", 0.25).special_points
+    assert [point.kind for point in (*folds, hopf)] == ["fold", "fold", "hopf"]
+    for point, sign in zip(folds, (-1, 1), strict=True):
         x = 0.5 * (1.0 + sign * np.sqrt(1.0 - 12.0 / 14.0))
         exact = x * np.exp(-14.0 * x / 3.0) / (1.0 - x)
-        assert abs(point.parameters["p"] - exact) <= 1e-16 + 2.0 * point.error
-        assert point.error < 1e-14
-    assert abs(points[2].parameters["p"] - 0.130900045) < 5e-10
-
-
-def test_the_hopf_point_of_ab_satisfies_its_conditions_in_closed_form() -> None:
-    """Trace zero: -4 + p e^y (14 (1 - x) - 1) = 0 on the curve; l1 by the formula for planar systems."""
-    hopf = find_equilibrium(ab(), [0, 0]).follow("p", 0.25).special_points[2]
+        assert abs(point.parameters["p"] - exact) <= 1e-16 + 2.0 * point.error < 2e-14
+    assert abs(hopf.parameters["p"] - 0.130900045) < 5e-10
     x = hopf.solution["x"]
     rate = x / (1.0 - x)  # p e^y
     assert abs(-4.0 + rate * (14.0 * (1.0 - x) - 1.0)) < 1e-12
-    det = 3.0 * (1.0 + rate) - 14.0 * (1.0 - x) * rate
-    assert abs(hopf.frequency - np.sqrt(det)) < 1e-12
+    assert abs(hopf.frequency - np.sqrt(3.0 * (1.0 + rate) - 14.0 * (1.0 - x) * rate)) < 1e-12
     assert hopf.criticality == "supercritical"
 
 
@@ -103,29 +97,19 @@ def _turing_values(problem: Brusselator, largest: float) -> np.ndarray:
     return np.sort(B[largest > B])
 
 
-def test_two_pairs_that_cross_in_one_step_are_told_apart() -> None:
-    """In the same sense, and in opposite senses, where the number of unstable eigenvalues is the same at both ends."""
+@pytest.mark.parametrize(("sense", "apart"), [(1, 1e-5), (-1, 1e-5), (1, 0.0)])
+def test_two_pairs_that_cross_in_one_step_are_told_apart(sense: int, apart: float) -> None:
+    """In the same sense, in opposite ones, where the number that is unstable is the same at both ends, and together."""
     p = ca.SX.sym("p")
-    for second, senses in ((p - 1e-5, (2, 4)), (1e-5 - p, (2, 0))):
-        points = _from_below(hopf_pairs([p, second], p, [1.0, 1.3]), np.zeros(4), "p", -1.0, 1.0)
-        values = [point.parameters["p"] for point in points]
-        assert [point.kind for point in points] == ["hopf", "hopf"], senses
-        np.testing.assert_allclose(values, [0.0, 1e-5], atol=1e-12)
-        np.testing.assert_allclose([point.frequency for point in points], [1.0, 1.3], rtol=1e-9)
+    model = hopf_pairs([p, sense * (p - apart)], p, [1.0, 1.3])
+    branch = find_equilibrium(model, np.zeros(4), parameters={"p": -1.0}).follow("p", 1.0)
+    has_points(branch, [("hopf", 0.0), ("hopf", apart)], 1e-12)
+    if apart:  # one of them is on the axis, and not both
+        np.testing.assert_allclose([point.frequency for point in branch.special_points], [1.0, 1.3], rtol=1e-9)
 
 
-def test_a_pair_that_crosses_and_comes_back_within_a_step_is_found() -> None:
-    """Growth rate 1e-4 - (p - 0.3)^2: unstable for |p - 0.3| < 0.01 alone; the zero state does not change."""
+def test_pairs_of_one_frequency_are_named_together_also_in_files(tmp_path: Path) -> None:
     p = ca.SX.sym("p")
-    points = _from_below(hopf_pairs([1e-4 - (p - 0.3) ** 2], p, [1.0]), np.zeros(2), "p", -1.0, 1.0)
-    np.testing.assert_allclose([point.parameters["p"] for point in points], [0.29, 0.31], atol=1e-10)
-
-
-def test_pairs_that_cross_together_are_told_and_counted() -> None:
-    """Of different frequencies each is located; of one frequency, as symmetry makes them, both are told together."""
-    p = ca.SX.sym("p")
-    points = _from_below(hopf_pairs([p, p], p, [1.0, 1.3]), np.zeros(4), "p", -1.0, 1.0)
-    np.testing.assert_allclose([point.parameters["p"] for point in points], 0.0, atol=1e-14)
     branch = find_equilibrium(hopf_pairs([p, p], p, [1.0, 1.0]), np.zeros(4), parameters={"p": -1.0}).follow("p", 1.0)
     assert [point.kind for point in branch.special_points] == ["hopf", "hopf"]
     assert all(abs(point.parameters["p"]) <= point.error < 1e-3 for point in branch.special_points)
@@ -135,56 +119,41 @@ def test_pairs_that_cross_together_are_told_and_counted() -> None:
     assert stretch.reason == "more than can be distinguished: hopf, 2 in all"
     assert "2 hopf, unresolved: 1 stretch;" in repr(branch)
     assert str(stretch) in str(branch)
+    assert read_result(save_result(branch, tmp_path / "branch.result")).unresolved == branch.unresolved
 
 
-def test_what_is_not_resolved_is_saved_with_the_branch(tmp_path: Path) -> None:
-    p = ca.SX.sym("p")
-    model = hopf_pairs([p, p], p, [1.0, 1.0])
-    branch = find_equilibrium(model, np.zeros(4), parameters={"p": -1.0}).follow("p", 1.0)
-    again = read_result(save_result(branch, tmp_path / "branch.result"))
-    assert again.unresolved == branch.unresolved != ()
+HYSTERESIS, ENERGY = 2.0 * (1e-4 / 3.0) ** 1.5, 2.0 / 27.0**0.5
+CLOSED_FORMS: dict[str, tuple[Any, ...]] = {  # states, rates, guess, from, to, special points, error
+    "eigenvalues 1 + p and p - 2, a neutral saddle at 1/2":
+        ("x y", lambda x, y, p: [(1 + p) * x + y**2, (p - 2) * y], [0.0, 0.0], 0.0, 1.0, [], 0.0),
+    "two folds within a tenth of a step, 2.4e-6 apart":
+        ("x", lambda x, p: [p - x**3 + 1e-4 * x], [-1.0], -1.0, 1.0,
+         [("fold", HYSTERESIS), ("fold", -HYSTERESIS)], 1e-13),
+    "an energy that is not declared, with pairs on the axis":
+        ("x y", lambda x, y, p: [y, p + x - x**3], [-1.3, 0.0], -1.0, 1.0,
+         [("fold", ENERGY), ("fold", -ENERGY)], 1e-12),
+    "a pitchfork on the branch that leaves it":
+        ("x", lambda x, p: [p * x - x**3], [2.0], 4.0, -1.0, [("branch point", 0.0)], 1e-10),
+    "an imperfect pitchfork below":
+        ("x", lambda x, p: [p * x - x**3 + 1e-6], [-1e-6], -1.0, -0.5, [], 0.0),
+    "an imperfect pitchfork above":
+        ("x", lambda x, p: [p * x - x**3 + 1e-6], [1e-6], -1.0, 2.0, [], 0.0),
+    "a pair that is unstable for |p - 0.3| < 0.01 alone":
+        ("u v", lambda u, v, p: _pair(u, v, 1e-4 - (p - 0.3) ** 2), [0.0, 0.0], -1.0, 1.0,
+         [("hopf", 0.29), ("hopf", 0.31)], 1e-10),
+}  # fmt: skip
 
 
-def test_a_neutral_saddle_is_no_hopf_point() -> None:
-    """Eigenvalues 1 + p and p - 2 have the sum zero at p = 1/2."""
-    x, y, p = symbols("x y p")
-    saddle = OdeModel("saddle", ca.vertcat(x, y), ca.vertcat((1 + p) * x + y**2, (p - 2) * y), p)
-    assert _from_below(saddle, [0.0, 0.0], "p", 0.0, 1.0) == ()
+def _pair(u: ca.SX, v: ca.SX, growth: ca.SX) -> list[ca.SX]:
+    return [growth * u - v - (u**2 + v**2) * u, u + growth * v - (u**2 + v**2) * v]
 
 
-def test_two_folds_of_a_narrow_hysteresis_are_found() -> None:
-    """p = x^3 - e x has folds at +-2 (e/3)^(3/2): 2.4e-6 apart where one step goes a tenth of the way."""
-    x, p = symbols("x p")
-    e = 1e-4
-    points = _from_below(OdeModel("cusp", x, p - x**3 + e * x, p), [-1.0], "p", -1.0, 1.0)
-    assert [point.kind for point in points] == ["fold", "fold"]
-    exact = 2.0 * (e / 3.0) ** 1.5
-    np.testing.assert_allclose([point.parameters["p"] for point in points], [exact, -exact], rtol=1e-7)
-
-
-def test_folds_are_found_where_an_energy_is_conserved_that_is_not_declared() -> None:
-    """x'' = p + x - x^3 as a model of first order: folds at x = +-1/sqrt(3), and no Hopf points on the axis."""
-    x, y, p = symbols("x y p")
-    points = _from_below(
-        OdeModel("energy", ca.vertcat(x, y), ca.vertcat(y, p + x - x**3), p), [-1.3, 0.0], "p", -1.0, 1.0
-    )
-    assert [point.kind for point in points] == ["fold", "fold"]
-    exact = 2.0 / 27.0**0.5
-    np.testing.assert_allclose([point.parameters["p"] for point in points], [exact, -exact], rtol=1e-12)
-
-
-def test_a_pitchfork_met_on_the_branch_that_leaves_it_is_a_branch_point() -> None:
-    x, p = symbols("x p")
-    points = _from_below(OdeModel("pitchfork", x, p * x - x**3, p), [2.0], "p", 4.0, -1.0)
-    assert [point.kind for point in points] == ["branch point"]
-    assert abs(points[0].parameters["p"]) < 1e-10
-
-
-def test_an_imperfect_branch_point_is_none() -> None:
-    x, p = symbols("x p")
-    assert _from_below(OdeModel("near", x, p * x - x**3 + 1e-6, p), [-1e-6], "p", -1.0, -0.5) == ()
-    points = _from_below(OdeModel("near", x, p * x - x**3 + 1e-6, p), [1e-6], "p", -1.0, 2.0)
-    assert points == ()
+@pytest.mark.parametrize("name", CLOSED_FORMS)
+def test_special_points_are_those_in_closed_form(name: str) -> None:
+    states, rhs, guess, start, to, known, error = CLOSED_FORMS[name]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", category=RuntimeWarning)
+        has_points(branch_of(states, rhs, guess, to, p=start), known, error)
 
 
 def _from_below(model: OdeModel, guess: object, name: str, start: float, to: float) -> tuple:
@@ -206,10 +175,8 @@ def test_a_branch_that_goes_to_infinity_has_no_folds_of_rounding() -> None:
 
 
 def test_two_branch_points_that_symmetry_keeps_together_are_listed_and_not_followed() -> None:
-    """x' = p x - x^3, y' = p y - y^3: three other branches cross at p = 0, where the determinant keeps its sign."""
-    x, y, p = symbols("x y p")
-    model = OdeModel("square", ca.vertcat(x, y), ca.vertcat(p * x - x**3, p * y - y**3), p)
-    branch = find_equilibrium(model, [0.0, 0.0], parameters={"p": -1.0}).follow("p", 1.0)
+    """Three other branches cross at p = 0, where the determinant keeps its sign."""
+    branch = branch_of("x y", lambda x, y, p: [p * x - x**3, p * y - y**3], [0.0, 0.0], 1.0, p=-1.0)
     assert [stretch.kind for stretch in branch.unresolved] == ["branch point"]
     (point,) = branch.special_points
     assert point.kind == "branch point"
@@ -220,12 +187,6 @@ def test_two_branch_points_that_symmetry_keeps_together_are_listed_and_not_follo
 
 def test_a_hopf_point_where_the_parameter_stands_still_is_listed() -> None:
     """p = z^3 stands still at z = 0, where a pair with the real part p + z crosses; 0 = p - z^3 has no fold there."""
-    x, y, z, p = symbols("x y z p")
-    rhs = ca.vertcat((p + z) * x - y - x * (x**2 + y**2), x + (p + z) * y - y * (x**2 + y**2), p - z**3)
-    model = OdeModel("still", ca.vertcat(x, y, z), rhs, p)
-    branch = find_equilibrium(model, [0.0, 0.0, -0.8], parameters={"p": -0.5}).follow("p", 0.5)
-    assert branch.unresolved == ()
-    (point,) = branch.special_points
-    assert point.kind == "hopf"
-    assert abs(point.parameters["p"]) < 1e-12
-    assert point.criticality == "unknown: another eigenvalue vanishes there"
+    branch = branch_of("x y z", lambda x, y, z, p: [*_pair(x, y, p + z), p - z**3], [0.0, 0.0, -0.8], 0.5, p=-0.5)
+    has_points(branch, [("hopf", 0.0)], 1e-12)
+    assert branch.special_points[0].criticality == "unknown: another eigenvalue vanishes there"

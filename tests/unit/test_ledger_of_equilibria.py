@@ -5,10 +5,10 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from equilibrium_models import symbols
+from equilibrium_models import branch_of, has_points, symbols
 
 from casadi_skin import OdeModel, find_equilibrium
-from casadi_skin.follow import rest_events as detection
+from casadi_skin.follow import rest_events
 
 
 def bump(place: float, shape: str, moves: bool = False) -> OdeModel:
@@ -27,10 +27,7 @@ def test_both_hopf_points_of_a_narrow_bump_are_found_at_any_place(shape: str) ->
     """Closed form: place -+ 0.001; between points of the branch nothing else shows them."""
     for place in np.random.default_rng(7).uniform(0.02, 0.98, 3):
         branch = find_equilibrium(bump(place, shape), [0.0, 0.0, 0.0], parameters={"p": 0.0}).follow("p", 1.0)
-        points = branch.special_points
-        assert [point.kind for point in points] == ["hopf", "hopf"], place
-        np.testing.assert_allclose([point.parameters["p"] for point in points], [place - 1e-3, place + 1e-3], atol=1e-9)
-        assert branch.unresolved == ()
+        has_points(branch, [("hopf", place - 1e-3), ("hopf", place + 1e-3)], 1e-9)
 
 
 def test_where_the_state_has_the_bump_both_are_found_or_the_stretch_is_named() -> None:
@@ -44,11 +41,9 @@ def test_where_the_state_has_the_bump_both_are_found_or_the_stretch_is_named() -
 
 def test_a_stretch_that_special_points_do_not_account_for_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the search finds nothing, the stretch on which the number of unstable eigenvalues differs is there."""
-    x, y, p = symbols("x y p")
-    r2 = x**2 + y**2
-    model = OdeModel("hopf", ca.vertcat(x, y), ca.vertcat(p * x - y - x * r2, x + p * y - y * r2), p)
-    monkeypatch.setattr(detection._Search, "found", lambda *_: ())
-    branch = find_equilibrium(model, [0.0, 0.0], parameters={"p": -1.0}).follow("p", 1.2)
+    monkeypatch.setattr(rest_events._Search, "found", lambda *_: ())
+    rates = lambda x, y, p: [p * x - y - x * (x**2 + y**2), x + p * y - y * (x**2 + y**2)]  # noqa: E731
+    branch = branch_of("x y", rates, [0.0, 0.0], 1.2, p=-1.0)
     assert branch.special_points == ()
     (stretch,) = branch.unresolved
     assert stretch.start <= 0.0 <= stretch.end
@@ -74,7 +69,4 @@ def test_pairs_that_come_and_go_at_random_are_all_listed(seed: int) -> None:
         roots += list(values[1:][exact[1:] * exact[:-1] < 0.0])
     model = OdeModel("cosines", x, ca.vertcat(*rows), p)
     branch = find_equilibrium(model, np.zeros(4), parameters={"p": 0.0}).follow("p", 1.0)
-    assert {point.kind for point in branch.special_points} == {"hopf"}
-    found = [point.parameters["p"] for point in branch.special_points]
-    np.testing.assert_allclose(sorted(found), np.sort(roots), atol=5.1e-5)
-    assert branch.unresolved == ()
+    has_points(branch, [("hopf", root) for root in np.sort(roots)], 5.1e-5)
