@@ -239,7 +239,7 @@ def _held(family: Family, before: Point, after: Point, u: float) -> float:
     """The free parameter where that of the tail is u, between two points; ArithmeticError where it is not found."""
     problem, point_solver = after.problem, family.point_solver
     curve, length = point_solver.curve(before, after)
-    (place,) = curve.crossings(problem.Omega_index, u, length)
+    ((place, _),) = curve.crossings(problem.Omega_index, [u])
     row = np.zeros(problem.size)
     row[problem.Omega_index] = sense = 1.0 if after.z[problem.Omega_index] > u else -1.0  # in which u changes
     correction = point_solver.correct(problem, curve.at(place), row, sense * u, length)

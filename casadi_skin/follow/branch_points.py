@@ -348,22 +348,16 @@ class _Stretch:
     point_solver: PointSolver
     problem: Problem
     curve: LocalCurve
-    length: float
     known: dict[float, Bordered] = field(default_factory=dict)
     known_rates: dict[float, Array] = field(default_factory=dict)
 
-    @classmethod
-    def of(cls, point_solver: PointSolver, before: Point, after: Point, problem: Problem) -> _Stretch:
-        ends = [(p.problem.prolong(p.z, problem), p.problem.prolong(p.tangent, problem)) for p in (before, after)]
-        (z, t), (z1, t1) = ends
-        row = point_solver.metric(problem, z) * t
-        return cls(point_solver, problem, LocalCurve.through(z, t, z1, t1, row), float(row @ (z1 - z)))
+    @property
+    def length(self) -> float:
+        return self.curve.length
 
     def at(self, fraction: float) -> tuple[Array, Array] | None:
         """Corrected state and the row of the slope there; None where the corrector fails."""
-        guess, slope = self.curve.at(fraction * self.length), self.curve.slope(fraction * self.length)
-        row = self.point_solver.metric(self.problem, guess) * slope
-        found = self.point_solver.correct(self.problem, guess, row, float(row @ guess), self.length)
+        found, row = self.point_solver.on_curve(self.problem, self.curve, fraction)
         return None if found is None else (found.z, row)
 
     def side(self, fraction: float) -> float:
@@ -453,7 +447,9 @@ def branch_points_between(point_solver: PointSolver, before: Point, after: Point
     found: list[tuple[Point, bool]] = []
     for _ in range(FINER_LEVELS_TRIED):
         assert problem is not None
-        stretch = _Stretch.of(point_solver, before, after, problem)
+        z, tangent = (after.problem.prolong(v, problem) for v in (after.z, after.tangent))
+        curve, _ = point_solver.curve(before, replace(after, problem=problem, z=z, tangent=tangent))
+        stretch = _Stretch(point_solver, problem, curve)
         try:
             coarser = [point for point, _ in found]
             located = [_points(stretch, after, root, count, coarser) for root, count in stretch.roots()]

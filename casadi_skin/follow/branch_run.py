@@ -238,8 +238,9 @@ class StretchPoints:
         solver, problem = self.space.point_solver, self.after.problem
         if target.held is not Scalar.PARAMETER:
             return
-        curve, length = solver.curve(self.before, self.after)
-        for sigma in curve.crossings(*target.unknown(problem), length)[:1]:
+        curve, _ = solver.curve(self.before, self.after)
+        index, value = target.unknown(problem)
+        for sigma, _ in curve.crossings(index, [value])[:1]:
             guess = replace(self.after, z=curve.at(sigma), tangent=curve.slope(sigma), better=None, special="")
             point = self.space.singular_near(guess)
             if point is not None and target_of(self.space, point) == target:
@@ -481,8 +482,9 @@ class Walk:
         problem = after.problem
         z, t = (start.problem.prolong(v, problem) for v in (start.z, start.tangent))
         curve, length = solver.curve(before, after)
-        row = solver.metric(problem, curve.z0) * curve.t0
-        sigma = float(row @ (z - curve.z0)) / float(row @ curve.t0)
+        first, slope = curve.coefficients[:2]
+        row = solver.metric(problem, first) * slope
+        sigma = float(row @ (z - first)) / float(row @ slope)
         if (
             not CLOSED_BRANCH_DISTANCE * length < sigma <= (1.0 + CLOSED_BRANCH_DISTANCE) * length
             or float(row @ t) <= 0.0

@@ -136,7 +136,7 @@ def corner(point_solver: PointSolver, before: Side, after: Side) -> Corner | Non
         turn = _turn(point_solver, before, after)
         if length <= SHORT_CHORD_RATIO * whole and turn > SHARP_TURN_DEGREES:
             return Corner(before, length)
-        tried = (_between(point_solver, before, after, fraction, length) for fraction in SOUGHT_FRACTIONS)
+        tried = (_between(point_solver, before, after, fraction) for fraction in SOUGHT_FRACTIONS)
         middle = next((one for one in tried if one is not None), None)
         if middle is None:  # where branches cross, no place is found next to the crossing, but both sides are in line
             return Corner(before, min(length, SHORT_CHORD_RATIO * whole)) if turn > IN_LINE else None
@@ -157,7 +157,7 @@ def _turn(point_solver: PointSolver, before: Side, after: Side) -> float:
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def _between(point_solver: PointSolver, before: Side, after: Side, fraction: float, length: float) -> Side | None:
+def _between(point_solver: PointSolver, before: Side, after: Side, fraction: float) -> Side | None:
     """The place of the branch at a fraction of the way between two; None where none is near."""
     problem = before.problem
     row = point_solver.metric(problem, before.z) * before.tangent
@@ -165,9 +165,7 @@ def _between(point_solver: PointSolver, before: Side, after: Side, fraction: flo
     if not (way > 0.0 and float(row @ after.tangent) > 0.0):
         return None
     curve = LocalCurve.through(before.z, before.tangent, after.z, after.tangent, row)
-    guess, slope = curve.at(fraction * way), curve.slope(fraction * way)
-    row = point_solver.metric(problem, guess) * slope
-    correction = point_solver.correct(problem, guess, row, float(row @ guess), length)
+    correction, row = point_solver.on_curve(problem, curve, fraction)
     if correction is None:
         return None
     try:
@@ -280,7 +278,7 @@ def _cross(point_solver: PointSolver, points: Sequence[Point], known: Sequence[_
 def _orbit_between(point_solver: PointSolver, before: Point, after: Point) -> Point | None:
     """An orbit between two, on their line to third order; None where none is found there."""
     curve, length = point_solver.curve(before, after)
-    if not length > SHORTEST_STRETCH or not curve.slope(length) @ curve.t0 > 0.0:
+    if not length > SHORTEST_STRETCH or not curve.slope(length) @ curve.slope(0.0) > 0.0:
         return None
     return point_solver.along(before, after, 0.5)
 
@@ -365,7 +363,7 @@ def _on_enough(levels: Levels, point: Point) -> tuple[Problem, Array] | None:
 
 def _positive(problem: Problem, states: Array) -> Indices | None:
     """Numbers of positive eigenvalues of the Jacobians by the orbit at states; None where these are not symmetric."""
-    from scipy.sparse import coo_matrix
+    from scipy.sparse import csc_matrix
 
     alone = [problem.by_itself(z) for z in states]
     core = alone[0][0]
@@ -379,23 +377,24 @@ def _positive(problem: Problem, states: Array) -> Indices | None:
         return None
     if np.max(np.abs(values[:, order] - values[:, reverse])) > SYMMETRY_RTOL * np.max(np.abs(values)):
         return None
-    found = np.zeros(len(states), dtype=np.int64)
+    found, every = np.zeros(len(states), dtype=np.int64), np.arange(core.states)
+    rows, columns = np.append(rows, every), np.append(columns, every)
     for k, z in enumerate(states):
         block, there, beyond = problem.eliminated(z)
-        matrix = coo_matrix((values[k], (rows, columns)), shape=(core.states, core.states)).tolil()
+        zero = np.full(every.size, EPSILON * float(np.max(np.abs(values[k]))))  # a zero eigenvalue counts as positive
+        matrix = csc_matrix((np.append(values[k], zero), (rows, columns)), shape=(every.size, every.size))
         if block.size:
-            matrix[there, there] += block
-        found[k] = beyond + positive_eigenvalues(matrix.tocsc())
+            ends = np.repeat(every[there], len(block)), np.tile(every[there], len(block))
+            matrix = matrix + csc_matrix((block.ravel(), ends), shape=matrix.shape)
+        found[k] = beyond + positive_eigenvalues(matrix)
     return found
 
 
 def positive_eigenvalues(matrix: csc_matrix) -> int:
-    """The number of positive eigenvalues of a symmetric matrix: that of its pivots (Sylvester); zero counts as one."""
-    from scipy.sparse import eye
+    """The number of positive eigenvalues of a symmetric matrix: that of its positive pivots (Sylvester)."""
     from scipy.sparse.linalg import splu
 
-    shifted = (matrix + EPSILON * float(np.max(np.abs(matrix.data))) * eye(matrix.shape[0])).tocsc()
-    factors = splu(shifted, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    factors = splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     return int(np.count_nonzero(factors.U.diagonal() > 0.0))
 
 

@@ -301,7 +301,8 @@ class PointSolver:
         """
         curve, length = self.curve(current, following)
         problem = following.problem
-        places = [(sigma, target) for target in targets for sigma in curve.crossings(*target.unknown(problem), length)]
+        unknowns = [(target, *target.unknown(problem)) for target in targets]
+        places = [(sigma, target) for target, index, v in unknowns for sigma, _ in curve.crossings(index, [v])]
         for sigma, target in sorted(places, key=lambda place: place[0]):
             if sigma > passed:
                 point = self._exactly(problem, curve, sigma, target, length)
@@ -356,11 +357,14 @@ class PointSolver:
 
     def _corrected_along(self, current: Point, following: Point, fraction: float) -> tuple[Correction | None, Array]:
         """The correction at a fraction of the way between two points on the level of the second, and its row."""
-        problem = following.problem
-        curve, length = self.curve(current, following)
-        guess, slope = curve.at(fraction * length), curve.slope(fraction * length)
-        row = self.metric(problem, guess) * slope
-        return self.correct(problem, guess, row, float(row @ guess), length), row
+        return self.on_curve(following.problem, self.curve(current, following)[0], fraction)
+
+    def on_curve(self, problem: Problem, curve: LocalCurve, fraction: float) -> tuple[Correction | None, Array]:
+        """The correction of the point at a fraction of a curve, or None, and the row that closes the equations."""
+        sigma = fraction * curve.length
+        guess = curve.at(sigma)
+        row = self.metric(problem, guess) * curve.slope(sigma)
+        return self.correct(problem, guess, row, float(row @ guess), curve.length), row
 
     def _exactly(
         self, problem: Problem, curve: LocalCurve, sigma: float, target: Target, length: float

@@ -1,11 +1,10 @@
-"""Hermite curves of a branch through points with their tangents: predictor, and where a value is passed."""
+"""Polynomials of a branch in a coordinate along it: cubics through two points, series, and where a value is passed."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -13,58 +12,85 @@ from numpy.polynomial.polynomial import polyval
 from casadi_skin.zero.problem import Array
 
 PREDICTING_POINTS = 4  # points that a prediction is made from
-HULL_MARGIN = 1e-9  # of the largest bound on values without a zero: rounding is far below
+REACH_MARGIN = 1.0 + 1e-9  # times what all terms can change a value by: rounding is far below
+CROSSING_SAMPLES = 33  # samples in which the crossings of a value, and the turns between them, are separated
 ALIGNED_COSINE = 0.7  # cosine of the turn since a point, at least: three steps turn by less, a corner by more
 
 
 @dataclass(frozen=True)
 class LocalCurve:
-    """Curve z(sigma) with z(0) = z0 and z'(0) = t0, through z1 with slope t1 at sigma1 where these are given.
+    """z(sigma) = sum_k coefficients[k] sigma^k for 0 <= sigma <= length, of shape (orders + 1, unknowns)."""
 
-    sigma = row . (z - z0) is the coordinate in which the corrector takes its step, so that the curve is a smooth graph.
-    """
-
-    z0: Array
-    t0: Array
-    quadratic: Array
-    cubic: Array
+    coefficients: Array
+    length: float
 
     @classmethod
     def line(cls, z0: Array, t0: Array) -> LocalCurve:
         """The tangent line."""
-        zero = np.zeros_like(z0)
-        return cls(z0, t0, zero, zero)
+        return cls(np.array([z0, t0]), np.inf)
 
     @classmethod
     def through(cls, z0: Array, t0: Array, z1: Array, t1: Array, row: Array) -> LocalCurve:
-        """Cubic Hermite curve; t0 and t1 are tangents of any length with row . t > 0."""
+        """Cubic Hermite curve with z(0) = z0 and z(length) = z1; t0 and t1 are tangents of any length with row . t > 0.
+
+        sigma = row . (z - z0) is the coordinate in which the corrector takes its step: the curve is a smooth graph.
+        """
         sigma = float(row @ (z1 - z0))
         slope0, slope1 = t0 / float(row @ t0), t1 / float(row @ t1)
         chord = (z1 - z0) / sigma
         quadratic = (3.0 * chord - 2.0 * slope0 - slope1) / sigma
-        cubic = (slope0 + slope1 - 2.0 * chord) / sigma**2
-        return cls(z0, slope0, quadratic, cubic)
+        return cls(np.array([z0, slope0, quadratic, (slope0 + slope1 - 2.0 * chord) / sigma**2]), sigma)
 
-    def at(self, sigma: float) -> Array:
-        """Point of the curve."""
-        return self.z0 + sigma * (self.t0 + sigma * (self.quadratic + sigma * self.cubic))
+    def at(self, sigma: float | Array) -> Array:
+        """Point of the curve, or points, shape (sigma, unknowns)."""
+        return np.asarray(_powers(sigma, self.coefficients.shape[0]) @ self.coefficients)
 
-    def slope(self, sigma: float | Array, index: Any = slice(None)) -> Array:
-        """Derivative dz/dsigma, or of one component at places."""
-        bend = 2.0 * self.quadratic[index] + 3.0 * sigma * self.cubic[index]
-        return np.asarray(self.t0[index] + sigma * bend)
+    def at_each(self, sigmas: Array) -> tuple[Array, Array]:
+        """Points and slopes at places, shape (sigmas, unknowns): one product a place, whose last bit is its own."""
+        powers = _powers(sigmas, self.coefficients.shape[0])[:, None]
+        return (powers @ self.coefficients)[:, 0], (powers[..., :-1] @ self._derivative)[:, 0]
 
-    def crossings(self, index: int, value: float, end: float) -> list[float]:
-        """All sigma in (0, end] at which component `index` equals `value`, ascending."""
-        polynomial = [self.cubic[index], self.quadratic[index], self.t0[index], self.z0[index] - value]
-        scale = max(abs(c) for c in polynomial)
-        a, b, c, d = polynomial[0] * end**3, polynomial[1] * end**2, polynomial[2] * end, polynomial[3]
-        hull = (d, d + c / 3.0, d + (2.0 * c + b) / 3.0, d + c + b + a)  # Bernstein coefficients bound the values
-        if min(hull) > HULL_MARGIN * max(hull) > 0.0 or max(hull) < HULL_MARGIN * min(hull) < 0.0:
+    def samples(self, end: float, count: int) -> tuple[Array, Array]:
+        """Points and slopes at equal distances from the start to a place, shape (count, unknowns) each."""
+        powers = _powers_of_unit(count, self.coefficients.shape[0]) * end ** np.arange(self.coefficients.shape[0])
+        return powers @ self.coefficients, powers[:, :-1] @ self._derivative
+
+    @cached_property
+    def _derivative(self) -> Array:
+        return np.arange(1, self.coefficients.shape[0])[:, None] * self.coefficients[1:]
+
+    def slope(self, sigma: float | Array) -> Array:
+        """Derivative dz/dsigma, of one shape with `at`."""
+        return np.asarray(_powers(sigma, self._derivative.shape[0]) @ self._derivative)
+
+    def component(self, index: int) -> LocalCurve:
+        """That of one of the unknowns."""
+        return LocalCurve(self.coefficients[:, [index]], self.length)
+
+    def crossings(self, index: int, values: Iterable[float], end: float | None = None) -> list[tuple[float, float]]:
+        """All (sigma, value) with sigma in (0, end] at which component `index` equals one of `values`, ascending.
+
+        `end` is the length of the curve by default.
+        """
+        course, end = self.coefficients[:, index], self.length if end is None else end
+        scaled = course * end ** np.arange(course.size)
+        values = [value for value in values if abs(scaled[0] - value) <= REACH_MARGIN * np.sum(np.abs(scaled[1:]))]
+        if not values:
             return []
-        roots = np.roots([0.0 if abs(c) < 1e-300 * scale else c for c in polynomial])
-        real = roots.real[np.abs(roots.imag) <= 1e-9 * np.abs(roots)]
-        return sorted(float(s) for s in real if 0.0 < s <= end)
+        turn = np.arange(1, course.size) * course[1:]
+        grid, powers = np.linspace(0.0, end, CROSSING_SAMPLES), _powers_of_unit(CROSSING_SAMPLES, course.size)
+        steepness, slopes = powers[:, :-1] @ (turn * end ** np.arange(turn.size)), turn.tolist()
+        turns = np.array([_zero(slopes, a, b) for a, b in _brackets(grid, steepness)])
+        nodes, heights = grid, powers @ scaled
+        if turns.size:
+            order = np.argsort(np.concatenate([grid, turns]), kind="stable")
+            nodes = np.concatenate([grid, turns])[order]
+            heights = np.concatenate([heights, polyval(turns, course)])[order]
+        found = set()
+        for value in values:
+            gap = [float(course[0] - value), *course[1:].tolist()]
+            found |= {(_zero(gap, a, b), value) for a, b in _brackets(nodes, heights - value)}
+        return sorted((sigma, value) for sigma, value in found if sigma > 0.0)
 
 
 def predictor(z: Array, t: Array, before: Sequence[tuple[Array, Array]], row: Array) -> Callable[[float], Array]:
@@ -121,62 +147,6 @@ def interpolant(places: Array, values: Array, slopes: Array) -> Callable[[float 
         return np.asarray(height)
 
     return at
-
-
-# A stretch of branch as a polynomial in a coordinate along it: dense output, and where values are passed --------------
-
-CROSSING_SAMPLES = 33  # samples in which the crossings of a value, and the turns between them, are separated
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """z(tau) = sum_k coefficients[k] tau^k for 0 <= tau <= length; coefficients have shape (orders + 1, unknowns)."""
-
-    coefficients: Array
-    length: float
-
-    def at(self, tau: float | Array) -> Array:
-        """Point of the branch, or points, shape (tau, unknowns)."""
-        return np.asarray(_powers(tau, self.coefficients.shape[0]) @ self.coefficients)
-
-    def at_each(self, taus: Array) -> tuple[Array, Array]:
-        """Points and slopes at places, shape (taus, unknowns) each: one product a place, whose last bit is its own."""
-        powers = _powers(taus, self.coefficients.shape[0])[:, None]
-        return (powers @ self.coefficients)[:, 0], (powers[..., :-1] @ self._derivative)[:, 0]
-
-    def samples(self, end: float, count: int) -> tuple[Array, Array]:
-        """Points and slopes at equal distances from the base to a place, shape (count, unknowns) each."""
-        powers = _powers_of_unit(count, self.coefficients.shape[0]) * end ** np.arange(self.coefficients.shape[0])
-        return powers @ self.coefficients, powers[:, :-1] @ self._derivative
-
-    @cached_property
-    def _derivative(self) -> Array:
-        return np.arange(1, self.coefficients.shape[0])[:, None] * self.coefficients[1:]
-
-    def slope(self, tau: float | Array) -> Array:
-        """Derivative dz/dtau, of one shape with `at`."""
-        return np.asarray(_powers(tau, self._derivative.shape[0]) @ self._derivative)
-
-    def crossings(self, index: int, values: Iterable[float]) -> list[tuple[float, float]]:
-        """All (tau, value) with tau in (0, length] at which component `index` equals one of `values`, ascending."""
-        course = self.coefficients[:, index]
-        turn = np.arange(1, course.size) * course[1:]
-        grid, powers = np.linspace(0.0, self.length, CROSSING_SAMPLES), _powers_of_unit(CROSSING_SAMPLES, course.size)
-        scaled = self.length ** np.arange(course.size)
-        steepness, slopes = powers[:, :-1] @ (turn * scaled[:-1]), turn.tolist()
-        turns = np.array([_zero(slopes, a, b) for a, b in _brackets(grid, steepness)])
-        nodes, heights = grid, powers @ (course * scaled)
-        if turns.size:
-            order = np.argsort(np.concatenate([grid, turns]), kind="stable")
-            nodes = np.concatenate([grid, turns])[order]
-            heights = np.concatenate([heights, polyval(turns, course)])[order]
-        found = set()
-        for value in values:
-            gap: list[float] | None = None
-            for a, b in _brackets(nodes, heights - value):
-                gap = gap or [float(course[0] - value), *course[1:].tolist()]
-                found.add((_zero(gap, a, b), value))
-        return sorted((tau, value) for tau, value in found if tau > 0.0)
 
 
 @lru_cache(maxsize=8)

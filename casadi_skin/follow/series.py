@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from casadi_skin.follow.arclength import START_FRACTION
 from casadi_skin.follow.corners import CORNER_STEP_FRACTION, Corner, Side, point_before, shifts, side_of, turned
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.polynomials import Stretch
+from casadi_skin.follow.polynomials import LocalCurve
 from casadi_skin.solve.bordered import BorderedSolver, Steps
 from casadi_skin.solve.levels import Measured
 from casadi_skin.solve.newton import Correction, Status
@@ -54,7 +54,7 @@ class Guesses:
         cls,
         point_solver: PointSolver,
         problem: Problem,
-        stretch: Stretch,
+        stretch: LocalCurve,
         taus: Sequence[float],
         targets: Sequence[Target | None],
     ) -> Guesses:
@@ -298,7 +298,7 @@ class SeriesContinuation:
 
     # The series -----------------------------------------------------------------------------------------------------
 
-    def _departure(self, base: Point) -> tuple[Point, Stretch, Side] | None:
+    def _departure(self, base: Point) -> tuple[Point, LocalCurve, Side] | None:
         """A base point, on a coarser level where that is expected to do, with its series; None where there is none."""
         lighter = self.point_solver.lighter(base)
         for problem in dict.fromkeys((lighter, base.problem)):
@@ -320,7 +320,7 @@ class SeriesContinuation:
                 return tried, *found
         return None
 
-    def _stretch(self, base: Point) -> tuple[Stretch, Side] | None:
+    def _stretch(self, base: Point) -> tuple[LocalCurve, Side] | None:
         """The series at a base point, as far as its end satisfies the equations; None where that is nowhere."""
         problem = base.problem
         precision = self._precision(problem)
@@ -335,7 +335,7 @@ class SeriesContinuation:
         coefficients = recursion.series(z, slope, solve)
         sizes = np.sqrt(np.sum(self.point_solver.metric(problem, z) * coefficients[-2:] ** 2, axis=1))
         orders = np.arange(coefficients.shape[0] - 2, coefficients.shape[0])
-        stretch = Stretch(coefficients, float(np.min((precision / np.maximum(sizes, 1e-300)) ** (1.0 / orders))))
+        stretch = LocalCurve(coefficients, float(np.min((precision / np.maximum(sizes, 1e-300)) ** (1.0 / orders))))
         stretch, self._most = replace(stretch, length=min(stretch.length, self._most / base.step)), np.inf
         if recursion.end is not None:
             passed = stretch.crossings(recursion.end[0], [recursion.end[1]])
@@ -351,7 +351,7 @@ class SeriesContinuation:
 
     # The points -----------------------------------------------------------------------------------------------------
 
-    def _points(self, base: Point, stretch: Stretch, side: Side, last: float) -> Iterator[_Reached]:
+    def _points(self, base: Point, stretch: LocalCurve, side: Side, last: float) -> Iterator[_Reached]:
         """Stops of a stretch beyond the place `last`; the last point is the next base, unless the walk ends before.
 
         The last one may be a point before a corner, which the series passes by; `side` is that of the base.
@@ -404,7 +404,7 @@ class SeriesContinuation:
         if point is not None:
             yield _Reached(_Stop(last, None), replace(point, walked=True, along=last), None, self._trouble)
 
-    def _stops(self, base: Point, stretch: Stretch) -> list[_Stop]:
+    def _stops(self, base: Point, stretch: LocalCurve) -> list[_Stop]:
         """Places of reported points: requested values, and often enough to draw and to see stability change."""
         wanted, ends = self.settings.wanted, self.settings.ends
         stops = []
@@ -427,7 +427,7 @@ class SeriesContinuation:
                 stops.append(_Stop(float(tau), None))
         return sorted((stop for stop in stops if stop.tau <= final), key=lambda stop: stop.tau)
 
-    def _pieces(self, base: Point, stretch: Stretch, final: float) -> int:
+    def _pieces(self, base: Point, stretch: LocalCurve, final: float) -> int:
         """Number of equal parts in which no limit on a step is exceeded."""
         problem, settings = base.problem, self.settings
         points, slopes = stretch.samples(final, TURNING_SAMPLES)
@@ -446,7 +446,7 @@ class SeriesContinuation:
         return max(1, math.ceil(max(most)))
 
     def _found(
-        self, problem: Problem, stretch: Stretch, stop: _Stop, last: float, reach: float, fractions: Sequence[float]
+        self, problem: Problem, stretch: LocalCurve, stop: _Stop, last: float, reach: float, fractions: Sequence[float]
     ) -> tuple[_Stop, Point | None, Side | None]:
         """A stop with its point and side, or the first beside it that has one, at fractions of the way from `last`."""
         for fraction in fractions if stop.target is None else FRACTIONS_BESIDE_STOP[:1]:
@@ -456,7 +456,9 @@ class SeriesContinuation:
                 return here, point, there
         return stop, None, there
 
-    def _point(self, problem: Problem, stretch: Stretch, stop: _Stop, reach: float) -> tuple[Point | None, Side | None]:
+    def _point(
+        self, problem: Problem, stretch: LocalCurve, stop: _Stop, reach: float
+    ) -> tuple[Point | None, Side | None]:
         """The corrected point at a stop and its side; None where the corrector does not find it near the series."""
         target = stop.target
         held = None if target is None else target.held
@@ -480,7 +482,7 @@ class SeriesContinuation:
             self._trouble = str(error)
             return None, None
 
-    def _guesses(self, problem: Problem, stretch: Stretch, stops: Sequence[_Stop]) -> Guesses:
+    def _guesses(self, problem: Problem, stretch: LocalCurve, stops: Sequence[_Stop]) -> Guesses:
         """The places of stops on a stretch."""
         taus, targets = [stop.tau for stop in stops], [stop.target for stop in stops]
         return Guesses.of(self.point_solver, problem, stretch, taus, targets)

@@ -21,7 +21,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.polynomials import LocalCurve
 from casadi_skin.follow.search import (
     HALF_STRETCH_PLACES,
     TANGENT_DIFFERENCE_STEP,
@@ -51,10 +50,7 @@ FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that i
 def turning(point_solver: PointSolver, before: Point, after: Point) -> list[tuple[Point, Point]]:
     """The parts of a stretch on each of which the quantity that is followed turns back once, in order."""
     curve, length = point_solver.curve(before, after)
-    own = LocalCurve(
-        *(part[[after.problem.parameter_index]] for part in (curve.z0, curve.t0, curve.quadratic, curve.cubic))
-    )
-    rates = own.slope(length * HALF_STRETCH_PLACES[:, None])[:, 0]
+    rates = curve.component(after.problem.parameter_index).slope(length * HALF_STRETCH_PLACES)[:, 0]
     sizes = np.abs(rates)
     still = np.max(sizes) <= STILL_RATE and max(abs(rate(before)), abs(rate(after))) <= STILL_RATE
     if still or (np.all(rates * rates[0] > 0.0) and np.min(sizes) >= STEADY_RATE_RATIO * np.max(sizes)):

@@ -321,8 +321,9 @@ def between(branch: Branch, edge: StabilityEdge) -> Orbit | None:
 
 def along_curve(space: SolutionSpace, before: Point, after: Point, S: float) -> Point:
     """The orbit at S by the curve from an orbit on one side to one on the other; raises ValueError without one."""
-    curve, length = space.point_solver.curve(before, after)
-    (place,) = curve.crossings(*space.target("S", S).unknown(after.problem), length)
+    curve, _ = space.point_solver.curve(before, after)
+    index, value = space.target("S", S).unknown(after.problem)
+    ((place, _),) = curve.crossings(index, [value])
     tangent = curve.slope(place) * np.linalg.norm(after.tangent) / np.linalg.norm(curve.slope(place))
     return replace(after, z=curve.at(place), tangent=tangent, better=None)
 

@@ -489,7 +489,7 @@ def test_a_cubic_is_reproduced_exactly_whatever_the_length_of_the_tangents(seed:
         np.testing.assert_allclose(curve.at(sigma), at(sigma), atol=1e-13)
         np.testing.assert_allclose(curve.slope(sigma), by(sigma), atol=2e-13)
         np.testing.assert_allclose(line.at(sigma), at(0.0) + sigma * by(0.0), atol=1e-15)
-    assert LocalCurve.line(np.array([1.0, 2.0]), np.array([0.5, -1.0])).crossings(0, 1.25, 1.0) == [0.5]
+    assert LocalCurve.line(np.array([1.0, 2.0]), np.array([0.5, -1.0])).crossings(0, [1.25], 1.0) == [(0.5, 1.25)]
 
 
 ROOTS: list[tuple[float, ...]] = [
@@ -505,8 +505,8 @@ def test_every_crossing_is_found_and_no_other(roots: tuple[float, ...], value: f
     polynomial = np.zeros(4)
     polynomial[: len(roots) + 1] = np.atleast_1d(np.poly(roots))[::-1]
     polynomial[0] += value
-    rows = [np.array([[0.0, 1.0, 0.0, 0.0][i], polynomial[i]]) for i in range(4)]
-    found = LocalCurve(*rows).crossings(1, value, 1.1)
+    curve = LocalCurve(np.column_stack([[0.0, 1.0, 0.0, 0.0], polynomial]), 1.1)
+    found = [sigma for sigma, _ in curve.crossings(1, [value])]
     assert found == pytest.approx([r for r in roots if 0 < r <= 1.1], abs=1e-8 if value > 100 else 1e-12)
     assert found == sorted(found)
 

@@ -15,7 +15,7 @@ from orbit_problems import gauss_problem, linear_mode
 from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit, follow_family
 from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.first import packed, space_of
-from casadi_skin.follow.polynomials import Stretch
+from casadi_skin.follow.polynomials import LocalCurve
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.lattice.tail_parameter import TailParameter
@@ -401,7 +401,7 @@ def test_the_last_bits_of_a_state_do_not_depend_on_the_others(others: int) -> No
     """A run that goes on has other batches than one that was not interrupted, and ends with the same bytes."""
     problem, finer = (TrigonometricProblem(Chain(24, 1.0, 0.25, -1.0).gauge_model(), H) for H in (6, 8))
     z, residuals, nonzeros, rows = random_states(problem, 12, 3)
-    solver, stretch = BorderedSolver.of(problem), Stretch(np.random.default_rng(1).normal(size=(12, problem.size)), 1.0)
+    solver, stretch = BorderedSolver.of(problem), LocalCurve(np.random.default_rng(1).normal(size=(12, problem.size)), 1.0)
 
     def of(chosen: slice) -> list[Array]:
         steps = solver.steps(z[chosen], residuals[chosen], nonzeros[chosen], rows[chosen])

@@ -15,7 +15,7 @@ from orbit_problems import linear_mode
 from casadi_skin import Branch, Chain, OdeModel, follow_family
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.polynomials import Stretch
+from casadi_skin.follow.polynomials import LocalCurve
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.zero.cosines import TrigonometricProblem
 from casadi_skin.zero.problem import SingularError
@@ -83,7 +83,7 @@ def test_the_equations_hold_to_the_order_of_the_series(
     """The residual at tau falls with tau^(orders + 1): a wrong coefficient of any order would show."""
     problem = TrigonometricProblem(model, 8)
     coefficients = series_at(problem, problem.pack(mode, Omega, 0.0), 7)
-    residuals = [np.abs(problem.evaluate(Stretch(coefficients, 1.0).at(tau))[0]).max() for tau in (0.8, 0.4, 0.2)]
+    residuals = [np.abs(problem.evaluate(LocalCurve(coefficients, 1.0).at(tau))[0]).max() for tau in (0.8, 0.4, 0.2)]
     orders = np.log2(np.array(residuals[:-1]) / residuals[1:])
     assert residuals[-1] > 1e-13
     assert orders[-1] == pytest.approx(8.0, abs=0.5 if model.name == "web" else 0.25)
@@ -92,9 +92,9 @@ def test_the_equations_hold_to_the_order_of_the_series(
 def test_crossings_of_a_polynomial_that_turns() -> None:
     """(tau - 0.1)(tau - 0.104)(tau - 0.9): two crossings closer than the samples."""
     gap = np.polynomial.polynomial.polyfromroots([0.1, 0.104, 0.9])
-    stretch = Stretch(gap[:, None], 1.0)
+    stretch = LocalCurve(gap[:, None], 1.0)
     assert [tau for tau, _ in stretch.crossings(0, [0.0])] == pytest.approx([0.1, 0.104, 0.9], abs=1e-12)
-    assert [tau for tau, _ in Stretch(gap[:, None], 0.5).crossings(0, [0.0])] == pytest.approx([0.1, 0.104], abs=1e-12)
+    assert [tau for tau, _ in LocalCurve(gap[:, None], 0.5).crossings(0, [0.0])] == pytest.approx([0.1, 0.104], abs=1e-12)
     assert stretch.crossings(0, [5.0]) == []
     values = [value for _, value in stretch.crossings(0, [-1e-3, 0.0, 1e-3])]
     assert values.count(0.0) == 3

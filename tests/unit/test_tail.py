@@ -13,7 +13,7 @@ from scipy.optimize import fsolve
 from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.dynamics.resonances import threshold
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.polynomials import Stretch
+from casadi_skin.follow.polynomials import LocalCurve
 from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem
@@ -157,7 +157,7 @@ def test_power_series_of_a_branch_solve_the_equations(sites: float, mode: int | 
         reach = float(np.min((1e-6 / sizes) ** (1.0 / np.array([23, 24]))))
         if recursion.end is not None:
             reach = min(
-                [reach, *(tau for tau, _ in Stretch(series, reach).crossings(recursion.end[0], [recursion.end[1]]))]
+                [reach, *(tau for tau, _ in LocalCurve(series, reach).crossings(recursion.end[0], [recursion.end[1]]))]
             )
         left = [np.max(np.abs(problem.evaluate((part * reach) ** np.arange(25) @ series)[0])) for part in (0.25, 0.5)]
         rounding = 1000.0 * problem.rounding(z)
