@@ -126,7 +126,7 @@ class _OrbitSearch(Search[Event | Unresolved]):
         return self.outside(point)[1] <= min(self.outside(end)[1] for end in (self.first, self.last))
 
     def passes(self, stretch: Stretch) -> bool:
-        return super().passes(stretch) and self.balanced(stretch)
+        return super().passes(stretch) and self.balanced(stretch) and self.meeting(stretch) is None
 
     def balanced(self, stretch: Stretch, jumps: int = 0) -> bool:
         """Whether jumps account for the change in the number of multipliers outside the circle."""
@@ -141,16 +141,19 @@ class _OrbitSearch(Search[Event | Unresolved]):
         passages = list(self.passages(stretch))
         if not self.balanced(stretch, sum(passage.jump for passage in passages)):
             return self.collision(stretch, passages) if depth >= KREIN_DEPTH else None
-        if not (last or self.is_simple(stretch)):
+        if not last and self.meeting(stretch) is not None:
             return None
         located = (self.located(stretch, passage) for passage in passages)
         known: list[Event] = sorted((event for event in located if event is not None), key=lambda event: event.place)
         twice = any(_is_same(one, other) and one.jump != other.jump for one, other in pairwise(known))
         return None if twice or len(known) < len(passages) else known
 
-    def is_simple(self, stretch: Stretch) -> bool:
-        """Whether nothing happens on a stretch but what its quantities show."""
-        return True
+    def suspected(self, stretch: Stretch) -> float | None:
+        return self.meeting(stretch) or super().suspected(stretch)
+
+    def meeting(self, stretch: Stretch) -> float | None:
+        """A place at which two pairs that pass one another on the circle have left it; None where none have."""
+        return None
 
     def passages(self, stretch: Stretch) -> Iterator[Passage]:
         """Quantities that change their sign on a stretch that is resolved."""
@@ -178,34 +181,24 @@ class _OrbitSearch(Search[Event | Unresolved]):
                 near = self.solver.along(stretch.first.point, stretch.last.point, fraction)
                 if near is None:  # beside a branch point rounding decides; the extended equations are regular there
                     near = replace(self.last, z=stretch.curve.at(fraction * stretch.length), better=None, special="")
-                event = self.solved(stretch, passage, near)
+                event = self.event(stretch, special_orbit(self.space, passage.kind, near, passage.angle), passage)
                 if event is not None:
                     return event
-        return self.by_root(stretch, passage)
-
-    def solved(self, stretch: Stretch, passage: Passage, near: Point) -> Event | None:
-        """The orbit at a passage as a solution of its extended equations; None where they have none there."""
-        point = special_orbit(self.space, passage.kind, near, passage.angle)
-        place = None if point is None else self.place(stretch, point)
-        return None if point is None or place is None else self.event(place, point, passage)
-
-    def place(self, stretch: Stretch, point: Point) -> float | None:
-        """The place of a point on the whole stretch by its length; None where it is outside the part of it."""
-        low, high, at = (self.sigma(one) for one in (stretch.first.point, stretch.last.point, point))
-        slack = OUTSIDE_STRETCH * (high - low)
-        return at / self.length if low - slack <= at <= high + slack else None
-
-    def event(self, place: float, point: Point, passage: Passage) -> Event:
-        solution = self.space.solution(point, self.space.floquets([point])[0])
-        return Event(place, solution, passage.kind, passage.angle, passage.jump)
-
-    def by_root(self, stretch: Stretch, passage: Passage) -> Event | None:
-        """The orbit at a root of the quantity itself, with the error of the parameter by that of the quantity."""
-        k = passage.quantity
+        k = passage.quantity  # without extended equations the root of the quantity itself
         noise = max(stretch.first.noise[k], stretch.last.noise[stretch.order[k]])
-        point = self.root_of(stretch, self.quantity(stretch, k), float(noise), passage.kind)
-        place = None if point is None else self.place(stretch, point)
-        return None if point is None or place is None else self.event(place, point, passage)
+        return self.event(
+            stretch, self.root_of(stretch, self.quantity(stretch, k), float(noise), passage.kind), passage
+        )
+
+    def event(self, stretch: Stretch, point: Point | None, passage: Passage) -> Event | None:
+        """A special point as the event of a passage; None where it is outside the part of the stretch."""
+        if point is None:
+            return None
+        low, high, at = (self.sigma(one) for one in (stretch.first.point, stretch.last.point, point))
+        if not abs(at - 0.5 * (low + high)) <= (0.5 + OUTSIDE_STRETCH) * (high - low):
+            return None
+        solution = self.space.solution(point, self.space.floquets([point])[0])
+        return Event(at / self.length, solution, passage.kind, passage.angle, passage.jump)
 
 
 class _Free(_OrbitSearch):
@@ -225,7 +218,7 @@ class _Paired(_OrbitSearch):
 
     def __init__(self, space: BoundarySpace, before: Solution, after: Solution) -> None:
         super().__init__(space, before, after)
-        self.signs, self._tried = "real", list[float]()
+        self.real, self._tried = True, list[float]()
         # The multipliers of an orbit that is odd are squares, which touch -1 and do not pass it.
         odd = space.periodic is not None and space.symmetry is SymmetryClass.QUARTER
         self.passed = (1.0,) if odd else (1.0, -1.0)
@@ -237,17 +230,7 @@ class _Paired(_OrbitSearch):
         groups = np.repeat(np.arange(len(samples)), samples[0].values.size)
         return replace(samples[0], values=values, rates=rates, noise=noise, groups=groups)
 
-    def passes(self, stretch: Stretch) -> bool:
-        return super().passes(stretch) and self.meeting(stretch) is None
-
-    def is_simple(self, stretch: Stretch) -> bool:
-        return self.meeting(stretch) is None
-
-    def suspected(self, stretch: Stretch) -> float | None:
-        return self.meeting(stretch) or super().suspected(stretch)
-
     def meeting(self, stretch: Stretch) -> float | None:
-        """A place at which two pairs that pass one another on the circle have left it; None where none have."""
         from scipy.interpolate import BPoly
         from scipy.optimize import linear_sum_assignment
 
@@ -332,17 +315,19 @@ class _Paired(_OrbitSearch):
             return float(((two[0] - two[1]) ** 2).real)
 
         noise = max(float(np.max(s.noise)) for s in (stretch.first, stretch.last)) ** 2
-        point = self.root_of(stretch, discriminant, noise, KREIN)
-        place = None if point is None else self.place(stretch, point)
-        if point is None or place is None:
-            return None
         angle = float(np.arccos(np.clip(0.5 * centre, -1.0, 1.0)))
-        return [self.event(place, point, Passage(0, KREIN, angle, 2 if leaves else -2))]
+        point = self.root_of(stretch, discriminant, noise, KREIN)
+        event = self.event(stretch, point, Passage(0, KREIN, angle, 2 if leaves else -2))
+        return None if event is None else [event]
 
 
 # The account of a branch of orbits: its events in order, and the changes of stability that follow from them -----------
 
-BESIDE_SPECIAL = 1e-2  # of the way from a special orbit to the next one: where its own multiplier has a side
+BESIDE_SPECIAL = (
+    1e-2,
+    0.1,
+    0.3,
+)  # of the way from a special orbit to the next one: where its own multiplier has a side
 
 
 @dataclass(frozen=True)
@@ -397,7 +382,7 @@ class Ledger:
     def _between(self, before: Solution, after: Solution, leaving: bool) -> Iterator[Solution]:
         """The same; raises TimeLimitError."""
         first = self._beside(before, after, BESIDE_SPECIAL) if before.point.special or leaving else before
-        last = self._beside(before, after, 1.0 - BESIDE_SPECIAL) if after.point.special else after
+        last = self._beside(before, after, [1.0 - one for one in BESIDE_SPECIAL]) if after.point.special else after
         if first is None or last is None:
             self._count = None
             self._name(before, after, f"no orbit is found beside the special one: {self.space.point_solver.failure}")
@@ -442,10 +427,18 @@ class Ledger:
             )
         )
 
-    def _beside(self, before: Solution, after: Solution, fraction: float) -> Solution | None:
-        """The orbit at a fraction of the way between two."""
-        point = self.space.point_solver.along(before.point, after.point, fraction)
-        return None if point is None else self.space.solution(point, self.space.floquets([point])[0])
+    def _beside(self, before: Solution, after: Solution, fractions: Sequence[float]) -> Solution | None:
+        """The first of orbits at fractions of the way at which all multipliers have a side; the first if none is it."""
+        nearest: Solution | None = None
+        for fraction in fractions:
+            point = self.space.point_solver.along(before.point, after.point, fraction)
+            if point is None:
+                break
+            found: Solution = self.space.solution(point, self.space.floquets([point])[0])
+            if not Exponents.from_floquet(found.floquet()).outside[1]:
+                return found
+            nearest = nearest or found
+        return nearest
 
     def _name(self, before: Solution, after: Solution, reason: str) -> None:
         start, end = (self.space.value(self.space.parameter, one.point) for one in (before, after))

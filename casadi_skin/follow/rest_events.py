@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.location import locate_rest
 from casadi_skin.follow.polynomials import LocalCurve
-from casadi_skin.follow.search import Crossing, Sample, Search, Signs, Stretch
+from casadi_skin.follow.search import Crossing, Sample, Search, Stretch
 from casadi_skin.follow.special_points import rate
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved
 from casadi_skin.zero.problem import EPSILON, Array, Indices, SingularError
@@ -134,7 +134,7 @@ def counted(equations: EquilibriumEquations, before: Point, after: Point) -> Cou
             return None
         unknowns[k] = point.z
     stack = problem.equations_at_all(unknowns)[1][:, :, : problem.statics.size]
-    stretch = Stretch.of((first, equations.sample(after)), "real parts")
+    stretch = Stretch.of((first, equations.sample(after)))
     seen = (
         np.ones(sigma.size, dtype=bool)
         if problem.statics.size <= SMALL_STATE_COUNT
@@ -263,12 +263,14 @@ class _Search(Search[Point]):
     def __init__(self, equations: EquilibriumEquations, before: Point, after: Point) -> None:
         conserves = equations.model.order == 1 and all(equations.sample(end).symmetric for end in (before, after))
         self.free = equations.statics.oscillates and not conserves  # whether pairs may cross the axis one by one
-        signs: Signs = "real parts" if self.free else "real" if equations.model.order == 2 else "squares"
-        super().__init__(equations.point_solver, before, after, signs)
-        self.equations = equations
+        super().__init__(equations.point_solver, before, after, real=not self.free)
+        self.equations, self.squares = equations, not self.free and equations.model.order == 1
 
     def sampled(self, point: Point) -> Sample:
-        return self.equations.sample(self.own(point))
+        sample = self.equations.sample(self.own(point))
+        if not self.squares:
+            return sample
+        return replace(sample, values=sample.values**2, rates=2.0 * sample.values * sample.rates)
 
     def is_clear(self, point: Point) -> bool:
         return not self.sample(point).blurred

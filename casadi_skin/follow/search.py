@@ -32,7 +32,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Generic, Literal, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,7 +113,6 @@ HALF_STRETCH_PLACES = np.concatenate(
 )  # of half a stretch
 STILL_RATE = 1e-12  # rate of a parameter that does not change
 REAL_EIGENVALUE_RTOL = 1e-6  # of an eigenvalue: an imaginary part that is none
-Signs = Literal["real parts", "squares", "real"]
 
 
 class _Cubics(NamedTuple):
@@ -141,21 +140,21 @@ class Stretch:
         samples: first, middle (or not) and last.
         sigma: their places, by sigma = row . (z - z of the first).
         curve: the cubic in z through the ends.
-        signs: which eigenvalues count: all by their real parts, or those that are real, or with real squares.
+        real: whether eigenvalues count that are real at every sample alone, or all by their real parts.
     """
 
     samples: tuple[Sample, ...]
     sigma: Array
     curve: LocalCurve
-    signs: Signs
+    real: bool
 
     @classmethod
-    def of(cls, samples: tuple[Sample, ...], signs: Signs) -> Stretch:
+    def of(cls, samples: tuple[Sample, ...], real: bool = False) -> Stretch:
         """The stretch through samples in order."""
         first, last = samples[0], samples[-1]
         sigma = np.array([float(first.row @ (sample.point.z - first.point.z)) for sample in samples])
         ends = (first.point.z, first.point.tangent, last.point.z, last.point.tangent)
-        return cls(samples, sigma, LocalCurve.through(*ends, first.row), signs)
+        return cls(samples, sigma, LocalCurve.through(*ends, first.row), real)
 
     @property
     def first(self) -> Sample:
@@ -207,14 +206,12 @@ class Stretch:
         for sample, order in zip(self.samples, self.orders, strict=True):
             scale, rate, curved = sample.along(self.first.row)
             values, slopes = sample.values[order], scale * sample.rates[order]
-            if self.signs == "squares":
-                values, slopes = values**2, 2.0 * values * slopes
-            no = np.abs(values.real) <= sample.noise[order] if self.signs == "real parts" else _unreal(values)
+            no = _unreal(values) if self.real else np.abs(values.real) <= sample.noise[order]
             leading = ((rate, curved),) if sample.leading is None else [(g, scale * d) for g, d in sample.leading]
             sums.append(np.concatenate([[g for g, _ in leading], values.real]))
             rates.append(np.concatenate([[d for _, d in leading], slopes.real]))
             noisy.append(np.concatenate([[abs(g) <= STILL_RATE for g, _ in leading], no]))
-        counts = ~(np.all(noisy, axis=0) if self.signs == "real parts" else np.any(noisy, axis=0))
+        counts = ~(np.any(noisy, axis=0) if self.real else np.all(noisy, axis=0))
         counts[:many] = ~np.all(noisy, axis=0)[:many]
         return np.array(sums) * counts, np.array(rates) * counts
 
@@ -355,15 +352,15 @@ class Search(ABC, Generic[Event]):
         ends: both ends.
         first, last: these in the unknowns of the second.
         row, length: sigma = row . (z - first.z) is the place along the stretch, from 0 to its length.
-        signs: which quantities of samples count.
+        real: whether values of samples count that are real, or all by their real parts.
         parts: the number of parts that the stretch has been divided into.
         deepest, most_parts: how often a part may be divided, and how many there may be.
     """
 
     deepest, most_parts = DEEPEST_DIVISION, MOST_PARTS
 
-    def __init__(self, solver: PointSolver, before: Point, after: Point, signs: Signs = "real parts") -> None:
-        self.solver, self.ends, self.signs, self.parts = solver, (before, after), signs, 0
+    def __init__(self, solver: PointSolver, before: Point, after: Point, real: bool = False) -> None:
+        self.solver, self.ends, self.real, self.parts = solver, (before, after), real, 0
         problem = after.problem
         z, tangent = (before.problem.prolong(v, problem) for v in (before.z, before.tangent))
         self.first = replace(before, problem=problem, z=z, tangent=tangent, better=None)
@@ -462,12 +459,12 @@ class Search(ABC, Generic[Event]):
     def between(self, before: Point, after: Point, depth: int = 0) -> Iterator[Event | Unresolved]:
         """The same between two points of it."""
         self.parts += 1
-        if self.passes(Stretch.of((self.sample(before), self.sample(after)), self.signs)):
+        if self.passes(Stretch.of((self.sample(before), self.sample(after)), self.real)):
             return
         tried = (self.along(before, after, place) for place in TRIED_PLACES)
         middle = next((point for point in tried if point is not None), None)
         points = (before, after) if middle is None else (before, middle, after)
-        stretch = Stretch.of(tuple(self.sample(point) for point in points), self.signs)
+        stretch = Stretch.of(tuple(self.sample(point) for point in points), self.real)
         last = depth >= self.deepest or self.parts > self.most_parts or stretch.length <= SHORTEST_PART
         found = self.found(stretch, depth, last or middle is None)
         if found is not None:

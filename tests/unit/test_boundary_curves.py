@@ -118,17 +118,11 @@ def test_conditions_integrals_and_intervals_enter_the_equations_of_folds() -> No
     exact = np.sqrt(4.0 / 27.0)
     for point, value in zip(points, (exact, -exact), strict=True):
         assert abs(point.parameters["p"] - value) <= point.error + 1e-15 < 1e-12
-    found = points[0].curve("q", 0.25, max_step=0.5)
-    assert found.complete
+    found = points[0].curve("q", -1.0, max_step=1.0, at=[0.25])
     np.testing.assert_allclose(27.0 * found["p"] ** 2, 4.0 * found["q"] ** 3, rtol=0, atol=1e-10)
-    shown = found.solutions[-1]
+    shown = found.at(q=0.25)
     assert shown.interval == (0.0, 1.0 + 0.25**2)
     assert shown.t[-1] == shown.mesh[-1] == shown.interval[1]
-
-
-@pytest.mark.slow
-def test_a_cusp_of_conditions_alone_is_found_exactly() -> None:
-    found = cusp_of_constants().solve([-1.5]).follow("p", 2.0).special_points[0].curve("q", -1.0, max_step=1.0)
     (cusp,) = found.special_points
     assert cusp.kind == "cusp"
     assert abs(cusp.parameters["q"]) <= cusp.error < 1e-12

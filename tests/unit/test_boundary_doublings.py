@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 from casadi_skin import BoundaryValueProblem, Branch, OdeModel, find_orbit
 from casadi_skin.follow.boundary_solutions import BoundaryError
+from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.settings import End
 
@@ -72,6 +75,18 @@ def test_tori_of_a_problem_that_closes_pass_the_resonances_of_their_angle(sign: 
     assert set(angles) <= ({"1:3 resonance"} if shift else set())
 
 
+def with_free_period(model: OdeModel, values: dict[str, float], guess: Callable[[float], list[float]]) -> Solution:
+    """The cycle near a guess of the period 2 pi as a problem on the unit interval, with the field times T.
+
+    Coefficients are T times those of `find_orbit`.
+    """
+    T = ca.SX.sym("T")
+    stated = OdeModel("stated", model.state, T * model.rhs, ca.vertcat(model.parameters, T))
+    ends = [stated.start(stated.state) - stated.end(stated.state), stated.start(stated.state)[1]]
+    problem = BoundaryValueProblem(stated, ends, parameters={**values, "T": 2.0 * np.pi}, free=["T"])
+    return problem.solve(lambda s: guess(2.0 * np.pi * s))
+
+
 @pytest.mark.slow
 def test_a_cycle_stated_with_its_free_period_doubles_as_an_orbit_does() -> None:
     """Roessler's cycle: places, periods, multipliers and the curve in two parameters are those of `find_orbit`."""
@@ -128,21 +143,15 @@ def test_coefficients_of_stated_problems_vanish_where_they_are_known_to(turn: fl
 
 @pytest.mark.slow
 def test_tori_of_cycles_with_a_stated_free_period_are_followed_to_their_resonances() -> None:
-    """Bogdanov and Takens' normal form across a circle: a = -k^2, and the angle 2 pi sqrt(2 k) of the multipliers.
-
-    T multiplies the field on the unit interval, so that coefficients are T times those of `find_orbit`.
-    """
+    """Bogdanov and Takens' normal form across a circle: a = -k^2, and the angle 2 pi sqrt(2 k) of the multipliers."""
 
     def rates(xi: ca.SX, eta: ca.SX, a: ca.SX, k: ca.SX) -> tuple[ca.SX, ca.SX]:
         turn = 1 + 0.7 * xi**2
         return turn * eta, turn * (a + k * eta + xi**2 + xi * eta)
 
-    model, T, values = across_circle(rates, half=False), ca.SX.sym("T"), {"a": -0.0045, "k": 0.058}
+    model, values = across_circle(rates, half=False), {"a": -0.0045, "k": 0.058}
     guess = lambda t: [0.935 * np.cos(t), 0.935 * np.sin(t), 0.0]  # noqa: E731
-    stated = OdeModel("stated", model.state, T * model.rhs, ca.vertcat(model.parameters, T))
-    ends = [stated.start(stated.state) - stated.end(stated.state), stated.start(stated.state)[1]]
-    problem = BoundaryValueProblem(stated, ends, parameters={**values, "T": 2.0 * np.pi}, free=["T"])
-    cycle = problem.solve(lambda s: guess(2.0 * np.pi * s))
+    cycle = with_free_period(model, values, guess)
     orbit = find_orbit(model, guess, 2.0 * np.pi, parameters=values, corrector="newton")
     (mine,), (known,) = (s.follow("a", -0.0028, stability=True).special_points for s in (cycle, orbit))
     assert mine.kind == "torus"
@@ -214,11 +223,7 @@ def test_other_multipliers_pass_the_circle_on_curves_of_problems_that_close(
 def test_curves_of_a_cycle_with_a_stated_period_have_the_points_of_those_of_the_orbit() -> None:
     """On a band of Moebius det [[a, 1], [-k, -1]] = 0 along a = k, with trace zero at k = 1: two multipliers -1."""
     model = across_circle(lambda xi, eta, a, k: (a * xi + eta - xi**3, -k * xi - eta), half=True)
-    T, values = ca.SX.sym("T"), {"a": 0.4, "k": 0.5}
-    stated = OdeModel("stated", model.state, T * model.rhs, ca.vertcat(model.parameters, T))
-    ends = [stated.start(stated.state) - stated.end(stated.state), stated.start(stated.state)[1]]
-    problem = BoundaryValueProblem(stated, ends, parameters={**values, "T": 2.0 * np.pi}, free=["T"])
-    cycle = problem.solve(lambda s: np.stack([np.cos(2 * np.pi * s), np.sin(2 * np.pi * s), 0.0 * s], axis=-1))
+    cycle = with_free_period(model, {"a": 0.4, "k": 0.5}, lambda t: [np.cos(t), np.sin(t), 0.0])
     (point,) = cycle.follow("a", 0.6, stability=True).special_points
     assert point.kind == "period doubling"
     (special,) = point.curve("k", 1.4).special_points

@@ -57,21 +57,13 @@ def test_a_cycle_that_becomes_stable_where_its_period_doubles_has_a_change_there
     assert branch.unresolved == ()
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_every_event_of_random_models_is_located(seed: int) -> None:
-    check(truth := random_truth(seed), truth.follow())
+SLOW = [pytest.param(seed, 0.0, marks=pytest.mark.slow) for seed in range(4, 40)]
+UNITS = [pytest.param(seed, 3.0, marks=pytest.mark.slow) for seed in range(100, 120)]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4, 40))
-def test_every_event_of_more_random_models_is_located(seed: int) -> None:
-    check(truth := random_truth(seed), truth.follow())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(100, 120))
-def test_events_do_not_depend_on_the_units_of_states(seed: int) -> None:
-    check(truth := random_truth(seed, units=3.0), truth.follow(), within=1e-6)
+@pytest.mark.parametrize(("seed", "units"), [*((seed, 0.0) for seed in range(4)), *SLOW, *UNITS])
+def test_every_event_of_random_models_is_located_in_any_units(seed: int, units: float) -> None:
+    check(truth := random_truth(seed, units), truth.follow(), within=1e-6 if units else 1e-7)
 
 
 @pytest.mark.slow
@@ -81,15 +73,8 @@ def test_an_orbit_of_a_family_followed_in_gamma_has_the_changes_of_the_families_
     assert not orbit.stable
     branch = orbit.follow("gamma", 0.4, stability=True)
     assert branch.unresolved == ()
-    assert [change.kind for change in branch.changes] == [
-        "complex",
-        "real",
-        "real",
-        "complex",
-        "complex",
-        "real",
-        "real",
-    ]
+    kinds = ["complex", "real", "real", "complex", "complex", "real", "real"]
+    assert [change.kind for change in branch.changes] == kinds
     assert np.min(np.diff([change.value for change in branch.changes])) < 4e-4
     for change in branch.changes:
         for side in (-1e-6, 1e-6):
