@@ -26,7 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -141,8 +141,7 @@ OFFSET_FROM_PLACE = 1e-2  # of the window: nearer to the place points are not co
 INVERSE_ITERATION_SHIFT = 1e-11  # of the largest entry of a matrix that is nearly singular
 
 
-@dataclass(frozen=True, eq=False)
-class CrossingPlace:
+class CrossingPlace(NamedTuple):
     """Unknowns where several branches cross, and their slope along the branch.
 
     Attributes:
@@ -156,66 +155,51 @@ class CrossingPlace:
     error: float
 
 
-def crossing_places(
-    problem: Problem, at: Callable[[float], tuple[Array, Array] | None], near: float, count: int, apart: float
-) -> list[CrossingPlace]:
+def crossing_places(stretch: _Stretch, near: float, count: int, apart: float) -> list[CrossingPlace]:
     """The places near a fraction of the way where `count` branches cross: one, or each where all are further apart.
 
-    `at` gives the corrected unknowns at a fraction and the row that closes their equations. Empty where points beside
-    the place are missing, and where no such place is so near.
+    Empty where points beside the place are missing, and where no such place is so near.
     """
     for window in WINDOW_WIDTHS:
-        found = _within(window, problem, at, near, count, apart)
+        found = _within(window, stretch, near, count, apart)
         if found and all(one.error <= apart for one in found):
             return found
-    return _within(WINDOW_WIDTHS[-1], problem, at, near, count, float("inf"))
+    return _within(WINDOW_WIDTHS[-1], stretch, near, count, float("inf"))
 
 
-def _within(
-    window: float,
-    problem: Problem,
-    at: Callable[[float], tuple[Array, Array] | None],
-    near: float,
-    count: int,
-    apart: float,
-) -> list[CrossingPlace]:
+def _within(window: float, stretch: _Stretch, near: float, count: int, apart: float) -> list[CrossingPlace]:
     """As `crossing_places`, from points in a window."""
     from scipy.interpolate import KroghInterpolator
+    from scipy.sparse.linalg import splu
 
-    nodes = np.clip(near, window, 1.0 - window) - window * np.cos(
-        np.pi * (np.arange(WINDOW_PLACES) + 0.5) / WINDOW_PLACES
-    )
-    nodes = nodes[np.abs(nodes - near) > OFFSET_FROM_PLACE * window]
-    known = [(float(f), *there) for f in nodes if (there := at(float(f))) is not None]
+    problem, middle = stretch.problem, np.clip(near, window, 1.0 - window)
+    places = middle - window * np.cos(np.pi * (np.arange(WINDOW_PLACES) + 0.5) / WINDOW_PLACES)
+    places = places[np.abs(places - near) > OFFSET_FROM_PLACE * window]
+    known = {float(f): there for f in places if (there := stretch.at(float(f))) is not None}
     if len(known) < LEAST_PLACES:
         return []
     try:
-        polished = [(f, _polished(problem, z, row), row) for f, z, row in known]
-        nearest = min(polished, key=lambda one: abs(one[0] - near))
-        matrix = closed(problem, problem.evaluate(nearest[1])[1], nearest[2])
+        matrices, unknowns = [], []
+        for z, row in known.values():  # one Newton step more: beside a singular place the corrector's last one counts
+            residual, nonzeros = problem.evaluate(z)
+            unknowns.append(z - splu(closed(problem, nonzeros, row)).solve(np.append(residual, 0.0)))
+            matrices.append(closed(problem, problem.evaluate(unknowns[-1])[1], row))
+        places = np.array(list(known))
+        matrix = matrices[int(np.argmin(np.abs(places - near)))]
         right, left = _kernels(matrix, count)
-        corners = [_corner(closed(problem, problem.evaluate(z)[1], row), right, left) for _, z, row in polished]
+        corners = np.array([_corner(one, right, left) for one in matrices])
     except (RuntimeError, SingularError):  # of SuperLU: exactly singular
         return []
-    places, values = np.array([f for f, _, _ in polished]), np.array(corners)
-    whole, fewer = (_zeros(places[k], values[k], near, apart) for k in (slice(None), slice(1, -1)))
+    whole, fewer = (_zeros(places[k], corners[k], near, apart) for k in (slice(None), slice(1, -1)))
     if len(whole) != len(fewer) or any(abs(zero.place - near) > ONE_PLACE for zero in whole):
         return []
     noise = EPSILON * float(np.linalg.norm(np.abs(left.T) @ (abs(matrix) @ np.abs(right))))
-    unknowns, found = KroghInterpolator(places, np.array([z for _, z, _ in polished])), list[CrossingPlace]()
-    for zero, other in zip(whole, fewer, strict=True):
-        z, slope = np.asarray(unknowns(zero.place)), np.asarray(unknowns.derivative(zero.place))
-        error = abs(zero.place - other.place) + noise * zero.steepness
-        found.append(CrossingPlace(z, slope, error + zero.spread))
-    return found
-
-
-def _polished(problem: Problem, z: Array, row: Array) -> Array:
-    """Unknowns after one Newton step more: beside a singular place the corrector's last one counts."""
-    from scipy.sparse.linalg import splu
-
-    residual, nonzeros = problem.evaluate(z)
-    return np.asarray(z - splu(closed(problem, nonzeros, row)).solve(np.append(residual, 0.0)))
+    errors = [abs(one.place - other.place) + noise * one.steepness for one, other in zip(whole, fewer, strict=True)]
+    course = KroghInterpolator(places, np.array(unknowns))
+    return [
+        CrossingPlace(np.asarray(course(one.place)), np.asarray(course.derivative(one.place)), error + one.spread)
+        for one, error in zip(whole, errors, strict=True)
+    ]
 
 
 def _kernels(matrix: Any, count: int) -> tuple[Array, Array]:
@@ -242,8 +226,7 @@ def _corner(matrix: Any, right: Array, left: Array) -> Array:
     return np.asarray(splu(bordered).solve(np.vstack([np.zeros((size, count)), np.eye(count)]))[size:])
 
 
-@dataclass(frozen=True)
-class _Zero:
+class _Zero(NamedTuple):
     """Where matrices vanish, how far from there their eigenvalues do, and how far a change of 1 moves it."""
 
     place: float
@@ -470,7 +453,7 @@ def _points(
     """The branch points at a fraction of the way, each with whether it is one of several that cross there."""
     tolerance = stretch.point_solver.settings.tolerance
     if count > 1:
-        places = crossing_places(stretch.problem, stretch.at, root, count, tolerance / stretch.length)
+        places = crossing_places(stretch, root, count, tolerance / stretch.length)
         if places:
             return [(_as_point(stretch, after, one.z, one.slope, one.error, coarser), True) for one in places]
     state = next((found for off in (0.0, 1e-8, -1e-8, 1e-6, -1e-6) if (found := stretch.at(root + off))), None)

@@ -77,16 +77,19 @@ class _Turns(Search[tuple[Point, Point]]):
         except SingularError:
             bend = 0.0
         here = rate(point)
-        if abs(here) <= STILL_RATE:  # as at a start that is a special point, from where it has the sign of its change
-            here = float(np.copysign(abs(here) + SMALLEST_RATE, bend))
+        if abs(here) <= STILL_RATE:  # as at an end that is a special point, beside which it has the sign of its change
+            here = float(np.copysign(abs(here) + SMALLEST_RATE, -bend if point is self.last else bend))
         leading = ((here, bend),)
         return Sample(point, row, none, none, none.real, np.zeros_like(row), 1.0, leading)
 
     def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[tuple[Point, Point]] | None:
+        ends = self.own(stretch.first.point), stretch.last.point
+        one, other = map(rate, ends)
+        if max(abs(one), abs(other)) <= STILL_RATE:
+            return []
         if not (last or np.all(stretch.settled)):
             return None
-        ends = self.own(stretch.first.point), stretch.last.point
-        return [ends] if stretch.changed[0] else []
+        return [ends] if one * other < 0.0 else []
 
     def unresolved(self, stretch: Stretch) -> Iterator[Unresolved]:
         yield from ()

@@ -52,6 +52,11 @@ def test_the_circuit_has_the_fold_the_torus_and_the_period_doubling_of_matcont()
     assert [point.criticality for point in points] == ["quadratic", "subcritical", "supercritical"]
 
 
+def _cycle(model: OdeModel, r: float) -> object:
+    times = np.linspace(0.0, 40.0, 40001)
+    return simulate(model, [10.0, 10.0, r], times, parameters={"r": r}).last_cycle()
+
+
 @pytest.mark.slow
 def test_a_symmetric_cycle_loses_its_symmetry_at_a_branch_point() -> None:
     """Without epsilon the circuit is odd: x(t + T/2) = -x(t) up to the branch point alone."""
