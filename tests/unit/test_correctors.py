@@ -401,7 +401,10 @@ def test_the_last_bits_of_a_state_do_not_depend_on_the_others(others: int) -> No
     """A run that goes on has other batches than one that was not interrupted, and ends with the same bytes."""
     problem, finer = (TrigonometricProblem(Chain(24, 1.0, 0.25, -1.0).gauge_model(), H) for H in (6, 8))
     z, residuals, nonzeros, rows = random_states(problem, 12, 3)
-    solver, stretch = BorderedSolver.of(problem), LocalCurve(np.random.default_rng(1).normal(size=(12, problem.size)), 1.0)
+    solver, stretch = (
+        BorderedSolver.of(problem),
+        LocalCurve(np.random.default_rng(1).normal(size=(12, problem.size)), 1.0),
+    )
 
     def of(chosen: slice) -> list[Array]:
         steps = solver.steps(z[chosen], residuals[chosen], nonzeros[chosen], rows[chosen])

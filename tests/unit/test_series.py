@@ -94,7 +94,9 @@ def test_crossings_of_a_polynomial_that_turns() -> None:
     gap = np.polynomial.polynomial.polyfromroots([0.1, 0.104, 0.9])
     stretch = LocalCurve(gap[:, None], 1.0)
     assert [tau for tau, _ in stretch.crossings(0, [0.0])] == pytest.approx([0.1, 0.104, 0.9], abs=1e-12)
-    assert [tau for tau, _ in LocalCurve(gap[:, None], 0.5).crossings(0, [0.0])] == pytest.approx([0.1, 0.104], abs=1e-12)
+    assert [tau for tau, _ in LocalCurve(gap[:, None], 0.5).crossings(0, [0.0])] == pytest.approx(
+        [0.1, 0.104], abs=1e-12
+    )
     assert stretch.crossings(0, [5.0]) == []
     values = [value for _, value in stretch.crossings(0, [-1e-3, 0.0, 1e-3])]
     assert values.count(0.0) == 3
