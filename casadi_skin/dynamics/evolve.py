@@ -20,7 +20,7 @@ from casadi_skin.dynamics.evolution import (
 )
 from casadi_skin.follow.solution import CosineSeries, Curve, Orbit, cosine_curve
 from casadi_skin.follow.space import FAMILY
-from casadi_skin.model.arguments import by_name, number, short_repr, state_by_name
+from casadi_skin.model.arguments import by_name, check_name, number, short_repr, state_by_name
 from casadi_skin.model.expressions import real_array
 from casadi_skin.model.integrators import (
     NOT_FINITE,
@@ -243,12 +243,8 @@ def _evolved(
 
 
 def _check_choices(method: str, tolerance: float, coordinates: str | None, step: float | None) -> None:
-    for name, value, accepted in (
-        ("method", method, tuple(INTEGRATORS)),
-        ("coordinates", coordinates or GAUGE, (GAUGE, PHYSICAL)),
-    ):
-        if value not in accepted:
-            raise ValueError(f"{name}: given {value!r}; accepted: {', '.join(accepted)}")
+    check_name("method", method, INTEGRATORS)
+    check_name("coordinates", coordinates or GAUGE, (GAUGE, PHYSICAL))
     if not 1e-13 <= tolerance <= 1e-2:
         raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-13 to 1e-2")
     if step is not None and method != SYMPLECTIC:

@@ -231,32 +231,23 @@ def _same(a: KickOptimum, b: KickOptimum) -> bool:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Verified:
-    """An optimum, the distance that CVODES gives it (nan where that is not known), and the search that agrees."""
-
-    optimum: KickOptimum
-    reached: float
-    search: KickSearch
-    interrupted: bool = False
-
-
-def verified(search: KickSearch, best: KickOptimum) -> Verified:
+def verified(search: KickSearch, best: KickOptimum) -> tuple[KickOptimum, float, bool]:
     """The best optimum compared with CVODES, with shorter steps until the two agree.
 
-    After an interruption the best as it is. Raises KickError where the two do not agree.
+    Returns it, the distance that CVODES gives it, nan where that is not known, and whether an interruption ended the
+    comparison. Raises KickError where the two do not agree.
     """
     reached, distance = np.nan, search.distance
     try:
         for refinement in range(MOST_REFINEMENTS + 1):
             reached = float(escape(search.flow.orbit, search.physical(best.kick), [best.time]).distance[-1])
             if abs(reached - distance) <= FLOW_ERROR * distance or not best.solved:
-                return Verified(best, reached, search)
+                return best, reached, False
             if refinement < MOST_REFINEMENTS:
                 search = replace(search, flow=replace(search.flow, steps=2 * search.flow.steps))
                 best, reached = search.optimum(best), np.nan
     except KeyboardInterrupt:
-        return Verified(best, reached, search, interrupted=True)
+        return best, reached, True
     raise KickError(
         f"smallest_kick: CVODES gives {reached:.6g} in place of {distance:g} at t = {best.time:.6g} with "
         f"{search.flow.steps} steps; a shorter time or an orbit of a tighter tolerance may help"
@@ -488,26 +479,25 @@ def smallest_kick(
     starting = directions(along_far, gains, vectors, starts, seed)
     outcomes, interrupted = _run(search, starting, runner)
     best, *others = distinct(outcomes)
-    checked = verified(search, best)
+    best, reached, stopped = verified(search, best)
     try:
         far_size, far_time = size_to_escape(orbit, far, float(time), distance)
     except KeyboardInterrupt:
         far_size, far_time, interrupted = np.nan, np.nan, True
-    optima = (checked.optimum, *others)
     return SmallestKick(
         orbit=orbit,
         time=float(time),
         distance=float(distance),
         norm_name=norm,
-        optima=tuple(replace(o, kick=search.physical(o.kick), norm=S * o.norm) for o in optima),
-        reached=checked.reached,
+        optima=tuple(replace(o, kick=search.physical(o.kick), norm=S * o.norm) for o in (best, *others)),
+        reached=reached,
         linear_norm=S * scale,
         linear_time=float(t[peak]),
         linear_kick=search.physical(scale * vectors[peak, 0]),
         far_end_size=far_size,
         far_end_norm=far_size * kick_norm(orbit, far, norm),
         far_end_time=far_time,
-        interrupted=interrupted or checked.interrupted,
+        interrupted=interrupted or stopped,
         tried=len(outcomes),
     )
 

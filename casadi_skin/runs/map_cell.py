@@ -26,6 +26,7 @@ from casadi_skin.runs.binding import Files, bind
 from casadi_skin.runs.branches import Branches
 from casadi_skin.runs.map_grid import DIED, FAILED, LATE, Result, Row, Tables, Task, Value, scene_at
 from casadi_skin.runs.map_store import LEFT_OUT, plain_kind
+from casadi_skin.runs.parts import mode_of
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import Scene
@@ -63,7 +64,7 @@ def rows_of(
         faults = [fault] if fault else []
         for number, branch in enumerate(branches):
             several = sum(b.space.is_family for b in branches) > 1
-            suffix = f"_j{_mode(branch)}" if several else f"_{number + 1}" if number else ""
+            suffix = f"_j{mode_of(branch)}" if several else f"_{number + 1}" if number else ""
             solution, reason = _solution(branch, S)
             faults += [reason] if reason else []
             if solution is not None:
@@ -71,10 +72,6 @@ def rows_of(
             values |= meanings.named(_of_branch(branch, growth), suffix)
         rows.append(Row(values, "; ".join(faults), *_start(branches)))
     return rows
-
-
-def _mode(branch: Branch) -> int:
-    return int(branch.space.coordinates.mode_number)
 
 
 def _solution(branch: Branch, S: float | None) -> tuple[Solution | None, str]:
@@ -92,7 +89,7 @@ def _solution(branch: Branch, S: float | None) -> tuple[Solution | None, str]:
 
 def _of_solution(branch: Branch, solution: Solution) -> Iterator[tuple[str, Any, str]]:
     quantities = [q for q in columns_of(branch) if q.name not in LEFT_OUT]
-    mode = _mode(branch) if branch.space.is_family else 0
+    mode = mode_of(branch) if branch.space.is_family else 0
     row = csv_row(quantities, Place(solution, 0, mode))
     meanings = {q.name: q.meaning for q in quantities}
     for name, value in row.items():

@@ -15,10 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, TypeVar
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike
 from rich.table import Table
 
 from casadi_skin.model.files import replacing
@@ -30,7 +28,6 @@ from casadi_skin.runs.output import DONE, FAILED, INTERRUPTED, add_study_options
 from casadi_skin.runs.progress import Progress
 
 Case = TypeVar("Case")
-Rows = tuple[Sequence[str], Sequence[Mapping[str, object]]]
 
 
 @dataclass
@@ -104,17 +101,6 @@ def cell(value: object) -> Cell:
         return int(value)
     finite = isinstance(value, int) or (isinstance(value, float) and math.isfinite(value))
     return value if finite else str(value)  # type: ignore[return-value]
-
-
-def table(**columns: ArrayLike) -> Rows:
-    """Names and rows of columns of one length; a single value stands in all rows."""
-    values = [column.tolist() for column in np.broadcast_arrays(*columns.values())]
-    return list(columns), [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]
-
-
-def stacked(tables: Sequence[Rows]) -> Rows:
-    """Tables with the same columns, one below the other."""
-    return tables[0][0], [row for _, rows in tables for row in rows]
 
 
 def text_table(heads: Sequence[str], words: Sequence[int] = (0,)) -> Table:

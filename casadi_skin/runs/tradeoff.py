@@ -422,24 +422,18 @@ def duration(seconds: float) -> str:
     return f"{1e3 * seconds:.0f} ms" if seconds >= 0.1 else f"{1e3 * seconds:.3g} ms"
 
 
-def pareto_front(points: Sequence[tuple[float, float]], same: float = 1.0) -> list[int]:
-    """Indices of the points (cost, error) that no other beats in one without losing in the other, by rising cost.
-
-    Errors within a factor `same` count as equal, and of equal points the cheapest stays. Points with nan are left out.
-    """
-    front: list[int] = []
-    order = sorted((i for i, p in enumerate(points) if p[0] == p[0] and p[1] == p[1]), key=lambda i: points[i])
-    for i in order:
-        if not front or same * points[i][1] < points[front[-1]][1]:
-            front.append(i)
-    return front
-
-
 def front_of(measured: Sequence[Measured], kind: Kind, known: Errors) -> list[Measured]:
-    """The Pareto front of the settings of a kind; errors up to that of the reference count as equal."""
-    requested = [m for m in measured if m.setting.kind is kind and not m.failure]
-    floor = np.nan_to_num(known.bounded_by(kind))
-    return [requested[i] for i in pareto_front([(m.seconds, max(m.error, floor)) for m in requested], EQUAL_ERRORS)]
+    """The settings of a kind that no other beats in time or error without losing in the other, by rising time.
+
+    Errors within a factor EQUAL_ERRORS, and those up to that of the reference, count as equal.
+    """
+    floor = float(np.nan_to_num(known.bounded_by(kind)))
+    requested = [m for m in measured if m.setting.kind is kind and m.seconds == m.seconds and m.error == m.error]
+    front = list[Measured]()
+    for m in sorted(requested, key=lambda m: (m.seconds, max(m.error, floor))):
+        if not front or EQUAL_ERRORS * max(m.error, floor) < max(front[-1].error, floor):
+            front.append(m)
+    return front
 
 
 def fastest(measured: Iterable[Measured], wanted: float) -> Measured | None:

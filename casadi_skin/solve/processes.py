@@ -188,14 +188,14 @@ class Worker:
             try:
                 connection = self._connected()
                 connection.send_bytes(function)
-                if connection.poll(START_LIMIT) and connection.recv_bytes() == READY:
-                    connection.send(task)
-                    return
+                if not connection.poll(START_LIMIT) or connection.recv_bytes() != READY:
+                    raise EOFError
+                connection.send(task)
+                return
             except (EOFError, OSError):
                 if attempt + 1 == MOST_STARTS:
                     raise
                 self.end()
-        raise EOFError
 
     def _connected(self) -> Connection:
         if self._connection is not None:

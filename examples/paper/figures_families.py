@@ -16,8 +16,11 @@ from paper_data import (
     STATED_P,
     STATED_Q,
     PaperData,
+    Rows,
     Sensitivity,
     analytical_sensitivity,
+    stacked,
+    table,
 )
 
 from casadi_skin.dynamics import Evolution
@@ -38,7 +41,7 @@ from casadi_skin.results.figures.style import (
 )
 from casadi_skin.results.quantities import columns_of, csv_row, places_of
 from casadi_skin.results.tables import EVENT_COLUMNS, event_rows
-from casadi_skin.runs.study import Rows, letter, stacked, table
+from casadi_skin.runs.study import letter
 from casadi_skin.zero.problem import Array
 
 Drawn = tuple[Figure, dict[str, Rows]]

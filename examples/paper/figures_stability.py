@@ -15,7 +15,7 @@ from figures_families import (
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from paper_data import KICK, KICK_TIME, SITES, PaperData
+from paper_data import KICK, KICK_TIME, SITES, PaperData, Rows, stacked, table
 
 from casadi_skin.dynamics import Evolution, simulate_orbit
 from casadi_skin.follow.branch import Branch
@@ -23,7 +23,7 @@ from casadi_skin.follow.solution import Orbit
 from casadi_skin.results.figures.multipliers import MODULUS_LABEL, draw_plane
 from casadi_skin.results.figures.multipliers import moduli as moduli_line
 from casadi_skin.results.figures.style import AMPLITUDE_LABEL, blank, finished, number, style, title
-from casadi_skin.runs.study import Rows, letter, stacked, table
+from casadi_skin.runs.study import letter
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.zero.problem import Array
 

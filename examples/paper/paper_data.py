@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from casadi_skin.dynamics import Evolution, simulate_orbit
 from casadi_skin.follow.branch import Branch
@@ -14,7 +15,6 @@ from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice import closed_forms as multiple_scales
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.runs.study import Rows, table
 from casadi_skin.stability.growth import TransientGrowth
 from casadi_skin.zero.problem import Array
 
@@ -33,6 +33,19 @@ FINITE_DIFFERENCE_S = 0.01
 KICK = 0.005
 KICK_TIME = 40.0
 EVOLUTION_TIME = 50.0
+
+Rows = tuple[Sequence[str], Sequence[Mapping[str, object]]]
+
+
+def table(**columns: ArrayLike) -> Rows:
+    """Names and rows of columns of one length; a single value stands in all rows."""
+    values = [column.tolist() for column in np.broadcast_arrays(*columns.values())]
+    return list(columns), [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]
+
+
+def stacked(tables: Sequence[Rows]) -> Rows:
+    """Tables with the same columns, one below the other."""
+    return tables[0][0], [row for _, rows in tables for row in rows]
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,6 @@ from casadi_skin.runs.tradeoff import (
     memory_of,
     multipliers_of,
     paired,
-    pareto_front,
     peak_memory,
     preset_words,
     recommendations,
@@ -82,9 +81,8 @@ FAILED = Measured(Setting(Kind.ORBITS, 1e-12, "gauss", "arclength"), failure="no
 
 
 def test_errors_nearly_the_same_or_below_the_reference_do_not_join_the_front() -> None:
-    points = [(1.0, 1e-6), (2.0, 0.9e-6), (3.0, 1e-8)]
-    assert pareto_front(points) == [0, 1, 2]
-    assert pareto_front(points, 1.5) == [0, 2]
+    near = [orbits("gauss", "arclength", 1e-12, s, e) for s, e in ((2.0, 0.9e-6), (1.0, 1e-6), (nan, 0.0), (3.0, 1e-8))]
+    assert [m.seconds for m in front_of(near, Kind.ORBITS, Errors(nan, nan))] == [1.0, 3.0]
     measured = [orbits("gauss", "arclength", 1e-12, s, e) for s, e in ((1.0, 1e-14), (2.0, 1e-16), (3.0, 1e-17))]
     assert [m.seconds for m in front_of(measured, Kind.ORBITS, Errors(1e-13, 1e-13))] == [1.0]
     assert len(front_of(measured, Kind.ORBITS, Errors(nan, nan))) == 3
