@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.family import Family
 from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.files import replacing
 from casadi_skin.points.diagram import Diagram
@@ -26,6 +25,7 @@ from casadi_skin.results.saving import read_result
 from casadi_skin.results.tables import event_rows
 from casadi_skin.runs.map_result import map_dataset, read_map
 from casadi_skin.runs.map_store import STATUS_WORDS
+from casadi_skin.runs.parts import mode_of
 
 PAGE_FILE = "explore.html"
 SHOWN_FILES = ("family.nc", "branch.nc", "cycles_*.nc", "other_*.nc", "curve_*.nc")
@@ -82,12 +82,12 @@ def _of_file(path: Path) -> tuple[Contents, str]:
         raise ValueError(f"{path}: holds {short_repr(result)}; {EXPLORER_FILE_ACCEPTED}")
     parts = list[tuple[Path, str, Variables]]()
     for number, branch in enumerate(branches, start=1):
-        family = isinstance(branch.space, Family)
+        family = branch.space.is_family
         name = f"other_{number}" if len(branches) > 1 else "family" if family else "branch"
         rows: Sequence[Mapping[str, Any]] = ()
         kinds = None if family else [place.special or "" for place in places_of(branch)]
         if family and branch.diagram_of_changes is not None:
-            rows = event_rows(branch.space.coordinates.mode_number, branch.diagram_of_changes)
+            rows = event_rows(mode_of(branch), branch.diagram_of_changes)
         parts += [(path, *part) for part in _split(name, _variables(dataset_of([branch]), kinds, rows))]
     return _run_contents(path.stem, parts), "run"
 
