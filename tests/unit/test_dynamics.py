@@ -135,17 +135,6 @@ def test_the_step_of_the_symplectic_method_follows_growing_amplitudes() -> None:
     np.testing.assert_allclose(runs[0], runs[1], rtol=0, atol=2e-6)
 
 
-def test_physical_and_gauge_coordinates_agree(orbit: Orbit) -> None:
-    t = np.linspace(0.0, 40.0, 81)
-    for method in METHODS:
-        runs = [
-            simulate_orbit(orbit, t, KICK, site=1, method=method, tolerance=1e-12, coordinates=coordinates)
-            for coordinates in ("gauge", "physical")
-        ]
-        np.testing.assert_allclose(runs[0].displacements, runs[1].displacements, rtol=0, atol=5e-9)
-        np.testing.assert_allclose(runs[0].velocities, runs[1].velocities, rtol=0, atol=5e-9)
-
-
 # Symmetries and energy ----------------------------------------------------------------------------------------------
 
 

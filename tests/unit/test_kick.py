@@ -8,7 +8,6 @@ import os
 import signal
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -22,14 +21,10 @@ from casadi_skin.dynamics import distance_from_orbit, evolve
 from casadi_skin.follow.solution import cosine_curve
 from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.optimise.kick import (
-    KickSearch,
-    KickStart,
     SmallestKick,
-    distinct,
     kick_norm,
-    verified,
 )
-from casadi_skin.optimise.kick_nlp import KickedFlow, reach
+from casadi_skin.optimise.kick_nlp import reach
 from casadi_skin.optimise.optimum import CosineOrbit
 from casadi_skin.solve.processes import SearchProgress
 
@@ -166,21 +161,6 @@ def test_reach_is_the_least_radius_of_curvature_of_a_bent_loop() -> None:
     assert of([0.0, 2.0]) == pytest.approx(2.0, rel=1e-9)
     # y = cos + 0.1 cos 3: at the phase pi/2, y' = -0.7 and y''' = -1.7
     assert of([1.0], [0.1]) == pytest.approx(0.49 / 1.7, rel=1e-3)
-
-
-@pytest.mark.slow
-def test_steps_that_are_too_long_are_halved_until_cvodes_agrees() -> None:
-    fine = KickedFlow.up_to(breather(), 2.0 * breather().period)
-    coarse = replace(fine, steps=12)
-    basis = np.diag(1 / np.tile(breather().model.rho, 2))
-    gains, vectors = coarse.linear_gains(basis)[1:]
-    scale = float(0.5 / gains[:, 0].max())
-    search = KickSearch(coarse, 0.5, basis, scale)
-    outcome = search.solve(KickStart(1, "linear", vectors[np.argmax(gains[:, 0]), 0]))
-    optimum, reached, interrupted = verified(search, distinct([outcome])[0])
-    assert abs(reached - 0.5) < 1e-6
-    assert not interrupted
-    assert optimum.norm * np.sqrt(0.2) == pytest.approx(found(2.0).norm, rel=1e-4)
 
 
 @pytest.mark.slow
