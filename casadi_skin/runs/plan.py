@@ -136,17 +136,14 @@ def _cost(request: Request, family: Family, problem: Problem, building: float) -
                 family.flow.transition(problem, z)
             else:
                 family.floquets([there])
-            stability = time.perf_counter() - started
-        point += stability
-        words += f" and {1e3 * stability:.2g} ms for its multipliers"
-    counts = zip(TYPICAL_POINTS, TYPICAL_SAMPLES if _with_events(request) else (0, 0), strict=True)
+            multipliers = time.perf_counter() - started
+        point += multipliers
+        words += f" and {1e3 * multipliers:.2g} ms for its multipliers"
+    stability = request.scene.stability
+    events = stability is not None and stability.events and family.coordinates.localised is None
+    counts = zip(TYPICAL_POINTS, TYPICAL_SAMPLES if events else (0, 0), strict=True)
     low, high = (families * (building + (points + samples) * point) for points, samples in counts)
     return f"{words} (measured now); {low:.1g} to {high:.1g} s for {families} famil{'y' if families == 1 else 'ies'}"
-
-
-def _with_events(request: Request) -> bool:
-    localised = bool(request.families) and request.families[0].coordinates.localised is not None
-    return request.scene.stability is not None and request.scene.stability.events and not localised
 
 
 # Equilibria -----------------------------------------------------------------------------------------------------------

@@ -337,9 +337,10 @@ def _without_multipliers(s: Seen) -> dict[str, Any] | None:
     return first(s.continuation.switch, lambda _, kind: lacking and kind in needed)
 
 
-def _without_all_sites(s: Seen, *names: str) -> Found:
-    """The first of the tables by these names, in which all sites take part."""
-    return {"name": s.scene.given(*names)[0]} if s.scene.given(*names) else None
+def _first_table(s: Seen, *names: str) -> Found:
+    """The first of the tables by these names that the scene has."""
+    given = s.scene.given(*names)
+    return {"name": given[0]} if given else None
 
 
 def _collocated(s: Seen) -> bool:
@@ -469,20 +470,20 @@ RULES: tuple[tuple[str, tuple[Rule, ...]], ...] = (  # by the table without whic
              "numbers <= period_max = {family.period_max!r}", ITEM),
     )),
     ("chain", (
-        rule("{name}", lambda s: s.sites == math.inf and _without_all_sites(s, "spectrum", "dynamics", "orbit"),
+        rule("{name}", lambda s: s.sites == math.inf and _first_table(s, "spectrum", "dynamics", "orbit"),
              "with a whole number of sites: all of them take part in it", "with sites = inf"),
         rule("stability vectors", lambda s: s.sites == math.inf, "false: all sites take part in them",
              " with sites = inf"),
     )),
     ("lattice", (
-        rule("{name}", lambda s: s.lattice.long and _without_all_sites(
+        rule("{name}", lambda s: s.lattice.long and _first_table(
              s, "spectrum", "dynamics", "orbit", "equilibrium", "continuation", "search", "export"),
              "with all sites unknown", "with a linear tail (edge, or more than 100000 cells)"),
         rule("stability vectors", lambda s: s.lattice.long, "false: all sites take part in them",
              " with a linear tail"),
     )),
     ("dynamics", (
-        rule("dynamics", lambda s: s.at_rest and _without_all_sites(s, "equilibrium", "solution", "search"),
+        rule("dynamics", lambda s: s.at_rest and _first_table(s, "equilibrium", "solution", "search"),
              "beside [family] or [orbit], or with a start of its own", "beside [{name}]"),
         rule("dynamics", lambda s: s.at_rest and len(given := s.given("dynamics", *STARTS)) != 1
              and {"kinds": " and ".join(given) or f"none of {', '.join(STARTS)}"},
