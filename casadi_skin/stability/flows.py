@@ -145,12 +145,15 @@ FEW_TERMS = 4  # terms a non-zero up to which numpy is faster than CasADi
 class _Terms:
     """Values of polynomials, a few terms each, at many states: numpy takes a tenth of CasADi's time.
 
-    `places` are those of the polynomials among the numbers of a row.
+    `places` are those of the polynomials among the numbers of a row; constant terms are added to `constant`, a row.
     """
 
-    def __init__(self, groups: tuple[Monomials, ...], places: Indices) -> None:
+    def __init__(self, groups: tuple[Monomials, ...], places: Indices, constant: Array) -> None:
         self._groups = []
         for group in groups:
+            if group.power == 0 and len(group.factors) == 0:
+                np.add.at(constant, places[group.rows], group.coefficients)
+                continue
             rows, first = np.unique(group.rows, return_index=True)  # rows ascend
             starts = None if first.size == group.rows.size else first
             self._groups.append((group, _columns(places[rows]), starts, [_columns(each) for each in group.factors]))
@@ -197,7 +200,7 @@ class _Compiled:
             result[these, self._places] += self._values[:count]
 
 
-def _values(model: OdeModel, expressions: ca.SX, places: Indices) -> _Terms | _Compiled:
+def _values(model: OdeModel, expressions: ca.SX, places: Indices, constant: Array) -> _Terms | _Compiled:
     """Those of a column of expressions in state and parameter: polynomials of few terms by numpy."""
     if isinstance(expressions, ca.SX) and model.parameters.numel() == 1 and model.time is None:
         try:
@@ -205,7 +208,7 @@ def _values(model: OdeModel, expressions: ca.SX, places: Indices) -> _Terms | _C
         except NotPolynomialError:
             return _Compiled(model, expressions, places)
         if sum(group.rows.size for group in groups) <= FEW_TERMS * expressions.numel():
-            return _Terms(groups, places)
+            return _Terms(groups, places, constant)
     return _Compiled(model, expressions, places)
 
 
@@ -227,7 +230,8 @@ class JacobianAlong:
         self._constant = np.zeros(moving.size)
         fixed, places = np.flatnonzero(~moving), np.flatnonzero(moving)
         self._constant[fixed] = np.array(ca.evalf(nonzeros[fixed.tolist()])).ravel()
-        self._moving = _values(model, nonzeros[places.tolist()], places) if places.size else None
+        expressions = nonzeros[places.tolist()]
+        self._moving = _values(model, expressions, places, self._constant) if places.size else None
 
     def along(self, problem: Problem, z: Array, theta: Array) -> Array:
         """Non-zeros at phases of several orbits z of a problem, shape (orbits, phases, non-zeros)."""
