@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.model.arguments import by_name, check_name, number, short_repr
-from casadi_skin.model.expressions import Expression, expression_of, in_scalars, is_comparison
+from casadi_skin.model.expressions import Expression, expression_of, in_scalars, is_comparison, product
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import WithVerbs
 from casadi_skin.zero.formulation import Formulation
@@ -239,15 +239,17 @@ class Statement(WithVerbs):
         s, x, last = kind.sym("s"), kind.sym("x", model.full_size), kind.sym("end", model.full_size)
         scalars = kind.sym("scalars", len(self.free) + 1)
         constants = kind.sym("constants", len(self.values) + (walking is not None))
-        p = self._along(scalars, ca.vertsplit(constants), walking)
+        several = bool(self.free) or walking is not None
+        p = self._along(scalars, ca.vertsplit(constants), walking) if several else constants
         t0, t1 = self.ends_at(p)
-        time = t0 + s * (t1 - t0)
-        border = ca.Function("border", [*model.ends, model.parameters], [_stacked(kind, self.conditions)])
-        integrands = kind(0, 1)
+        time = kind.binary(ca.OP_ADD, product(s, t1 - t0), kind(t0))
+        at_ends, along = (_stacked(kind, group) for group in (self.conditions, self.integrals))
+        symbols = [self._time, model.full_state, *model.ends, model.parameters]
+        everything = ca.Function("stated", symbols, [model.full_rhs, at_ends, along])
+        field, border, integrands = everything.call([time, x, x, last, p], True, False)
         if self.integrals:
-            integrands = (t1 - t0) * self.along("mean", _stacked(kind, self.integrals))(time, x, p)
-        field = (t1 - t0) * model.field_at(time, x, p)
-        return Formulation(s, x, (x, last), scalars, field, border(x, last, p), integrands, constants)
+            integrands = product(integrands, t1 - t0)
+        return Formulation(s, x, (x, last), scalars, product(field, t1 - t0), border, integrands, constants)
 
     def parameters_at(self, scalars: Any, walking: str | None = None, end: float = 1.0) -> Any:
         """All parameters, in the model's order, from the scalars among the unknowns."""
