@@ -166,7 +166,7 @@ class TaylorRecursion:
     def _right_side(self, k: int) -> Array:
         """Right-hand side of order k: minus the equations with no part of order k in z, shape (size,)."""
         problem = self.problem
-        self._coefficients[k] = 0.0
+        self._coefficients[k] = self._start[k] = 0.0
         Omega, p = self._coefficients[:, problem.Omega_index], self._coefficients[:, problem.parameter_index]
         self._squared[k] = Omega[1:k] @ Omega[k - 1 : 0 : -1]
         for power in range(1, self._powers.shape[0]):
