@@ -43,7 +43,7 @@ from casadi_skin.zero.settings import Point
 
 STEADY_RATE_RATIO = 0.5  # of the largest rate on a stretch: the least one for which nothing turns back within it
 STILL_RATE = 1e-9  # rate of a quantity that does not change
-SMALLEST_RATE = 1e-11  # rate beside a place where it vanishes
+BESIDE_STILL = 0.05  # of a stretch, from a start that a branch leaves upright: beside it rates are rounding
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
 
 
@@ -55,6 +55,8 @@ def turning(point_solver: PointSolver, before: Point, after: Point) -> list[tupl
     still = np.max(sizes) <= STILL_RATE and max(abs(rate(before)), abs(rate(after))) <= STILL_RATE
     if still or (np.all(rates * rates[0] > 0.0) and np.min(sizes) >= STEADY_RATE_RATIO * np.max(sizes)):
         return []
+    if rate(before) == 0.0:
+        before = searched_along(point_solver, before, after, BESIDE_STILL) or before
     search = _Turns(point_solver, before, after)
     return [part for part in search.on_stretch() if not isinstance(part, Unresolved)]
 
@@ -76,10 +78,7 @@ class _Turns(Search[tuple[Point, Point]]):
             bend = (float(moved) - rate(point)) / TANGENT_DIFFERENCE_STEP
         except SingularError:
             bend = 0.0
-        here = rate(point)
-        if abs(here) <= STILL_RATE:  # as at an end that is a special point, beside which it has the sign of its change
-            here = float(np.copysign(abs(here) + SMALLEST_RATE, -bend if point is self.last else bend))
-        leading = ((here, bend),)
+        leading = ((rate(point), bend),)
         return Sample(point, row, none, none, none.real, np.zeros_like(row), 1.0, leading)
 
     def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[tuple[Point, Point]] | None:
