@@ -5,18 +5,20 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.boundary_space import BoundarySpace, at_rest
 from casadi_skin.follow.branch_points import leaving_tangent
+from casadi_skin.follow.normal_forms import critical_functions
 from casadi_skin.follow.rest_normal_forms import critical_pair
 from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.points.ends import Left
-from casadi_skin.points.lost_symmetry import critical_vector, lost_operations
+from casadi_skin.points.lost_symmetry import lost_operations
 from casadi_skin.zero import mesh
+from casadi_skin.zero.kinds import DOUBLING
+from casadi_skin.zero.linearised import Linearised
 from casadi_skin.zero.orbit import FIRST_INTERVALS, OrbitRequest, Periodic, Sizes, boundary_method, statement_of
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest_problem import sizes_of
@@ -87,7 +89,7 @@ def leaving_orbits(
     if turns == 1:
         return replace(space, first=replace(first, tangent=_other(space, first, orbit, side)))
     tangent = np.zeros(problem.size)
-    tangent[: problem.states] = side * _perturbation(orbit, values, t).ravel()
+    tangent[: problem.states] = side * _perturbation(orbit, turns * problem._fractions()).ravel()
     tangent /= np.sqrt(np.sum(space.point_solver.metric(problem, z) * tangent**2))
     return replace(space, first=replace(first, tangent=tangent))
 
@@ -124,26 +126,13 @@ def _problem(space: BoundarySpace, orbit: Orbit, turns: int) -> Any:
     return stated(space.levels.problem(resolution)).with_constants(mesh.resampled(lengths, resolution))
 
 
-def _perturbation(orbit: Orbit, values: dict[str, float], t: Array) -> Array:
-    """The perturbation that the orbit turns to its opposite in a period; shape (time, component)."""
-    from scipy.integrate import solve_ivp
-
-    model = orbit.space.model
-    time = type(model.state).sym("t") if model.time is None else model.time
-    rhs = model.vector_field(time, model.full_state, model.parameters)
-    jacobian = model.function("J", ca.densify(ca.jacobian(rhs, model.full_state)))
-    p = np.array(list(values.values()))
-
-    def rate(at: float, w: Array) -> Array:
-        x = orbit.evaluate(at % orbit.period)
-        return np.asarray(np.array(jacobian(at, x, p)) @ w)
-
-    turn = np.floor(t / orbit.period * (1.0 + 1e-14)).astype(int)
-    within = np.clip(t - turn * orbit.period, 0.0, orbit.period)  # np.mod may be on the other side by rounding
-    times = np.unique(within)
-    found = solve_ivp(rate, (0.0, orbit.period), critical_vector(orbit, -1.0), "LSODA", times, rtol=1e-6, atol=1e-9)
-    along = np.array([np.interp(within, times, column) for column in found.y]).T
-    return np.asarray(np.where(turn % 2 == 0, 1.0, -1.0)[:, None] * along)
+def _perturbation(orbit: Orbit, turns: Array) -> Array:
+    """The Floquet function that the orbit turns to its opposite in a period, at turns from 0 to 2, (turns, states)."""
+    problem = orbit.problem
+    v, _ = critical_functions(DOUBLING, Linearised(problem, orbit.point.z, problem.statement), np.pi)
+    second = turns > 1.0
+    along = problem.sample(v, np.where(second, turns - 1.0, turns))
+    return np.asarray(np.where(second, -1.0, 1.0)[:, None] * along)
 
 
 # Cycles that are born at a Hopf point ---------------------------------------------------------------------------------

@@ -250,7 +250,7 @@ def lost_operations(orbit: Orbit) -> Iterator[tuple[Array, float]]:
     times = orbit.period * np.arange(COMPARED_PLACES) / COMPARED_PLACES
     states, later = orbit.evaluate(times), orbit.evaluate(times + 0.5 * orbit.period)
     within = HELD_SYMMETRY_RTOL * np.ptp(states)
-    vector = critical_vector(orbit, 1.0)
+    vector = critical_vector(orbit)
     after: Array | None = None
     for signs in sign_symmetries(model, orbit.model_parameters):
         at_once = not model.forced and bool(np.max(np.abs(signs * states - states)) < within)
@@ -308,11 +308,11 @@ def _across(orbit: Orbit, vector: Array) -> Array:
     return np.asarray(vector - along * (along @ vector) / (along @ along))
 
 
-def critical_vector(orbit: Orbit, multiplier: float) -> Array:
-    """The vector of norm 1 that the monodromy matrix multiplies by +1 or -1, across the motion along the orbit."""
+def critical_vector(orbit: Orbit) -> Array:
+    """The vector of norm 1 that the monodromy matrix leaves as it is, across the motion along the orbit."""
     monodromy = np.asarray(orbit.floquet().monodromy)
-    vectors = np.linalg.svd(monodromy - multiplier * np.eye(len(monodromy)))[2][::-1]
-    if multiplier < 0.0 or orbit.floquet().trivial == 0:
+    vectors = np.linalg.svd(monodromy - np.eye(len(monodromy)))[2][::-1]
+    if orbit.floquet().trivial == 0:
         return np.asarray(vectors[0])
     h = 1e-5 * orbit.period
     ahead, behind = orbit.evaluate([h, -h])

@@ -14,9 +14,7 @@ from scipy.optimize import brentq, minimize_scalar
 from test_orbit_bifurcations import _cycle
 
 from casadi_skin import Branch, Chain, OdeModel, find_equilibrium, find_orbit, follow_family, read_result, save_result
-from casadi_skin.follow.solution import Orbit
 from casadi_skin.follow.special_points import SpecialPoint
-from casadi_skin.points.leaving import _perturbation
 from casadi_skin.zero.settings import End
 
 
@@ -132,20 +130,6 @@ def test_normal_forms_of_period_doublings_and_tori_are_the_ones_written_down() -
     assert abs(torus.parameters["a"]) <= torus.error < 1e-13
     assert torus.coefficient == pytest.approx(2.0 * coefficient, rel=1e-9)
     assert (torus.criticality, doubling.criticality) == ("subcritical", "subcritical")
-
-
-@pytest.mark.slow
-def test_the_doubled_orbit_starts_along_a_perturbation_that_rounding_of_times_does_not_turn() -> None:
-    """After a period it is the opposite of that at the start, whatever the last digit of the period is."""
-    model = across_circle(lambda xi, eta, a, k: (a * xi - xi**3, -eta), half=True)
-    orbit = first_special(model, 0.3, -0.1, 0.1).solution
-    assert isinstance(orbit, Orbit)
-    values = {name: orbit.parameters[name] for name in ("a", "k")}
-    after = orbit.period * (1.0 + np.array([-4e-16, -2e-16, 0.0, 2e-16, 4e-16]))
-    start, *others = _perturbation(orbit, values, np.concatenate([[0.0], after]))
-    assert np.linalg.norm(start) == pytest.approx(1.0, rel=1e-9)
-    for found in others:
-        np.testing.assert_allclose(found, -start, rtol=0, atol=1e-4)
 
 
 @pytest.mark.slow
