@@ -30,12 +30,13 @@ from casadi_skin.follow.normal_forms import (
     NullVectors,
     branching_terms,
     critical_functions,
+    critical_pair,
+    lyapunov_terms,
     quadratic_term,
     second_singular,
     terms_of,
 )
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.rest_normal_forms import critical_pair, lyapunov_terms
 from casadi_skin.follow.search import (
     FULL_TURN,
     TANGENT_DIFFERENCE_STEP,

@@ -1,6 +1,10 @@
-"""Coefficients of the normal forms at folds, period doublings and tori of orbits.
+"""Critical eigenvectors and coefficients of normal forms at special points, by projection on their own equations.
 
-By projection on the collocation equations themselves (Kuznetsov, Govaerts, Doedel and Dhooge 2005), in the variable w
+Of equilibria (Kuznetsov 2004, sections 5.4 and 10.2). Fold: a in w' = a w^2 + ..., with critical vectors scaled by
+v.v = 1, psi.v = 1. Hopf point: the first Lyapunov coefficient l1 of w' = i omega w + omega l1 w |w|^2 + ..., with
+q*.q = 1, p*.q = 1; a cycle is born stable where it is negative and all other eigenvalues are.
+
+Of orbits, on the collocation equations (Kuznetsov, Govaerts, Doedel and Dhooge 2005), in the variable w
 of x = x0 + w v + ..., where v is the critical Floquet function with mean square 1 over the period: of a fold w' = a w^2
 + ..., of a period doubling w' = c w^3 + ..., of a torus w' = (i theta/T) w + d w |w|^2 + ..., of which the real part of
 d is taken. What is born at a period doubling or a torus is stable where the coefficient is negative and no other
@@ -16,20 +20,52 @@ from typing import Any, cast
 
 import numpy as np
 
-from casadi_skin.follow.rest_normal_forms import DECIDED_SIGN_RATIO, Critical
-from casadi_skin.follow.rest_normal_forms import critical as at_equilibrium
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import Followed
 from casadi_skin.follow.special_points import SpecialPoint
+from casadi_skin.zero import linearised
 from casadi_skin.zero.closure import Closure
-from casadi_skin.zero.kinds import DOUBLING, FOLD, TORUS
-from casadi_skin.zero.linearised import Linearised, Vector, null_vectors
+from casadi_skin.zero.kinds import DOUBLING, FOLD, HOPF, TORUS
+from casadi_skin.zero.linearised import Linearised, Vector
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import BoundaryProblem
+from casadi_skin.zero.statics import BalancedMatrix, ComplexArray, NullSpace, Statics, balanced, upper_pair
 
+DECIDED_SIGN_RATIO = 1e-8  # of the terms that a coefficient is the sum of: one that is smaller has no known sign
 PLACES_ALONG_SOLUTION = 65  # at which null vectors are compared
-UNKNOWN_DERIVATIVES_WORDS = "unknown: the model has no higher derivatives"
+
+
+@dataclass(frozen=True, eq=False)
+class Critical:
+    """The critical eigenvector, its frequency (0 of a real one), the coefficient of the normal form, and its meaning.
+
+    `adjoint` is the critical eigenvector of the transposed Jacobian; `coefficient` is NaN where none is defined.
+    """
+
+    vector: ComplexArray
+    adjoint: ComplexArray
+    frequency: float
+    coefficient: float = float("nan")
+    words: str = ""
+
+    @classmethod
+    def by_terms(
+        cls, vector: Vector, adjoint: Vector, frequency: float, terms: Callable[[], Array], fold: bool, order: str
+    ) -> Critical:
+        """With the coefficient that terms add up to, where the model has derivatives of an `order`."""
+        both = vector.astype(np.complex128), adjoint.astype(np.complex128)
+        try:
+            found = terms()
+        except (RuntimeError, NotImplementedError):  # a black box with first derivatives alone
+            return cls(*both, frequency, words=f"unknown: the model has no {order} derivatives")
+        except np.linalg.LinAlgError:
+            return cls(*both, frequency, words="unknown: another eigenvalue vanishes there")
+        value = float(np.sum(found))
+        words = "quadratic" if fold else "supercritical" if value < 0.0 else "subcritical"
+        if abs(value) <= DECIDED_SIGN_RATIO * float(np.sum(np.abs(found))):
+            words = "degenerate"
+        return cls(*both, frequency, value, words)
 
 
 def critical(point: SpecialPoint) -> Critical:
@@ -37,11 +73,11 @@ def critical(point: SpecialPoint) -> Critical:
     solution = point.solution
     stated = _closed(point)
     if not (solution.is_orbit or stated) or point.kind not in (FOLD, DOUBLING, TORUS):
-        return at_equilibrium(point)
+        return _at_equilibrium(point)
     try:
         problem = solution.problem
     except ValueError:
-        return at_equilibrium(point)
+        return _at_equilibrium(point)
     linear = Linearised(problem, solution.point.z, problem.statement)
     turn = stated.matrix if stated else None
     length = float(np.diff(solution.space.interval(solution.point))[0])
@@ -49,17 +85,87 @@ def critical(point: SpecialPoint) -> Critical:
     if point.kind == TORUS:
         angle = abs(float(np.angle(on_circle(solution))))
     v, adjoint = critical_functions(point.kind, linear, angle, turn)
-    start = (v[: linear.components], adjoint[: linear.components])
-    vector, other = (np.asarray(part / np.linalg.norm(part), dtype=complex) for part in start)
-    try:
-        terms = terms_of(point.kind, linear, angle, v, adjoint, turn) / length
-    except (RuntimeError, NotImplementedError):
-        return Critical(vector, other, angle / length, float("nan"), UNKNOWN_DERIVATIVES_WORDS)
-    value = float(np.sum(terms))
-    words = "quadratic" if point.kind == FOLD else "supercritical" if value < 0.0 else "subcritical"
-    if abs(value) <= DECIDED_SIGN_RATIO * float(np.sum(np.abs(terms))):
-        words = "degenerate"
-    return Critical(vector, other, angle / length, value, words)
+    vector, other = (part / np.linalg.norm(part) for part in (v[: linear.components], adjoint[: linear.components]))
+    return Critical.by_terms(
+        vector, other, angle / length,
+        lambda: terms_of(point.kind, linear, angle, v, adjoint, turn) / length, point.kind == FOLD, "higher",
+    )  # fmt: skip
+
+
+# Equilibria -----------------------------------------------------------------------------------------------------------
+
+
+def _at_equilibrium(point: SpecialPoint) -> Critical:
+    """That of an equilibrium, a Hopf point that orbits shrink to among them; raises ValueError for other points."""
+    solution = point.solution
+    if solution.is_orbit and point.kind == HOPF:  # of amplitude zero
+        model = solution.model
+        known = Statics(model, {name: solution.parameters[name] for name in model.parameter_names})
+        return _hopf_form(known, solution.evaluate(0.0), np.array(list(known.values.values())))
+    if not solution.is_equilibrium:
+        raise ValueError(f"{point.kind}: given one of {type(solution).__name__.lower()}s; accepted: one of equilibria")
+    statics = solution.space.statics
+    x, p = solution.positions, np.array(list(solution.parameters.values()))
+    if point.kind in (HOPF, "generalized hopf"):
+        return _hopf_form(statics, x, p)
+    v, psi = null_vectors(statics.jacobian(x, p))
+    if point.kind != FOLD:
+        return Critical(v.astype(np.complex128), psi.astype(np.complex128), 0.0)
+    return Critical.by_terms(
+        v, psi, 0.0, lambda: np.array([0.5 * (psi @ statics.second(x, p, v, v)).real]), True, "second"
+    )
+
+
+def _hopf_form(statics: Statics, x: Array, p: Array) -> Critical:
+    """The first Lyapunov coefficient at a Hopf point (Kuznetsov 2004, equation 5.39)."""
+    A = statics.jacobian(x, p)
+    omega, q, adjoint = critical_pair(A)
+    return Critical.by_terms(
+        q, adjoint, omega, lambda: lyapunov_terms(statics, x, p, A, omega, q, adjoint) / (2.0 * omega), False, "higher"
+    )
+
+
+def lyapunov_terms(
+    statics: Statics, x: Array, p: Array, A: Array, omega: float, q: ComplexArray, adjoint: ComplexArray
+) -> Array:
+    """The three terms whose sum over 2 omega is the first Lyapunov coefficient, shape (3,)."""
+    unit = np.eye(len(A))
+    cubic = adjoint.conj() @ statics.third(x, p, q, q, q.conj())
+    steady = np.asarray(np.linalg.solve(A, statics.second(x, p, q, q.conj())), dtype=complex)
+    double = np.asarray(np.linalg.solve(2j * omega * unit - A, statics.second(x, p, q, q)), dtype=complex)
+    by_steady = adjoint.conj() @ statics.second(x, p, q, steady)
+    by_double = adjoint.conj() @ statics.second(x, p, q.conj(), double)
+    return np.array([complex(cubic).real, -2.0 * complex(by_steady).real, complex(by_double).real])
+
+
+def critical_pair(A: Array, near: float | None = None) -> tuple[float, ComplexArray, ComplexArray]:
+    """The frequency omega > 0 of the critical pair of eigenvalues, q with A q = i omega q, and its adjoint.
+
+    The pair is that nearest to i `near`, by default that nearest to the imaginary axis.
+    """
+    linear = BalancedMatrix(A)
+    values = linear.eigensystem[0]
+    k = upper_pair(values, None if near is None else 1j * near)
+    right, left = linear.vectors(k)
+    q = right / np.linalg.norm(right)
+    return float(values[k].imag), q, np.asarray(left / np.vdot(left, q).conj())
+
+
+def null_vectors(A: Array) -> tuple[Array, Array]:
+    """Right and left null vector, v.v = 1 and psi.v = 1 unless these are orthogonal, where psi.psi = 1.
+
+    The largest entry of v is positive.
+    """
+    units = balanced(A)[1]
+    found = NullSpace.of_rates(A, units)
+    v, psi = found.right[:, -1], found.left[:, -1]
+    v = v * np.sign(v[np.argmax(np.abs(v))]) / np.linalg.norm(v)
+    product = float(psi @ v)
+    crossed = float(np.linalg.norm(psi * units) * np.linalg.norm(v / units))
+    return v, psi / (product if abs(product) > 1e-10 * crossed else np.linalg.norm(psi))
+
+
+# Orbits, and solutions of boundary-value problems that close ---------------------------------------------------------
 
 
 def _closed(point: SpecialPoint) -> Closure | None:
@@ -86,7 +192,7 @@ def critical_functions(kind: str, linear: Linearised, angle: float, turn: Array 
     """The critical Floquet function with mean square 1, of a fold with the changes of free parameters; its adjoint."""
     factor = -1.0 + 0j if kind == DOUBLING else complex(np.exp(1j * angle))
     matrix = linear.jacobian if kind == FOLD else linear.twisted(factor, turn)
-    v, adjoint = null_vectors(matrix)
+    v, adjoint = linearised.null_vectors(matrix)
     problem: BoundaryProblem = linear.problem
     weights = np.outer(problem.constants, problem.table.extended[-1]).ravel()
     values = v[: linear.states].reshape(problem.columns, -1)[problem.stages]
@@ -204,4 +310,4 @@ def second_singular(space: Followed, point: Point) -> float:
 
     matrix, (right, left) = space.linearised(point).jacobian, space.linearised(point).null_vectors
     closed = bmat([[matrix, csc_matrix(left[:, None])], [csc_matrix(right[None, :]), None]]).tocsc()
-    return float(np.linalg.norm(closed @ null_vectors(closed)[0]))
+    return float(np.linalg.norm(closed @ linearised.null_vectors(closed)[0]))
