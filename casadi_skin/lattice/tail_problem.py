@@ -195,9 +195,6 @@ class CoreWithTailProblem(TrigonometricProblem):
     def evaluated(self, z: Array, numbers: Array) -> tuple[Array, Array]:
         return self.evaluate_all(z)
 
-    def metric(self, z: Array, parameter_scale: float) -> Array:
-        return np.asarray(self.metrics(z[None], parameter_scale)[0])
-
     def metrics(self, z: Array, parameter_scale: float) -> Array:
         """A change of u by 1 counts as much as a wholly new profile, and the change of Omega that it makes besides."""
         weights: Array = super().metrics(z, parameter_scale)

@@ -433,14 +433,10 @@ class OrbitProblem(Problem):
         return "the normalisation" if equation == self.size - 2 else super().place(equation)
 
     def metric(self, z: Array, parameter_scale: float) -> Array:
-        """Diagonal of |dq|^2/|q|^2 + (20 dOmega/Omega)^2 + (dp/scale)^2 at z, shape (size,)."""
-        states = z[: self.states]
-        weights = np.full(z.size, 1.0 / np.einsum("i,i->", states, states))
-        weights[self.Omega_index] = (FREQUENCY_WEIGHT / z[self.Omega_index]) ** 2
-        weights[self.parameter_index] = 1.0 / parameter_scale**2
-        return weights
+        return np.asarray(self.metrics(z[None], parameter_scale)[0])
 
     def metrics(self, z: Array, parameter_scale: float) -> Array:
+        """Diagonals of |dq|^2/|q|^2 + (20 dOmega/Omega)^2 + (dp/scale)^2 at states, shape (states, size)."""
         weights, states = np.empty(z.shape), z[:, : self.states]
         weights[:] = 1.0 / np.einsum("ij,ij->i", states, states)[:, None]
         weights[:, self.Omega_index] = (FREQUENCY_WEIGHT / z[:, self.Omega_index]) ** 2
