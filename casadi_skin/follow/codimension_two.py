@@ -566,6 +566,7 @@ class OrbitCurveSearch(CurveSearch):
         finer = _finer(point)
         along = (abs(test(finer)) + abs(test(point))) / abs(slope) if slope else 0.0
         moved = abs(finer.parameter - point.parameter) + along * abs(float(point.tangent[-1]))
+        moved += 4.0 * EPSILON  # of the way between both values of the parameter, which it is computed from
         return float(moved / point.problem.parameter_size(point.z) + EPSILON)
 
     def unresolved(self, stretch: Stretch) -> Iterator[Unresolved]:
