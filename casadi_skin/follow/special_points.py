@@ -44,6 +44,7 @@ from casadi_skin.zero.settings import Point
 STEADY_RATE_RATIO = 0.5  # of the largest rate on a stretch: the least one for which nothing turns back within it
 STILL_RATE = 1e-9  # rate of a quantity that does not change
 BESIDE_STILL = 0.05  # of a stretch, from a start that a branch leaves upright: beside it rates are rounding
+HIDDEN_TURN_RATIO = 0.01  # of the least rate: a mean rate that is off by less hides no turn wider than that part of it
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
 
 
@@ -86,9 +87,21 @@ class _Turns(Search[tuple[Point, Point]]):
         one, other = map(rate, ends)
         if max(abs(one), abs(other)) <= STILL_RATE:
             return []
-        if not (last or np.all(stretch.settled)):
+        if not (last or (np.all(stretch.settled) and not self._hides(stretch))):
             return None
         return [ends] if one * other < 0.0 else []
+
+    def _hides(self, stretch: Stretch) -> bool:
+        """Whether the parameter itself is off by as much as turns between the samples would make it.
+
+        It is the integral of its rate, and so sees a dip of the rate that the rates at the samples do not.
+        """
+        if len(stretch.samples) < 3:
+            return False
+        first, middle, last = (sample.point for sample in stretch.samples)
+        expected, index = stretch.curve.at(float(stretch.sigma[1])), last.problem.parameter_index
+        off = abs(expected[index] - middle.z[index]) / stretch.length
+        return bool(off > HIDDEN_TURN_RATIO * min(abs(rate(point)) for point in (first, middle, last)))
 
     def unresolved(self, stretch: Stretch) -> Iterator[Unresolved]:
         yield from ()
