@@ -113,6 +113,7 @@ ORBIT_CURVES = {
 VANISHING_TEST_RATIO = 1e-2  # of its values at both ends: a test where it has a root, and not a pole
 INTERPOLATION_ERROR = 1e-3  # of a step: an error of interpolation with which a point is named
 SHRINKING_AMPLITUDE_RATIO = 0.5  # of the amplitude at the other end of a step: an orbit that is shrinking
+ROUNDING_SAFETY = 4.0  # times the response to one disturbance by rounding: that to any
 NOISE_FACTOR = 100.0  # times what a finer level changes: a test above it has its sign
 NEAR_END = 5  # divisions of a step after which a point at which a curve ends is on it
 POLE_COEFFICIENT = 0.95  # of a coefficient between -1 and 1: nearly twice what it is at both ends of a step together
@@ -562,10 +563,13 @@ class OrbitCurveSearch(CurveSearch):
         )
 
     def error(self, point: Point, test: Test, slope: float, width: float) -> float:
-        """From the value of the test on a finer level."""
-        finer = _finer(point)
-        along = (abs(test(finer)) + abs(test(point))) / abs(slope) if slope else 0.0
-        moved = abs(finer.parameter - point.parameter) + along * abs(float(point.tangent[-1]))
+        """From the value of the test on a finer level, and after a disturbance by rounding."""
+        finer, problem = _finer(point), point.problem
+        solve = self.solver.factor(problem, point.z, self.metric(point) * point.tangent)
+        noise = ROUNDING_SAFETY * solve(np.append(problem.rounding(point.z) * problem.probe, 0.0))
+        shaken = abs(test(replace(point, z=point.z + noise)) - test(point))
+        along = (abs(test(finer)) + abs(test(point)) + shaken) / abs(slope) if slope else 0.0
+        moved = abs(finer.parameter - point.parameter) + along * abs(float(point.tangent[-1])) + abs(float(noise[-1]))
         moved += 4.0 * EPSILON  # of the way between both values of the parameter, which it is computed from
         return float(moved / point.problem.parameter_size(point.z) + EPSILON)
 
