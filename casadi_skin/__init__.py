@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from casadi_skin.model.saved import read_model as read_model
     from casadi_skin.model.saved import save_model as save_model
     from casadi_skin.optimise.kick import smallest_kick as smallest_kick
-    from casadi_skin.optimise.search_orbit import search_orbit as search_orbit
+    from casadi_skin.optimise.search import search_orbit as search_orbit
     from casadi_skin.results.saving import read_result as read_result
     from casadi_skin.results.saving import save_result as save_result
     from casadi_skin.runs.map import run_map as run_map
@@ -53,7 +53,7 @@ PLACES = {  # modules of public names, each imported when one of its names is fi
     "model.ode": ("OdeModel",),
     "model.saved": ("read_model", "save_model"),
     "optimise.kick": ("smallest_kick",),
-    "optimise.search_orbit": ("search_orbit",),
+    "optimise.search": ("search_orbit",),
     "results.saving": ("read_result", "save_result"),
     "runs.map": ("run_map",),
     "runs.map_result": ("read_map",),

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from casadi_skin import Chain, export_c, follow_family
 from casadi_skin.dynamics import simulate_orbit
-from casadi_skin.export.compiler import build_c
+from casadi_skin.export.codegen import build_c
 from casadi_skin.results.figures.style import style
 
 SITES, KICK, PERIODS = 24, 0.01, 6

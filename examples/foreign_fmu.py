@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin import find_orbit, import_fmu
-from casadi_skin.export.compiler import find_compiler, fmi_headers
+from casadi_skin.export.codegen import find_compiler, fmi_headers
 from casadi_skin.fmu.fmu_archive import library_ending, platform_folder
 from casadi_skin.follow.branch import Branch
 from casadi_skin.results.figures.style import style

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import Chain
-from casadi_skin.optimise.search_orbit import ParetoFront, pareto_front
+from casadi_skin.optimise.search import ParetoFront, pareto_front
 from casadi_skin.results.figures.style import style
 
 CHAIN = Chain(sites=24, alpha=1.0, gamma=0.4, g=1.0)

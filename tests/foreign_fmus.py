@@ -12,7 +12,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from casadi_skin.export.compiler import build_library, find_compiler, fmi_headers
+from casadi_skin.export.codegen import build_library, find_compiler, fmi_headers
 from casadi_skin.fmu.fmu_archive import library_ending, platform_folder
 
 Change = Callable[[bytes], bytes]

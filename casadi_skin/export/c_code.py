@@ -12,7 +12,12 @@ from types import MappingProxyType
 
 from casadi_skin._version import __version__
 from casadi_skin.export.codegen import LIBM_HEADERS, MOST_ENTRIES, CSource, Part, c_source, check_parts, comment, plain
-from casadi_skin.export.equations import (
+from casadi_skin.export.exported_model import (
+    EXPORTED_PARTS,
+    ExportedModel,
+    Source,
+    chosen_parts,
+    exported_model,
     flow_part,
     jacobian_part,
     model_part,
@@ -20,7 +25,6 @@ from casadi_skin.export.equations import (
     rhs_part,
     variational_part,
 )
-from casadi_skin.export.exported_model import EXPORTED_PARTS, ExportedModel, Source, chosen_parts, exported_model
 from casadi_skin.export.orbit_equations import (
     IPOPT_HEADER,
     floquet_of,

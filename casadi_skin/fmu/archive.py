@@ -1,27 +1,33 @@
-"""An FMU as a file: modelDescription.xml, sources, binary, documentation and icon in one archive."""
+"""An FMU as a file: modelDescription.xml, sources, binary, documentation and icon in one archive.
+
+The XML files of an FMU: modelDescription.xml for FMI 2.0 and 3.0, buildDescription.xml, terminalsAndIcons.xml.
+
+Value references are 0 for the time, then states, their derivatives, parameters, inputs and outputs in their order, as
+in sources/instance.h. In FMI 2.0 dependencies are the positions of the variables in the list, counted from 1.
+"""
 
 from __future__ import annotations
 
+import re
 import uuid
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from html import escape
 from importlib import resources
+from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal
+from typing import Any, Literal
+from xml.etree import ElementTree as ET
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.export.compiler import build_library
+from casadi_skin._version import __version__
+from casadi_skin.export.codegen import build_library
 from casadi_skin.export.exported_model import Source
-from casadi_skin.fmu.description import (
-    INTERFACE_SOURCES,
-    Description,
-    build_description,
-    icon,
-    page,
-    terminals_and_icons,
-)
 from casadi_skin.fmu.fmu_archive import library_ending, platform_folder
 from casadi_skin.fmu.initial_value_problem import (
     Equations,
@@ -33,6 +39,289 @@ from casadi_skin.fmu.initial_value_problem import (
 from casadi_skin.fmu.instance import with_inputs
 from casadi_skin.model.arguments import check_name, file_path, truth
 from casadi_skin.model.files import replacing
+
+# The XML files of an FMU: modelDescription.xml for FMI 2.0 and 3.0, buildDescription.xml, terminalsAndIcons.xml -------
+
+INTERFACE_SOURCES = {
+    "2.0": ("fmi2.c",),
+    "3.0": ("fmi3.c",),
+}  # of the interface; that of the equations is named after the model
+LOG_CATEGORIES = {"logStatusDiscard": "Values that cannot be computed", "logStatusError": "Errors"}
+STRUCTURED_NAME = re.compile(r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?", re.ASCII)
+UNIT_NAME = "1"
+MOST_REFERENCES = (1 << 31) - 1  # value references have 32 bits, and are numbers of an enum of C
+COMMUNICATION_STEPS = 500  # of communication, in the default experiment
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One entry of ModelVariables; `derivative` is the value reference of the state that it is the derivative of."""
+
+    name: str
+    reference: int
+    causality: str
+    variability: str
+    initial: str | None = None
+    start: float | None = None
+    derivative: int | None = None
+    bounds: tuple[float, float] | None = None
+    nominal: float | None = None
+    description: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Description:
+    """The contents of modelDescription.xml of one model."""
+
+    problem: InitialValueProblem
+    equations: Equations
+    token: str
+
+    @cached_property
+    def variables(self) -> list[Variable]:
+        """All variables in the order of their value references."""
+        problem, model = self.problem, self.problem.model
+        found = [Variable("time", 0, "independent", "continuous", description="time")]
+
+        def add(name: str, causality: str, initial: str | None, meaning: str, **values: Any) -> None:
+            variability = "tunable" if causality == "parameter" else "continuous"
+            description = problem.meanings.get(name, meaning)
+            found.append(Variable(name, len(found), causality, variability, initial, description=description, **values))
+
+        for name, start, nominal in zip(model.state_names, problem.start, problem.nominals, strict=True):
+            add(name, "output", "exact", "state", start=start, nominal=nominal)
+        for k, name in enumerate(model.state_names, start=1):
+            add(f"der({name})", "local", "calculated", f"time derivative of {name}", derivative=k)
+        for name, value in zip(model.parameter_names, problem.parameters, strict=True):
+            kind, initial = ("input", None) if name in problem.inputs else ("parameter", "exact")
+            add(name, kind, initial, kind, start=value, bounds=problem.bounds.get(name))
+        for name in model.outputs:
+            add(name, "output", "calculated", "output")
+        if len(found) > MOST_REFERENCES:
+            raise ValueError(f"{model.name}: {len(found)} variables; accepted: up to {MOST_REFERENCES}")
+        return found
+
+    @cached_property
+    def naming(self) -> str:
+        """ "structured" where all names are legal there, else "flat"."""
+        names = (v.name for v in self.variables if v.derivative is None)
+        return "structured" if all(STRUCTURED_NAME.fullmatch(name) for name in names) else "flat"
+
+    def dependencies(self, variable: Variable, *, initially: bool, fmi: str) -> list[int]:
+        """Value references of the knowns that a variable depends on, ascending; an output that is a state is its own.
+
+        Inputs are knowns at all times; tunable parameters in FMI 3.0 too, and in FMI 2.0 in initialisation only.
+        """
+        if variable.initial == "exact":
+            return [variable.reference]
+        states, parameters = self.problem.model.full_size, len(self.problem.parameters)
+        row = variable.reference - 1 - states - (0 if variable.reference <= 2 * states else parameters)
+        references = [int(c) if c <= states else int(c) + states for c in np.flatnonzero(self.equations.depends[row])]
+        held = range(1 + 2 * states, 1 + 2 * states + parameters - len(self.problem.inputs))
+        return [r for r in references if r not in held or initially or fmi == "3.0"]
+
+    def source_files(self, fmi: str) -> tuple[str, ...]:
+        """Names of the C files that are compiled."""
+        return (*INTERFACE_SOURCES[fmi], f"{self.problem.identifier}_equations.c")
+
+    def xml(self, fmi: str) -> bytes:
+        """modelDescription.xml of a version of the standard."""
+        three, problem = fmi == "3.0", self.problem
+        given = {"fmiVersion": fmi, "modelName": problem.model.name, "description": problem.description}
+        given |= {"generationTool": f"casadi_skin {__version__}", "variableNamingConvention": self.naming}
+        given |= {"instantiationToken": self.token} if three else {"guid": self.token, "numberOfEventIndicators": "0"}
+        root = ET.Element("fmiModelDescription", given)
+        self._interfaces(root, fmi)
+        unit = ET.SubElement(ET.SubElement(root, "UnitDefinitions"), "Unit", {"name": UNIT_NAME})
+        ET.SubElement(unit, "BaseUnit")  # all exponents are 0: dimensionless
+        categories = ET.SubElement(root, "LogCategories")
+        for name, meaning in LOG_CATEGORIES.items():
+            ET.SubElement(categories, "Category", {"name": name, "description": meaning})
+        stop = float(problem.stop_time)
+        times = {"startTime": "0.0", "stopTime": repr(stop), "tolerance": repr(float(problem.tolerance))}
+        ET.SubElement(root, "DefaultExperiment", times | {"stepSize": repr(stop / COMMUNICATION_STEPS)})
+        variables = ET.SubElement(root, "ModelVariables")
+        for v in self.variables:
+            names, numbers = {"name": v.name, "valueReference": str(v.reference)} | _common(v), _numbers(v)
+            if v.derivative is not None:
+                numbers["derivative"] = str(v.derivative if three else v.derivative + 1)
+            if three:
+                ET.SubElement(variables, "Float64", names | numbers)
+            else:
+                ET.SubElement(ET.SubElement(variables, "ScalarVariable", names), "Real", numbers)
+        self._structure(ET.SubElement(root, "ModelStructure"), fmi)
+        return _text(root)
+
+    def _interfaces(self, root: ET.Element, fmi: str) -> None:
+        if fmi == "3.0":
+            flags = ("canGetAndSetFMUState", "canSerializeFMUState", "providesDirectionalDerivatives",
+                     "providesAdjointDerivatives")  # fmt: skip
+        else:
+            flags = ("canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate", "canSerializeFMUstate",
+                     "providesDirectionalDerivative")  # fmt: skip
+        common = {"modelIdentifier": self.problem.identifier} | dict.fromkeys(flags, "true")
+        exchange = ET.SubElement(root, "ModelExchange", common)
+        cosimulation = ET.SubElement(root, "CoSimulation", common | {"canHandleVariableCommunicationStepSize": "true"})
+        for parent in (exchange, cosimulation) if fmi == "2.0" else ():
+            files = ET.SubElement(parent, "SourceFiles")
+            for name in self.source_files(fmi):
+                ET.SubElement(files, "File", {"name": name})
+
+    def _structure(self, structure: ET.Element, fmi: str) -> None:
+        """Outputs, derivatives and unknowns of the initialisation, with their dependencies."""
+        outputs = [v for v in self.variables if v.causality == "output"]
+        derivatives = [v for v in self.variables if v.derivative is not None]
+        calculated = [v for v in outputs if v.initial == "calculated"] + derivatives
+        for element, title, group in (
+            ("Output", "Outputs", outputs),
+            ("ContinuousStateDerivative", "Derivatives", derivatives),
+            ("InitialUnknown", "InitialUnknowns", sorted(calculated, key=lambda v: v.reference)),
+        ):
+            parent = ET.SubElement(structure, title) if fmi == "2.0" and group else structure
+            for v in group:
+                depends = self.dependencies(v, initially=element == "InitialUnknown", fmi=fmi)
+                if fmi == "3.0":
+                    attributes = {"valueReference": str(v.reference), "dependencies": _words(depends)}
+                    ET.SubElement(parent, element, attributes)
+                else:
+                    attributes = {"index": str(v.reference + 1), "dependencies": _words(r + 1 for r in depends)}
+                    ET.SubElement(parent, "Unknown", attributes)
+
+
+def _common(variable: Variable) -> dict[str, str]:
+    found = {"causality": variable.causality, "variability": variable.variability}
+    found |= {"initial": variable.initial} if variable.initial is not None else {}
+    return found | ({"description": variable.description} if variable.description else {})
+
+
+def _numbers(variable: Variable) -> dict[str, str]:
+    found = {"unit": UNIT_NAME}
+    if variable.bounds is not None:
+        found |= {"min": repr(variable.bounds[0]), "max": repr(variable.bounds[1])}
+    for name, value in (("nominal", variable.nominal), ("start", variable.start)):
+        if value is not None:
+            found[name] = repr(float(value))
+    return found
+
+
+def _words(references: Iterable[int]) -> str:
+    return " ".join(map(str, references))
+
+
+def _text(root: ET.Element) -> bytes:
+    ET.indent(root)
+    return bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True)) + b"\n"
+
+
+def build_description(identifier: str, files: Iterable[str]) -> bytes:
+    """sources/buildDescription.xml of FMI 3.0: the sources and options for compilers on other platforms."""
+    root = ET.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
+    configuration = ET.SubElement(root, "BuildConfiguration", {"modelIdentifier": identifier})
+    group = ET.SubElement(configuration, "SourceFileSet", {"language": "C99"})
+    for name in files:
+        ET.SubElement(group, "SourceFile", {"name": name})
+    meaning = "mathematical functions of C, where they are a library of their own"
+    ET.SubElement(configuration, "Library", {"name": "m", "external": "true", "description": meaning})
+    return _text(root)
+
+
+def terminals_and_icons() -> bytes:
+    """terminalsAndIcons/terminalsAndIcons.xml of FMI 3.0: where the icon is drawn."""
+    root = ET.Element("fmiTerminalsAndIcons", {"fmiVersion": "3.0"})
+    picture = ET.SubElement(root, "GraphicalRepresentation")
+    extent = {"x1": "-100", "y1": "-100", "x2": "100", "y2": "100"}
+    ET.SubElement(picture, "CoordinateSystem", extent | {"suggestedScalingFactorTo_mm": "0.1"})
+    ET.SubElement(picture, "Icon", extent)
+    return _text(root)
+
+
+# The documentation page and the icon inside an FMU --------------------------------------------------------------------
+
+_PAGE_STYLE = "body{font-family:sans-serif;max-width:50em;margin:2em auto}td,th{text-align:left;padding:0 1em 0 0}"
+
+_ENERGY_TEXT = """<p>The output <code>energy</code> is the Hamiltonian in the gauge y<sub>n</sub> = rho<sub>n</sub>
+eta<sub>n</sub> with rho = 1 at the edge that the modes lean to (the last site for gamma &ge; 0, the first one below).
+The equations keep it; a solver in y does so up to its errors at the far end, which enter weighted by
+1/rho<sub>n</sub><sup>2</sup>. It is infinite at |gamma| = 1.</p>
+"""
+
+
+def page(description: Description, fmi: str) -> str:
+    """documentation/index.html: the model, its variables, its origin and how it is compiled elsewhere."""
+    problem = description.problem
+    name = escape(problem.model.name)
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head><meta charset="utf-8"><title>{name}</title><style>{_PAGE_STYLE}</style></head>
+<body>
+<h1>{name}</h1>
+<p>{escape(problem.description)}. All quantities are dimensionless. Written by casadi_skin {__version__}.</p>
+{_chain_words(description)}
+<h2>Variables</h2>
+<table>
+<tr><th>Name</th><th>Causality</th><th>Start</th><th>Meaning</th></tr>
+{"".join(map(_row, description.variables))}</table>
+<h2>Interfaces</h2>
+<p>Model Exchange without events, and Co-Simulation with its own solver: the Runge-Kutta method of order 8(5,3) of
+Dormand
+and Prince (Hairer, N&oslash;rsett and Wanner, Solving Ordinary Differential Equations I, Sec. II.5). The tolerance of
+the
+experiment, {problem.tolerance!r} where none is given, bounds the error of one step relative to a state's size, or to
+its
+nominal value where that is larger. Directional derivatives (in FMI 3.0 adjoint ones as well) are exact; the time,
+states and
+parameters are accepted as knowns. Parameters are tunable: in Event Mode, and between communication steps. A value
+that is
+not finite is answered by the status Discard, as is a communication step in which the solution runs to infinity; the
+instance
+is then as before the call.</p>
+<h2>Another platform</h2>
+<p>The directory <code>sources</code> has all that is compiled but the header files of the standard: C99, no library
+but that
+of mathematical functions. For example, with those headers in <code>fmi</code>:</p>
+<pre>cc -std=c99 -O2 -fPIC -shared -fvisibility=hidden -Ifmi {" ".join(description.source_files(fmi))} -lm \\
+  -o {problem.identifier}.so</pre>
+</body>
+</html>
+"""
+
+
+def _chain_words(description: Description) -> str:
+    if "energy" not in description.problem.meanings:
+        return ""
+    energy = _ENERGY_TEXT if "energy" in description.problem.model.outputs else ""
+    return f"""<p>y<sub>n</sub>'' = (1 + gamma) y<sub>n-1</sub> - 2 y<sub>n</sub> + (1 - gamma) y<sub>n+1</sub>
+- alpha y<sub>n</sub> - g y<sub>n</sub><sup>3</sup>, n = 1..N, with y<sub>0</sub> = y<sub>N+1</sub> = 0
+(B. Many Manda, arXiv:2512.17483, Eq. 1).</p>
+{energy}<p><code>S</code> is the sum of the squared displacements at each time; where all velocities vanish it is the
+amplitude of the orbit.</p>"""
+
+
+def _row(variable: Variable) -> str:
+    start = "" if variable.start is None else f"{variable.start:.6g}"
+    cells = (variable.name, variable.causality, start, variable.description)
+    return "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>\n"
+
+
+@cache
+def icon() -> bytes:
+    """A PNG of 128 by 128: a mode that leans to one edge of its chain."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(1.28, 1.28), dpi=100)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    sites = np.arange(1, 10)
+    heights = 0.75 * np.exp(0.45 * (sites - 9)) * (-1.0) ** (sites - 9)
+    axes.vlines(sites, 0.0, heights, color="#1f4e79", linewidth=2.0)
+    axes.plot(sites, heights, "o", color="#1f4e79", markersize=5.0)
+    axes.axhline(0.0, color="0.4", linewidth=1.0)
+    axes.set(xlim=(0.0, 10.0), ylim=(-1.0, 1.0), xticks=[], yticks=[])
+    image = BytesIO()
+    figure.savefig(image, format="png", dpi=100, metadata={"Software": None})
+    return image.getvalue()
+
+
+# An FMU as a file: modelDescription.xml, sources, binary, documentation and icon in one archive -----------------------
 
 Fmi = Literal["3.0", "2.0"]
 HEADER_FILES = ("instance.h", "dop853.h")

@@ -21,8 +21,7 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import NoQuantityError
 from casadi_skin.solve.ipopt import CORRECTORS, ArbitratedCorrector
 from casadi_skin.solve.levels import Levels
-from casadi_skin.solve.newton import Correction, Corrector, RoundedCorrector
-from casadi_skin.solve.rank_deficiency import in_family, rank_deficiency
+from casadi_skin.solve.newton import Correction, Corrector, RoundedCorrector, in_family, rank_deficiency
 from casadi_skin.stability.flows import FlowError
 from casadi_skin.stability.full_period import FULL_PERIOD_FLOWS, Closed, Returned
 from casadi_skin.stability.reduction import ComplexArray

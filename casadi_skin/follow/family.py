@@ -24,9 +24,9 @@ from casadi_skin.solve.newton import Corrector
 from casadi_skin.stability.family_stability import FamilyStability
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.butcher import TABLES
+from casadi_skin.zero.collocation import CollocationProblem
 from casadi_skin.zero.cosines import TrigonometricProblem
 from casadi_skin.zero.family import TWO_PI
-from casadi_skin.zero.orbit_collocation import CollocationProblem
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar
 from casadi_skin.zero.recursion import PolynomialForm, Recursion
 from casadi_skin.zero.request import FamilyRequest

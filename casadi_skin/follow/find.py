@@ -18,13 +18,12 @@ from casadi_skin.model import methods
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import by_name, check_name, number, short_repr, state_by_name, truth, whole
 from casadi_skin.model.conserved import SymmetryClass, quantities, symmetry_class
+from casadi_skin.model.declarations import check_forcing_period
 from casadi_skin.model.expressions import Expression, expression_of
 from casadi_skin.model.integrators import IntegrationError, simulated, stiff_cvodes
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.symmetries import check_forcing_period
-from casadi_skin.solve.newton import Correction
-from casadi_skin.solve.rank_deficiency import equilibrium_words
+from casadi_skin.solve.newton import Correction, equilibrium_words
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.guesses import Guess, over_its_own_period, sampled
 from casadi_skin.zero.orbit import GUESS_SAMPLES, TWO_PI, UNFOLDING, OrbitRequest, Periodic, statement_of

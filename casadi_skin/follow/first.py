@@ -19,10 +19,8 @@ from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.arguments import check_name, duration, number, short_repr
 from casadi_skin.model.jumps import JumpError
-from casadi_skin.solve.converged_mesh import converged_mesh
-from casadi_skin.solve.levels import Levels
-from casadi_skin.solve.newton import Correction, Corrector, NewtonCorrector
-from casadi_skin.solve.rank_deficiency import not_finite, rank_deficiency
+from casadi_skin.solve.levels import Levels, converged_mesh
+from casadi_skin.solve.newton import Correction, Corrector, NewtonCorrector, not_finite, rank_deficiency
 from casadi_skin.solve.watch import TimeLimitError, watched
 from casadi_skin.zero.family import Method
 from casadi_skin.zero.guesses import Guess, along_the_guess, is_straight, sampled

@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import check_name, number, numbers, whole
 from casadi_skin.model.conserved import SymmetryClass
+from casadi_skin.model.declarations import check_forcing_period
 from casadi_skin.model.expressions import at_instants, instants, site_numbers
 from casadi_skin.model.ode import OdeModel, centred_model
 from casadi_skin.model.result import NoQuantityError, Result
-from casadi_skin.model.symmetries import check_forcing_period
 from casadi_skin.stability.growth import TransientGrowth, transient_growth
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero import mesh

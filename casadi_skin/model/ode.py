@@ -12,14 +12,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.model.declarations import check_declarations, declarations
+from casadi_skin.model.declarations import check_declarations, check_symmetries, declarations
 from casadi_skin.model.equations import Equations
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.jumps import Jumps
 from casadi_skin.model.pickled import reduced
 from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
 from casadi_skin.model.result import WithVerbs
-from casadi_skin.model.symmetries import check_symmetries
 
 EPSILON = sys.float_info.epsilon
 

@@ -12,8 +12,7 @@ from casadi_skin.dynamics.starts import Spreading
 from casadi_skin.lattice.linear import Bands, LatticeModes
 from casadi_skin.optimise.kick import SmallestKick
 from casadi_skin.optimise.optimum import Optimum
-from casadi_skin.optimise.search import SearchResult
-from casadi_skin.optimise.search_orbit import ParetoFront
+from casadi_skin.optimise.search import ParetoFront, SearchResult
 from casadi_skin.results.figures.bands import draw_bands
 from casadi_skin.results.figures.multipliers import draw_moduli
 from casadi_skin.results.figures.search import draw_starts

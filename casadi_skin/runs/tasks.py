@@ -312,7 +312,7 @@ class Search(Task):
     @cached_property
     def problem(self) -> FamilySearch:
         """What is searched; raises ValueError or TypeError for values that are not accepted."""
-        from casadi_skin.optimise.search_orbit import stated_family_search
+        from casadi_skin.optimise.search import stated_family_search
 
         asked, request = self.asked, self.request
         constraints = [

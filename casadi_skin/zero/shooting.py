@@ -19,7 +19,7 @@ from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
 from casadi_skin.model.integrators import TIGHT_ITERATION, CvodesOptions, cvodes_reason, dop853_reason, solve_dop853
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.zero.orbit_collocation import FirstOrderProblem, orbit_formulation
+from casadi_skin.zero.collocation import FirstOrderProblem, orbit_formulation
 from casadi_skin.zero.problem import Array, Indices, Problem, SingularError
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import pytest
 from apart import Ended
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.export.compiler import build_c
+from casadi_skin.export.codegen import build_c
 from casadi_skin.runs.program import main
 
 pytestmark = pytest.mark.usefixtures("blank")

@@ -15,7 +15,7 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.ipopt import IpoptCorrector
 from casadi_skin.solve.newton import Corrector, NewtonCorrector
 from casadi_skin.zero.butcher import CollocationTable, gauss_table, radau_table
-from casadi_skin.zero.orbit_collocation import CollocationProblem
+from casadi_skin.zero.collocation import CollocationProblem
 from casadi_skin.zero.problem import OrbitProblem
 from casadi_skin.zero.shooting import ShootingProblem
 

@@ -19,7 +19,7 @@ from casadi_skin.results.branch_records import PointRecord, known_of, point_reco
 from casadi_skin.solve.ipopt import IpoptCorrector
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.butcher import gauss_table, radau_table
-from casadi_skin.zero.orbit_collocation import CollocationProblem
+from casadi_skin.zero.collocation import CollocationProblem
 from casadi_skin.zero.problem import OrbitProblem, Scalar
 from casadi_skin.zero.request import family_request
 

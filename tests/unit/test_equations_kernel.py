@@ -16,8 +16,8 @@ from casadi_skin import Chain, follow_family
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.native import OPERATIONS
+from casadi_skin.zero.collocation import CollocationProblem
 from casadi_skin.zero.cosines import TrigonometricProblem
-from casadi_skin.zero.orbit_collocation import CollocationProblem
 from casadi_skin.zero.problem import Problem
 from casadi_skin.zero.request import family_request
 

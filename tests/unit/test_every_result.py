@@ -40,7 +40,7 @@ from casadi_skin.dynamics import evolve
 from casadi_skin.dynamics.starts import spreading
 from casadi_skin.lattice.linear import bands, lattice_modes
 from casadi_skin.model.result import Result
-from casadi_skin.optimise.search_orbit import pareto_front
+from casadi_skin.optimise.search import pareto_front
 from casadi_skin.optimise.search_problem import solve_start
 from casadi_skin.results.solutions import SAMPLES
 

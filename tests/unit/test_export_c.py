@@ -17,8 +17,7 @@ from c_programs import COMPILERS, SANITIZED, STRICT, Library, compiled, printed,
 from scipy.integrate import solve_ivp
 
 from casadi_skin import Chain, OdeModel, Orbit, export_c, find_orbit, follow_family
-from casadi_skin.export.codegen import CodegenError, c_name, c_source
-from casadi_skin.export.compiler import CompilerError, build_c
+from casadi_skin.export.codegen import CodegenError, CompilerError, build_c, c_name, c_source
 from casadi_skin.export.exported_model import EXPORTED_PARTS
 from casadi_skin.runs.scene import C_PARTS
 from casadi_skin.stability.splitting import srkn_coefficients
@@ -525,7 +524,7 @@ def test_a_compiler_that_does_not_end_is_given_up(tmp_path: Path, monkeypatch: p
     (tmp_path / "main.c").write_text("int main(void) { return 0; }")
     (tmp_path / "cc").write_text("#!/bin/sh\nexec sleep 60\n")
     (tmp_path / "cc").chmod(0o755)
-    monkeypatch.setattr("casadi_skin.export.compiler.SECONDS", 0.1)
+    monkeypatch.setattr("casadi_skin.export.codegen.SECONDS", 0.1)
     with pytest.raises(CompilerError, match=r"cc takes more than 0\.1 s"):
         build_c(tmp_path, str(tmp_path / "cc"))
 

@@ -17,9 +17,8 @@ from scipy.optimize import brentq, minimize_scalar
 from scipy.special import ellipk
 
 from casadi_skin import Chain, OdeModel, find_orbit, search_orbit
-from casadi_skin.optimise.search import SearchResult, SearchStatus
+from casadi_skin.optimise.search import SearchResult, SearchStatus, pareto_front, stated_search
 from casadi_skin.optimise.search import search as run_search
-from casadi_skin.optimise.search_orbit import pareto_front, stated_search
 from casadi_skin.optimise.search_problem import Ending, Outcome, solve_start
 from casadi_skin.results.branch_records import data_of, value_of
 from casadi_skin.results.tables import write_search

@@ -16,7 +16,7 @@ from casadi_skin import Bond, BoundaryValueProblem, Chain, Lattice, OdeModel, Si
 from casadi_skin.dynamics import evolve
 from casadi_skin.dynamics.starts import spreading
 from casadi_skin.follow.first import packed, space_of
-from casadi_skin.optimise.search_orbit import _front
+from casadi_skin.optimise.search import _front
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.stated_problem import BoundaryProblem
 

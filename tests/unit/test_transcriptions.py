@@ -30,8 +30,8 @@ from casadi_skin.lattice.closed_forms import duffing_displacement, duffing_frequ
 from casadi_skin.model.conserved import SymmetryClass, pinned_components, symmetry_class
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.butcher import gauss_table, radau_table
+from casadi_skin.zero.collocation import CollocationProblem, FirstOrderProblem
 from casadi_skin.zero.cosines import TrigonometricProblem
-from casadi_skin.zero.orbit_collocation import CollocationProblem, FirstOrderProblem
 from casadi_skin.zero.problem import OrbitProblem
 from casadi_skin.zero.shooting import ShootingProblem
 
