@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.fmu.fmu_archive import Archive
+from casadi_skin.fmu.unzip import Archive
 from casadi_skin.model.arguments import check_name, cut, file_path, short_repr
 from casadi_skin.model.files import TemporaryFolder, replacing
 from casadi_skin.model.result import WithVerbs

@@ -20,8 +20,8 @@ import pytest
 from foreign_fmus import recompiled
 
 from casadi_skin import Chain, import_fmu
-from casadi_skin.fmu import fmu_archive as unzip
 from casadi_skin.fmu import model as fmu_trial
+from casadi_skin.fmu import unzip
 from casadi_skin.fmu.archive import export_fmu
 
 UNZIP = Path(unzip.__file__)
