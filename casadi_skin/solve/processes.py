@@ -137,6 +137,7 @@ class Worker:
         self._connection: Connection | None = None
         self._stderr: IO[bytes] | None = None
         self._main = main
+        self._closed, self._starting = False, threading.Lock()
         _all.add(self)
 
     def compute(
@@ -155,11 +156,11 @@ class Worker:
         try:
             self._given(function, task)
             kind, value = self._answer(limit, report, stop)
-        except TimeoutError:
-            self.end()
+        except BaseException as error:
+            if isinstance(error, EOFError | OSError) and not isinstance(error, TimeoutError):
+                raise WorkerEndedError(self._how_it_ended(error)) from error
+            self.end()  # too late, interrupted, or a task that cannot be pickled: the process awaits something else
             raise
-        except (EOFError, OSError) as error:
-            raise WorkerEndedError(self._how_it_ended(error)) from error
         if kind == ERROR:
             raise value
         return value
@@ -193,7 +194,7 @@ class Worker:
                 connection.send(task)
                 return
             except (EOFError, OSError):
-                if attempt + 1 == MOST_STARTS:
+                if self._closed or attempt + 1 == MOST_STARTS:
                     raise
                 self.end()
 
@@ -207,7 +208,9 @@ class Worker:
         if self._main:
             main = {k: v for k, v in spawn.get_preparation_data("worker").items() if k != "authkey"}
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115  closed by `end`
-        with there:
+        with there, self._starting:
+            if self._closed:
+                raise EOFError("its pool is closed")
             self.process = subprocess.Popen(
                 [sys.executable, "-c", PROGRAM.format(there.fileno(), os.getpid())],
                 pass_fds=(there.fileno(),), stdin=subprocess.DEVNULL, stderr=self._stderr,
@@ -231,8 +234,18 @@ class Worker:
         how = "" if code is None else f" by signal {-code}" if code < 0 else f" with status {code}"
         return f"its worker ended{how}{': ' + last if last else ''}"
 
+    def close(self) -> None:
+        """End the process from any thread: its task raises WorkerEndedError, and no other process is started.
+
+        The connection is left to the thread that reads it: a poll of one that is closed elsewhere may wake nobody.
+        """
+        with self._starting:
+            self._closed = True
+            if (process := self.process) is not None:
+                process.kill()
+
     def end(self) -> None:
-        """End the process; the next task starts another."""
+        """End the process, in the thread that gives it tasks; the next task starts another."""
         ended, self.process = self.process, None
         if ended is not None:
             ended.kill()
@@ -255,6 +268,7 @@ def in_worker(function: bytes, task: Any, *options: Any) -> Any:
 def end_workers() -> None:
     """End the workers of all threads of this process."""
     for worker in list(_all):
+        worker.close()
         worker.end()
 
 
@@ -274,8 +288,10 @@ class Pool(ThreadPoolExecutor):
         """End all workers, and what they compute."""
         self.shutdown(wait=False, cancel_futures=True)
         for worker in self._workers:
-            worker.end()
+            worker.close()
         self.shutdown(wait=True)
+        for worker in self._workers:
+            worker.end()
 
 
 # Searches: starts shared by workers -----------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from pathlib import Path
@@ -24,7 +25,7 @@ from casadi_skin.runs.program import main
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.reading import parse_scene
 from casadi_skin.runs.scene import Scene
-from casadi_skin.solve.processes import Worker
+from casadi_skin.solve.processes import Pool, Worker, WorkerEndedError, in_worker
 
 EQUILIBRIUM = REST + "[map]\np = { from = 0.0, to = 9.0, points = 10 }\n"
 REFINED = EQUILIBRIUM.replace("points = 10 }", "points = 10, resolution = 0.5 }") + 'watch = ["stable"]\n'
@@ -216,3 +217,26 @@ def test_a_worker_that_ended_between_two_tasks_is_started_again(tmp_path: Path) 
         worker.process.wait()
     assert [(result.kind, result.reason) for result in results] == [("", "")] * 2
     worker.end()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [0.0, 0.3, 3.0])
+def test_a_pool_is_closed_at_once_while_its_workers_start(
+    seconds: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after Ctrl-C: a worker that is ended before it has taken its task is not started again."""
+    (tmp_path / "naps.py").write_text("import time\n\ndef nap(task, tell, stopped):\n    time.sleep(task)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    import naps  # type: ignore[import-not-found]
+
+    pool = Pool(2)
+    ended = [pool.submit(in_worker, pickle.dumps(naps.nap), 20.0) for _ in range(3)]
+    time.sleep(seconds)
+    began = time.monotonic()
+    pool.close()
+    assert time.monotonic() - began < 10.0
+    assert [future.cancelled() for future in ended] == [False, False, True]
+    for future in ended[:2]:
+        with pytest.raises(WorkerEndedError):
+            future.result()
