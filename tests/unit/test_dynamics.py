@@ -135,7 +135,24 @@ def test_the_step_of_the_symplectic_method_follows_growing_amplitudes() -> None:
     np.testing.assert_allclose(runs[0], runs[1], rtol=0, atol=2e-6)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_physical_and_gauge_coordinates_agree(method: str, orbit: Orbit) -> None:
+    t, kick = np.linspace(0.0, 40.0, 81), {"site": 1, "method": method, "tolerance": 1e-12}
+    one, other = (simulate_orbit(orbit, t, KICK, **kick, coordinates=name) for name in ("gauge", "physical"))
+    np.testing.assert_allclose(one.displacements, other.displacements, rtol=0, atol=5e-9)
+    np.testing.assert_allclose(one.velocities, other.velocities, rtol=0, atol=5e-9)
+
+
 # Symmetries and energy ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_mirror_image_moves_the_other_way(method: str) -> None:
+    (y, v), t = random_start(7), np.linspace(0.0, 15.0, 31)
+    left = evolve(Chain(7, 1.0, -0.3, 1.0), y, v, t, method, 1e-12)
+    right = evolve(Chain(7, 1.0, 0.3, 1.0), y[::-1], v[::-1], t, method, 1e-12)
+    np.testing.assert_allclose(left.displacements, right.displacements[:, ::-1], rtol=0, atol=2e-9)
+    np.testing.assert_allclose(left.energy, right.energy, rtol=1e-10)
 
 
 def test_the_energy_of_a_reciprocal_chain_is_the_mechanical_one() -> None:

@@ -20,10 +20,7 @@ from casadi_skin import Chain, Orbit, follow_family, smallest_kick
 from casadi_skin.dynamics import distance_from_orbit, evolve
 from casadi_skin.follow.solution import cosine_curve
 from casadi_skin.lattice.closed_forms import Array
-from casadi_skin.optimise.kick import (
-    SmallestKick,
-    kick_norm,
-)
+from casadi_skin.optimise.kick import KickError, SmallestKick, kick_norm
 from casadi_skin.optimise.kick_nlp import reach
 from casadi_skin.optimise.optimum import CosineOrbit
 from casadi_skin.solve.processes import SearchProgress
@@ -117,6 +114,14 @@ def test_small_distances_are_reached_as_linear_growth_predicts() -> None:
 
 
 @pytest.mark.slow
+def test_transient_growth_gives_the_same_linear_gain() -> None:
+    growth = breather().transient_growth(quarters=12)
+    # Omega is within 4 % of 1, and what moves along the orbit is a small part: so must the two gains be near
+    gain = 0.5 * np.sqrt(0.2) / found(3.0).linear_norm
+    assert gain == pytest.approx(10 ** growth.log10_gain.max(), rel=0.15)
+
+
+@pytest.mark.slow
 def test_mirrored_chain_has_the_mirrored_kick() -> None:
     mirrored = breather(6, -0.25)
     kick = smallest_kick(mirrored, 3.0 * mirrored.period, starts=2)
@@ -161,6 +166,18 @@ def test_reach_is_the_least_radius_of_curvature_of_a_bent_loop() -> None:
     assert of([0.0, 2.0]) == pytest.approx(2.0, rel=1e-9)
     # y = cos + 0.1 cos 3: at the phase pi/2, y' = -0.7 and y''' = -1.7
     assert of([1.0], [0.1]) == pytest.approx(0.49 / 1.7, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_steps_that_are_too_long_are_halved_until_cvodes_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
+    fine, orbit = found(2.0), breather()
+    monkeypatch.setattr("casadi_skin.optimise.kick_nlp.STEP_RADIANS", 2.2)  # 12 steps
+    coarse = smallest_kick(orbit, fine.time, starts=1)
+    assert abs(coarse.reached - 0.5) < 1e-6
+    assert coarse.norm == pytest.approx(fine.norm, rel=1e-4)
+    monkeypatch.setattr("casadi_skin.optimise.kick.MOST_REFINEMENTS", 0)
+    with pytest.raises(KickError, match=r"CVODES gives .* in place of 0.5 .* with 12 steps"):
+        smallest_kick(orbit, fine.time, starts=1)
 
 
 @pytest.mark.slow

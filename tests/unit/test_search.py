@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
 
 from casadi_skin import Chain, follow_family, search_orbit
 from casadi_skin.lattice.closed_forms import duffing_frequency
@@ -16,7 +17,7 @@ from casadi_skin.optimise.families import Observables, chain_family
 from casadi_skin.optimise.family_search import FamilyNlp, FamilySearch
 from casadi_skin.optimise.names import NAMED
 from casadi_skin.optimise.nlp import optimality
-from casadi_skin.optimise.search import SearchResult, SearchStatus
+from casadi_skin.optimise.search import SearchResult, SearchStatus, pareto_front
 from casadi_skin.optimise.search_problem import Ending
 from casadi_skin.solve.processes import SearchProgress
 
@@ -103,6 +104,29 @@ def test_one_site_is_duffing() -> None:
     assert abs(duffing_frequency(3.0, 1.0, amplitude=float(np.sqrt(result.best.S))) - 2.0) < 1e-9
 
 
+def slope_of(gamma: float) -> float:
+    at = 1.0 + 0.01 * np.array([-2.0, -1.0, 1.0, 2.0])
+    branch = follow_family(Chain(6, 1.0, gamma, 1.0), "last", at[-1], at=at, tolerance=1e-11)
+    a, b, c, d = (branch.at(S=S).Omega for S in at)
+    return float((8 * (c - b) - (d - a)) / 0.12)
+
+
+@pytest.mark.slow
+def test_least_slope_is_that_of_plain_families_and_of_the_mirrored_chain() -> None:
+    result = search(objective="Omega_slope", bounds={"gamma": (0.2, 0.8)}, starts=3)
+    plain = minimize_scalar(slope_of, bounds=(0.2, 0.8), method="bounded", options={"xatol": 1e-6})
+    right = result.best
+    assert result.status is SearchStatus.FOUND
+    assert abs(right.gamma - plain.x) < 1e-4
+    assert abs(right.objective - plain.fun) < 1e-7
+    assert right.curvature > 0
+    mirrored = Chain(6, 1.0, -0.3, 1.0)
+    left = search(mirrored, objective="Omega_slope", bounds={"gamma": (-0.8, -0.2)}, starts=1).best
+    assert abs(right.gamma + left.gamma) < 1e-6
+    assert abs(right.objective - left.objective) < 1e-10
+    np.testing.assert_allclose(np.abs(right.orbit.profile), np.abs(left.orbit.profile[::-1]), atol=1e-6)
+
+
 def test_every_optimum_is_solved_again_as_a_plain_orbit() -> None:
     result = search(objective="participation", bounds={"gamma": (0.1, 0.6), "alpha": (0.5, 2)}, free=("gamma", "alpha"))
     best = result.best
@@ -154,6 +178,22 @@ def test_uneven_chain_meets_its_target() -> None:
         padded = np.pad(y, ((0, 0), (1, 1)))
         force = 1.3 * padded[:, :-2] + 0.7 * padded[:, 2:] - (2 + best.alpha_n) * y - y**3
         assert np.max(np.abs(acceleration - force)) < 1e-6
+
+
+@pytest.mark.slow
+def test_a_pareto_front_is_that_of_plain_families() -> None:
+    def plain(gamma: float) -> tuple[float, float]:
+        profile = follow_family(Chain(6, 1.0, gamma, 1.0), "last", 1.0, at=[1.0]).at(S=1.0).profile
+        return 1 / float(np.sum(profile**4)), 5 * np.arctanh(gamma)
+
+    names, bounds = ("participation", "log_amplification"), {"gamma": (0.1, 0.6)}
+    front = pareto_front(SHORT, *names, points=4, free=("gamma",), bounds=bounds, starts=1)
+    assert front.complete
+    assert np.all(np.diff(front.values[:, 1]) > 0)
+    assert np.all(np.diff(front.values[:, 0]) < 0)
+    np.testing.assert_allclose(front.values, [plain(optimum.gamma) for optimum in front.points], rtol=0, atol=1e-6)
+    others = np.array([plain(gamma) for gamma in np.linspace(0.1, 0.6, 11)])
+    assert not np.any(np.all(others[:, None] < front.values - 1e-6, axis=2))
 
 
 # What a search says of itself ----------------------------------------------------------------------------------------

@@ -88,6 +88,14 @@ def test_errors_nearly_the_same_or_below_the_reference_do_not_join_the_front() -
     assert len(front_of(measured, Kind.ORBITS, Errors(nan, nan))) == 3
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_the_front_is_what_no_other_setting_beats(seed: int) -> None:
+    points = {(s, 10.0**-e) for s, e in np.random.default_rng(seed).integers(1, 9, (30, 2)).tolist()}
+    front = front_of([orbits("gauss", "arclength", 1e-8, *point) for point in points], Kind.ORBITS, Errors(nan, nan))
+    beaten = {p for p in points if any(q != p and q[0] <= p[0] and q[1] <= p[1] for q in points)}
+    assert [(m.seconds, m.error) for m in front] == sorted(points - beaten)
+
+
 # Words --------------------------------------------------------------------------------------------------------------
 
 
