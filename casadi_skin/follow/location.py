@@ -125,6 +125,8 @@ def jacobian_of(problem: AlgebraicProblem, z: Array) -> Array:
 
 
 NEAR_STEP_FRACTION = 0.5  # of the longest step: how far from its approximate place a special orbit may be
+ROUNDING_PROBES = 8  # changes of the equations by their rounding, of signs drawn at random
+ROUNDING_DEVIATIONS = 4.0  # standard deviations of the responses: that to one probe alone was up to 5 times too small
 PUSH_RTOL = 1e-7  # of the terms of the equations: a push of the field that is none
 
 
@@ -193,13 +195,16 @@ def _located(space: BoundarySolutions, kind: str, near: Point, angle: float) -> 
         return None
     problem, better, index = stated(found.problem), found.better, len(space.statement.free)
     assert better is not None
-    residual, rounding = problem.evaluate(found.z)[0], problem.rounding(found.z) * problem.probe
+    residual, rounding = problem.evaluate(found.z)[0], problem.rounding(found.z)
     solve = special.point_solver.factor(problem, found.z, problem.parameter_row())
-    step, noise = (solve(np.append(b, 0.0)) for b in (residual, rounding))
-    z, index = found.z - step, problem.states + index
+    step, z = solve(np.append(residual, 0.0)), found.z
+    z, index = z - step, problem.states + index
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (ROUNDING_PROBES, rounding.size))
+    noise = [float(solve(np.append(one * rounding, 0.0))[index]) for one in signs]
     value = float(z[index])
     apart = abs(float(better.z[better.problem.states + index - problem.states]) - value)
-    error = 2.0 * apart + abs(float(noise[index])) + EPSILON * max(abs(value), unit)
+    by_rounding = ROUNDING_DEVIATIONS * float(np.sqrt(np.mean(np.square(noise)))) + EPSILON * max(abs(value), unit)
+    error = 2.0 * apart + by_rounding
     return LocatedOrbit(singularity, replace(found, z=z), value, error)
 
 
