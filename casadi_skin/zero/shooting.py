@@ -81,9 +81,10 @@ class ShootingProblem(FirstOrderProblem):
         scale = largest if np.isfinite(largest) and largest > 0 else 1.0
         start, parameters, (of_start, of_parameters) = ca.DM(x / scale), ca.DM([*sigma, scale]), self._seeds
         end = scale * self._flow(x0=start, p=parameters)["xf"]
-        seeded = ca.horzcat(start, of_start), ca.horzcat(parameters, of_parameters)
+        sizes = np.maximum(np.abs(sigma), 1.0)  # tolerances are absolute: a high frequency moves little by itself
+        seeded = ca.horzcat(start, of_start), ca.horzcat(parameters, ca.DM(np.append(sizes, 1.0)) * of_parameters)
         derivatives = np.array(self._variational(x0=seeded[0], p=seeded[1])["xf"][:, 1:])
-        derivatives[:, x.size :] *= scale
+        derivatives[:, x.size :] *= scale / sizes
         return np.array(end).ravel(), derivatives
 
     @cached_property

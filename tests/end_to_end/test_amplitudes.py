@@ -84,7 +84,8 @@ def test_sizes_beyond_double_precision_are_refused(
          "times the linear one and grows without bound: S = 3.0000001 is too near its limit",
          marks=pytest.mark.slow),
         pytest.param({"g": 1e100}, "sizes too far apart for double precision", marks=pytest.mark.slow),
-        ({"alpha": 1e8, "rest": '[method]\ntranscription = "shooting"\nwalker = "arclength"\n'},
+        ({"alpha": 1e8, "rest": '[accuracy]\ntolerance = 1e-12\n'
+          '[method]\ntranscription = "shooting"\nwalker = "arclength"\n'},
          "mode 1: the orbit needs a finer discretisation than the finest there is"),
     ],
     ids=["beyond the softening limit", "a huge coefficient", "a stiff site"],
