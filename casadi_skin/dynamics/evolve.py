@@ -22,13 +22,12 @@ from casadi_skin.follow.solution import CosineSeries, Curve, Orbit, cosine_curve
 from casadi_skin.follow.space import FAMILY
 from casadi_skin.model.arguments import by_name, check_name, number, short_repr, state_by_name
 from casadi_skin.model.expressions import real_array
+from casadi_skin.model.integrators import INTEGRATORS as ANY_INTEGRATORS
 from casadi_skin.model.integrators import (
     NOT_FINITE,
     IntegrationError,
     Integrator,
     Trajectory,
-    cvodes,
-    dop853,
     far_state,
     fastest_frequency,
     finite_trajectory,
@@ -80,7 +79,7 @@ class _Splitting:
 
     def __init__(self, model: OdeModel, parameters: Array) -> None:
         if model.order != 2 or model.forced:
-            accepted = "cvodes, dop853, or a model of second order without forcing"
+            accepted = f"{', '.join(ANY_INTEGRATORS)}, or a model of second order without forcing"
             raise ValueError(f"method: given symplectic for {model.name}; accepted: {accepted}")
         self.size, self.parameters = model.full_size, parameters
         self.stages = KicksAndDrifts.of(1).kicks.size
@@ -157,7 +156,7 @@ class _Splitting:
 # A model followed from a state at time 0 ------------------------------------------------------------------------------
 
 SYMPLECTIC = "symplectic"
-INTEGRATORS: Mapping[str, Integrator] = {"cvodes": cvodes, "dop853": dop853, "symplectic": symplectic}
+INTEGRATORS: Mapping[str, Integrator] = {**ANY_INTEGRATORS, SYMPLECTIC: symplectic}
 
 
 def evolve(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,6 +39,8 @@ class IntegrationError(ArithmeticError):
         self.reason, self.trajectory = reason, trajectory
 
 
+# (model, parameters, start, times > 0, tolerance) -> states. The tolerance is that of one step, relative to the largest
+# component of the start. Raises IntegrationError where it gives up, as soon as a state runs to infinity.
 Integrator = Callable[[OdeModel, Array, Array, Array, float], Trajectory]
 
 
@@ -310,3 +312,6 @@ def dop853(model: OdeModel, parameters: Array, start: Array, t: Array, tolerance
     if not solution.success:
         raise IntegrationError("dop853", dop853_reason(solution), trajectory, t)
     return finite_trajectory("dop853", trajectory, t)
+
+
+INTEGRATORS: Mapping[str, Integrator] = {"cvodes": cvodes, "dop853": dop853}  # of any model; `model.methods` names them

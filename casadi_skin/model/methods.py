@@ -2,7 +2,7 @@
 
 Scenes, messages and documentation read it, and it loads no numerics. The classes and functions by the same names are
 where they are used: `zero.butcher.TABLES`, `solve.ipopt.CORRECTORS`, `follow.family.Family`,
-`stability.family_stability.FLOWS`, `stability.full_period.FULL_PERIOD_FLOWS`, `dynamics.evolve.INTEGRATORS`.
+`stability.family_stability.FLOWS`, `stability.full_period.FULL_PERIOD_FLOWS`, `model.integrators.INTEGRATORS`.
 """
 
 from __future__ import annotations
