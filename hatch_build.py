@@ -14,6 +14,7 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -39,13 +40,15 @@ def compile_kernels(target: Path) -> None:
     if not compiler or sys.platform == "win32":
         raise BuildError("no C compiler")
     sources = [str(path) for path in sorted(NATIVE.glob("*.c"))]
+    digest = zlib.crc32(b"".join(path.read_bytes() for path in sorted(NATIVE.glob("*.[ch]")))) & 0x7FFFFFFF
+    flags = [*FLAGS, f"-DSOURCES={digest}"]  # native/__init__.py loads no library of other sources
     # Beside the target, which is replaced in one step: no process sees half of a library.
     with tempfile.TemporaryDirectory(dir=target.parent) as folder:
         objects = []
         if platform.machine() in ("x86_64", "AMD64"):
-            _run([*compiler, *FLAGS, "-mavx2", "-c", *sources], folder)
+            _run([*compiler, *flags, "-mavx2", "-c", *sources], folder)
             objects = sorted(str(path) for path in Path(folder).glob("*.o"))
-        _run([*compiler, *FLAGS, "-shared", *sources, *objects, "-o", "kernels.library", "-lm"], folder)
+        _run([*compiler, *flags, "-shared", *sources, *objects, "-o", "kernels.library", "-lm"], folder)
         Path(folder, "kernels.library").replace(target)
 
 

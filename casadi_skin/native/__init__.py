@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import ctypes
 import struct
+import zlib
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -92,9 +93,14 @@ TYPES: Mapping[str, Any] = {"i": ctypes.c_int64, "r": ctypes.c_double, "a": _Add
 
 @cache
 def kernels() -> Mapping[str, Any]:
-    """The functions by name; none where the package was built without a C compiler, or for another system."""
+    """The functions by name; none where the package was built without a C compiler, or for another system.
+
+    A library of other sources than those beside it has other arguments, and would end the process: it is left alone.
+    """
     try:
         library = ctypes.CDLL(str(LIBRARY))
+        if library.sources() != digest_of_sources():
+            return {}
         ending = "_avx2" if library.has_avx2() else ""
         found: Mapping[str, Any] = {name: getattr(library, name + ending) for name in FUNCTIONS}
     except (OSError, AttributeError):  # AttributeError: built from older sources
@@ -104,10 +110,16 @@ def kernels() -> Mapping[str, Any]:
     return found
 
 
+def digest_of_sources() -> int:
+    """That of the sources beside this file, as hatch_build.py compiles it into the library."""
+    sources = sorted(Path(__file__).parent.glob("*.[ch]"))
+    return zlib.crc32(b"".join(path.read_bytes() for path in sources)) & 0x7FFFFFFF
+
+
 def kernels_in_words() -> str:
-    """Which kernels are in use: `compiled for AVX2`, `compiled`, or `numpy`."""
+    """Which kernels are in use: `compiled for AVX2`, `compiled`, or `numpy`, also where the library is out of date."""
     if not kernels():
-        return "numpy"
+        return "numpy; the library is of other sources or of another system" if LIBRARY.exists() else "numpy"
     return "compiled for AVX2" if kernels()["residuals"].__name__.endswith("_avx2") else "compiled"
 
 

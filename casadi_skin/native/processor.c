@@ -1,8 +1,10 @@
-/* Which of the compiled kernels the processor can run. */
+/* Which of the compiled kernels the processor can run, and the sources that they were compiled from. */
 
 #include "kernel.h"
 
 #ifndef __AVX2__
+KERNEL(sources)(void) { return SOURCES; }
+
 KERNEL(has_avx2)(void)
 {
 #ifdef __x86_64__
