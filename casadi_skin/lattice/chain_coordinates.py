@@ -166,6 +166,11 @@ def _continued(coefficients: Array, Omega: float, alpha: float, coupling: float,
         return largest + np.log(np.abs(total)), np.sign(total)
 
 
+def first_order_frequency(chain: Chain, mode: int, S: Array) -> Array:
+    """Omega of a mode at first order in S."""
+    return frequency(chain.sites, **chain.parameters, mode=mode, S=S)
+
+
 class OfChain:
     """The model of a chain's family: the chain, or the lattice that declares it with values of its parameters."""
 
@@ -190,8 +195,7 @@ class OfChain:
         return self.chain.linear_frequency(self.mode_number)
 
     def first_order_frequency(self, S: Array) -> Array | None:
-        chain = self.chain
-        return None if chain.infinite else frequency(chain.sites, **chain.parameters, mode=self.mode_number, S=S)
+        return None if self.chain.infinite else first_order_frequency(self.chain, self.mode_number, S)
 
 
 class FullChain(OfChain, Coordinates):
@@ -269,6 +273,9 @@ class EdgeSite(FullChain):
         logs, signs = np.full(self.chain.sites, -np.inf), np.zeros(self.chain.sites)
         logs[self.edge], signs[self.edge] = 0.0, 1.0
         return logs, signs
+
+    def first_order_frequency(self, S: Array) -> Array:
+        return first_order_frequency(self.core, 1, S)  # of the one site that moves
 
     @property
     def output_sites(self) -> Indices:

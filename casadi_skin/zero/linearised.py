@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 
 from casadi_skin.model.expressions import Expression
 from casadi_skin.zero.formulation import Formulation
-from casadi_skin.zero.problem import Array
+from casadi_skin.zero.problem import Array, SingularError
 from casadi_skin.zero.stated_problem import BoundaryProblem
 from casadi_skin.zero.statement import Statement
 
 Vector = NDArray[Any]  # of real or complex numbers
 ITERATION_ROUNDS = 4  # of inverse iteration
 INVERSE_ITERATION_SHIFT = 1e-13  # of the largest entry of a matrix that may be singular to the last digit
+SHIFT_TRIALS = 5  # shifts, each three times as large as the one before
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,16 +187,29 @@ def velocities(problem: BoundaryProblem, z: Array) -> Array:
     return np.array(field[0]).T
 
 
-def null_vectors(matrix: Any) -> tuple[Vector, Vector]:
-    """Right and left null vector (v, psi), psi^H matrix = 0, of a sparse matrix that is nearly singular; of norm 1."""
+def _shifted_factors(matrix: Any) -> Any:
+    """SuperLU's factors of a matrix with the least of some shifts of its diagonal by which no pivot vanishes."""
     from scipy.sparse import eye
     from scipy.sparse.linalg import splu
 
     shift = INVERSE_ITERATION_SHIFT * float(np.max(np.abs(matrix.data)))
-    factors = splu((matrix + shift * eye(matrix.shape[0], format="csc")).tocsc())
+    for trial in range(SHIFT_TRIALS):
+        try:
+            return splu((matrix + 3.0**trial * shift * eye(matrix.shape[0], format="csc")).tocsc())
+        except RuntimeError:  # "Factor is exactly singular"
+            continue
+    raise SingularError("the linearised equations have no null vector that inverse iteration finds")
+
+
+def null_vectors(matrix: Any) -> tuple[Vector, Vector]:
+    """Right and left null vector (v, psi), psi^H matrix = 0, of a sparse matrix that is nearly singular; of norm 1.
+
+    By inverse iteration with a shift, a larger one where a pivot vanishes exactly; raises SingularError where all do.
+    """
+    factors = _shifted_factors(matrix)
     right: Vector = np.random.default_rng(0).normal(size=matrix.shape[0]).astype(matrix.dtype)
     left = right
     for _ in range(ITERATION_ROUNDS):
-        left = factors.solve(right / np.linalg.norm(right), trans="H")  # type: ignore[call-overload]
+        left = factors.solve(right / np.linalg.norm(right), trans="H")
         right = factors.solve(left / np.linalg.norm(left))
     return right / np.linalg.norm(right), left / np.linalg.norm(left)
