@@ -44,7 +44,7 @@ from casadi_skin.zero.settings import Point
 STEADY_RATE_RATIO = 0.5  # of the largest rate on a stretch: the least one for which nothing turns back within it
 STILL_RATE = 1e-9  # rate of a quantity that does not change
 BESIDE_STILL = 0.05  # of a stretch, from a start that a branch leaves upright: beside it rates are rounding
-HIDDEN_TURN_RATIO = 0.01  # of the least rate: a mean rate that is off by less hides no turn wider than that part of it
+HIDDEN_TURN_RATIO = 0.01  # of the least rate at the samples: 0.024 where two folds in a dip were hidden
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
 
 

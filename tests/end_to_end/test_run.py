@@ -174,7 +174,7 @@ def test_a_softening_orbit_that_cannot_exist_ends_with_a_reason(
 
 SHORT = {"sites": 3, "mode": "[1, 2, 3]", "end": 1.0, "at": "[0.2, 0.5, 1.0]"}
 LONG = {"sites": 100, "mode": "[1, 2, 3, 4, 57, 58, 59, 60]", "end": 3.0, "at": "[0.5, 2.0, 3.0]"}
-SECONDS_TO_SECOND_SIGNAL = 2.5  # one signal of 40 is lost where CasADi converts arguments: a user gives another
+SECONDS_TO_SECOND_SIGNAL = 2.5  # a signal is lost in some runs, measured in 1 to 2 of 40: a user gives another
 
 
 def ended_from_outside(number: signal.Signals, scene: Path, out: Path) -> int:
