@@ -61,7 +61,6 @@ TAIL = "iiiiiii" + "aaaaaaaaaa" + "r"
 
 LANES = 8  # right-hand sides that bordered.c takes together, and components that splitting.c does, at least
 MOST = 7  # unknowns beside the band that bordered.c has room for
-WIDEST = 64  # half bandwidth beyond which LAPACK takes blocks, which are faster
 OPERATIONS = (  # in the order of those of equations.c
     "INPUT", "OUTPUT", "CONST", "ASSIGN", "ADD", "SUB", "MUL", "DIV", "NEG", "SQ", "TWICE", "INV", "SQRT", "SIN", "COS",
     "TAN", "EXP", "LOG", "TANH", "POW", "EQ", "LE", "NOT", "IF_ELSE_ZERO",

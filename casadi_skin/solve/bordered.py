@@ -1,6 +1,6 @@
 """Linear solves with the Jacobian of an orbit problem, closed by one more row (a held unknown or an arclength row).
 
-Banded problems are solved by band LU with the dense columns and rows in a border, by the compiled kernel or by LAPACK.
+Banded problems are solved by band LU with the dense columns and rows in a border, by the compiled kernel.
 The band alone is singular at a linear mode (its null vector is the mode), so its diagonal entry at the largest entry of
 the state is raised, and an unknown more in the border takes that back; Schur complement of a bordered matrix, Keller
 (1977), Govaerts (2000) chapter 3. Everything else goes to SuperLU: of collocation the unknowns within the intervals
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.native import MOST, WIDEST, BorderedKernel, Structure, kernels
+from casadi_skin.native import MOST, BorderedKernel, Structure, kernels
 from casadi_skin.zero.problem import Array, Indices, Problem, SingularError, Solve
 
 if TYPE_CHECKING:
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 class BandFactors:
     """Solves with a band and its border; `orientation` is the sign of the determinant."""
 
-    def __init__(self, kernel: BorderedKernel | LapackBand, memory: Any, orientation: float) -> None:
+    def __init__(self, kernel: BorderedKernel, memory: Array, orientation: float) -> None:
         self.kernel, self.memory, self.orientation = kernel, memory, orientation
 
     @property
-    def compiled(self) -> tuple[Structure, Array] | None:
-        """The layout and the factors, for compiled kernels that solve by themselves; None without these."""
-        return None if self.kernel.layout is None else (self.kernel.layout, self.memory)
+    def compiled(self) -> tuple[Structure, Array]:
+        """The layout and the factors, for compiled kernels that solve by themselves."""
+        return self.kernel.layout, self.memory
 
     def __call__(self, b: Array) -> Array:
         x = np.array(b.reshape(b.shape[0], -1).T, order="C")
@@ -121,89 +121,15 @@ class BandLayout:
             entries((rows >= n) & (columns >= n), (rows - n + 1) * edge + columns - n + 1),
         )
 
-    def kernel(self, problem: Problem) -> BorderedKernel | LapackBand:
-        """The compiled kernel of this layout; LAPACK where there is none, and where border or band are wide."""
-        if not kernels() or problem.size - problem.states > MOST or self.width > WIDEST:
-            return LapackBand(self, problem)
+    def kernel(self, problem: Problem) -> BorderedKernel | None:
+        """The compiled kernel of this layout; None where there is none, and where it has no room for the border."""
+        if not kernels() or problem.size - problem.states > MOST:
+            return None
         parts = self.inside, self.right, self.below, self.corner
         places = [(part.source, part.target) for part in parts]
         return BorderedKernel(
             (problem.states, problem.size, self.width), places, problem.pattern, (SINGULAR_GROWTH, ACCURATE_RESIDUAL)
         )
-
-
-class LapackBand:
-    """The same as a `BorderedKernel`, by LAPACK; the memory of a matrix is a list of its factors."""
-
-    layout = None
-
-    def __init__(self, places: BandLayout, problem: Problem) -> None:
-        self._places, self._pattern = places, problem.pattern
-        self._states, self._edge = problem.states, problem.size - problem.states + 1
-
-    def memory(self) -> Any:
-        """Room for one factorised matrix."""
-        return []
-
-    def steps(self, z: Array, nonzeros: Array, rows: Array, x: Array, memory: Any = None) -> Array | None:
-        """Signs of determinants at states; right-hand sides x, (states, each, size), are overwritten by solutions."""
-        memory, signs = [] if memory is None else memory, np.empty(len(z))
-        for k in range(len(z)):
-            signs[k], memory[:] = self._factors(z[k], nonzeros[k], rows[k])
-            if not signs[k]:
-                return None
-            self.solve(memory, x[k])
-            if not self._reliable(nonzeros[k], rows[k], *x[k, -2:]):
-                return None
-        return signs
-
-    def _factors(self, z: Array, nonzeros: Array, row: Array) -> tuple[float, list[Any]]:
-        """The sign of the determinant, 0 where elimination meets a zero, and the factors."""
-        from scipy.linalg.lapack import dgbtrf, dgbtrs, dgetrf
-
-        n, edge, width, places = self._states, self._edge, self._places.width, self._places
-        storage, right = np.zeros((n, 3 * width + 1)), np.zeros((edge, n))
-        below, corner = np.zeros((edge, n)), np.zeros((edge, edge))
-        parts = (places.inside, storage), (places.right, right), (places.below, below), (places.corner, corner)
-        for entries, array in parts:
-            array.reshape(-1)[entries.target] = nonzeros[entries.source]
-        below[-1], corner[-1, 1:] = row[:n], row[n:]
-        pin = int(np.argmax(np.abs(z[:n])))
-        raised = np.max(np.abs(storage[pin]))
-        storage[pin, 2 * width] += raised
-        right[0, pin], below[0, pin], corner[0, 0] = -raised, -1.0, 1.0
-
-        lu, pivots, failed = dgbtrf(storage.T, width, width, overwrite_ab=True)
-        spread, _ = dgbtrs(lu, width, width, right.T, pivots, overwrite_b=True)
-        schur, order, singular = dgetrf(corner - below @ spread)
-        odd = np.count_nonzero(lu[2 * width] < 0.0) + np.count_nonzero(schur.diagonal() < 0.0)
-        odd += np.count_nonzero(pivots != np.arange(n)) + np.count_nonzero(order != np.arange(edge))
-        sign = 0.0 if failed or singular else 1.0 - 2.0 * (odd % 2)
-        return sign, [lu, pivots, spread, below, schur, order]
-
-    def solve(self, memory: Any, x: Array) -> None:
-        """Overwrite right-hand sides, (count, size), by solutions with the factors in `memory`."""
-        from scipy.linalg.lapack import dgbtrs, dgetrs
-
-        lu, pivots, spread, below, schur, order = memory
-        n, width = self._states, self._places.width
-        inner, _ = dgbtrs(lu, width, width, x[:, :n].T, pivots)
-        right = np.zeros((self._edge, len(x)))
-        right[1:] = x[:, n:].T
-        outer, _ = dgetrs(schur, order, right - below @ inner)
-        x[:, :n], x[:, n:] = (inner - spread @ outer).T, outer[1:].T
-
-    def _reliable(self, nonzeros: Array, row: Array, response: Array, along: Array) -> bool:
-        """Whether solutions for residuals in general position and for the closing row are those of a regular matrix.
-
-        A NaN fails every comparison.
-        """
-        if not np.max(np.abs(response)) < SINGULAR_GROWTH:
-            return False
-        rows, columns = self._pattern
-        defect = np.max(np.abs(np.bincount(rows, nonzeros * along[columns])))
-        most = np.max(np.abs(along)) * np.max(np.abs(nonzeros))
-        return bool(defect <= ACCURATE_RESIDUAL * most and abs(row @ along - 1.0) <= ACCURATE_RESIDUAL)
 
 
 @dataclass(frozen=True)
@@ -311,7 +237,7 @@ class BorderedSolver:
     def _factored(self, z: Array, nonzeros: Array, row: Array) -> Solve:
         if self._kernel is not None:
             x = np.array(self._probes.T[None, ::-1], order="C")
-            memory: Any = self._kernel.memory()
+            memory = self._kernel.memory()
             orientation = self._kernel.steps(z[None], nonzeros[None], row[None], x, memory)
             if orientation is not None:
                 return BandFactors(self._kernel, memory, float(orientation[0]))

@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from kernels import needs_kernels
 from numpy.typing import NDArray
 from orbit_problems import gauss_problem, linear_mode
 
@@ -248,8 +249,8 @@ def test_ipopt_ends_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def only_the_band(way: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No way out to SuperLU: what follows is the band with the border, compiled and by LAPACK."""
+def only_the_band(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No way out to SuperLU: what follows is the band with the border, compiled."""
 
     def refuse(*_: object) -> None:
         raise AssertionError("the band was not enough")
@@ -274,6 +275,7 @@ def random_state(problem: OrbitProblem, seed: int) -> tuple[Array, Array]:
     return z, row
 
 
+@needs_kernels
 @pytest.mark.usefixtures("only_the_band")
 @pytest.mark.parametrize("sites", [4, 5, 24, 60])
 @pytest.mark.parametrize("largest", [None, 0.0, 0.5, 1.0])
@@ -290,6 +292,7 @@ def test_the_band_is_solved_wherever_its_largest_entry_is(sites: int, largest: f
     check_solved(other, z, row)
 
 
+@needs_kernels
 @pytest.mark.usefixtures("only_the_band")
 @pytest.mark.parametrize(("sites", "mode"), [(4, 1), (5, 3), (23, 12), (24, 13), (24, 24), (60, 2)])
 def test_the_band_is_solved_at_the_linear_mode_where_alone_it_is_singular(sites: int, mode: int) -> None:
@@ -301,6 +304,7 @@ def test_the_band_is_solved_at_the_linear_mode_where_alone_it_is_singular(sites:
     check_solved(problem, z, row)
 
 
+@needs_kernels
 @pytest.mark.usefixtures("only_the_band")
 @pytest.mark.parametrize("attached", [0, 18, 37])
 def test_the_band_is_wider_next_to_a_tail(attached: int) -> None:
@@ -322,7 +326,6 @@ def test_every_transcription_is_solved_as_dense_elimination_does(kind: str, site
 
 def test_a_band_that_is_given_up_is_solved_by_superlu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("casadi_skin.native.BorderedKernel.steps", lambda *_: None)
-    monkeypatch.setattr("casadi_skin.solve.bordered.LapackBand.steps", lambda *_: None)
     problem = problem_of(Chain(8, 1.0, 0.25, 1.0), harmonics=4)
     check_solved(problem, *random_state(problem, 0))
 
@@ -356,7 +359,7 @@ def random_states(problem: TrigonometricProblem, count: int, seed: int) -> tuple
     return z, np.column_stack([residuals, random.normal(size=count)]), nonzeros, rows
 
 
-@pytest.mark.usefixtures("way")
+@needs_kernels
 @pytest.mark.parametrize(("sites", "harmonics"), [(4, 5), (24, 4), (24, 10), (60, 6)])
 def test_steps_at_several_states_are_those_of_dense_elimination(sites: int, harmonics: int) -> None:
     problem = TrigonometricProblem(Chain(sites, 1.0, 0.1, 1.0).gauge_model(), harmonics)
@@ -377,7 +380,7 @@ def test_steps_at_several_states_are_those_of_dense_elimination(sites: int, harm
     assert len(set(signs)) == 2  # both signs are among the states
 
 
-@pytest.mark.usefixtures("way")
+@needs_kernels
 @pytest.mark.parametrize("fault", ["singular", "not a number", "inaccurate"])
 def test_one_state_that_cannot_be_solved_leaves_all_to_the_solver_of_one(
     fault: str, monkeypatch: pytest.MonkeyPatch
@@ -395,7 +398,7 @@ def test_one_state_that_cannot_be_solved_leaves_all_to_the_solver_of_one(
     assert BorderedSolver.of(problem).steps(z, residuals, nonzeros, rows) is None
 
 
-@pytest.mark.usefixtures("way")
+@needs_kernels
 @pytest.mark.parametrize("others", [1, 2, 5, 11])
 def test_the_last_bits_of_a_state_do_not_depend_on_the_others(others: int) -> None:
     """A run that goes on has other batches than one that was not interrupted, and ends with the same bytes."""
