@@ -30,8 +30,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.polynomials import LocalCurve
+from casadi_skin.follow.point import LocalCurve, PointSolver
 from casadi_skin.zero.kinds import BRANCH_POINT
 from casadi_skin.zero.problem import EPSILON, Array, Problem, SingularError
 from casadi_skin.zero.settings import Point

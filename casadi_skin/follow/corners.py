@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.polynomials import LocalCurve
+from casadi_skin.follow.point import LocalCurve, PointSolver
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import Correction, Status
 from casadi_skin.solve.watch import heed

@@ -1,27 +1,447 @@
-"""Every change of stability of a family: the family's orbits and flow, given to the search for tongues."""
+"""Every change of stability of a family: the family's orbits and flow, given to the search for tongues.
+
+Orbits and transition matrices at any coordinate along a branch whose points are known.
+
+The coordinate is an arclength cut into sections: within one of them it is the component of z along a fixed direction,
+which grows along the branch also where the parameter folds. All orbits of a section are solved on one level of
+resolution, to round-off, so that everything is smooth in the coordinate, whatever the tolerance of the points was.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice, pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
-from casadi_skin.follow.arclength import with_what_lies_between
-from casadi_skin.follow.branch_sampler import OrbitSampler
+from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.family import Family
+from casadi_skin.follow.point import PointSolver, interpolant
+from casadi_skin.follow.series import STACKED_UNKNOWNS
 from casadi_skin.lattice.spectrum import linear_spectrum
+from casadi_skin.solve.bordered import BorderedSolver
+from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.watch import heed, one_thread
+from casadi_skin.stability.flows import FlowMap, OrbitState, Transition
 from casadi_skin.stability.result import Floquet
 from casadi_skin.stability.tongues.counts import EdgeHill, Sample
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.stability.tongues.find_changes import Entry, find_changes
 from casadi_skin.stability.tongues.hill import Hill, Layout
-from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
+from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError, Samples
 from casadi_skin.stability.tongues.localised import find_localised_changes
-from casadi_skin.zero.problem import Array
-from casadi_skin.zero.settings import Point, Refinement
+from casadi_skin.zero.kinds import Unresolved
+from casadi_skin.zero.problem import Array, Problem, SingularError, Solve
+from casadi_skin.zero.settings import End, Point, Refinement
+
+# Orbits and transition matrices at any coordinate along a branch whose points are known -------------------------------
+
+LEAST_SECTION_COSINE = 0.6  # cosine of the angle between the branch and the direction of its section, at least
+NEARBY_DISTANCE = 0.3  # of the distance of neighbouring points: how far an orbit may be from where they predict it
+# Steps to the end of the branch, and how far it may be, of the distance of the last points.
+END_STEPS, NEAR_END = 2, 0.01
+PREDICTING_POINTS = 4  # points that an orbit is predicted from
+# Responses to rounding within a piece, one over another, beyond which the larger is looked at as well.
+UNEVEN_RESPONSES = 2.0
+ORBIT_SAFETY = 2.0
+LEVEL_GAIN = 0.5  # of an error on one level of resolution: the remaining part on the next, unless it is rounding
+ROUGH_ERROR = 1e-8  # error that is more than rounding, however slowly it falls from level to level
+
+
+@dataclass(frozen=True)
+class _Section:
+    """Points of one section in the unknowns of one problem, (points, size) each, with slopes dz/d coordinate.
+
+    `row` is the direction; `places` are row . z, ascending, and `offset` turns them into coordinates.
+    """
+
+    problem: Problem
+    row: Array
+    places: Array
+    z: Array
+    slopes: Array
+    offset: float
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Coordinates of its ends."""
+        return self.offset, self.offset + float(self.places[-1] - self.places[0])
+
+    def at(self, coordinates: Array) -> Array:
+        """row . z at coordinates."""
+        return np.asarray(self.places[0] + (coordinates - self.offset))
+
+    def predicted(self, places: Array) -> tuple[Array, Array]:
+        """Orbits by Hermite interpolation through the nearest points, and the distances of the two next to each."""
+        right = np.clip(np.searchsorted(self.places, places), 1, self.places.size - 1)
+        firsts = np.clip(right - PREDICTING_POINTS // 2, 0, max(self.places.size - PREDICTING_POINTS, 0))
+        found = np.empty((places.size, self.z.shape[1]))
+        for first in np.unique(firsts).tolist():
+            chosen, here = slice(first, first + PREDICTING_POINTS), firsts == first
+            curve = interpolant(self.places[chosen], self.z[chosen], self.slopes[chosen])
+            found[here] = curve(places[here, None])
+        found += np.multiply.outer((places - found @ self.row) / (self.row @ self.row), self.row)
+        return found, self.places[right] - self.places[right - 1]
+
+
+class OrbitSampler:
+    """A branch as `find_changes` takes it (`BranchSampler`), from its points.
+
+    Arguments:
+        point_solver: with the levels and the metric of the branch.
+        points: of the branch in order, the first may be a linear mode of zero amplitude.
+        flow: makes transition matrices.
+        accelerations: gives q'' at phase zero, shape (orbits, n); None in a model without a trivial multiplier.
+        amplitude: S of a value of the free parameter.
+        tolerance: relative error allowed to orbits.
+        fraction: of the period that transition matrices are over.
+        symplectic: whether transition matrices are.
+        S_rate: the relative change of S per that of the free parameter.
+        converged: whether the points and their tangents are accurate enough to predict orbits from.
+        across: takes directions (any, positions) to those of the positions that `flow` has.
+
+    `coordinates` are those of the points; `unknown` are the stretches between two of which one is not solved again.
+    """
+
+    def __init__(
+        self,
+        point_solver: PointSolver,
+        points: Sequence[Point],
+        flow: FlowMap,
+        accelerations: Callable[[Sequence[OrbitState]], Array] | None,
+        amplitude: Callable[[float], float],
+        tolerance: float,
+        fraction: float,
+        symplectic: bool = True,
+        S_rate: float = 1.0,
+        converged: bool = False,
+        across: Callable[[Array], Array] = np.asarray,
+    ) -> None:
+        self.point_solver, self.flow, self._across = point_solver, flow, across
+        self.fraction, self.symplectic = fraction, symplectic
+        self._accelerations, self._amplitude, self._tolerance = accelerations, amplitude, tolerance
+        self._S_rate, self._converged = S_rate, converged
+        self.unknown = list[Unresolved]()
+        self._sections = self._divided(points)
+        if self._sections:
+            self._sections[-1] = self._up_to(self._sections[-1], points[-1].parameter)
+        places = [section.offset + section.places[1:] - section.places[0] for section in self._sections]
+        skipped = [stretch.coordinate_end for stretch in self.unknown]
+        self.coordinates = np.sort(np.concatenate([[0.0], *places, skipped]))
+        self._lost: list[float] = []
+
+    @property
+    def levels(self) -> Levels:
+        """Levels of resolution."""
+        return self.point_solver.levels
+
+    @property
+    def sections(self) -> Sequence[tuple[float, float]]:
+        """Ends of the sections."""
+        return [section.ends for section in self._sections]
+
+    def lost_between(self, stretches: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
+        """Whether an orbit between a point and the next was not found within stretches, shape (points - 1,)."""
+        lost = np.array([c for c in self._lost if any(start <= c <= end for start, end in stretches)])
+        found = np.zeros(self.coordinates.size - 1, dtype=bool)
+        found[np.clip(np.searchsorted(self.coordinates, lost) - 1, 0, found.size - 1)] = True
+        return found
+
+    # Sections -------------------------------------------------------------------------------------------------------
+
+    def _divided(self, points: Sequence[Point]) -> list[_Section]:
+        """The branch in as few sections as its turns allow."""
+        finest = max((point.problem for point in points), key=lambda problem: problem.resolution)
+        z = np.array([point.problem.prolong(point.z, finest) for point in points])
+        sections: list[_Section] = []
+        first, offset = 0, 0.0
+        while first < len(points) - 1:
+            last = first + 1
+            while last + 1 < len(points) and self._is_straight(finest, z[first : last + 2]):
+                last += 1
+            section = self._longest_section(points[first : last + 1], offset)
+            if isinstance(section, Unresolved):
+                self.unknown.append(section)
+                first, offset = first + 1, section.coordinate_end
+            else:
+                sections.append(section)
+                first, offset = first + section.places.size - 1, section.ends[1]
+        return sections
+
+    def _longest_section(self, points: Sequence[Point], offset: float) -> _Section | Unresolved:
+        """A section of as many of these points as can be solved together; where not even two can, their stretch."""
+        try:
+            return self._section(points, offset)
+        except OrbitNotFoundError as error:
+            if len(points) > 2:
+                return self._longest_section(points[: (len(points) + 1) // 2], offset)
+            start, end = points
+            S = (self._amplitude(start.parameter), self._amplitude(end.parameter))
+            away = start.problem.prolong(start.z, end.problem) - end.z
+            length = np.sqrt(np.sum(self.point_solver.metric(end.problem, end.z) * away**2))
+            return Unresolved(*S, str(error), coordinates=(offset, offset + float(length)))
+
+    def _is_straight(self, problem: Problem, z: Array) -> bool:
+        """Whether all chords from point to point go along the one from the first to the last."""
+        weights = self.point_solver.metric(problem, z[len(z) // 2])
+        chords, whole = np.diff(z, axis=0), z[-1] - z[0]
+        along = chords @ (weights * whole) / np.sqrt(np.sum(weights * whole**2) * np.sum(weights * chords**2, axis=1))
+        return bool(np.min(along) >= LEAST_SECTION_COSINE)
+
+    def _section(self, points: Sequence[Point], offset: float) -> _Section:
+        """Points of a section as solutions of one problem that is fine enough for all of them."""
+        hardest = max(range(len(points)), key=lambda i: (points[i].problem.resolution, i))
+        problem = self._fine_enough(points, points[hardest])
+        row = self._direction(problem, points)
+        found = [self._with_slope(problem, point, row) for point in points]
+        z, slopes = (np.array(each) for each in zip(*found, strict=True))
+        places = z @ row
+        if not np.all(np.diff(places) > 0.0):
+            where = problem.whereabouts(z[0])
+            raise OrbitNotFoundError(f"points are not in order near {where}: another branch crosses")
+        return _Section(problem, row, places, z, slopes, offset)
+
+    def _up_to(self, section: _Section, parameter: float) -> _Section:
+        """The last section, which ends where the parameter has the value of the last point, not where its row has."""
+        problem, z, k = section.problem, section.z[-1], section.problem.parameter_index
+        try:
+            for _ in range(END_STEPS):
+                found = SectionOrbit.of(problem, *find_one(self.point_solver, problem, z, section.row))
+                off = (parameter - found.z[k]) / (found.along[k] or np.inf)
+                if not abs(off) <= NEAR_END * (section.places[-1] - section.places[-2]):
+                    return section
+                z = found.z + off * found.along
+        except OrbitNotFoundError:
+            return section
+        known, slopes = (
+            np.concatenate([each[:-1], last[None]]) for each, last in ((section.z, z), (section.slopes, found.along))
+        )
+        return replace(section, places=np.append(section.places[:-1], z @ section.row), z=known, slopes=slopes)
+
+    def _with_slope(self, problem: Problem, point: Point, row: Array) -> tuple[Array, Array]:
+        """A point in the unknowns of a problem, and its derivative by row . z."""
+        z, tangent = point.problem.prolong(point.z, problem), point.problem.prolong(point.tangent, problem)
+        along = float(row @ tangent)
+        if self._converged and along >= LEAST_SECTION_COSINE * np.sqrt(
+            np.sum(self.point_solver.metric(problem, z) * tangent**2)
+        ):
+            return z, tangent / along
+        found = SectionOrbit.of(problem, *find_one(self.point_solver, problem, z, row))
+        return found.z, found.along
+
+    def _fine_enough(self, points: Sequence[Point], hardest: Point) -> Problem:
+        """The problem on the coarsest level that solves the hardest point, or beyond which only rounding is left."""
+        problem: Problem = hardest.problem
+        before, coarser = np.inf, problem
+        while True:
+            row = self._direction(problem, points)
+            guess = hardest.problem.prolong(hardest.z, problem)
+            solved, solve = find_one(self.point_solver, problem, guess, row)
+            estimate = self.levels.error(problem, solved, self.point_solver.tangent(problem, solved, solve))
+            error = estimate.relative(problem.frequency(solved))
+            finer = self.levels.finer(problem)
+            if error <= max(self._tolerance, estimate.round_off) or finer is None or self.levels.finer(finer) is None:
+                return problem
+            if LEVEL_GAIN * before < error <= ROUGH_ERROR:
+                return coarser
+            problem, coarser, before = finer, problem, error
+
+    def _direction(self, problem: Problem, points: Sequence[Point]) -> Array:
+        """The row of a section: from its first point to its last, of unit length in the metric."""
+        start, end = (point.problem.prolong(point.z, problem) for point in (points[0], points[-1]))
+        middle = points[len(points) // 2]
+        weights = self.point_solver.metric(problem, middle.problem.prolong(middle.z, problem))
+        chord = end - start
+        return np.asarray(weights * chord / np.sqrt(np.sum(weights * chord**2)))
+
+    # Orbits ---------------------------------------------------------------------------------------------------------
+
+    def sample(self, coordinates: Array) -> Samples:
+        """Samples at coordinates of one section (see `BranchSampler`); raises TimeLimitError."""
+        heed("orbits between the points of a family")
+        middle = float(np.mean(coordinates))
+        number = min(range(len(self._sections)), key=lambda i: _away(self._sections[i], middle))
+        section = self._sections[number]
+        problem = section.problem
+        guesses, distances = section.predicted(section.at(coordinates))
+        together = find_all(self.point_solver, problem, guesses, section.row, NEARBY_DISTANCE * distances)
+        found = [
+            orbit or self._by_itself(number, coordinate)
+            for orbit, coordinate in zip(together, coordinates.tolist(), strict=True)
+        ]
+        states = [OrbitState(problem, orbit.z) for orbit in found]
+        responses = np.array([self._length(problem, orbit.z, orbit.response) for orbit in found])
+        k, worst = len(states) // 2, int(np.argmax(responses))
+        if responses[worst] <= UNEVEN_RESPONSES * responses[k]:
+            worst = k
+        for i in {k, worst}:
+            states[i] = self._with_better(problem, found[i])
+        transitions = self.flow.transitions(states, alike=True)
+        errors = np.stack([flow_error(transition) for transition in transitions]) + _orbit_error(transitions[k])
+        if worst != k:
+            errors += (responses / responses[worst])[:, None, None] * _orbit_error(transitions[worst])
+        return Samples(
+            transitions=np.stack([transition.matrix for transition in transitions]),
+            errors=errors,
+            directions=self._directions(section, states),
+            S=np.array([self._amplitude(state.parameter) for state in states]),
+            Omega=np.array([state.Omega for state in states]),
+        )
+
+    def _by_itself(self, number: int, coordinate: float) -> SectionOrbit:
+        """The orbit at a coordinate of a section; raises OrbitNotFoundError where it is not near its prediction."""
+        try:
+            return self._predicted_orbit(self._sections[number], float(self._sections[number].at(np.array(coordinate))))
+        except OrbitNotFoundError:
+            self._lost.append(coordinate)
+            raise
+
+    def _predicted_orbit(self, section: _Section, place: float) -> SectionOrbit:
+        """The orbit at a place of a section near where its points predict it."""
+        (guess,), (distance,) = section.predicted(np.array([place]))
+        solved = find_one(self.point_solver, section.problem, guess, section.row, NEARBY_DISTANCE * float(distance))
+        return SectionOrbit.of(section.problem, *solved)
+
+    def _length(self, problem: Problem, z: Array, change: Array) -> float:
+        """Length of a change of an orbit, in the metric."""
+        return float(np.sqrt(np.sum(self.point_solver.metric(problem, z) * change**2)))
+
+    def _directions(self, section: _Section, states: Sequence[OrbitState]) -> Array | None:
+        """Vectors that span the trivial direction: q'' at phase zero, or the rate of positions there along the branch.
+
+        With positions the square root of S times q, and S ~ p^rate, these change like (2/rate) p dq + q dp.
+        """
+        if self._accelerations is None or self.symplectic:
+            return None if self._accelerations is None else self._accelerations(states)
+        problem, last = section.problem, np.append(np.zeros(section.problem.size - 1), 1.0)
+        at_rest, found = np.zeros(1), []
+        for state in states:
+            _, nonzeros = problem.evaluate(state.z)
+            slope = self.levels.solver(problem).factor(state.z, nonzeros, section.row)(last)
+            q, change = problem.sample(state.z, at_rest)[0], problem.sample(slope, at_rest)[0]
+            k = problem.parameter_index
+            found.append(2.0 / self._S_rate * state.z[k] * change + slope[k] * q)
+        return self._across(np.array(found))
+
+    def amplitude(self, coordinate: float) -> float:
+        """S near a coordinate, between the points of the branch."""
+        section = min(self._sections, key=lambda section: _away(section, coordinate))
+        (z,), _ = section.predicted(section.at(np.array([coordinate])))
+        return self._amplitude(float(z[section.problem.parameter_index]))
+
+    def _with_better(self, problem: Problem, orbit: SectionOrbit) -> OrbitState:
+        """An orbit with a better one, whose difference shows the error that orbits of the section make."""
+        tangent = orbit.along / self._length(problem, orbit.z, orbit.along)
+        better = self.levels.refined(problem, orbit.z, tangent)[1]
+        return OrbitState(problem, orbit.z, None if better is None else OrbitState(better.problem, better.z))
+
+
+def _away(section: _Section, coordinate: float) -> float:
+    """How far outside a section a coordinate is, negative inside."""
+    return max(section.ends[0] - coordinate, coordinate - section.ends[1])
+
+
+def flow_error(transition: Transition) -> Array:
+    """A matrix like the error of a transition matrix."""
+    if transition.truncation is not None:
+        return transition.truncation
+    size = transition.matrix.shape[0]
+    signs = np.sign(np.cos(np.arange(size * size) ** 2 % 6.25)).reshape(size, size)
+    return np.asarray(transition.error / size * signs)
+
+
+def _orbit_error(transition: Transition) -> Array:
+    """A matrix like the error of a transition matrix that the orbit makes."""
+    if transition.pair is None:
+        return np.zeros_like(transition.matrix)
+    return np.asarray(ORBIT_SAFETY * (transition.pair[1] - transition.pair[0]))
+
+
+# Orbits of one section by Newton's method, with row . z held: one by one, or several in arrays ------------------------
+
+NEWTON_STEPS = 6  # of Newton's method
+SOLVED_STEP = 1e-8  # a step of Newton's method whose square is round-off
+
+
+@dataclass(frozen=True)
+class SectionOrbit:
+    """An orbit z, its derivative `along` by row . z, and its `response` to residuals of size 1 in general position."""
+
+    z: Array
+    along: Array
+    response: Array
+
+    @classmethod
+    def of(cls, problem: Problem, z: Array, solve: Solve) -> SectionOrbit:
+        """By the solver closed by the row."""
+        columns = np.zeros((problem.size, 2))
+        columns[-1, 0], columns[:-1, 1] = 1.0, problem.probe
+        return cls(z, *np.ascontiguousarray(solve(columns).T))
+
+
+def find_one(
+    point_solver: PointSolver, problem: Problem, guess: Array, row: Array, allowed: float = np.inf
+) -> tuple[Array, Solve]:
+    """The orbit near a guess that has row . z in common with it, and the solver there.
+
+    Raises OrbitNotFoundError where there is none within `allowed`, in the metric.
+    """
+    z, value = guess.copy(), float(row @ guess)
+    weights = point_solver.metric(problem, guess)
+    try:
+        for _ in range(NEWTON_STEPS):
+            residual, nonzeros = problem.evaluate(z)
+            solve = point_solver.levels.solver(problem).factor(z, nonzeros, row)
+            step = solve(np.append(residual, row @ z - value))
+            z = z - step
+            size = float(np.sqrt(np.sum(weights * step**2)))
+            if size <= SOLVED_STEP:
+                break
+            if not size <= 1.0:
+                raise OrbitNotFoundError(f"no orbit is found near {problem.whereabouts(guess)}")
+    except SingularError as error:
+        raise OrbitNotFoundError(str(error)) from error
+    moved = float(np.sqrt(np.sum(weights * (z - guess) ** 2)))
+    if size > SOLVED_STEP or moved > allowed:
+        raise OrbitNotFoundError(f"no orbit is found near {problem.whereabouts(guess)}")
+    return z, solve
+
+
+def find_all(
+    point_solver: PointSolver, problem: Problem, guesses: Array, row: Array, allowed: Array
+) -> list[SectionOrbit | None]:
+    """As `find_one` from several guesses, (guesses, unknowns); None where one has to be sought by itself."""
+    found: list[SectionOrbit | None] = [None] * len(guesses)
+    solver = BorderedSolver.of(problem)
+    if problem.size > STACKED_UNKNOWNS or not solver.takes_several:
+        return found
+    z, values, active = guesses.copy(), guesses @ row, np.arange(len(guesses))
+    weights = point_solver.metrics(problem, guesses)
+    for _ in range(NEWTON_STEPS):
+        here, rows = z[active], np.tile(row, (active.size, 1))
+        try:
+            residuals, nonzeros = problem.evaluate_all(here)
+        except (ArithmeticError, RuntimeError):  # those that fail do so again by themselves
+            return found
+        steps = solver.steps(here, np.column_stack([residuals, here @ row - values[active]]), nonzeros, rows)
+        if steps is None:
+            return found
+        z[active] = here - steps.newton
+        sizes = np.sqrt(np.sum(weights[active] * steps.newton**2, axis=1))
+        moved = np.sqrt(np.sum(weights[active] * (z[active] - guesses[active]) ** 2, axis=1))
+        for n in np.flatnonzero((sizes <= SOLVED_STEP) & (moved <= allowed[active])).tolist():
+            i = int(active[n])
+            found[i] = SectionOrbit(z[i], steps.along[n], steps.response[n])
+        active = active[(sizes > SOLVED_STEP) & (sizes <= 1.0)]
+        if not active.size:
+            break
+    return found
+
+
+# Every change of stability of a family: the family's orbits and flow, given to the search for tongues -----------------
 
 ORBIT_TOLERANCE = 1e-12  # of the orbits along the family, whatever the tolerance of its points
 AT_REST = 1e-12  # of the largest omega^2: rounding in that of a mode without restoring force
@@ -194,3 +614,58 @@ class EdgeOrbits:
         localised = self.family.coordinates.localised
         assert localised is not None
         return localised.bands
+
+
+# Neighbouring points of a branch that are too far apart to predict the stretch between them: smaller steps there ------
+
+FIRST_STEP_FRACTION = 1 / 16  # of the way from one point to the next: the first step
+AIMED_TURN_DEGREES = 3.0  # degrees that the branch turns by in a step
+MOST_WALKED_POINTS = 3000  # points of a walk
+
+
+def with_what_lies_between(point_solver: PointSolver, points: Sequence[Point], lost: NDArray[np.bool_]) -> list[Point]:
+    """Points with those between each and the next where an orbit is lost.
+
+    A walk that does not come to the next point, but to the end of the branch, takes the place of all that follow.
+
+    Arguments:
+        point_solver: of the branch.
+        points: of it in order.
+        lost: whether an orbit between a point and the next is not found, shape (points - 1,).
+    """
+    found = [points[0]]
+    for (before, after), is_lost in zip(pairwise(points), lost.tolist(), strict=True):
+        if is_lost and before.parameter != 0.0:
+            walked, at_the_end = _walked(point_solver, before, after)
+            found += walked
+            if at_the_end:
+                return found
+        found.append(after)
+    return found
+
+
+def _walked(point_solver: PointSolver, before: Point, after: Point) -> tuple[list[Point], bool]:
+    """The points of a walk from one point to another, and whether it came to the branch's end instead; else none."""
+    step = FIRST_STEP_FRACTION * float(np.linalg.norm(_way(point_solver, before, after)))
+    settings = replace(point_solver.settings, at=(), first_step=step, aim_angle=AIMED_TURN_DEGREES, tiny_first=False)
+    walk = ArclengthContinuation(PointSolver(point_solver.levels, settings), (replace(before, step=step),))
+    found = [before]
+    for point in islice(walk, MOST_WALKED_POINTS):
+        if _passes(point_solver, found[-1], point, after):
+            return found[1:], False
+        found.append(point)
+    return (found[1:], True) if walk.end is End.REACHED else ([], False)
+
+
+def _way(point_solver: PointSolver, start: Point, end: Point) -> Array:
+    """From one point to another, in coordinates in which the metric is that of Euclid."""
+    finer = max(start.problem, end.problem, key=lambda problem: problem.resolution)
+    z, z_end = start.problem.prolong(start.z, finer), end.problem.prolong(end.z, finer)
+    return np.asarray(np.sqrt(point_solver.metric(finer, z)) * (z_end - z))
+
+
+def _passes(point_solver: PointSolver, start: Point, end: Point, point: Point) -> bool:
+    """Whether a step goes by a point."""
+    step = float(np.linalg.norm(_way(point_solver, start, end)))
+    before, beyond = (float(np.linalg.norm(_way(point_solver, p, point))) for p in (start, end))
+    return bool(before + beyond <= step / np.cos(np.radians(AIMED_TURN_DEGREES)))

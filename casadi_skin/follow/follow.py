@@ -1,21 +1,537 @@
-"""Following a family from a linear mode, or the branch through a solution: arguments checked, then continuation."""
+"""Following a family from a linear mode, or the branch through a solution: arguments checked, then continuation.
+
+Following a branch of any kind: its points, with stability, its changes and bifurcations computed beside them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.branch_run import Following, run_following
+from casadi_skin.follow.events import Ledger, at_requested_value
 from casadi_skin.follow.family import Family
+from casadi_skin.follow.search import NotLocatedError
 from casadi_skin.follow.solution import Orbit, Solution, following_settings
-from casadi_skin.follow.space import FAMILY
+from casadi_skin.follow.space import FAMILY, SolutionSpace, snapped, target_of
 from casadi_skin.model.arguments import check_options, duration, function_of, truth
+from casadi_skin.model.interrupts import interrupts_deferred
+from casadi_skin.solve.watch import TimeLimitError, one_thread, watched
+from casadi_skin.stability.flows import FlowError
 from casadi_skin.zero.family import MAX_POINTS, Method
-from casadi_skin.zero.kinds import BRANCH_POINT, FOLD
+from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, Unresolved
+from casadi_skin.zero.problem import EPSILON, Scalar
 from casadi_skin.zero.request import FamilyModel, family_request
+from casadi_skin.zero.settings import Continuation, End, Point, Target
+
+# Following a branch of any kind: its points, with stability, its changes and bifurcations computed beside them --------
+
+
+class Following:
+    """Iterates over the solutions of a branch.
+
+    `branch()` returns the part computed so far, but for the few points whose stability is computed together;
+    `keep` is called with each point as it converges, and with the walk, which has what is missed so far. Solutions
+    computed earlier may be given, points after them whose stability is `waiting`, and what was `missed` and
+    `unresolved`: the branch goes on from the last of these as if it had not been broken off. It ends before its next
+    point once `time_limit` seconds are over, also within the work on that point; points that wait then are finished.
+    """
+
+    def __init__(
+        self,
+        space: Any,
+        stability: bool = False,
+        events: bool = True,
+        solutions: Sequence[Solution] = (),
+        until: Callable[[Any], bool] | None = None,
+        waiting: Sequence[Point] = (),
+        missed: Sequence[Target] = (),
+        keep: Callable[[Point, Walk], None] | None = None,
+        time_limit: float = math.inf,
+        unresolved: Sequence[Unresolved] = (),
+    ) -> None:
+        stability = stability and not space.stability_included
+        events = events and stability
+        self.space, self.stability, self.events, self.until = space, stability, events, until
+        self._ledger = Ledger(space) if events and space.has_ledger else None
+        self._waiting: deque[Point] = deque(waiting)  # reached, but not yet among the solutions
+        self._keep = keep
+        self._time_limit, self._end_time = time_limit, time.monotonic() + time_limit
+        self._walk = Walk(space, [*(s.point for s in solutions), *waiting], missed, unresolved)
+        self._stopped = False
+        self.solutions = list(self._with_bifurcations(solutions))
+
+    def _with_bifurcations(self, solutions: Sequence[Solution]) -> Iterator[Solution]:
+        """Earlier solutions, with the orbits between them at which multipliers cross, sought again."""
+        self.solutions = []
+        for solution in map(self._critical, solutions):
+            for special in (*self._bifurcations_before(solution), solution):
+                self.solutions.append(special)
+                yield special
+
+    def __iter__(self) -> Iterator[Solution]:
+        results = self._results()
+        while True:  # the contexts are not those of the caller's work between two solutions
+            with one_thread(), interrupts_deferred(), np.errstate(all="ignore"), self._watch():
+                result = next(results, None)
+            if result is None:
+                return
+            yield result
+
+    def _watch(self) -> AbstractContextManager[None]:
+        """Solvers end when the time is over, but for the first solution."""
+        if math.isinf(self._time_limit) or not (self.solutions or self._waiting):
+            return nullcontext()
+        return watched(self._end_time - time.monotonic())
+
+    def _points(self) -> Iterator[Point]:
+        """The points of the walk, up to where the time is over."""
+        try:
+            yield from self._walk
+        except TimeLimitError:
+            self._walk.stop(End.TIME, f"{self._time_limit:g} s")
+
+    def _so_far(self, limit: int) -> str:
+        """Where a branch has come with its last point, in words."""
+        last, name = self._waiting[-1] if self._waiting else self.solutions[-1].point, self.space.parameter
+        return f"{limit} points, up to {name} = {self.space.value(name, last):.10g}; try max_points above {limit}"
+
+    def _results(self) -> Iterator[Solution]:
+        together = self.space.stability_batch if self.stability else 1
+        limit = self.space.point_solver.settings.max_points
+        if len(self._waiting) >= together:
+            yield from self._finish_waiting()
+        for point in self._points():
+            if len(self.solutions) + len(self._waiting) == limit:
+                self._walk.stop(End.POINTS, self._so_far(limit))
+                break
+            if time.monotonic() > self._end_time and (self.solutions or self._waiting):
+                self._walk.stop(End.TIME, f"{self._time_limit:g} s")
+                break
+            self._waiting.append(point)
+            if self._keep is not None:
+                self._keep(point, self._walk)
+            # The first ones sooner: a run that is interrupted early has something to write.
+            if len(self._waiting) >= (together if self.solutions else max(1, together // 2)):
+                yield from self._finish_waiting()
+            if self._stopped or self._walk.end is End.FLOW:
+                return
+        yield from self._finish_waiting()
+
+    def _finish_waiting(self) -> Iterator[Solution]:
+        """The solutions of the points that wait, with their stability, in order."""
+        try:
+            for solution in map(self._critical, self._with_stability()):
+                for special in self._bifurcations_before(solution):
+                    self.solutions.append(special)
+                    yield special
+                self.solutions.append(solution)
+                self._waiting.popleft()
+                yield solution
+                if self.until is not None and self.until(solution):
+                    self._stopped = True
+                    self._waiting.clear()
+                    return
+        except FlowError as error:
+            self._walk.stop(End.FLOW, str(error))
+            self._waiting.clear()
+
+    def _critical(self, solution: Solution) -> Solution:
+        """A solution, or the special one at a requested value."""
+        if not (self.events and solution.space.closes):
+            return solution
+        try:
+            return at_requested_value(solution)
+        except TimeLimitError:  # the stretch before it is named: the time is over there too
+            return solution
+
+    def _bifurcations_before(self, solution: Solution) -> Iterator[Solution]:
+        """Orbits between the last orbit and this one at which multipliers cross the unit circle."""
+        if self._ledger is None or not self.solutions:
+            return
+        before = self.solutions[-1]
+        leaving = self._ledger.space.leaves and len(self.solutions) == 1
+        if before.space.closes and solution.space.closes:
+            yield from self._ledger.between(before, solution, leaving)
+
+    def _with_stability(self) -> Iterable[Solution]:
+        """Solutions of the points that wait; raises FlowError at the first whose stability cannot be computed."""
+        points = list(self._waiting)
+        if not (points and self.stability):
+            return [self.space.solution(point) for point in points]
+        try:
+            known = self.space.floquets(points)
+        except FlowError:  # of one of them: those before it are computed by themselves
+            return (self.space.solution(point, self.space.floquets([point])[0]) for point in points)
+        return [self.space.solution(point, result) for point, result in zip(points, known, strict=True)]
+
+    def branch(self) -> Branch:
+        """The branch computed so far."""
+        end = self._walk.ended_early if self._waiting else self._walk.end
+        misses = self._walk.misses(self.solutions, self._stopped, end)
+        return self.finished(end, self._walk.detail, misses)
+
+    def finished(
+        self, end: End | None, detail: str, misses: Mapping[str, tuple[float, ...]], stopped: bool = False
+    ) -> Branch:
+        """The branch of the solutions computed so far, with a known end."""
+        changes, unresolved = ((), []) if self._ledger is None else (self._ledger.changes, self._ledger.unresolved)
+        return Branch(
+            self.space, tuple(self.solutions), tuple(changes),
+            self.stability or self.space.stability_included, end, detail, misses,
+            stopped or self._stopped, self.events, tuple(dict.fromkeys([*self._walk.unresolved, *unresolved])),
+            max(self._end_time - time.monotonic(), 0.0),
+        )  # fmt: skip
+
+
+def run_following(following: Following, progress: Callable[[Any], None] | None) -> Branch:
+    """Follow a branch to its end, calling `progress` with each solution."""
+    for result in following:
+        if progress is not None:
+            progress(result)
+    return following.branch()
+
+
+# The points of a branch in order, as its continuation reaches them, with the special points between them --------------
+
+# The points of one stretch of a branch in order: requested ones, and special ones, which may be the same --------------
+
+SAME_PLACE = 1e-2  # of a stretch: a requested point that near to a special one of the same value is that one
+
+
+class StretchPoints:
+    """The points between `before` and `after`, which may lie beyond the end of the branch.
+
+    `requested` are the points of the continuation on the stretch, its end among them where that comes before `after`;
+    `missed` the targets that it passed without a point, also by this search; `unresolved` fills with the parts on which
+    special points may be missing.
+    """
+
+    def __init__(
+        self, space: SolutionSpace, before: Point, after: Point, requested: Sequence[Point], missed: Sequence[Target]
+    ) -> None:
+        self.space, self.before, self.after = space, before, after
+        self.requested, self.missed, self.unresolved = list(requested), list(missed), list[Unresolved]()
+        self._z, t = (before.problem.prolong(v, after.problem) for v in (before.z, before.tangent))
+        self._row = space.point_solver.metric(after.problem, self._z) * t
+
+    def place(self, point: Point) -> float:
+        """How far from its start along the stretch a point is."""
+        return float(self._row @ (point.problem.prolong(point.z, self.after.problem) - self._z))
+
+    def special(self) -> list[Point]:
+        """Special points in order, those at requested values exactly there; raises NotLocatedError."""
+        targets, found = self.space.point_solver.settings.at, list[Point]()
+        for point in self.space.special_between(self.before, self.after):
+            if isinstance(point, Unresolved):
+                self.unresolved.append(point)
+                continue
+            target = target_of(self.space, point)
+            found.append(point if target is None else snapped(point, target, target in targets))
+        for target in self.missed:
+            if all(point.parameter != target.value for point in found):
+                found += self._at(target)
+        self.missed = [target for target in self.missed if all(point.parameter != target.value for point in found)]
+        return sorted(found, key=self.place)
+
+    def _at(self, target: Target) -> Iterator[Point]:
+        """The special point at a value at which no solution was found, where there is one."""
+        solver, problem = self.space.point_solver, self.after.problem
+        if target.held is not Scalar.PARAMETER:
+            return
+        curve, _ = solver.curve(self.before, self.after)
+        index, value = target.unknown(problem)
+        for sigma, _ in curve.crossings(index, [value])[:1]:
+            guess = replace(self.after, z=curve.at(sigma), tangent=curve.slope(sigma), better=None, special="")
+            point = self.space.singular_near(guess)
+            if point is not None and target_of(self.space, point) == target:
+                yield snapped(point, target, target in solver.settings.at)
+
+    def beside_folds(self, special: Sequence[Point]) -> list[Point]:
+        """The requested points so near to folds that the continuation passed them by."""
+        if not any(point.special == FOLD for point in special):
+            return []
+        solver, found = self.space.point_solver, list[Point]()
+        wanted = [target for target in solver.settings.at if target.held is Scalar.PARAMETER]
+        ends = (self.before, *special, self.after)
+        for one, other in pairwise(ends):
+            low, high = sorted((one.parameter, other.parameter))
+            start, end = self.place(one), self.place(other)
+            known = {point.parameter for point in self.requested if start <= self.place(point) <= end}
+            inside = tuple(t for t in wanted if low < t.value < high and t.value not in known)
+            inside = tuple(t for t in inside if not (t.meets(one) or t.meets(other)))
+            points = {target: point for target, point in solver.between(one, other, inside) if point is not None}
+            found += [replace(point, requested=True) for point in points.values()]
+            self.missed += [t for t in inside if t not in (*points, *self.missed)]
+        return found
+
+    def points(self) -> list[Point]:
+        """All points in order but `after`, those that are no points of the continuation marked as located."""
+        special = self.special()
+        located = [replace(point, located=True) for point in (*special, *self.beside_folds(special))]
+        near = SAME_PLACE * abs(self.place(self.after))
+        own = [point for point in self.requested if not any(self._is(point, one, near) for one in special)]
+        return sorted([*located, *own], key=self.place)
+
+    def _is(self, point: Point, special: Point, near: float) -> bool:
+        same = special.parameter == point.parameter
+        return same and abs(self.place(special) - self.place(point)) <= near
+
+
+ROUNDED_PARAMETER_CHANGE = 100.0 * EPSILON  # change of the parameter, of the way to go, that is rounding
+CLOSED_BRANCH_DISTANCE = 1e-3  # of a step: distance from the start of a branch that has come back to it
+
+
+class Walk:
+    """Iterates over the points of a branch that are not known yet, without their stability.
+
+    Attributes:
+        end: why the branch ended; None where it can go on.
+        detail: more about the end, in words.
+        unresolved: stretches on which special points may be missing.
+    """
+
+    def __init__(
+        self,
+        space: SolutionSpace,
+        known: Sequence[Point] = (),
+        missed: Sequence[Target] = (),
+        unresolved: Sequence[Unresolved] = (),
+    ) -> None:
+        self.space, self._known, self.unresolved = space, known, list(unresolved)
+        self._continuation = self._continued() if known or space.start_is_limit else None
+        if self._continuation is not None:
+            self._continuation.missed.extend(missed)
+        self._end: End | None = None
+        self._detail = ""
+        self._settled = len(missed)  # targets that are known to be missed
+        self._pending = False  # whether points of a stretch that the continuation has left are still to come
+
+    def _continued(self) -> Continuation:
+        """The continuation from the points that are known."""
+        walked = [i for i, point in enumerate(self._known) if point.walked]
+        own = tuple(self._known[i] for i in walked)
+        reported = tuple(p for p in self._known[walked[-1] + 1 if walked else 0 :] if not p.located)
+        history = (self.space.start, *own) if self.space.start_is_limit or not own else own
+        return self.space.continuation(history, reported)
+
+    @property
+    def missed(self) -> Sequence[Target]:
+        """Requested values that the continuation passed without a solution."""
+        return () if self._continuation is None else self._continuation.missed
+
+    @property
+    def end(self) -> End | None:
+        return self._end or (None if self._continuation is None or self._pending else self._continuation.end)
+
+    @property
+    def detail(self) -> str:
+        of_its_own = self._continuation is None or self._end is not None
+        return self._detail or ("" if of_its_own else self._continuation.detail)  # type: ignore[union-attr]
+
+    @property
+    def ended_early(self) -> End | None:
+        """Why the branch ended before its continuation did."""
+        return self._end
+
+    def stop(self, end: End, detail: str = "") -> None:
+        """End the branch for a reason that its points do not show."""
+        self._end, self._detail = end, detail
+
+    def __iter__(self) -> Iterator[Point]:
+        held = list[Point]() if self._known and self._beyond_start(self._known[-1]) else None
+        for point in self._all():
+            if held is not None:
+                held.append(point)
+                continue
+            yield point
+            held = [] if self._beyond_start(point) else None
+        if self._end is End.CLOSED:
+            yield from held or ()
+        elif held is not None:
+            self._end, self._detail = End.RETURNED, ""
+
+    def _beyond_start(self, point: Point) -> bool:
+        """Whether a branch has come back, so that points are kept only if it closes."""
+        settings = self.space.point_solver.settings
+        beyond = point.parameter * settings.parameter_max <= 0.0 and point is not self.space.start
+        return settings.closing and point.walked and beyond
+
+    def _all(self) -> Iterator[Point]:
+        """The points of the branch, and those beyond its start where it may close."""
+        known = [point for point in self._known if not point.located]
+        if known:
+            self._end, self._detail = self.space.stop(known[-1])
+            if self._end is not None:
+                return
+        if self._continuation is None:
+            self._continuation = self.space.continuation((self.space.start,))
+            yield self.space.start
+        if not self.space.locates_folds:
+            yield from self._plain(self._continuation)
+            return
+        walked = max((i for i, point in enumerate(self._known) if point.walked), default=-1)
+        before = self._known[walked] if walked >= 0 else self.space.start
+        reported = self._known[walked + 1 :]
+        for points in self._stretches(self._continuation):
+            self._pending = True
+            points[:0] = [point for point in reported if not point.located]
+            yield from self._stretch(before, points, len(reported))
+            self._pending = False
+            if self._end is not None or not points:
+                return
+            before, reported = points[-1], ()
+
+    def _plain(self, continuation: Continuation) -> Iterator[Point]:
+        """The points of a continuation on which no special points are sought."""
+        for point in continuation:
+            end, words = self.space.stop(point)
+            if self.space.start_is_limit and not self._has_amplitude(point):
+                self._end = End.RETURNED
+                return
+            if words:
+                self._end, self._detail = end, words
+                return
+            yield point
+            if end is not None:
+                self._end = end
+                return
+
+    @staticmethod
+    def _stretches(continuation: Continuation) -> Iterator[list[Point]]:
+        """The points of the continuation, from behind one that is walked to the next one or to the end."""
+        points = list[Point]()
+        for point in continuation:
+            points.append(point)
+            if point.walked:
+                yield points
+                points = []
+        yield points
+
+    def _stretch(self, before: Point, points: list[Point], reported: int) -> Iterator[Point]:
+        """The points of a stretch with the special ones between them, but for the first ones that are `reported`."""
+        assert self._continuation is not None
+        end, words = None, ""
+        for number, point in enumerate(points):
+            end, words = self.space.stop(point)
+            if self._closes(points[number - 1] if number else before, point):
+                points[number:] = [replace(self.space.start, walked=False, requested=False)]
+                end = End.CLOSED
+            elif words:
+                del points[number:]
+            if end is not None or words:
+                break
+        after = self._continuation.beyond if end is None and not words else None
+        stretch = self._found(before, after or (points[-1] if points else before), points)
+        for point in stretch:
+            reported -= 1
+            if reported < 0:
+                yield point
+            if point.special:
+                self._end, self._detail = self.space.stop(point)
+            if self._end is None and point.parameter == self.space.point_solver.settings.parameter_max:
+                self._end, self._detail = End.REACHED, ""
+            if self._end is not None:
+                return
+        if self._end is None:
+            self._end, self._detail = end, words
+
+    def _found(self, before: Point, after: Point, points: Sequence[Point]) -> list[Point]:
+        """The points of a stretch in order, special ones among them; the end is set where one cannot be located."""
+        if after is before:
+            return []
+        assert self._continuation is not None
+        missed, last = self._continuation.missed, self.space.point_solver.settings.parameter_max
+        stretch = StretchPoints(self.space, before, after, points, missed[self._settled :])
+        try:
+            found = stretch.points()
+        except NotLocatedError as error:
+            if points and points[-1] is not after:  # it may lie beyond the end
+                return self._found(before, points[-1], points)
+            self._end, self._detail = End.NO_STEP, f"{error}, {before.problem.whereabouts(before.z)}"
+            if self._is_still(before):
+                value, digits = self._limit(before)
+                self._end, self._detail = End.STILL, f"{self.space.parameter} comes to {value:.10g} +- {digits:.0e}"
+            return []
+        missed[self._settled :] = stretch.missed
+        self._settled = len(missed)
+        self.unresolved += [part for part in stretch.unresolved if part not in self.unresolved]
+        if after is self._continuation.beyond and all(point.parameter != last for point in found):
+            found = list(points)  # up to where the branch was followed
+        return found
+
+    def _is_still(self, point: Point) -> bool:
+        """Whether the longest step from a point changes the parameter by no more than rounding does."""
+        settings, index = self.space.point_solver.settings, point.problem.parameter_index
+        change = settings.max_step * abs(float(point.tangent[index]))
+        return change <= ROUNDED_PARAMETER_CHANGE * max(1.0, abs(point.parameter))
+
+    def _limit(self, point: Point) -> tuple[float, float]:
+        """The value of the parameter at a point, and its rounding."""
+        name = self.space.parameter
+        value, start = (self.space.parameters(one)[name] for one in (point, self.space.start))
+        digits = ROUNDED_PARAMETER_CHANGE * abs(self.space.to - start) * max(1.0, abs(point.parameter))
+        return (0.0 if abs(value) <= digits else value), digits
+
+    def _closes(self, before: Point, after: Point) -> bool:
+        """Whether the start of the branch lies between two points of it, passed in the same direction."""
+        start, solver = self.space.start, self.space.point_solver
+        low, high = sorted((before.parameter, after.parameter))
+        beside = start.parameter < 1.5 * low - 0.5 * high or start.parameter > 1.5 * high - 0.5 * low
+        if before is start or (beside and not self.space.stability_included):  # equilibria cost nothing to compare
+            return False
+        problem = after.problem
+        z, t = (start.problem.prolong(v, problem) for v in (start.z, start.tangent))
+        curve, length = solver.curve(before, after)
+        first, slope = curve.coefficients[:2]
+        row = solver.metric(problem, first) * slope
+        sigma = float(row @ (z - first)) / float(row @ slope)
+        if (
+            not CLOSED_BRANCH_DISTANCE * length < sigma <= (1.0 + CLOSED_BRANCH_DISTANCE) * length
+            or float(row @ t) <= 0.0
+        ):
+            return False
+        found = solver.corrected_along(before, after, min(sigma / length, 1.0))[0]
+        return found is not None and solver.distance(problem, z, found.z) <= CLOSED_BRANCH_DISTANCE * length
+
+    def _has_amplitude(self, point: Point) -> bool:
+        """Whether a point of a family is on the side of S = 0 that it is followed to."""
+        return point.parameter * self.space.point_solver.settings.parameter_max > 0.0
+
+    # Requested values -------------------------------------------------------------------------------------------------
+
+    def misses(self, solutions: Sequence[Solution], stopped: bool, end: End | None) -> dict[str, tuple[float, ...]]:
+        """Requested values without a solution, by name: those that were missed, and at the end all others.
+
+        Where a condition stopped the branch, those that it had passed before.
+        """
+        misses, whole = {}, end in (End.REACHED, End.CLOSED) and not stopped
+        for name, values in self._asked().items():
+            had = {s.value(name) for s in solutions}
+            found = {v for v in values if self.space.target(name, v) in self.missed or (whole and v not in had)}
+            if stopped:
+                found = {v for v in found if min(had) <= v <= max(had)}
+            if found:
+                misses[name] = tuple(sorted(found))
+        return misses
+
+    def _asked(self) -> Mapping[str, Sequence[float]]:
+        """All requested values by name, the ends among them where the continuation missed them."""
+        requested = dict(self.space.requested_values())
+        if Target(Scalar.PARAMETER, self.space.point_solver.settings.parameter_max) in self.missed:
+            requested[self.space.parameter] = (*requested[self.space.parameter], self.space.to)
+        return requested
+
+
+# Following a family from a linear mode, or the branch through a solution: arguments checked, then continuation --------
 
 
 def follow_family(

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.location import locate_rest
-from casadi_skin.follow.polynomials import LocalCurve
+from casadi_skin.follow.point import LocalCurve
 from casadi_skin.follow.search import Crossing, Sample, Search, Stretch
 from casadi_skin.follow.special_points import rate
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved

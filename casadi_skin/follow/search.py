@@ -37,8 +37,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.polynomials import LocalCurve
+from casadi_skin.follow.point import LocalCurve, PointSolver
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.kinds import Unresolved

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.follow.arclength import START_FRACTION
 from casadi_skin.follow.corners import CORNER_STEP_FRACTION, Corner, Side, point_before, shifts, side_of, turned
-from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.polynomials import LocalCurve
+from casadi_skin.follow.point import LocalCurve, PointSolver
 from casadi_skin.solve.bordered import BorderedSolver, Steps
 from casadi_skin.solve.levels import Measured
 from casadi_skin.solve.newton import Correction, Status

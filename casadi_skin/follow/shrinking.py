@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadi_skin.follow.branch_run import Following, run_following
 from casadi_skin.follow.find import find_equilibrium
+from casadi_skin.follow.follow import Following, run_following
 from casadi_skin.follow.location import locate_rest
 from casadi_skin.follow.rest_space import EquilibriumSpace, curve_space
 from casadi_skin.follow.space import Followed

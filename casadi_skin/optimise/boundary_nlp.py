@@ -17,8 +17,8 @@ import numpy as np
 from casadi_skin.follow import solution as solutions
 from casadi_skin.follow.boundary_solutions import MOST_IPOPT_ITERATIONS, BoundaryError
 from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.first import limits_of, packed, space_of
-from casadi_skin.follow.first import solve as without_objective
+from casadi_skin.follow.find import limits_of, packed, space_of
+from casadi_skin.follow.find import solve as without_objective
 from casadi_skin.model.pickled import programs_in
 from casadi_skin.optimise.nlp import FLAT_CURVATURE, Limits, Nlp, Optimality, Solution, optimality
 from casadi_skin.optimise.search_problem import Condition

@@ -12,8 +12,7 @@ import numpy as np
 
 from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.find import find_orbit, guessed_period, scalar_of
-from casadi_skin.follow.first import accuracy_of
+from casadi_skin.follow.find import accuracy_of, find_orbit, guessed_period, scalar_of
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.model.arguments import accepted_names, short_repr, truth, whole
 from casadi_skin.model.conserved import symmetry_class

@@ -13,8 +13,8 @@ from casadi_skin.follow import rest_space as of_equilibria
 from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.branch_run import Following, run_following
 from casadi_skin.follow.codimension_two import ORBIT_CURVES, OrbitCurveSearch, special_on_curve
+from casadi_skin.follow.follow import Following, run_following
 from casadi_skin.follow.location import LocatedOrbit, locate, special_solutions
 from casadi_skin.follow.normal_forms import on_circle
 from casadi_skin.follow.shrinking import shrunk

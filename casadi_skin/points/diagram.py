@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.branch_run import Following, run_following
+from casadi_skin.follow.follow import Following, run_following
 from casadi_skin.follow.space import EQUILIBRIA
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import whole

@@ -17,9 +17,8 @@ import numpy as np
 
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.branch_sampler import flow_error
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.family_changes import tongues_on
+from casadi_skin.follow.family_changes import flow_error, tongues_on
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.follow.space import SolutionSpace

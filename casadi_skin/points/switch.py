@@ -10,9 +10,8 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.branch_run import Following, run_following
 from casadi_skin.follow.find import find_equilibrium
-from casadi_skin.follow.follow import following_space
+from casadi_skin.follow.follow import Following, following_space, run_following
 from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium, Orbit, Solution, following_settings
 from casadi_skin.follow.special_points import SpecialPoint

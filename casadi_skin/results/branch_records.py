@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import msgspec
 import numpy as np
 
-from casadi_skin.follow.branch_run import Walk
+from casadi_skin.follow.follow import Walk
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.results.store import DAMAGED_FILE_ERRORS, Reader, SavedResult, Writer

@@ -11,9 +11,8 @@ from pathlib import Path
 import msgspec
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.branch_run import Following, Walk
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.follow import following_space
+from casadi_skin.follow.follow import Following, Walk, following_space
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.model.interrupts import interrupts_deferred

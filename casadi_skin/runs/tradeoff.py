@@ -25,8 +25,8 @@ from matplotlib.ticker import LogLocator
 from scipy.optimize import linear_sum_assignment
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.branch_run import Following, run_following
 from casadi_skin.follow.family import Family
+from casadi_skin.follow.follow import Following, run_following
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.methods import CONTINUATIONS, CORRECTORS, FLOWS, SHOOTING, TRANSCRIPTIONS, TRIGONOMETRIC

@@ -17,8 +17,8 @@ import pytest
 from stopwatch import seconds
 
 from casadi_skin import Chain
-from casadi_skin.follow.branch_run import Following
 from casadi_skin.follow.family import Family
+from casadi_skin.follow.follow import Following
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.solve.ipopt import ArbitratedCorrector
 from casadi_skin.solve.levels import Levels
@@ -155,7 +155,7 @@ def test_localised_multipliers_of_one_orbit(record: Record, sites: float) -> Non
 LONG_CHAIN = """
 import resource, time
 from casadi_skin import Chain
-from casadi_skin.follow.branch_run import Following
+from casadi_skin.follow.follow import Following
 from casadi_skin.zero.request import family_request
 from casadi_skin.follow.family import Family
 chain = Chain({sites}, 1.0, 0.25, 1.0)

@@ -208,7 +208,7 @@ def test_carriers_problem_has_the_spikes_that_shooting_confirms() -> None:
 )
 def test_ends_of_intervals_converge_with_the_order_of_the_method(transcription: str, degree: int, order: int) -> None:
     """2d at Gauss points, 2d - 1 at Radau's (Hairer and Wanner 1996, section IV.5): u' at 0 of Bratu's problem."""
-    from casadi_skin.follow.first import packed, space_of
+    from casadi_skin.follow.find import packed, space_of
 
     problem, theta = bratu(), bratu_angles(1.0)[0]
     slope = theta * np.tanh(theta / 4.0)

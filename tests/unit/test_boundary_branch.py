@@ -9,8 +9,7 @@ from small_models import van_der_pol
 
 from casadi_skin import BoundaryValueProblem, Branch, Orbit, find_orbit
 from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.branch_run import Following
-from casadi_skin.follow.follow import following_space
+from casadi_skin.follow.follow import Following, following_space
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.branch_records import BranchRecord, known_of, point_record, stability_record

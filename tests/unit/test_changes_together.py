@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.follow.branch_sampler import SectionOrbit, find_all, find_one
 from casadi_skin.follow.family import Family
+from casadi_skin.follow.family_changes import SectionOrbit, find_all, find_one
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.stability.flows import OrbitState
 from casadi_skin.stability.tongues import chebyshev

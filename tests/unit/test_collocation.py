@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from orbit_problems import gauss_problem, radau_problem, solved
 
 from casadi_skin import Branch, Chain, Orbit
-from casadi_skin.follow.branch_run import Following
 from casadi_skin.follow.family import Family
+from casadi_skin.follow.follow import Following
 from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.results.branch_records import PointRecord, known_of, point_record

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit, SymmetryClass, follow_family
 from casadi_skin.follow.arclength import ArclengthContinuation
-from casadi_skin.follow.branch_run import Following
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.polynomials import LocalCurve, predictor
+from casadi_skin.follow.follow import Following
+from casadi_skin.follow.point import LocalCurve, PointSolver, predictor
 from casadi_skin.lattice.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.solve.ipopt import ArbitratedCorrector
 from casadi_skin.solve.newton import Correction, HeldState, NewtonCorrector, Status

@@ -7,7 +7,7 @@ import pytest
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.polynomials import predicting
+from casadi_skin.follow.point import predicting
 
 CHAIN = Chain(19, 0.405, 0.019, -1.0)
 OUT, BACK = 0.116823, 0.083189  # S at which the first excursion of its first family turns

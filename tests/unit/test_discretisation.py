@@ -12,7 +12,7 @@ from scipy.sparse.linalg import splu
 
 from casadi_skin import BoundaryValueProblem
 from casadi_skin.follow.boundary_solutions import BoundaryError
-from casadi_skin.follow.first import packed, space_of
+from casadi_skin.follow.find import packed, space_of
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.zero import butcher

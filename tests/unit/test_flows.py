@@ -16,8 +16,8 @@ from scipy.linalg import expm
 from scipy.optimize import linear_sum_assignment
 
 from casadi_skin import Branch, Chain, OdeModel, Orbit, follow_family
-from casadi_skin.follow.branch_run import Following
 from casadi_skin.follow.family import Family
+from casadi_skin.follow.follow import Following
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability import family_stability
 from casadi_skin.stability.flows import (

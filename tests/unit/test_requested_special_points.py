@@ -11,8 +11,7 @@ import pytest
 from equilibrium_models import symbols
 
 from casadi_skin import BoundaryValueProblem, OdeModel, find_equilibrium, find_orbit
-from casadi_skin.follow.branch_run import Following
-from casadi_skin.follow.follow import following_space
+from casadi_skin.follow.follow import Following, following_space
 from casadi_skin.zero.settings import End
 
 x, y, a, b, p = symbols("x y a b p")

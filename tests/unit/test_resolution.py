@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from casadi_skin import Branch, Chain, follow_family
-from casadi_skin.follow.branch_run import Following
 from casadi_skin.follow.family import Family
+from casadi_skin.follow.follow import Following
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.zero.request import family_request

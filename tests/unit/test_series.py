@@ -14,8 +14,7 @@ from orbit_problems import linear_mode
 
 from casadi_skin import Branch, Chain, OdeModel, follow_family
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.polynomials import LocalCurve
+from casadi_skin.follow.point import LocalCurve, PointSolver
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.zero.cosines import TrigonometricProblem
 from casadi_skin.zero.problem import SingularError

@@ -20,9 +20,8 @@ from orbit_problems import (
 )
 from scipy.integrate import solve_ivp
 
-from casadi_skin.follow.branch_run import Following
 from casadi_skin.follow.family import CVODES_DIGITS, Family
-from casadi_skin.follow.follow import follow_family
+from casadi_skin.follow.follow import Following, follow_family
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.model.conserved import SymmetryClass

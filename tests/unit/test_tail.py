@@ -13,7 +13,7 @@ from scipy.optimize import fsolve
 from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.dynamics.resonances import threshold
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.polynomials import LocalCurve
+from casadi_skin.follow.point import LocalCurve
 from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
 from casadi_skin.lattice.tail_problem import CoreWithTailProblem

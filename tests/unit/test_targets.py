@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit, follow_family
-from casadi_skin.follow.branch_run import Following
 from casadi_skin.follow.family import Family
+from casadi_skin.follow.follow import Following
 from casadi_skin.results.branch_records import EndRecord, known_of, point_record
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.request import family_request

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-import casadi_skin.follow.branch_run as following
+import casadi_skin.follow.follow as following
 from casadi_skin import Branch, Chain, OdeModel, find_orbit, follow_family
 from casadi_skin.solve.watch import TimeLimitError, watched
 from casadi_skin.zero.settings import End

@@ -9,7 +9,7 @@ import numpy as np
 from family_case import Array, Family, FamilyCase
 
 from casadi_skin.follow import family as computed
-from casadi_skin.follow.branch_run import Following
+from casadi_skin.follow.follow import Following
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.zero.request import FamilyRequest, family_request
 from casadi_skin.zero.settings import ContinuationSettings
