@@ -1,37 +1,50 @@
-"""A branch of solutions of one boundary-value problem: equations by resolution, special points, its end."""
+"""Solutions of one boundary-value problem, orbits among them, as the solutions that a branch connects."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import TYPE_CHECKING
+from functools import cached_property, partial
+from typing import Any, ClassVar
 
+import casadi as ca
 import numpy as np
 
-from casadi_skin.follow.boundary_solutions import BoundarySolutions
 from casadi_skin.follow.branch_points import ONE_PLACE, branch_points_between
-from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.location import Located, locate_rest, special_orbit
 from casadi_skin.follow.period_limit import joined_words, unbounded
+from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.search import TEST_ZERO_XTOL, NotLocatedError
-from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.solution import Orbit, Solution
+from casadi_skin.follow.space import ORBITS, SOLUTIONS, BoundaryError, FamilyError, ParameterSpace
 from casadi_skin.follow.special_points import fold_between, turning
+from casadi_skin.model.arguments import check_name
+from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
+from casadi_skin.model.integrators import IntegrationError
+from casadi_skin.model.jumps import STATE, TIME, JumpError
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.zero.family import TWO_PI
+from casadi_skin.model.result import NoQuantityError
+from casadi_skin.solve.ipopt import CORRECTORS, ArbitratedCorrector
+from casadi_skin.solve.levels import Levels
+from casadi_skin.solve.newton import Correction, Corrector, RoundedCorrector, in_family, rank_deficiency
+from casadi_skin.stability.flows import FlowError
+from casadi_skin.stability.full_period import FULL_PERIOD_FLOWS, Closed, Returned
+from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
+from casadi_skin.zero import mesh
+from casadi_skin.zero.augmented import Singularity, SingularProblem
+from casadi_skin.zero.butcher import TABLES
+from casadi_skin.zero.closure import Closure, closure_of
+from casadi_skin.zero.family import TWO_PI, Method, numbered
 from casadi_skin.zero.kinds import BOUND, BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, Unresolved
-from casadi_skin.zero.orbit import Sizes
-from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest_problem import AlgebraicProblem, sizes_of
-from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point
-from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
+from casadi_skin.zero.orbit import FIRST_INTERVALS, Periodic, Sizes
+from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
+from casadi_skin.zero.rest_problem import sizes_of
+from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point, Refinement
+from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
+from casadi_skin.zero.statement import Statement
 from casadi_skin.zero.statics import Statics
-
-if TYPE_CHECKING:
-    from casadi_skin.follow.boundary_solutions import BoundarySolutions
-    from casadi_skin.follow.solution import Solution
-
 
 # Bounds on states and free parameters along a branch: where the first of them is met, and which -----------------------
 
@@ -57,12 +70,12 @@ class Margin:
         return f"{self.name} comes to its {self.bound}{when}"
 
 
-def margin(space: BoundarySolutions, point: Point) -> Margin:
+def margin(space: BoundarySpace, point: Point) -> Margin:
     """The least margin of a solution, over the whole interval; negative beyond a bound."""
     return min(margins(space, point), key=lambda one: one.value)
 
 
-def margins(space: BoundarySolutions, point: Point) -> list[Margin]:
+def margins(space: BoundarySpace, point: Point) -> list[Margin]:
     """The margins of all finite bounds."""
     problem, names, values = point.problem, space.state_names, space.parameters(point)
     turns = _turns(space, problem)
@@ -84,7 +97,7 @@ def margins(space: BoundarySolutions, point: Point) -> list[Margin]:
     return found
 
 
-def _turns(space: BoundarySolutions, problem: BoundaryProblem) -> Array:
+def _turns(space: BoundarySpace, problem: BoundaryProblem) -> Array:
     """Places in the interval, or in the whole period, on the mesh and between."""
     edges = problem._fractions()
     if space.periodic is not None:
@@ -94,14 +107,14 @@ def _turns(space: BoundarySolutions, problem: BoundaryProblem) -> Array:
     return np.append((edges[:-1, None] + np.diff(edges)[:, None] * inner).ravel(), 1.0)
 
 
-def _states(space: BoundarySolutions, point: Point, turns: Array) -> Array:
+def _states(space: BoundarySpace, point: Point, turns: Array) -> Array:
     if space.periodic is not None:
         return space.states_at(point, TWO_PI * turns, None)
     return np.asarray(point.problem.sample(point.z, turns))
 
 
 def _largest(
-    space: BoundarySolutions, point: Point, turns: Array, values: Array, component: int, sign: float
+    space: BoundarySpace, point: Point, turns: Array, values: Array, component: int, sign: float
 ) -> tuple[float, float]:
     """Where a state times a sign is largest, and its value there, between the places that it is known at too."""
     for _ in range(EXTREMUM_ZOOMS):
@@ -114,7 +127,7 @@ def _largest(
     return float(turns[at]), float(values[at])
 
 
-def met_between(space: BoundarySolutions, before: Point, after: Point) -> Point | None:
+def met_between(space: BoundarySpace, before: Point, after: Point) -> Point | None:
     """The first point between two at which a bound is met; None where none is. Raises NotLocatedError.
 
     A state that a condition holds at a bound is there all along, but for the error of the solution.
@@ -164,20 +177,20 @@ def at_rest(problem: BoundaryProblem, x: Array, period: float, u: float) -> Arra
     return np.concatenate([np.tile(x, problem.columns), scalars, [u]])
 
 
-def hopf_end(space: BoundarySolutions, before: Point, after: Point) -> Point | None:
+def hopf_end(space: BoundarySpace, before: Point, after: Point) -> Point | None:
     """The Hopf point between two orbits whose amplitude passes through zero; None where there is none."""
     smaller = min((before, after), key=lambda point: _variation(space, point))
     found = _hopf_near(space, smaller)
     return None if found is None else _as_orbit(space, smaller, *found)
 
 
-def _variation(space: BoundarySolutions, point: Point) -> float:
+def _variation(space: BoundarySpace, point: Point) -> float:
     """Variation along an orbit, relative to the sizes of its components."""
     states = point.problem.sample(point.z, np.linspace(0.0, 1.0, 65))
     return float(np.max(np.ptp(states, axis=0) / (space.sizes.states * 1e3)))
 
 
-def _hopf_near(space: BoundarySolutions, orbit: Point) -> tuple[EquilibriumEquations, Located] | None:
+def _hopf_near(space: BoundarySpace, orbit: Point) -> tuple[EquilibriumSpace, Located] | None:
     """The Hopf point near an orbit of small amplitude, from its mean, its parameters and its period."""
     periodic = space.periodic
     assert periodic is not None
@@ -188,7 +201,7 @@ def _hopf_near(space: BoundarySolutions, orbit: Point) -> tuple[EquilibriumEquat
     start = space.statement.values[space.parameter]
     statics = Statics(model, {**known, space.parameter: start})
     sizes = sizes_of([x, space.sizes.states[: x.size]])  # an equilibrium near zero has the size of the branch
-    equilibria = EquilibriumEquations(statics, 1e-10, "newton", sizes, parameter=space.parameter, to=space.to)
+    equilibria = EquilibriumSpace(statics, 1e-10, "newton", sizes, parameter=space.parameter, to=space.to)
     y, u = x / equilibria.sizes, orbit.parameter
     found = locate_rest(equilibria, HOPF, y, u, 2j * np.pi / values[PERIOD])
     if found is None:
@@ -201,22 +214,332 @@ def _hopf_near(space: BoundarySolutions, orbit: Point) -> tuple[EquilibriumEquat
     return (equilibria, found) if near and same_period else None
 
 
-def _as_orbit(space: BoundarySolutions, orbit: Point, equilibria: EquilibriumEquations, found: Located) -> Point:
+def _as_orbit(space: BoundarySpace, orbit: Point, equilibria: EquilibriumSpace, found: Located) -> Point:
     """A Hopf point as an orbit of amplitude zero of the branch that ends there."""
     problem = orbit.problem
-    algebraic: AlgebraicProblem = equilibria.problem
-    x = algebraic.state(np.append(found.y, found.s))
+    x = equilibria.problem.state(np.append(found.y, found.s))
     z = at_rest(problem, x, 2.0 * np.pi / found.frequency, found.s)
     error = ErrorEstimate(found.profile, found.profile, parameter=found.error / problem.parameter_size(z))
     return replace(orbit, z=z, error=error, requested=False, walked=False, better=None, special=HOPF)
 
 
+# Solutions of a statement, and the branch of them in one parameter --------------------------------------------------
+
+MESH_INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
+OFF_EDGE = 1e-10  # of the interval: distance of a jump in time from an edge of the mesh that counts
+PER_STAGE = 2  # places a stage at which a solution is looked at for jumps
+MEANINGLESS_ERROR = 1e-2  # estimated error beyond which a solution is no solution, rounding or not
+MOST_IPOPT_ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
 OFFSET_FROM_BRANCH_POINT = 1e-3  # of the way from a branch point: where the search for other special points starts
 
 
 @dataclass(frozen=True, eq=False)
-class BoundarySpace(BoundarySolutions):
-    """The branch of solutions of a statement in one parameter (see `SolutionSpace`)."""
+class BoundarySpace(ParameterSpace):
+    """The solutions of a statement, or the branch of them in one parameter.
+
+    Attributes:
+        statement: the problem; values of its parameters are those at the start of a branch.
+        tolerance: relative error of states and free parameters.
+        method: how, with every choice made.
+        sizes: least sizes by which states and free parameters are measured.
+        periodic: conditions that make the solutions orbits; None where they are none.
+        left: the branch that it has left, where it may come back to it: `points.ends.Left`.
+        singularity: of special solutions alone, what makes them special.
+    """
+
+    statement: Statement
+    tolerance: float
+    method: Method
+    sizes: Sizes
+    periodic: Periodic | None = None
+    left: Any = None
+    singularity: Singularity | None = None
+    error: ClassVar[type[ArithmeticError]] = BoundaryError
+
+    @property
+    def connects(self) -> str:
+        return SOLUTIONS if self.periodic is None else ORBITS
+
+    @property
+    def model(self) -> OdeModel:
+        """The model that the solutions belong to, of first order; of an orbit without the added parameters."""
+        return self.statement.model if self.periodic is None else self.periodic.model
+
+    @property
+    def optimises(self) -> bool:
+        return self.statement.optimises
+
+    @property
+    def free(self) -> Sequence[str]:
+        """Parameters that are found with the states."""
+        return self.statement.free
+
+    def _corrector(self, problem: Problem) -> Corrector:
+        """The corrector, for a hundredth of the tolerance where rounding allows it; every orbit is put to Ipopt.
+
+        Special solutions are solved further: their null vectors, of which points of codimension two are made, are not.
+        """
+        part = 1e-2 if self.singularity is None else 1e-3
+        tolerance = float(np.clip(part * self.tolerance, 1e-12, 1e-6))
+        name = self.method.corrector
+        make = CORRECTORS[name]
+        if name == "ipopt":
+            make = partial(ArbitratedCorrector, always=self.statement.always_confirmed, far=True)
+        return RoundedCorrector(make(problem, tolerance, MOST_IPOPT_ITERATIONS))
+
+    @cached_property
+    def levels(self) -> Levels:
+        """Discretisations from coarse to fine; the scalar u is held, or follows the parameter."""
+        walking, special = self.parameter or None, self.singularity
+        if special is None:
+            formulation = self.statement.formulation(walking)
+        else:
+            formulation = special.formulation(self.statement, walking)
+        table = TABLES[str(self.method.transcription)](self.method.degree)
+        sizes = self.sizes
+
+        def build(intervals: int) -> Problem:
+            given = self.statement, formulation, intervals, table, sizes.states, sizes.scalars, walking, self.to
+            return BoundaryProblem(*given) if special is None else SingularProblem(special, *given)
+
+        return Levels(
+            build, self._corrector, tuple(sorted({*MESH_INTERVALS, int(self.method.intervals or FIRST_INTERVALS)}))
+        )
+
+    def refined(self, problem: BoundaryProblem, correction: Correction) -> Point:
+        """The solution of a correction on a mesh that meets the tolerance, with u held; raises BoundaryError."""
+        name = problem.statement.model.name
+        try:
+            point = self.point_solver.refined(problem, correction, problem.parameter_row(), Scalar.PARAMETER)
+        except SingularError as error:
+            family = in_family(problem, correction.z)
+            if family:
+                raise FamilyError(f"{name}: {family}") from error
+            reason = rank_deficiency(problem, correction.z) or str(error)
+            raise BoundaryError(f"{name}: the solution cannot be refined: {reason}") from error
+        if point is None:
+            top = self.levels.resolutions[-2]
+            raise BoundaryError(f"{name}: more than {top} intervals are needed for the tolerance; try a larger one")
+        backwards = point.problem.backwards(point.z)
+        if backwards:
+            raise BoundaryError(f"{name}: {backwards}")
+        if point.error.relative(1.0) > MEANINGLESS_ERROR:
+            family = in_family(point.problem, point.z)
+            if family:
+                raise FamilyError(f"{name}: {family}")
+            reason = rank_deficiency(point.problem, point.z) or "the equations are nearly singular there"
+            words = f"rounding alone leaves an error of {point.error.relative(1.0):.1e}"
+            raise BoundaryError(f"{name}: no solution near the guess: {words}; {reason}")
+        return point
+
+    # Values ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return self.statement.model.state_names
+
+    @property
+    def output_sites(self) -> Indices:
+        """Numbers of the states, from 1."""
+        return np.arange(1, len(self.state_names) + 1)
+
+    def parameters(self, point: Point) -> dict[str, float]:
+        problem = point.problem
+        return dict(zip(self.statement.model.parameter_names, map(float, problem.parameters(point.z)), strict=True))
+
+    def interval(self, point: Point) -> tuple[float, float]:
+        """Start and end; of an orbit 0 and its period."""
+        start, end = self.span(point)
+        return (start, end) if self.periodic is None else (0.0, (end - start) / self.periodic.symmetry.value)
+
+    def span(self, point: Point) -> tuple[float, float]:
+        """Start and end of the part that is unknown."""
+        return self.statement.span(self.parameters(point).values())
+
+    def jump(self, point: Point) -> str:
+        """That the equations jump along a solution, with the equation; empty where they do not.
+
+        A jump in time alone counts where no edge of the mesh is at it: between edges its error shows nowhere.
+        """
+        jumps, problem = self.model.jumps, stated(point.problem)
+        if not jumps.found:
+            return ""
+        (start, end), values = self.span(point), self.parameters(point)  # added ones too
+        model = jumps.model  # without parameters that are added to make its orbits isolated
+        p = np.array([values[name] for name in model.parameter_names])
+
+        def words(fractions: Array, by: int) -> str:
+            states = problem.sample(point.z, fractions)[:, : model.full_size]
+            return jumps.along(start + fractions * (end - start), states, p, by)
+
+        places, edges = problem._fractions(), mesh.edges(problem.constants)
+        at = np.arange(PER_STAGE * (places.size - 1) + 1) / PER_STAGE
+        found = words(np.interp(at, np.arange(places.size), places), STATE)
+        off = [t for t in jumps.times(start, end, p) if np.min(np.abs(edges - t)) > OFF_EDGE]
+        moved = (words(np.array([t - OFF_EDGE, t + OFF_EDGE]), TIME) for t in off)
+        return found or next((f"{w}, in time beside the edges of the mesh" for w in moved if w), "")
+
+    def parameter_error(self, point: Point) -> float:
+        """Estimated error of the parameter followed at a special point."""
+        if point.error.parameter:
+            size = float(point.problem.parameter_size(point.z))
+            return point.error.parameter * size * abs(self.to - self.statement.values[self.parameter])
+        return point.error.relative(point.Omega) * abs(self.value(self.parameter, point))
+
+    @property
+    def held_names(self) -> tuple[str, ...]:
+        """Names of the quantities that `target` accepts."""
+        unknown = self.periodic is not None and PERIOD in self.statement.free
+        return (self.parameter, "Omega", PERIOD) if unknown else (self.parameter,)
+
+    @property
+    def begins(self) -> float:
+        """Value of the parameter followed at the start."""
+        return self.statement.values[self.parameter]
+
+    def value(self, name: str, point: Point) -> float:
+        if name == self.parameter:
+            return super().value(name, point)
+        period = self.parameters(point)[PERIOD]
+        return period if name == PERIOD else TWO_PI / period
+
+    @property
+    def solution_class(self) -> type[Solution]:
+        """Class of the solutions."""
+        return Solution if self.periodic is None else Orbit
+
+    # Orbits ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def symmetry(self) -> SymmetryClass:
+        """Which part of the period was unknown."""
+        return self._orbit_of().symmetry
+
+    @property
+    def given(self) -> OdeModel:
+        """The model as it was given, of first or second order."""
+        return self._orbit_of().given
+
+    @property
+    def positions(self) -> int:
+        """Number of positions of the model as it was given; 0 for one of first order."""
+        return self.given.size if self.given.order == 2 else 0
+
+    def states_at(self, point: Point, theta: Array, sites: Indices | None) -> Array:
+        """States at phases, shape (len(theta), components)."""
+        periodic = self._orbit_of()
+        fractions, signs = unfolded_phases(periodic.model, periodic.symmetry, theta)
+        states = signs * point.problem.sample(point.z, fractions)[:, : signs.shape[1]]
+        if any(periodic.turns):
+            states = states + periodic.rotated(theta)
+        return np.asarray(states[:, numbered(sites, states.shape[1])])
+
+    def energy(self, point: Point) -> float:
+        """The conserved quantity at phase zero; raises ValueError where none is declared."""
+        model = self._orbit_of().model
+        if model.hamiltonian is None:
+            raise NoQuantityError(f"energy: {model.name} declares no hamiltonian")
+        values = self.parameters(point)
+        p = [values[name] for name in model.parameter_names]
+        start = self.states_at(point, np.zeros(1), None)[0]
+        return float(model.function("H", ca.densify(model.hamiltonian))(0.0, start, p))
+
+    def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
+        """Multipliers of orbits over the full period.
+
+        Of a solution that its conditions close too. Raises ValueError for others and for an unknown flow, FlowError
+        where CVODES fails.
+        """
+        name = str(self.method.flow) if by is None else by
+        check_name("by", name, FULL_PERIOD_FLOWS)
+        for words in filter(None, map(self.jump, points)):
+            raise JumpError(
+                self.model.name, f"{words}, along the orbit, where linearised equations have no multipliers"
+            )
+        if self.closure is not None and by not in (None, "collocation"):
+            raise ValueError(f"by: given {by!r} with a boundary-value problem; accepted: collocation")
+        try:
+            return [self._floquet(point, name) for point in points]
+        except IntegrationError as error:
+            raise FlowError(f"{error}{self._beyond_doubles(points)}") from error
+
+    def _beyond_doubles(self, points: Sequence[Point]) -> str:
+        """That sensitivities overflow along orbits with multipliers that no double holds, in words; empty elsewhere."""
+        largest = max(float(np.max(self._floquet(p, "collocation").log10_abs_multipliers)) for p in points)
+        if largest < LARGEST_LOGARITHM / math.log(10.0):
+            return ""
+        return f"; a multiplier of 1e{largest:+.0f} exceeds the largest double; accepted: by = 'collocation'"
+
+    def shrinks(self, before: Point, after: Point) -> bool:
+        """Whether an orbit with a free period passes through amplitude zero: its variation changes sign."""
+        if self.periodic is None or PERIOD not in self.statement.free:
+            return False
+        varying = [point.problem.sample(point.z, np.linspace(0.0, 1.0, 65)[:-1]) for point in (before, after)]
+        sizes = np.where(self.sizes.states > 0.0, self.sizes.states, 1.0)
+        one, other = ((x - x.mean(axis=0)) / sizes for x in varying)
+        return bool(np.sum(one * other) < -0.5 * np.linalg.norm(one) * np.linalg.norm(other))
+
+    @cached_property
+    def closure(self) -> Closure | None:
+        """How conditions close solutions that are not stated as orbits; None where they do not."""
+        return closure_of(self.statement) if self.periodic is None else None
+
+    @property
+    def closes(self) -> bool:
+        """Whether solutions are orbits, or are closed by their conditions, so that they have multipliers."""
+        return self.periodic is not None or self.closure is not None
+
+    def moves_freely(self, point: Point) -> bool:
+        """Whether a solution that closes does so from any phase: its velocity has the multiplier 1."""
+        if self.closure is not None:
+            return Returned(stated(point.problem), point.z, self.closure).moves_freely
+        return PERIOD in self.statement.free
+
+    def _better(self, point: Point) -> Refinement | None:
+        """The solution of a point on a finer mesh; None where the equations are singular there, or no mesh is finer."""
+        problem, known = point.problem, point.better
+        if known is not None and known.problem.resolution > problem.resolution:
+            return known
+        moves = problem.own_tangent is None and bool(np.any(point.tangent))
+        try:
+            return self.levels.refined(problem, point.z, point.tangent if moves else None)[1]
+        except SingularError:
+            return None
+
+    def multipliers_alone(self, point: Point) -> Floquet:
+        """Multipliers from the mesh of a point alone, without their errors."""
+        return self._floquet(point, "collocation", with_errors=False)
+
+    def _floquet(self, point: Point, by: str, with_errors: bool = True) -> Floquet:
+        better = self._better(point) if with_errors else None
+
+        def closed(problem: BoundaryProblem, z: Array) -> Closed | Returned:
+            if self.closure is not None:
+                return Returned(problem, z, self.closure)
+            periodic, period = self._orbit_of(), self.interval(replace(point, problem=problem, z=z))[1]
+            return Closed(problem, z, periodic.model, periodic.symmetry, period)
+
+        finer = None if better is None else closed(stated(better.problem), better.z)
+        found: Floquet = FULL_PERIOD_FLOWS[by](closed(stated(point.problem), point.z), finer, self.tolerance)
+        return found
+
+    def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
+        """Eigenvectors of the monodromy matrix in the order of the multipliers, largest entry 1."""
+        from scipy.optimize import linear_sum_assignment
+
+        values, vectors = np.linalg.eig(np.asarray(floquet.monodromy).astype(complex))
+        _, order = linear_sum_assignment(np.abs(floquet.multipliers[:, None] - values))
+        vectors = vectors[:, order]
+        return np.asarray(vectors / np.max(np.abs(vectors), axis=0))
+
+    def _orbit_of(self) -> Periodic:
+        if self.periodic is None:
+            accepted = "accepted: an orbit, or conditions x(end) = S x(start)"
+            words = f"a solution of a boundary-value problem that is no orbit has no stability; {accepted}"
+            raise NoQuantityError(words)
+        return self.periodic
+
+    # The branch in one parameter --------------------------------------------------------------------------------------
 
     @property
     def has_ledger(self) -> bool:

@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.follow.branch_points import double_between, interpolated
-from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.location import jacobian_of
 from casadi_skin.follow.normal_forms import (
     NullVectors,
@@ -52,7 +51,7 @@ from casadi_skin.follow.search import (
     turned,
     zero_between,
 )
-from casadi_skin.follow.space import Followed
+from casadi_skin.follow.space import Followed, SolutionSpace
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.zero.augmented import ExtendedSystem, HopfSystem
 from casadi_skin.zero.kinds import (
@@ -318,7 +317,7 @@ class CurveSearch(Search[Point | Unresolved]):
 class EquilibriumCurveSearch(CurveSearch):
     """Of folds, Hopf points and branch points of equilibria."""
 
-    def __init__(self, equations: EquilibriumEquations, kind: str, before: Point, after: Point) -> None:
+    def __init__(self, equations: SolutionSpace, kind: str, before: Point, after: Point) -> None:
         super().__init__(equations.point_solver, kind, EQUILIBRIUM_CURVES[kind], before, after)
         self.equations, self.statics = equations, equations.statics
 

@@ -27,10 +27,10 @@ from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.collocation import CollocationProblem
 from casadi_skin.zero.cosines import TrigonometricProblem
 from casadi_skin.zero.family import TWO_PI
-from casadi_skin.zero.problem import Array, Indices, Problem, Scalar
+from casadi_skin.zero.problem import Array, Indices, Problem
 from casadi_skin.zero.recursion import PolynomialForm, Recursion
 from casadi_skin.zero.request import FamilyRequest
-from casadi_skin.zero.settings import Continuation, End, Point, Target
+from casadi_skin.zero.settings import Continuation, End, Point
 from casadi_skin.zero.shooting import ShootingProblem
 
 FEW_HARMONICS = (methods.FEWEST_COSINES, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64)
@@ -151,15 +151,9 @@ class Family(FamilyStability, SolutionSpace):
         """Names of the quantities that `target` accepts."""
         return "S", "Omega", "period"
 
-    def target(self, name: str, value: float) -> Target:
-        """Condition that S, Omega or the period has a value; raises ValueError for other names."""
-        if name == "S":
-            return Target(Scalar.PARAMETER, self.coordinates.parameter_of(value))
-        if name not in self.held_names:
-            raise ValueError(f"at: given {name}; accepted: {', '.join(self.held_names)}")
-        if not 0 < value < math.inf:
-            raise ValueError(f"at: given {name} = {value!r}; accepted: a finite number > 0")
-        return Target(Scalar.OMEGA, value if name == "Omega" else TWO_PI / value)
+    def fraction(self, value: float) -> float:
+        """The free parameter of a value of S."""
+        return self.coordinates.parameter_of(value)
 
     @property
     def to(self) -> float:

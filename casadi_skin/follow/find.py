@@ -18,11 +18,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.follow.boundary_solutions import BoundaryError, FamilyError
 from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.equilibrium_equations import corrector_of
-from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
+from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium, Orbit, Solution
+from casadi_skin.follow.space import BoundaryError, EquilibriumError, FamilyError, corrector_of
 from casadi_skin.model import methods
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import by_name, check_name, duration, number, short_repr, state_by_name, truth, whole

@@ -472,7 +472,7 @@ class Walk:
         """Whether the longest step from a point changes the parameter by no more than rounding does."""
         settings, index = self.space.point_solver.settings, point.problem.parameter_index
         change = settings.max_step * abs(float(point.tangent[index]))
-        return change <= ROUNDED_PARAMETER_CHANGE * max(1.0, abs(point.parameter))
+        return bool(change <= ROUNDED_PARAMETER_CHANGE * max(1.0, abs(point.parameter)))
 
     def _limit(self, point: Point) -> tuple[float, float]:
         """The value of the parameter at a point, and its rounding."""
@@ -504,7 +504,7 @@ class Walk:
 
     def _has_amplitude(self, point: Point) -> bool:
         """Whether a point of a family is on the side of S = 0 that it is followed to."""
-        return point.parameter * self.space.point_solver.settings.parameter_max > 0.0
+        return bool(point.parameter * self.space.point_solver.settings.parameter_max > 0.0)
 
     # Requested values -------------------------------------------------------------------------------------------------
 

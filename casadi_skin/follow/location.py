@@ -6,12 +6,11 @@ A special point located to rounding, by Newton's method on the extended system o
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
-from casadi_skin.follow.boundary_solutions import BoundarySolutions
-from casadi_skin.follow.equilibrium_equations import EquilibriumEquations, corrector_of
+from casadi_skin.follow.space import SolutionSpace, corrector_of
 from casadi_skin.solve.levels import ExactLevels
 from casadi_skin.zero.augmented import (
     BranchSystem,
@@ -59,9 +58,9 @@ class Located:
         return float(self.system.rate * np.sqrt(self.system.kappa(self.solution)))
 
 
-def system_of(equations: EquilibriumEquations, kind: str, rate: float) -> ExtendedSystem | None:
+def system_of(equations: SolutionSpace, kind: str, rate: float) -> ExtendedSystem | None:
     """The extended system for special points of a kind on a branch; None where derivatives it needs are not there."""
-    known = equations.systems
+    known: dict[str, ExtendedSystem | None] = equations.systems
     if kind not in known:
         assert equations.course is not None
         system = EXTENDED_SYSTEMS[kind](equations.statics, equations.sizes, (equations.course,), rate=rate)
@@ -74,9 +73,7 @@ def system_of(equations: EquilibriumEquations, kind: str, rate: float) -> Extend
     return known[kind]
 
 
-def locate_rest(
-    equations: EquilibriumEquations, kind: str, y: Array, s: float, near: complex | None = None
-) -> Located | None:
+def locate_rest(equations: SolutionSpace, kind: str, y: Array, s: float, near: complex | None = None) -> Located | None:
     """The special point of a kind near (y, s); None where Newton's method finds none there.
 
     `near` selects the pair of eigenvalues of a Hopf point.
@@ -149,22 +146,23 @@ class LocatedOrbit:
 
 def special_solutions(
     singularity: Singularity,
-    orbits: BoundarySolutions,
+    orbits: SolutionSpace,
     statement: Statement,
     unit: float,
     parameter: str = "",
     to: float = 1.0,
-) -> BoundarySolutions:
+) -> Any:
     """The space of special solutions of a statement; `unit` is a usual change of the parameter found with them."""
     scalars = np.concatenate([orbits.sizes.scalars, [unit], np.ones(singularity.added)])
     method = replace(orbits.method, corrector="newton")
     sizes = Sizes(orbits.sizes.states, scalars)
-    return BoundarySolutions(
-        statement, orbits.tolerance, method, sizes, parameter=parameter, to=to, singularity=singularity
+    special = replace(cast(Any, orbits), statement=statement, method=method, sizes=sizes, singularity=singularity)
+    return replace(
+        special, parameter=parameter, to=to, periodic=None, left=None, at=(), first=None, settings=None, leaves=False
     )
 
 
-def locate(space: BoundarySolutions, kind: str, near: Point, angle: float = np.pi) -> LocatedOrbit | None:
+def locate(space: SolutionSpace, kind: str, near: Point, angle: float = np.pi) -> LocatedOrbit | None:
     """The special orbit of a kind near an orbit of a branch; None where Newton's method finds none there.
 
     `angle` is that of the multipliers of a torus.
@@ -177,7 +175,7 @@ def locate(space: BoundarySolutions, kind: str, near: Point, angle: float = np.p
         return None
 
 
-def _located(space: BoundarySolutions, kind: str, near: Point, angle: float) -> LocatedOrbit | None:
+def _located(space: SolutionSpace, kind: str, near: Point, angle: float) -> LocatedOrbit | None:
     value, problem, first = space.parameters(near)[space.parameter], stated(near.problem), space.parameter
     turn = np.zeros((0, 0)) if space.closure is None else space.closure.matrix
     autonomous = kind == TORUS and space.moves_freely(near)
@@ -208,7 +206,7 @@ def _located(space: BoundarySolutions, kind: str, near: Point, angle: float) -> 
     return LocatedOrbit(singularity, replace(found, z=z), value, error)
 
 
-def special_orbit(space: BoundarySolutions, kind: str, near: Point, angle: float = np.pi) -> Point | None:
+def special_orbit(space: SolutionSpace, kind: str, near: Point, angle: float = np.pi) -> Point | None:
     """The special orbit of a kind near an orbit of a branch as a point of it, with the tangent of that orbit.
 
     None where none is found.

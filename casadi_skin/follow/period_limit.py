@@ -10,7 +10,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,14 +25,12 @@ from casadi_skin.follow.rests import (
     in_the_part,
     stays,
 )
+from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.model.conserved import SymmetryClass, pinned_components
 from casadi_skin.zero.kinds import HETEROCLINIC, HOMOCLINIC
 from casadi_skin.zero.orbit import UNFOLDING
 from casadi_skin.zero.problem import EPSILON, Array, Scalar
 from casadi_skin.zero.settings import Point
-
-if TYPE_CHECKING:
-    from casadi_skin.follow.boundary_solutions import BoundarySolutions
 
 SMALLEST_REPORTED_RATIO = 1e-9  # of the orbit's extent: smaller components are reported as 0
 NEAREST_TO_LIMIT = 1e-9  # of the way that is followed: nearer to its limit the parameter does not separate orbits
@@ -55,7 +52,7 @@ class Limit:
     solved: bool
 
 
-def unbounded(space: BoundarySolutions, before: Point, after: Point) -> Point | None:
+def unbounded(space: SolutionSpace, before: Point, after: Point) -> Point | None:
     """The later of two orbits as the end of its branch, where the period grows without bound; None where it goes on."""
     index, place, period = after.problem.parameter_index, after.problem.index_of(Scalar.OMEGA), space.interval(after)[1]
     rate = abs(float(after.tangent[index] / after.tangent[place]))
@@ -89,7 +86,7 @@ def unbounded(space: BoundarySolutions, before: Point, after: Point) -> Point | 
     return _marked(space, after, limit, beside)
 
 
-def _marked(space: BoundarySolutions, orbit: Point, limit: Limit, period: Sequence[Stay]) -> Point:
+def _marked(space: SolutionSpace, orbit: Point, limit: Limit, period: Sequence[Stay]) -> Point:
     """The orbit as the end of its branch."""
     size = abs(space.to - space.statement.values[space.parameter]) * orbit.problem.parameter_size(orbit.z)
     own = 0.0 if limit.solved else orbit.error.relative(1.0)
@@ -124,7 +121,7 @@ def _grows(after: Sequence[Stay], before: Sequence[Stay]) -> bool:
 
 
 def _limit(
-    space: BoundarySolutions,
+    space: SolutionSpace,
     orbit: Point,
     course: Course,
     rests: tuple[Sequence[Stay], Sequence[Stay]],
@@ -165,7 +162,7 @@ def _limit(
 
 
 def _connections(
-    space: BoundarySolutions, orbit: Point, course: Course, period: Sequence[Stay], found: Sequence[Stay]
+    space: SolutionSpace, orbit: Point, course: Course, period: Sequence[Stay], found: Sequence[Stay]
 ) -> list[Connection]:
     """Parts of a period from one stay to the next; of a symmetric orbit from and to where its reversal leaves it."""
     periodic = space._orbit_of()
@@ -187,7 +184,7 @@ def _connections(
     return [Connection(space, orbit, course, piece, "") for piece in pieces]
 
 
-def places_of(space: BoundarySolutions, period: Sequence[Stay]) -> list[Array]:
+def places_of(space: SolutionSpace, period: Sequence[Stay]) -> list[Array]:
     """Different equilibria of stays; those of states that turn are the same a turn apart."""
     turns = np.array(space._orbit_of().turns or np.zeros(len(period[0].rest.x)))
     found: list[Array] = []
@@ -199,7 +196,7 @@ def places_of(space: BoundarySolutions, period: Sequence[Stay]) -> list[Array]:
     return found
 
 
-def joined_words(space: BoundarySolutions, orbit: Point) -> str:
+def joined_words(space: SolutionSpace, orbit: Point) -> str:
     """Which equilibria an orbit with a period without bound joins."""
     walking = space.statement.model.parameter_names.index(space.parameter)
     course, stayed = stays(space, orbit, walking)

@@ -24,10 +24,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.follow.equilibrium_equations import EquilibriumEquations
 from casadi_skin.follow.location import locate_rest
 from casadi_skin.follow.point import LocalCurve
 from casadi_skin.follow.search import Crossing, Sample, Search, Stretch
+from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import rate
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved
 from casadi_skin.zero.problem import EPSILON, Array, Indices, SingularError
@@ -83,7 +83,7 @@ class Counts:
             return []
         return sorted({*map(int, sure[changes]), *map(int, sure[changes + 1])})
 
-    def points(self, equations: EquilibriumEquations, places: Sequence[int]) -> list[Point]:
+    def points(self, equations: SolutionSpace, places: Sequence[int]) -> list[Point]:
         """Points of the branch at places within the stretch, at which equations are regular."""
         solver, problem, found = equations.point_solver, self.before.problem, list[Point]()
         for k in places:
@@ -115,7 +115,7 @@ class Counts:
         return None
 
 
-def counted(equations: EquilibriumEquations, before: Point, after: Point) -> Counts | None:
+def counted(equations: SolutionSpace, before: Point, after: Point) -> Counts | None:
     """The numbers of unstable eigenvalues between two points; None where the branch is not found there."""
     problem, first = before.problem, equations.sample(before)
     row = first.row
@@ -207,7 +207,7 @@ OUTSIDE_STRETCH = 1e-6  # of a stretch: a special point farther out is another o
 FARTHEST_FROM_EXPECTED = 0.7  # of a stretch: how far from where it is expected a special point may be found
 
 
-def special_between(equations: EquilibriumEquations, before: Point, after: Point) -> Iterator[Point | Unresolved]:
+def special_between(equations: SolutionSpace, before: Point, after: Point) -> Iterator[Point | Unresolved]:
     """Special points between two points of a branch in order, each marked by its kind, and parts not resolved.
 
     Where several lie too near to each other to be separated, they are all at the start of the part that is named. The
@@ -238,7 +238,7 @@ def special_between(equations: EquilibriumEquations, before: Point, after: Point
         yield _gap(equations, start, end, words)
 
 
-def _between(equations: EquilibriumEquations, before: Point, after: Point) -> Iterator[Point | Unresolved]:
+def _between(equations: SolutionSpace, before: Point, after: Point) -> Iterator[Point | Unresolved]:
     """Special points of a part; it is named where the branch turns by so much that no curve through its ends is it."""
     if float(equations.sample(before).row @ after.tangent) < SHARP_TURN_COSINE:
         yield _gap(equations, before.parameter, after.parameter, "the branch turns sharply between two points")
@@ -246,9 +246,7 @@ def _between(equations: EquilibriumEquations, before: Point, after: Point) -> It
     yield from _Search(equations, before, after).on_stretch()
 
 
-def _gap(
-    equations: EquilibriumEquations, start: float, end: float, words: str, kind: str = "special points"
-) -> Unresolved:
+def _gap(equations: SolutionSpace, start: float, end: float, words: str, kind: str = "special points") -> Unresolved:
     """The record of a stretch by its places along the course of the parameter."""
     assert equations.course is not None
     low, high = (float(equations.course.at(u)) for u in (start, end))
@@ -260,14 +258,14 @@ class _Search(Search[Point]):
 
     deepest, most_parts = 20, 400
 
-    def __init__(self, equations: EquilibriumEquations, before: Point, after: Point) -> None:
+    def __init__(self, equations: SolutionSpace, before: Point, after: Point) -> None:
         conserves = equations.model.order == 1 and all(equations.sample(end).symmetric for end in (before, after))
         self.free = equations.statics.oscillates and not conserves  # whether pairs may cross the axis one by one
         super().__init__(equations.point_solver, before, after, real=not self.free)
         self.equations, self.squares = equations, not self.free and equations.model.order == 1
 
     def sampled(self, point: Point) -> Sample:
-        sample = self.equations.sample(self.own(point))
+        sample: Sample = self.equations.sample(self.own(point))
         if not self.squares:
             return sample
         return replace(sample, values=sample.values**2, rates=2.0 * sample.values * sample.rates)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,37 +11,128 @@ from typing import Any, cast
 import numpy as np
 
 from casadi_skin.follow.codimension_two import EQUILIBRIUM_CURVES, EquilibriumCurveSearch, special_on_curve
-from casadi_skin.follow.equilibrium_equations import EquilibriumEquations, corrector_of
 from casadi_skin.follow.location import EXTENDED_SYSTEMS, jacobian_of
+from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.rest_events import special_between
+from casadi_skin.follow.search import Sample
 from casadi_skin.follow.solution import Equilibrium, Solution, following_settings
-from casadi_skin.follow.space import EQUILIBRIA
+from casadi_skin.follow.space import EQUILIBRIA, EquilibriumError, ParameterSpace, corrector_of, of_last_points
 from casadi_skin.follow.special_points import SpecialPoint, check_second
 from casadi_skin.model.jumps import PARAMETER, STATE
+from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.result import NoQuantityError
 from casadi_skin.solve.levels import ExactLevels, Levels
 from casadi_skin.solve.newton import Correction
+from casadi_skin.zero.augmented import ExtendedSystem
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved
-from casadi_skin.zero.problem import Array, Indices, Scalar, SingularError
+from casadi_skin.zero.problem import EPSILON, Array, Indices, Scalar, SingularError
 from casadi_skin.zero.rest_problem import AlgebraicProblem, Course, sizes_at
-from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point
-from casadi_skin.zero.statics import Spectrum, Statics, balanced
+from casadi_skin.zero.settings import ContinuationSettings, End, Point
+from casadi_skin.zero.statics import DERIVATIVE_ROUNDING, BalancedMatrix, Spectrum, Statics, balanced
 
+# Samples of a branch of equilibria: eigenvalues and their rates, and the curvature of the branch ----------------------
+
+
+def sample_of(point: Point, weights: Array) -> Sample:
+    """The sample at a point; derivatives along the branch by differences of the Jacobian."""
+    from scipy.linalg import LinAlgWarning, lu_factor, lu_solve
+
+    problem, z, t = point.problem, point.z, point.tangent
+    n, rounding = problem.statics.size, max(EPSILON, problem.statics.model.rounding)
+    h = rounding ** (1.0 / 3.0) / max(1e-300, float(np.max(np.abs(t))))
+    change = (problem.jacobian(z + h * t) - problem.jacobian(z - h * t)) / (2.0 * h)
+    A, row = problem.jacobian(z)[:n, :n], weights * t
+    linear = BalancedMatrix(A, rounding)
+    bent = np.append(-change @ t, 0.0)
+    full = np.vstack([problem.jacobian(z), row])
+    scale = np.maximum(np.max(np.abs(full), axis=1), 1e-300)
+    with warnings.catch_warnings():  # a branch point is singular
+        warnings.simplefilter("ignore", LinAlgWarning)
+        factors, pivots = lu_factor(full / scale[:, None], check_finite=False)
+    swaps = np.sum(pivots != np.arange(pivots.size))
+    orientation = np.prod(np.sign(np.diag(factors))) * (-1.0) ** swaps
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        bend = lu_solve((factors, pivots), bent / scale, check_finite=False)
+        terms = np.abs(full) @ np.abs(t) + np.append(np.abs(change) @ problem.units_of_all(z), 0.0)
+        shaken = DERIVATIVE_ROUNDING * rounding * terms / scale * np.append(problem.probe, 1.0)
+        unsure = abs(float(lu_solve((factors, pivots), shaken, check_finite=False)[-1]))
+    return Sample(
+        point, row, linear.eigensystem[0], linear.rates(change[:n, :n]), linear.errors(),
+        np.where(np.isfinite(bend), bend, 0.0), float(orientation), blurred=not unsure < abs(float(t[-1])),
+    )  # fmt: skip
+
+
+LONGEST_STEP = 1.0 / 30.0  # of the range of the parameter: eigenvalues do not come and go within a step
 AT_JUMP = 1e-6  # of the sizes of states: distance of an equilibrium from a jump at which it counts as on it
 OFFSET_FROM_SPECIAL_POINT = 0.01  # of a step from a special point: where the search for other ones starts
-
-
-class EquilibriumError(ArithmeticError):
-    """No equilibrium was found: the message names the equation and the place in one line."""
+SMALLEST_STATE = 1e-3  # of the sizes of states: a smaller one counts as no less
+NO_ORBIT = "an equilibrium is no orbit: it has eigenvalues in place of multipliers, and no period"
 
 
 @dataclass(frozen=True, eq=False)
-class EquilibriumSpace(EquilibriumEquations):
-    """Equilibria of a model; where `parameter` is named they are followed in it from a start."""
+class EquilibriumSpace(ParameterSpace):
+    """Equilibria of a model; where `parameter` is named they are followed in it from a start.
 
+    Attributes:
+        statics: the model at rest; values of its parameters are those at the start of a branch.
+        tolerance: relative error of the state.
+        corrector: name of the corrector.
+        sizes: scales of the components of the state.
+    """
+
+    statics: Statics
+    tolerance: float
+    corrector: str
+    sizes: Array
     connects = EQUILIBRIA
     stability_included = True
     solution_class = Equilibrium
     error = EquilibriumError
+
+    @property
+    def model(self) -> OdeModel:
+        """The model in its own coordinates."""
+        return self.statics.model
+
+    @property
+    def begins(self) -> float:
+        """Value of the parameter followed at the start."""
+        return self.statics.values[self.parameter]
+
+    @property
+    def course(self) -> Course | None:
+        """Course of the parameter that is followed; None where none is."""
+        return Course(self.parameter, self.begins, self.to) if self.parameter else None
+
+    @cached_property
+    def problem(self) -> AlgebraicProblem:
+        """The equations, with u that follows the parameter."""
+        return AlgebraicProblem(self.statics, self.sizes, (), self.course)
+
+    def problem_at(self, first: Point) -> AlgebraicProblem:
+        """The only equations that there are."""
+        return self.problem
+
+    @cached_property
+    def levels(self) -> Levels:
+        """The one level that there is."""
+        return ExactLevels(self.problem, lambda problem: corrector_of(self.corrector, self.tolerance, problem))
+
+    @cached_property
+    def point_solver(self) -> PointSolver:
+        """The solver of points at the tolerance."""
+        settings = self.settings or ContinuationSettings(1.0, self.tolerance)
+        return PointSolver(self.levels, replace(settings, max_parameter_step=LONGEST_STEP))
+
+    @cached_property
+    def systems(self) -> dict[str, ExtendedSystem | None]:
+        """Extended systems that have been built, by kind; None where derivatives that they need are not there."""
+        return {}
+
+    @of_last_points
+    def sample(self, point: Point) -> Sample:
+        """Eigenvalues and rates at a point."""
+        return sample_of(point, self.point_solver.metric(point.problem, point.z))
 
     def refined(self, problem: Any, correction: Correction) -> Point:
         """The equilibrium of a correction with u held; raises EquilibriumError where it is not regular."""
@@ -56,10 +148,6 @@ class EquilibriumSpace(EquilibriumEquations):
         if point is None:
             raise EquilibriumError(f"{name}: the equilibrium cannot be refined to the tolerance; try a larger one")
         return point
-
-    def problem_at(self, first: Point) -> Any:
-        """The only equations that there are."""
-        return self.problem
 
     # The branch -----------------------------------------------------------------------------------------------------
 
@@ -84,11 +172,6 @@ class EquilibriumSpace(EquilibriumEquations):
                     return
                 before, after = (beside, after) if point is before else (before, beside)
         yield from special_between(self, before, after)
-
-    @property
-    def begins(self) -> float:
-        """Value of the parameter followed at the start."""
-        return self.statics.values[self.parameter]
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         """JUMP where the equations jump at the point, or between the start of the branch and the point."""
@@ -126,26 +209,21 @@ class EquilibriumSpace(EquilibriumEquations):
 
     def parameter_error(self, point: Point) -> float:
         """Estimated absolute error of the parameter followed at a special point."""
-        return abs(point.error.parameter * (self.to - self.statics.values[self.parameter])) if self.parameter else 0.0
+        return abs(point.error.parameter * (self.to - self.begins)) if self.parameter else 0.0
 
+    @of_last_points
     def spectrum(self, point: Point) -> Spectrum:
-        """Eigenvalues at a point, computed once for the last few points."""
-        for known, found in self._spectra:
-            if known is point:
-                return found
-        z = point.z
-        moved = self.sizes * np.maximum(np.abs(z[: self.statics.size]), 1e-3) * _finite(point.error)
-        found = self.statics.spectrum(point.problem.state(z), point.problem.parameters(z), moved)
-        self._spectra[:] = [*self._spectra[-7:], (point, found)]
-        return found
+        """Eigenvalues at a point."""
+        z, error = point.z, point.error.profile
+        moved = self.sizes * np.maximum(np.abs(z[: self.statics.size]), SMALLEST_STATE)
+        moved *= error if np.isfinite(error) else 0.0
+        return self.statics.spectrum(point.problem.state(z), point.problem.parameters(z), moved)
 
-    @cached_property
-    def _spectra(self) -> list[tuple[Point, Spectrum]]:
-        return []
+    def energy(self, *_: object) -> Any:
+        """Raises NoQuantityError, as `floquets` and `floquet_vectors`."""
+        raise NoQuantityError(NO_ORBIT)
 
-
-def _finite(error: ErrorEstimate) -> float:
-    return error.profile if np.isfinite(error.profile) else 0.0
+    floquets = floquet_vectors = energy
 
 
 # Folds, Hopf points and branch points followed in a second parameter, by extended systems that are regular there ------
@@ -180,11 +258,6 @@ class CurveSpace(EquilibriumSpace):
         if self.first is not None:
             return system.with_constants(self.first.problem.constants)
         return system
-
-    @cached_property
-    def levels(self) -> Levels:
-        """The only level."""
-        return ExactLevels(self.problem, lambda problem: corrector_of(self.corrector, self.tolerance, problem))
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -246,7 +319,7 @@ def _started(point: SpecialPoint, parameter: str, to: float, at: tuple[float, ..
     z = np.concatenate([x / sizes, np.zeros(space.problem.size - x.size)])
     matrix = jacobian_of(space.problem, z)
     near = 1j * rate if point.kind == HOPF else None
-    problem, z = _extended(space, matrix, x / sizes, near)
+    problem, z = cast(ExtendedSystem, space.problem).started(matrix, x / sizes, np.zeros(1), near)
     space = replace(space, first=replace(solution.point, problem=problem, z=z, special="", walked=True))
     size = float(np.linalg.norm(balanced(matrix)[0]))
     if (
@@ -255,9 +328,3 @@ def _started(point: SpecialPoint, parameter: str, to: float, at: tuple[float, ..
         why = "no symmetry, and no state that stays zero, keeps both branches together"
         raise UnfoldingError(f"{old.model.name}: the branch point is none at other values of {parameter}: {why}")
     return space
-
-
-def _extended(space: CurveSpace, matrix: Array, y: Array, near: complex | None) -> tuple[AlgebraicProblem, Array]:
-    from casadi_skin.zero.augmented import ExtendedSystem
-
-    return cast(ExtendedSystem, space.problem).started(matrix, y, np.zeros(1), near)

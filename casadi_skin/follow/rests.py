@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from casadi_skin.follow.boundary_solutions import BoundaryError
+from casadi_skin.follow.space import BoundaryError, SolutionSpace
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
@@ -25,7 +25,6 @@ from casadi_skin.zero.stated_problem import BoundaryProblem, stated
 from casadi_skin.zero.statement import Statement
 
 if TYPE_CHECKING:
-    from casadi_skin.follow.boundary_solutions import BoundarySolutions
     from casadi_skin.zero.settings import Point
 
 PERIOD_PLACES = 2001  # along a period at which an orbit is looked at
@@ -94,7 +93,7 @@ class Course:
     p: Array
 
     @classmethod
-    def of(cls, space: BoundarySolutions, orbit: Point) -> Course:
+    def of(cls, space: SolutionSpace, orbit: Point) -> Course:
         """Of an orbit of a space, at even times and on the mesh."""
         problem, periodic = stated(orbit.problem), space._orbit_of()
         fractions = periodic.symmetry.value * problem._fractions()
@@ -113,7 +112,7 @@ class Course:
         return replace(self, times=times, states=np.concatenate([self.states + k * self.turned for k in shifts]))
 
 
-def stays(space: BoundarySolutions, orbit: Point, walking: int) -> tuple[Course, list[Stay]]:
+def stays(space: SolutionSpace, orbit: Point, walking: int) -> tuple[Course, list[Stay]]:
     """The course of an orbit over three periods and its complete stays beside saddles and saddle-nodes, in order.
 
     None where it is slow beside equilibria of other kinds alone. `walking` is the place of the parameter that is
@@ -280,7 +279,7 @@ Side = Stay | Pins
 class Connection:
     """The part of an orbit between two sides of it, and the name of the parameter that is solved for, if any."""
 
-    space: BoundarySolutions
+    space: Any
     orbit: Point
     course: Course
     sides: tuple[Side, Side]
@@ -406,7 +405,7 @@ class Connection:
         return float(self.space.statement.values[self.space.parameter])
 
     def _states(self, times: Array) -> Array:
-        return self.space.states_at(self.orbit, TWO_PI * times / self.course.period, None)
+        return np.asarray(self.space.states_at(self.orbit, TWO_PI * times / self.course.period, None))
 
     def _guess(self, problem: Any, statement: Statement, start: float, end: float) -> Array:
         states = self._states(start + (end - start) * problem._fractions())

@@ -8,35 +8,71 @@ as parameters, as the interval, as a solution. The kinds differ in these and in 
     solutions    solutions of any other boundary-value problem in a parameter: `BoundarySpace`
     equilibria   states at rest in a parameter: `EquilibriumSpace`
 
-Special points in a second parameter are spaces of the last three whose `kind` is that of the points. What a kind does
-not state for itself is that of solutions without a period: they have no multipliers and no energy.
+Special points in a second parameter are spaces of the last three whose `kind` is that of the points.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from functools import cached_property, wraps
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
+
+import numpy as np
 
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.model.result import NoQuantityError
+from casadi_skin.solve.ipopt import CORRECTORS
+from casadi_skin.solve.newton import Correction, Corrector, RoundedCorrector
+from casadi_skin.stability.result import Floquet
+from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.kinds import Unresolved
-from casadi_skin.zero.problem import EPSILON, Scalar
+from casadi_skin.zero.problem import EPSILON, Problem, Scalar
 from casadi_skin.zero.settings import Continuation, ContinuationSettings, End, Point, Target
 
-if TYPE_CHECKING:
-    from casadi_skin.follow.point import PointSolver
-    from casadi_skin.solve.levels import Levels
-    from casadi_skin.solve.newton import Correction
-    from casadi_skin.stability.reduction import ComplexArray
-    from casadi_skin.stability.result import Floquet
-    from casadi_skin.zero.problem import Indices
-
+T = TypeVar("T")
 FAMILY, ORBITS, SOLUTIONS, EQUILIBRIA = "family", "orbits", "solutions", "equilibria"
 Followed: TypeAlias = Any  # a curve of special orbits: `points.curves.OrbitCurveSpace`
-NO_ORBIT = "an equilibrium is no orbit: it has eigenvalues in place of multipliers, and no period"
+KEPT_POINTS = 8  # points of which what is computed is kept
+
+
+class BoundaryError(ArithmeticError):
+    """No solution was found: the message names condition, variable and place in one line."""
+
+
+class FamilyError(BoundaryError):
+    """An orbit is one of a family: the model conserves something that is not declared."""
+
+
+class EquilibriumError(ArithmeticError):
+    """No equilibrium was found: the message names the equation and the place in one line."""
+
+
+def of_last_points(compute: Callable[[Any, Point], T]) -> Callable[[Any, Point], T]:
+    """A method of a space with a point, computed once for each of the last few points."""
+
+    @wraps(compute)
+    def known(space: Any, point: Point) -> T:
+        kept = vars(space).setdefault(f"_{compute.__name__}_of", deque(maxlen=KEPT_POINTS))
+        for other, value in kept:
+            if other is point:
+                return value  # type: ignore[no-any-return]
+        found = compute(space, point)
+        kept.append((point, found))
+        return found
+
+    return known
+
+
+def corrector_of(name: str, tolerance: float, problem: Problem) -> Corrector:
+    """A corrector of equilibria by name, for a hundredth of the tolerance where rounding allows it."""
+    fine = float(np.clip(1e-2 * tolerance, 1e-13, 1e-6))
+    return RoundedCorrector(CORRECTORS[name](problem, fine, MOST_ITERATIONS))
+
+
+MOST_ITERATIONS = 60  # of a corrector of equilibria
 
 
 class SolutionSpace:
@@ -47,86 +83,36 @@ class SolutionSpace:
         kind: of special points that are followed in a second parameter; empty of others.
         start_is_limit: whether `start` is a limit of the solutions and none of them.
         locates_folds: whether special points are located while the branch is followed.
-        parameter: name of the continuation parameter.
-        to: value of `parameter` at which the branch ends.
+        has_ledger: whether changes of stability are located between two solutions with stability.
+        stability_included: whether stability is computed with every solution, requested or not.
+        stability_batch: number of points whose stability is best computed together.
+        closes: whether solutions have a stability: all but those of problems whose conditions do not close them.
+        optimises: whether solutions have an objective, so that they are not followed.
+        free: names of parameters that are solved for with the state.
+        S_rate: the relative change of S per that of the free parameter.
+        parameter, begins, to: name of the continuation parameter, with its values at the start and the end.
+        at: values of it at which solutions are wanted.
         tolerance: relative error allowed in the solutions.
         model: the model that they belong to.
         levels, point_solver: discretisations from coarse to fine, and the solver of points on them.
         start: the first point.
         state_names, output_sites: names and numbers of the components in files and pictures.
         solution_class: class of the solutions.
+        parameters: function of a point: values of all parameters by name.
+        parameter_error: likewise, the estimated absolute error of the continuation parameter at a special point.
     """
 
-    kind: str = ""
-    start_is_limit: bool = False
-    locates_folds: bool = True
+    if TYPE_CHECKING:  # fields or properties of each kind
 
-    if TYPE_CHECKING:  # fields of data or properties of each kind
-
-        @property
-        def connects(self) -> str: ...
-        @property
-        def parameter(self) -> str: ...
-        @property
-        def to(self) -> float: ...
-        @property
-        def tolerance(self) -> float: ...
-        @property
-        def model(self) -> Any: ...
-        @property
-        def levels(self) -> Levels: ...
-        @property
-        def point_solver(self) -> PointSolver: ...
-        @property
-        def start(self) -> Point: ...
-        @property
-        def state_names(self) -> tuple[str, ...]: ...
-        @property
-        def output_sites(self) -> Indices: ...
-        @property
-        def solution_class(self) -> Any: ...
-
-    # What most kinds have in common -----------------------------------------------------------------------------------
+        def __getattr__(self, name: str) -> Any: ...
+    else:
+        kind, start_is_limit, locates_folds, has_ledger, stability_included = "", False, True, False, False
+        stability_batch, closes, optimises, free, S_rate, at = 1, True, False, (), 1.0, ()
 
     @property
     def is_family(self) -> bool:
         """Whether the solutions are a family of orbits that grows from a linear mode: a `Family`."""
-        return self.connects == FAMILY
-
-    @property
-    def has_ledger(self) -> bool:
-        """Whether changes of stability are located between two solutions, where stability is computed beside them."""
-        return False
-
-    @property
-    def stability_included(self) -> bool:
-        """Whether stability is computed with every solution, requested or not."""
-        return False
-
-    @property
-    def stability_batch(self) -> int:
-        """Number of points whose stability is best computed together."""
-        return 1
-
-    @property
-    def closes(self) -> bool:
-        """Whether solutions have a stability: all but those of boundary-value problems that do not close them."""
-        return True
-
-    @property
-    def optimises(self) -> bool:
-        """Whether solutions have an objective, so that they are not followed."""
-        return False
-
-    @property
-    def free(self) -> Sequence[str]:
-        """Names of parameters that are solved for with the state."""
-        return ()
-
-    @property
-    def S_rate(self) -> float:
-        """The relative change of S per that of the free parameter."""
-        return 1.0
+        return bool(self.connects == FAMILY)
 
     def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
         """The continuation from its last points, the start among them, and from points reported after these."""
@@ -149,19 +135,9 @@ class SolutionSpace:
 
     # The continuation parameter as u from 0, at the start, to 1 -------------------------------------------------------
 
-    @property
-    def at(self) -> Sequence[float]:
-        """Values of the continuation parameter at which solutions are wanted."""
-        return ()
-
-    @property
-    def begins(self) -> float:
-        """Value of the continuation parameter at the start."""
-        raise NotImplementedError
-
     def fraction(self, value: float) -> float:
         """The u of a value of the continuation parameter."""
-        return (value - self.begins) / (self.to - self.begins)
+        return float((value - self.begins) / (self.to - self.begins))
 
     @property
     def held_names(self) -> tuple[str, ...]:
@@ -170,9 +146,13 @@ class SolutionSpace:
 
     def target(self, name: str, value: float) -> Target:
         """Condition that a quantity has a value; raises ValueError for quantities that cannot be held."""
-        if name != self.parameter or not name:
+        if not name or name not in self.held_names:
             raise ValueError(f"at: given {name}; accepted: {', '.join(self.held_names)}")
-        return Target(Scalar.PARAMETER, self.fraction(value))
+        if name == self.parameter:
+            return Target(Scalar.PARAMETER, self.fraction(value))
+        if not 0 < value < math.inf:
+            raise ValueError(f"at: given {name} = {value!r}; accepted: a finite number > 0")
+        return Target(Scalar.OMEGA, value if name == "Omega" else TWO_PI / value)
 
     def requested_values(self) -> Mapping[str, Sequence[float]]:
         """Values at which solutions are wanted, by the name of the quantity."""
@@ -182,13 +162,9 @@ class SolutionSpace:
         """A quantity that can be held at a point; exactly the requested value at a requested point."""
         requested = {self.fraction(value): value for value in (*self.at, self.to)}
         u = point.parameter
-        return requested[u] if u in requested else float(self.parameters(point)[name])
+        return float(requested[u] if u in requested else self.parameters(point)[name])
 
-    # Values -----------------------------------------------------------------------------------------------------------
-
-    def parameters(self, point: Point) -> dict[str, float]:
-        """Values of all parameters by name."""
-        raise NotImplementedError
+    # Solutions --------------------------------------------------------------------------------------------------------
 
     def interval(self, point: Point) -> tuple[float, float]:
         """Start and end of the interval, or the period from phase zero."""
@@ -198,33 +174,11 @@ class SolutionSpace:
         """Start and end of the part of the interval that is unknown."""
         return self.interval(point)
 
-    def parameter_error(self, point: Point) -> float:
-        """Estimated absolute error of the continuation parameter at a special point."""
-        raise NotImplementedError
-
     def solution(self, point: Point, floquet: Floquet | None = None, exact: Mapping[str, float] | None = None) -> Any:
         """The solution of a point, with its stability where that is known and values that it has exactly."""
         if exact is None:
             exact = {self.parameter: self.value(self.parameter, point)} if self.parameter else {}
         return self.solution_class(self, point, exact, known_floquet=floquet)
-
-    def energy(self, point: Point) -> float:
-        """The conserved quantity of an orbit; raises NoQuantityError where the model declares none."""
-        raise NoQuantityError(NO_ORBIT)
-
-    def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
-        """Stability of several points; raises FlowError, and ValueError where the solutions are no orbits."""
-        raise NoQuantityError(NO_ORBIT)
-
-    def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
-        """Floquet vectors at phase zero, one a column in the order of the multipliers."""
-        raise NoQuantityError(NO_ORBIT)
-
-    def following(
-        self, solution: Any, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
-    ) -> SolutionSpace:
-        """The space of the branch through one of the solutions in a parameter; raises ValueError without one."""
-        raise ValueError(f"follow: given one of a {self.connects}; accepted: an orbit that was restated")
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,9 +214,7 @@ class ParameterSpace(SolutionSpace):
         assert first is not None
         if self.leaves:
             return replace(first, step=step)
-        problem = self.problem_at(first)
-        z = first.z.copy()
-        z[-1] = 0.0
+        problem, z = self.problem_at(first), np.append(first.z[:-1], 0.0)
         correction = self.levels.corrector(problem).correct(z, problem.parameter_row(), 0.0)
         if not correction.converged:
             raise self.error(f"the start of the branch: {correction.status.value}; {problem.worst(correction.z)}")
@@ -288,7 +240,7 @@ def target_of(space: SolutionSpace, special: Point) -> Target | None:
         if target.held is Scalar.PARAMETER:
             wanted = space.value(name, snapped(special, target))
             if abs(value - wanted) <= max(error, REQUESTED_VALUE_RTOL * abs(wanted)):
-                return target
+                return target  # type: ignore[no-any-return]
     return None
 
 

@@ -15,10 +15,10 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.follow import solution as solutions
-from casadi_skin.follow.boundary_solutions import MOST_IPOPT_ITERATIONS, BoundaryError
-from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.boundary_space import MOST_IPOPT_ITERATIONS, BoundarySpace
 from casadi_skin.follow.find import limits_of, packed, space_of
 from casadi_skin.follow.find import solve as without_objective
+from casadi_skin.follow.space import BoundaryError
 from casadi_skin.model.pickled import programs_in
 from casadi_skin.optimise.nlp import FLAT_CURVATURE, Limits, Nlp, Optimality, Solution, optimality
 from casadi_skin.optimise.search_problem import Condition

@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.find import accuracy_of, find_orbit, guessed_period, scalar_of
 from casadi_skin.follow.solution import Orbit
+from casadi_skin.follow.space import BoundaryError
 from casadi_skin.model.arguments import accepted_names, short_repr, truth, whole
 from casadi_skin.model.conserved import symmetry_class
 from casadi_skin.model.expressions import Expression

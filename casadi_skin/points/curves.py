@@ -10,7 +10,6 @@ from typing import Any, cast
 import numpy as np
 
 from casadi_skin.follow import rest_space as of_equilibria
-from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.codimension_two import ORBIT_CURVES, OrbitCurveSearch, special_on_curve
@@ -19,7 +18,7 @@ from casadi_skin.follow.location import LocatedOrbit, locate, special_solutions
 from casadi_skin.follow.normal_forms import on_circle
 from casadi_skin.follow.shrinking import shrunk
 from casadi_skin.follow.solution import Solution, following_settings
-from casadi_skin.follow.space import FAMILY, ORBITS
+from casadi_skin.follow.space import FAMILY, ORBITS, BoundaryError
 from casadi_skin.follow.special_points import SpecialPoint, check_second
 from casadi_skin.model.arguments import check_name
 from casadi_skin.points.edges import CrossingWalk, EdgeCurve, EdgeWalk, edge_curve, parameters_of

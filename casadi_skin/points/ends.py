@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadi_skin.follow.boundary_solutions import BoundarySolutions
 from casadi_skin.follow.location import special_orbit
+from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.zero import mesh
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING
 from casadi_skin.zero.problem import Array
@@ -32,12 +32,12 @@ class Left:
         shift: s, as a share of the period.
     """
 
-    space: BoundarySolutions
+    space: SolutionSpace
     turns: int
     signs: Array
     shift: float
 
-    def rejoined(self, own: BoundarySolutions, before: Point, after: Point) -> Point | None:
+    def rejoined(self, own: SolutionSpace, before: Point, after: Point) -> Point | None:
         """The orbit of those that were left between two of the branch; None where there is none."""
         one, other = (self._parts(own, point)[1] for point in (before, after))
         norms = [float(np.linalg.norm(part)) for part in (one, other)]
@@ -46,7 +46,7 @@ class Left:
             return None
         return self._end(own, before if norms[0] < norms[1] else after)
 
-    def _parts(self, own: BoundarySolutions, point: Point, fractions: Array | None = None) -> tuple[Array, Array]:
+    def _parts(self, own: SolutionSpace, point: Point, fractions: Array | None = None) -> tuple[Array, Array]:
         """Half the sum and half the difference of an orbit and its image, at fractions of the period."""
         if fractions is None:
             fractions = np.linspace(0.0, 1.0, IMAGE_PLACES) * (1.0 - self.shift)
@@ -55,7 +55,7 @@ class Left:
             later = later - 2.0 * np.pi * self.shift * np.array(own.periodic.turns)
         return 0.5 * (x + self.signs * later), 0.5 * (x - self.signs * later)
 
-    def _end(self, own: BoundarySolutions, near: Point) -> Point | None:
+    def _end(self, own: SolutionSpace, near: Point) -> Point | None:
         """The special orbit of those that were left near an orbit, as one of the branch that comes back."""
         kind = DOUBLING if self.turns == 2 else BRANCH_POINT
         found = special_orbit(self.space, kind, self._mean(own, near))
@@ -77,7 +77,7 @@ class Left:
             walked=False, requested=False, special=BRANCH_POINT,
         )  # fmt: skip
 
-    def _mean(self, own: BoundarySolutions, near: Point) -> Point:
+    def _mean(self, own: SolutionSpace, near: Point) -> Point:
         """Half the sum of an orbit and its image as a point of the branch that was left."""
         space, old = self.space, stated(near.problem)
         parts = old.constants[: (old.constants.size + self.turns - 1) // self.turns]

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.boundary_space import BoundarySpace, at_rest
 from casadi_skin.follow.branch_points import leaving_tangent
 from casadi_skin.follow.normal_forms import critical_functions, critical_pair
 from casadi_skin.follow.solution import Orbit, Solution
+from casadi_skin.follow.space import BoundaryError
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.points.ends import Left
 from casadi_skin.points.lost_symmetry import lost_operations

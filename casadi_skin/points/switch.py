@@ -12,8 +12,9 @@ import numpy as np
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.find import find_equilibrium
 from casadi_skin.follow.follow import Following, following_space, run_following
-from casadi_skin.follow.rest_space import EquilibriumError, EquilibriumSpace
+from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium, Orbit, Solution, following_settings
+from casadi_skin.follow.space import EquilibriumError
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import duration
 from casadi_skin.points.leaving import DEFAULT_TOLERANCE, born_at, doubled_solutions, leaving_orbits, other_solutions

@@ -178,7 +178,7 @@ def _fault(space: SolutionSpace, point: Point, known: Known) -> str:
     """Reason why a point is none of the branch; of a special point, whose equations may be singular, by residual."""
     leaves = bool(getattr(space, "leaves", False)) and not (known.solutions or known.waiting)
     if not (point.special or leaves):
-        return space.point_solver.fault(point)
+        return str(space.point_solver.fault(point))
     if not (np.all(np.isfinite(point.z)) and np.all(np.isfinite(point.tangent))):
         return "a value that is not finite"
     off = point.problem.relative_residual(point.z)

@@ -24,7 +24,7 @@ from scipy.integrate import solve_bvp
 from scipy.special import erf, hyp1f1
 
 from casadi_skin import BoundaryValueProblem, OdeModel
-from casadi_skin.follow.boundary_solutions import BoundaryError
+from casadi_skin.follow.space import BoundaryError
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-6

@@ -23,8 +23,8 @@ from scipy.integrate import solve_bvp
 from stopwatch import seconds
 
 from casadi_skin import BoundaryValueProblem
-from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.find import find_orbit
+from casadi_skin.follow.space import BoundaryError
 from casadi_skin.model.ode import OdeModel
 
 pytestmark = pytest.mark.benchmark

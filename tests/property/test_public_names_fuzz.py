@@ -45,7 +45,7 @@ from casadi_skin import (
     simulate,
     smallest_kick,
 )
-from casadi_skin.follow.boundary_solutions import BoundaryError
+from casadi_skin.follow.space import BoundaryError
 from casadi_skin.optimise.kick import KickError
 from casadi_skin.stability.flows import FlowError
 

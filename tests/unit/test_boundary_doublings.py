@@ -12,8 +12,8 @@ from equilibrium_models import symbols
 from scipy.integrate import solve_ivp
 
 from casadi_skin import BoundaryValueProblem, Branch, OdeModel, find_orbit
-from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import BoundaryError
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.settings import End
 

@@ -10,8 +10,8 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit
-from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import BoundaryError
 
 X, V, A, B, T = (ca.SX.sym(name) for name in ("x", "v", "a", "b", "t"))
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import BoundaryValueProblem
-from casadi_skin.follow.boundary_solutions import BoundaryError
+from casadi_skin.follow.space import BoundaryError
 from casadi_skin.model.ode import OdeModel
 
 U, V, K = ca.SX.sym("u"), ca.SX.sym("v"), ca.SX.sym("stiffness")

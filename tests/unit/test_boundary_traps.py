@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 
 from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit
 from casadi_skin.dynamics.evolve import simulate
-from casadi_skin.follow.boundary_solutions import BoundaryError
+from casadi_skin.follow.space import BoundaryError
 from casadi_skin.optimise.nlp import Solution
 from casadi_skin.optimise.orbit_search import compared
 from casadi_skin.optimise.search import same_optimum

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from orbit_problems import gauss_problem, linear_mode
 
 from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit, follow_family
-from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.find import packed, space_of
 from casadi_skin.follow.point import LocalCurve
+from casadi_skin.follow.space import BoundaryError
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.lattice.tail_parameter import TailParameter

@@ -11,8 +11,8 @@ from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
 from casadi_skin import BoundaryValueProblem
-from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.find import packed, space_of
+from casadi_skin.follow.space import BoundaryError
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.zero import butcher

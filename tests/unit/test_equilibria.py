@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from casadi_skin import OdeModel, find_orbit, simulate
-from casadi_skin.follow.boundary_solutions import BoundaryError
+from casadi_skin.follow.space import BoundaryError
 from casadi_skin.zero.statement import Statement
 
 SHRUNK = r"this is an equilibrium: the orbit has shrunk to it \(x = .*, y = .*, at mu = 0.3\)"

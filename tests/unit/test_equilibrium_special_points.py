@@ -13,7 +13,7 @@ import pytest
 from equilibrium_models import Brusselator, ab, branch_of, carbon_monoxide, has_points, hopf_pairs, lorenz, symbols
 
 from casadi_skin import OdeModel, find_equilibrium, read_result, save_result
-from casadi_skin.follow.rest_space import EquilibriumError
+from casadi_skin.follow.space import EquilibriumError
 
 
 def test_ab_has_the_folds_and_the_hopf_point_of_auto() -> None:

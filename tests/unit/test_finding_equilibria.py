@@ -10,7 +10,7 @@ from equilibrium_models import Brusselator, ab, carbon_monoxide, lorenz, symbols
 from programs import Program
 
 from casadi_skin import Chain, OdeModel, find_equilibria, find_equilibrium, simulate
-from casadi_skin.follow.rest_space import EquilibriumError
+from casadi_skin.follow.space import EquilibriumError
 
 
 def test_a_stiff_equilibrium_agrees_with_a_solution_to_forty_digits() -> None:

@@ -13,7 +13,7 @@ from foreign_fmus import casadi_fmu
 from programs import Program
 
 from casadi_skin import OdeModel, find_equilibrium, find_orbit, import_fmu
-from casadi_skin.follow.rest_space import EquilibriumError
+from casadi_skin.follow.space import EquilibriumError
 
 
 def reaction(x: ca.MX, y: ca.MX, p: ca.MX, p2: ca.MX, p3: ca.MX) -> tuple[ca.MX, ca.MX]:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import BoundaryValueProblem, OdeModel, find_equilibrium, find_orbit, simulate
-from casadi_skin.follow.boundary_solutions import BoundaryError
+from casadi_skin.follow.space import BoundaryError
 from casadi_skin.runs.program import main
 
 x, v = ca.SX.sym("x"), ca.SX.sym("v")

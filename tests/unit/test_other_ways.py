@@ -9,7 +9,7 @@ from equilibrium_models import symbols
 from scipy.integrate import solve_ivp
 
 from casadi_skin import BoundaryValueProblem, OdeModel
-from casadi_skin.follow.boundary_solutions import BoundaryError
+from casadi_skin.follow.space import BoundaryError
 
 
 def nozzle(eps: float) -> BoundaryValueProblem:

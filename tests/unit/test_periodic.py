@@ -16,9 +16,9 @@ from scipy.optimize import brentq
 from scipy.special import ellipk
 from small_models import van_der_pol
 
-from casadi_skin.follow.boundary_solutions import BoundaryError
 from casadi_skin.follow.find import find_orbit
 from casadi_skin.follow.solution import Orbit
+from casadi_skin.follow.space import BoundaryError
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.stability.result import TrivialMultiplierWarning
 
