@@ -9,9 +9,10 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import replace
-from itertools import pairwise
+from functools import cached_property
+from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
@@ -58,24 +59,31 @@ class Following:
         time_limit: float = math.inf,
         unresolved: Sequence[Unresolved] = (),
     ) -> None:
-        stability = stability and not space.stability_included
-        events = events and stability
-        self.space, self.stability, self.events, self.until = space, stability, events, until
-        self._ledger = Ledger(space) if events and space.has_ledger else None
-        self._waiting: deque[Point] = deque(waiting)  # reached, but not yet among the solutions
-        self._keep = keep
-        self._time_limit, self._end_time = time_limit, time.monotonic() + time_limit
+        self.space, self.until, self.stability = space, until, stability and not space.stability_included
+        self.events = events and self.stability
+        self._ledger = Ledger(space) if self.events and space.has_ledger else None
+        self._keep, self._time_limit, self._end_time = keep, time_limit, time.monotonic() + time_limit
         self._walk = Walk(space, [*(s.point for s in solutions), *waiting], missed, unresolved)
-        self._stopped = False
-        self.solutions = list(self._with_bifurcations(solutions))
+        self._waiting: deque[Point] = deque(waiting)  # reached, but not yet among the solutions
+        self._stopped, self.solutions = False, list[Any]()
+        for solution in solutions:  # with the orbits between them at which multipliers cross, sought again
+            list(self._entered(solution))
 
-    def _with_bifurcations(self, solutions: Sequence[Solution]) -> Iterator[Solution]:
-        """Earlier solutions, with the orbits between them at which multipliers cross, sought again."""
-        self.solutions = []
-        for solution in map(self._critical, solutions):
-            for special in (*self._bifurcations_before(solution), solution):
-                self.solutions.append(special)
-                yield special
+    def _entered(self, solution: Solution) -> Iterator[Solution]:
+        """A solution, after the orbits before it at which multipliers cross, as each joins the others.
+
+        In its place the special one where it is at a requested value.
+        """
+        if self.events and solution.space.closes:
+            with suppress(TimeLimitError):  # the stretch before it is named: the time is over there too
+                solution = at_requested_value(solution)
+        before = self.solutions[-1] if self.solutions else None
+        crossings: Iterator[Solution] = iter(())
+        if self._ledger is not None and before is not None and before.space.closes and solution.space.closes:
+            crossings = self._ledger.between(before, solution, self.space.leaves and len(self.solutions) == 1)
+        for one in chain(crossings, [solution]):
+            self.solutions.append(one)
+            yield one
 
     def __iter__(self) -> Iterator[Solution]:
         results = self._results()
@@ -93,29 +101,26 @@ class Following:
         return watched(self._end_time - time.monotonic())
 
     def _points(self) -> Iterator[Point]:
-        """The points of the walk, up to where the time is over."""
+        """The points of the walk, up to the limits of their number and of the time."""
+        limit, name = self.space.point_solver.settings.max_points, self.space.parameter
         try:
-            yield from self._walk
+            for point in self._walk:
+                if time.monotonic() > self._end_time and (self.solutions or self._waiting):
+                    raise TimeLimitError
+                if len(self.solutions) + len(self._waiting) == limit:
+                    last = self._waiting[-1] if self._waiting else self.solutions[-1].point
+                    reached = f"{limit} points, up to {name} = {self.space.value(name, last):.10g}"
+                    self._walk.stop(End.POINTS, f"{reached}; try max_points above {limit}")
+                    return
+                yield point
         except TimeLimitError:
             self._walk.stop(End.TIME, f"{self._time_limit:g} s")
 
-    def _so_far(self, limit: int) -> str:
-        """Where a branch has come with its last point, in words."""
-        last, name = self._waiting[-1] if self._waiting else self.solutions[-1].point, self.space.parameter
-        return f"{limit} points, up to {name} = {self.space.value(name, last):.10g}; try max_points above {limit}"
-
     def _results(self) -> Iterator[Solution]:
         together = self.space.stability_batch if self.stability else 1
-        limit = self.space.point_solver.settings.max_points
         if len(self._waiting) >= together:
             yield from self._finish_waiting()
         for point in self._points():
-            if len(self.solutions) + len(self._waiting) == limit:
-                self._walk.stop(End.POINTS, self._so_far(limit))
-                break
-            if time.monotonic() > self._end_time and (self.solutions or self._waiting):
-                self._walk.stop(End.TIME, f"{self._time_limit:g} s")
-                break
             self._waiting.append(point)
             if self._keep is not None:
                 self._keep(point, self._walk)
@@ -129,38 +134,16 @@ class Following:
     def _finish_waiting(self) -> Iterator[Solution]:
         """The solutions of the points that wait, with their stability, in order."""
         try:
-            for solution in map(self._critical, self._with_stability()):
-                for special in self._bifurcations_before(solution):
-                    self.solutions.append(special)
-                    yield special
-                self.solutions.append(solution)
+            for solution in self._with_stability():
+                yield from self._entered(solution)
                 self._waiting.popleft()
-                yield solution
-                if self.until is not None and self.until(solution):
+                if self.until is not None and self.until(self.solutions[-1]):
                     self._stopped = True
                     self._waiting.clear()
                     return
         except FlowError as error:
             self._walk.stop(End.FLOW, str(error))
             self._waiting.clear()
-
-    def _critical(self, solution: Solution) -> Solution:
-        """A solution, or the special one at a requested value."""
-        if not (self.events and solution.space.closes):
-            return solution
-        try:
-            return at_requested_value(solution)
-        except TimeLimitError:  # the stretch before it is named: the time is over there too
-            return solution
-
-    def _bifurcations_before(self, solution: Solution) -> Iterator[Solution]:
-        """Orbits between the last orbit and this one at which multipliers cross the unit circle."""
-        if self._ledger is None or not self.solutions:
-            return
-        before = self.solutions[-1]
-        leaving = self._ledger.space.leaves and len(self.solutions) == 1
-        if before.space.closes and solution.space.closes:
-            yield from self._ledger.between(before, solution, leaving)
 
     def _with_stability(self) -> Iterable[Solution]:
         """Solutions of the points that wait; raises FlowError at the first whose stability cannot be computed."""
@@ -175,19 +158,16 @@ class Following:
 
     def branch(self) -> Branch:
         """The branch computed so far."""
-        end = self._walk.ended_early if self._waiting else self._walk.end
-        misses = self._walk.misses(self.solutions, self._stopped, end)
-        return self.finished(end, self._walk.detail, misses)
+        end = None if self._waiting else self._walk.end
+        return self.finished(end, self._walk.detail, self._walk.misses(self.solutions, self._stopped, end))
 
-    def finished(
-        self, end: End | None, detail: str, misses: Mapping[str, tuple[float, ...]], stopped: bool = False
-    ) -> Branch:
+    def finished(self, end: End | None, detail: str, misses: Mapping[str, tuple[float, ...]]) -> Branch:
         """The branch of the solutions computed so far, with a known end."""
         changes, unresolved = ((), []) if self._ledger is None else (self._ledger.changes, self._ledger.unresolved)
         return Branch(
             self.space, tuple(self.solutions), tuple(changes),
             self.stability or self.space.stability_included, end, detail, misses,
-            stopped or self._stopped, self.events, tuple(dict.fromkeys([*self._walk.unresolved, *unresolved])),
+            self._stopped, self.events, tuple(dict.fromkeys([*self._walk.unresolved, *unresolved])),
             max(self._end_time - time.monotonic(), 0.0),
         )  # fmt: skip
 
@@ -296,6 +276,7 @@ class Walk:
     Attributes:
         end: why the branch ended; None where it can go on.
         detail: more about the end, in words.
+        missed: requested values that the continuation passed without a solution.
         unresolved: stretches on which special points may be missing.
     """
 
@@ -306,45 +287,25 @@ class Walk:
         missed: Sequence[Target] = (),
         unresolved: Sequence[Unresolved] = (),
     ) -> None:
-        self.space, self._known, self.unresolved = space, known, list(unresolved)
-        self._continuation = self._continued() if known or space.start_is_limit else None
-        if self._continuation is not None:
-            self._continuation.missed.extend(missed)
-        self._end: End | None = None
-        self._detail = ""
+        self.space, self._known, self.missed, self.unresolved = space, known, list(missed), list(unresolved)
+        self.end: End | None = None
+        self.detail = ""
         self._settled = len(missed)  # targets that are known to be missed
-        self._pending = False  # whether points of a stretch that the continuation has left are still to come
 
-    def _continued(self) -> Continuation:
+    @cached_property
+    def _continuation(self) -> Continuation:
         """The continuation from the points that are known."""
         walked = [i for i, point in enumerate(self._known) if point.walked]
         own = tuple(self._known[i] for i in walked)
         reported = tuple(p for p in self._known[walked[-1] + 1 if walked else 0 :] if not p.located)
         history = (self.space.start, *own) if self.space.start_is_limit or not own else own
-        return self.space.continuation(history, reported)
+        found = self.space.continuation(history, reported)
+        found.missed = self.missed
+        return found
 
-    @property
-    def missed(self) -> Sequence[Target]:
-        """Requested values that the continuation passed without a solution."""
-        return () if self._continuation is None else self._continuation.missed
-
-    @property
-    def end(self) -> End | None:
-        return self._end or (None if self._continuation is None or self._pending else self._continuation.end)
-
-    @property
-    def detail(self) -> str:
-        of_its_own = self._continuation is None or self._end is not None
-        return self._detail or ("" if of_its_own else self._continuation.detail)  # type: ignore[union-attr]
-
-    @property
-    def ended_early(self) -> End | None:
-        """Why the branch ended before its continuation did."""
-        return self._end
-
-    def stop(self, end: End, detail: str = "") -> None:
+    def stop(self, end: End | None, detail: str = "") -> None:
         """End the branch for a reason that its points do not show."""
-        self._end, self._detail = end, detail
+        self.end, self.detail = end, detail
 
     def __iter__(self) -> Iterator[Point]:
         held = list[Point]() if self._known and self._beyond_start(self._known[-1]) else None
@@ -354,10 +315,12 @@ class Walk:
                 continue
             yield point
             held = [] if self._beyond_start(point) else None
-        if self._end is End.CLOSED:
+        if self.end is End.CLOSED:
             yield from held or ()
         elif held is not None:
-            self._end, self._detail = End.RETURNED, ""
+            self.stop(End.RETURNED)
+        elif self.end is None:
+            self.stop(self._continuation.end, self._continuation.detail)
 
     def _beyond_start(self, point: Point) -> bool:
         """Whether a branch has come back, so that points are kept only if it closes."""
@@ -369,47 +332,41 @@ class Walk:
         """The points of the branch, and those beyond its start where it may close."""
         known = [point for point in self._known if not point.located]
         if known:
-            self._end, self._detail = self.space.stop(known[-1])
-            if self._end is not None:
+            self.stop(*self.space.stop(known[-1]))
+            if self.end is not None:
                 return
-        if self._continuation is None:
-            self._continuation = self.space.continuation((self.space.start,))
+        elif not self.space.start_is_limit:
             yield self.space.start
         if not self.space.locates_folds:
-            yield from self._plain(self._continuation)
+            yield from self._plain()
             return
         walked = max((i for i, point in enumerate(self._known) if point.walked), default=-1)
         before = self._known[walked] if walked >= 0 else self.space.start
         reported = self._known[walked + 1 :]
-        for points in self._stretches(self._continuation):
-            self._pending = True
+        for points in self._stretches():
             points[:0] = [point for point in reported if not point.located]
             yield from self._stretch(before, points, len(reported))
-            self._pending = False
-            if self._end is not None or not points:
+            if self.end is not None or not points:
                 return
             before, reported = points[-1], ()
 
-    def _plain(self, continuation: Continuation) -> Iterator[Point]:
+    def _plain(self) -> Iterator[Point]:
         """The points of a continuation on which no special points are sought."""
-        for point in continuation:
+        direction = self.space.point_solver.settings.parameter_max
+        for point in self._continuation:
             end, words = self.space.stop(point)
-            if self.space.start_is_limit and not self._has_amplitude(point):
-                self._end = End.RETURNED
-                return
-            if words:
-                self._end, self._detail = end, words
-                return
-            yield point
+            if self.space.start_is_limit and not point.parameter * direction > 0.0:  # on the other side of S = 0
+                end, words = End.RETURNED, ""
+            elif not words:
+                yield point
             if end is not None:
-                self._end = end
+                self.stop(end, words)
                 return
 
-    @staticmethod
-    def _stretches(continuation: Continuation) -> Iterator[list[Point]]:
+    def _stretches(self) -> Iterator[list[Point]]:
         """The points of the continuation, from behind one that is walked to the next one or to the end."""
         points = list[Point]()
-        for point in continuation:
+        for point in self._continuation:
             points.append(point)
             if point.walked:
                 yield points
@@ -418,7 +375,6 @@ class Walk:
 
     def _stretch(self, before: Point, points: list[Point], reported: int) -> Iterator[Point]:
         """The points of a stretch with the special ones between them, but for the first ones that are `reported`."""
-        assert self._continuation is not None
         end, words = None, ""
         for number, point in enumerate(points):
             end, words = self.space.stop(point)
@@ -436,30 +392,28 @@ class Walk:
             if reported < 0:
                 yield point
             if point.special:
-                self._end, self._detail = self.space.stop(point)
-            if self._end is None and point.parameter == self.space.point_solver.settings.parameter_max:
-                self._end, self._detail = End.REACHED, ""
-            if self._end is not None:
+                self.stop(*self.space.stop(point))
+            if self.end is None and point.parameter == self.space.point_solver.settings.parameter_max:
+                self.stop(End.REACHED)
+            if self.end is not None:
                 return
-        if self._end is None:
-            self._end, self._detail = end, words
+        self.stop(end, words)
 
     def _found(self, before: Point, after: Point, points: Sequence[Point]) -> list[Point]:
         """The points of a stretch in order, special ones among them; the end is set where one cannot be located."""
         if after is before:
             return []
-        assert self._continuation is not None
-        missed, last = self._continuation.missed, self.space.point_solver.settings.parameter_max
+        missed, last = self.missed, self.space.point_solver.settings.parameter_max
         stretch = StretchPoints(self.space, before, after, points, missed[self._settled :])
         try:
             found = stretch.points()
         except NotLocatedError as error:
             if points and points[-1] is not after:  # it may lie beyond the end
                 return self._found(before, points[-1], points)
-            self._end, self._detail = End.NO_STEP, f"{error}, {before.problem.whereabouts(before.z)}"
+            self.stop(End.NO_STEP, f"{error}, {before.problem.whereabouts(before.z)}")
             if self._is_still(before):
                 value, digits = self._limit(before)
-                self._end, self._detail = End.STILL, f"{self.space.parameter} comes to {value:.10g} +- {digits:.0e}"
+                self.stop(End.STILL, f"{self.space.parameter} comes to {value:.10g} +- {digits:.0e}")
             return []
         missed[self._settled :] = stretch.missed
         self._settled = len(missed)
@@ -501,10 +455,6 @@ class Walk:
             return False
         found = solver.corrected_along(before, after, min(sigma / length, 1.0))[0]
         return found is not None and solver.distance(problem, z, found.z) <= CLOSED_BRANCH_DISTANCE * length
-
-    def _has_amplitude(self, point: Point) -> bool:
-        """Whether a point of a family is on the side of S = 0 that it is followed to."""
-        return bool(point.parameter * self.space.point_solver.settings.parameter_max > 0.0)
 
     # Requested values -------------------------------------------------------------------------------------------------
 
