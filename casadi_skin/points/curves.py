@@ -21,8 +21,7 @@ from casadi_skin.follow.solution import Solution, following_settings
 from casadi_skin.follow.space import FAMILY, ORBITS, BoundaryError
 from casadi_skin.follow.special_points import SpecialPoint, check_second
 from casadi_skin.model.arguments import check_name
-from casadi_skin.points.edges import CrossingWalk, EdgeCurve, EdgeWalk, edge_curve, parameters_of
-from casadi_skin.points.lost_symmetry import turns_of
+from casadi_skin.points.edges import EdgeCurve, edge_curve, parameters_of
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.augmented import SingularProblem
 from casadi_skin.zero.closure import Closure
@@ -184,8 +183,7 @@ def _curve_of_edges(
         orbit, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
     )
     S = point.parameters[point.parameter]
-    kind = EdgeWalk if turns_of(orbit) == 1 else CrossingWalk
-    return edge_curve(orbit, S, parameter, to, at, settings, until, progress, back_to, kind)
+    return edge_curve(orbit, S, parameter, float(to), at, settings, until, progress, back_to)
 
 
 def curve_space(

@@ -1,17 +1,16 @@
-"""Edges of tongues around a fold in the parameter: there both edges of a tongue, or of a window, meet and vanish.
+"""Edges of tongues of a family: the orbits there, what leaves it, and curves of edges in a parameter of the model.
 
-Multipliers are functions of S and of the parameter. Where two mu meet, their discriminant vanishes, where one has a
-value, as -1 or 0, its distance from that: an equation whose solutions `continuation` follows by arclength.
+At an edge multipliers meet, or one has a value, as -1 or 0: one equation in S and the parameter, whose curve is
+followed by arclength. Where both edges of a tongue, or of a window, meet and vanish, the parameter folds.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, is_dataclass, replace
-from functools import partial
-from typing import Any, Never
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from casadi_skin.follow.family_changes import flow_error, tongues_on
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.follow.space import SolutionSpace
-from casadi_skin.follow.special_points import SpecialPoint
+from casadi_skin.follow.special_points import FOLD_TOLERANCE, SpecialPoint, folds_between
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import Result
 from casadi_skin.points.lost_symmetry import breaking_of, turns_of
@@ -30,258 +29,18 @@ from casadi_skin.solve.levels import ExactLevels
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability.family_stability import orbit_state
 from casadi_skin.stability.flows import FlowError
-from casadi_skin.stability.multipliers import reduced_matrices
-from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.multipliers import orthogonal_complements, reduced_matrices
 from casadi_skin.stability.tongues.diagram import Place, StabilityDiagram, StabilityEdge
 from casadi_skin.stability.tongues.find_changes import POWERS_BY_FRACTION
 from casadi_skin.zero.family import Targets
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE, Unresolved
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
-from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point
+from casadi_skin.zero.rest_problem import Course
+from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point, Target
 
-DIFFERENCE_STEP = 1e-3  # of the sizes: that of derivatives
-LAST_NEWTON_STEP = 1e-7  # of the sizes: a step of Newton's method after which an edge is one
-FARTHEST_FOLD_FACTOR = 4.0  # distances to the fold as foreseen, beyond which there is none
-FOLD_SETTINGS = ContinuationSettings(
-    parameter_max=FARTHEST_FOLD_FACTOR, tolerance=1e-6, first_step=0.1, max_step=0.5, max_parameter_step=0.2,
-    min_step=1e-3, max_points=80, tiny_first=False, guard_distance=0.3, guard_angle=40.0, aim_angle=20.0,
-)  # fmt: skip
+# Orbits at edges, and the special points of a family there ------------------------------------------------------------
 
-Multipliers = Callable[[float, float], ComplexArray]
-
-
-class NoFoldError(ArithmeticError):
-    """The edge is not followed around a fold; the message gives the reason."""
-
-
-@dataclass(frozen=True)
-class Start:
-    """An edge before a fold: its kind, S, mu, the parameter, and the distances to the fold in S and the parameter."""
-
-    kind: str
-    S: float
-    mu: float
-    value: float
-    S_away: float
-    away: float
-
-
-@dataclass(frozen=True)
-class Turn:
-    """A fold of a curve of edges, and edges beyond it in order.
-
-    Attributes:
-        S, S_error, mu, value, error: S, mu and the parameter at the fold.
-        beyond: S, mu and the parameter of each edge.
-    """
-
-    S: float
-    S_error: float
-    mu: float
-    value: float
-    error: float
-    beyond: tuple[tuple[float, float, float], ...]
-
-
-def turn(multipliers: Multipliers, rougher: Multipliers, start: Start) -> Turn:
-    """Follow an edge around a fold ahead of it.
-
-    Arguments:
-        multipliers: gives all mu at an S and a value of the parameter; raises ArithmeticError where there is no orbit.
-        rougher: the same with a larger tolerance, which shows the error.
-        start: the edge before the fold.
-
-    Raises:
-        NoFoldError: there is no fold, or the edge is not followed around it.
-    """
-    problem = EdgeProblem(multipliers, start)
-    solver = PointSolver(
-        ExactLevels(problem, lambda problem: NewtonCorrector(problem, LAST_NEWTON_STEP)), FOLD_SETTINGS
-    )
-    points = _walked(solver, problem)
-    turned = (k for k, pair in enumerate(itertools.pairwise(points)) if _rate(pair[0]) * _rate(pair[1]) < 0.0)
-    last_before = next(turned, None)
-    if last_before is None:
-        raise NoFoldError("no fold of the edge is found")
-    near = min(points[last_before : last_before + 2], key=lambda point: abs(_rate(point)))
-    fold, coarse = (_fold(problem, near.z, factor * DIFFERENCE_STEP) for factor in (1.0, 2.0))
-    S, value = problem.where(fold)
-    noise = abs(EdgeProblem(rougher, start).test(fold) - problem.test(fold)) / abs(problem.slopes(fold)[1, 2])
-    S_error = abs(start.S_away) * (abs(fold[0] - coarse[0]) + DIFFERENCE_STEP**2)
-    error = abs(start.away) * (abs(fold[2] - coarse[2]) + noise)
-    after = [(*problem.where(point.z), float(point.z[1])) for point in points[last_before + 1 :]]
-    beyond = tuple((S, mu, value) for S, value, mu in after[-2:])
-    return Turn(S, S_error, float(fold[1]), value, error, beyond)
-
-
-def _walked(solver: PointSolver, problem: EdgeProblem) -> list[Point]:
-    """Points from the start around the fold to beyond the value of the start; raises NoFoldError."""
-    z = problem.begin
-    row = np.array([0.0, 0.0, 1.0])
-    try:
-        correction = solver.levels.corrector(problem).correct(z, row, 0.0)
-        if not correction.converged:
-            raise NoFoldError(f"the edge is not found again: {correction.message}")
-        tangent = solver.tangent(problem, correction.z, solver.factor(problem, correction.z, row))
-        first = Point(problem, correction.z, tangent, ErrorEstimate(0.0, 0.0), FOLD_SETTINGS.first_step, 0)
-        walk = ArclengthContinuation(solver, (first,))
-        points = [first, *(point for point in walk if point.walked)]
-    except SingularError as error:
-        raise NoFoldError(str(error)) from error
-    if walk.end is not End.RETURNED:
-        raise NoFoldError(f"no fold of the edge is passed: {walk.detail or walk.end}")
-    return points
-
-
-def _rate(point: Point) -> float:
-    return float(point.tangent[-1])
-
-
-def _fold(problem: EdgeProblem, near: Array, difference: float) -> Array:
-    """The fold near a point of the curve: there the test function vanishes with its derivative in S."""
-    from scipy.optimize import root
-
-    def conditions(x: Array) -> list[float]:
-        z = np.array([x[0], near[1], x[1]])
-        low, high = (problem.test(z + np.array([side * difference, 0.0, 0.0])) for side in (-1.0, 1.0))
-        return [problem.test(z) / size, (high - low) / (2.0 * difference) / size]
-
-    size = float(np.max(np.abs(problem.slopes(near)[1])))
-    found = root(conditions, near[[0, 2]], tol=1e-12)
-    x = found.x
-    off = np.max(np.abs(found.fun))
-    if not (off <= 1e-6 and np.max(np.abs(x - near[[0, 2]])) <= 1.0):
-        raise NoFoldError("the fold of the edge is not located")
-    z = np.array([x[0], near[1], x[1]])
-    return np.array([x[0], problem.values(z)[0], x[1]])
-
-
-def multipliers_of(family: Family, point: Point, moved: bool = False) -> ComplexArray:
-    """All mu of an orbit of a family but the trivial one; if `moved` by as much as the error of the flow moves them."""
-    whole, everywhere = family.whole, family.on_all_positions(point)
-    state = orbit_state(everywhere)
-    transition = whole.flow.transition(everywhere.problem, everywhere.z)
-    symplectic = whole.coordinates.symplectic
-    if symplectic:
-        directions = whole.accelerations([state])
-    else:  # the rate along the family of positions at phase zero, see `branch_sampler`
-        problem, k = everywhere.problem, everywhere.problem.parameter_index
-        q, change = (problem.sample(v, np.zeros(1))[0] for v in (everywhere.z, everywhere.tangent))
-        S_rate = whole.coordinates.S_rate
-        directions = whole.across((2.0 / S_rate * everywhere.z[k] * change + everywhere.tangent[k] * q)[None])
-    matrix, error = transition.matrix[None], flow_error(transition)[None]
-    reduced, errors = reduced_matrices(matrix, error, directions, symplectic)
-    return np.asarray(np.linalg.eigvals(reduced[0, 0] + moved * errors[0, 0]).astype(complex))
-
-
-class EdgeProblem(Problem):
-    """Unknowns z = (s, mu, u) with S = start.S + s S_away and the parameter = start.value + u away.
-
-    The equations are that mu is where multipliers meet, or the value that one has, and that they do.
-    """
-
-    resolution = 1
-    states = 2
-
-    def __init__(self, multipliers: Multipliers, start: Start) -> None:
-        self._multipliers, self._start = multipliers, start
-        self._last: tuple[Array, tuple[Array, Array]] | None = None
-
-    @property
-    def begin(self) -> Array:
-        """The start."""
-        return np.array([0.0, self._start.mu, 0.0])
-
-    def where(self, z: Array) -> tuple[float, float]:
-        """S and the parameter."""
-        return self._start.S + float(z[0]) * self._start.S_away, self._start.value + float(z[2]) * self._start.away
-
-    def values(self, z: Array) -> Array:
-        """The place where multipliers meet, and the value that vanishes there."""
-        mu = self._multipliers(*self.where(z))
-        if self._start.kind != "complex":
-            end = self._start.mu
-            return np.array([end, float(mu[np.argmin(np.abs(mu - end))].real) - end])
-        one, other = mu[np.argsort(np.abs(mu - z[1]))[:2]]
-        return np.array([0.5 * (one + other).real, (0.25 * (one - other) ** 2).real])
-
-    def test(self, z: Array) -> float:
-        """The value that vanishes at an edge."""
-        return float(self.values(z)[1])
-
-    def slopes(self, z: Array) -> Array:
-        """Derivatives of `values`, shape (2, 3), those in mu 0, by differences to one side."""
-        found, here = np.zeros((2, 3)), self.values(z)
-        for column in (0, 2):
-            found[:, column] = (self.values(z + DIFFERENCE_STEP * np.eye(3)[column]) - here) / DIFFERENCE_STEP
-        return found
-
-    def evaluate(self, z: Array) -> tuple[Array, Array]:
-        """Residuals and derivatives, the second equation relative to its largest derivative."""
-        if self._last is None or not np.array_equal(self._last[0], z):
-            try:
-                values, slopes = self.values(z), self.slopes(z)
-            except ArithmeticError as error:
-                raise SingularError(str(error)) from error
-            size = float(np.max(np.abs(slopes[1])))
-            if not size > 0.0:
-                raise SingularError("the multipliers do not depend on S and the parameter")
-            matrix = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]) + slopes * np.array([[-1.0], [1.0 / size]])
-            self._last = z.copy(), (np.array([z[1] - values[0], values[1] / size]), matrix.ravel(order="F"))
-        residual, nonzeros = self._last[1]
-        return residual.copy(), nonzeros.copy()
-
-    # As continuations take it -----------------------------------------------------------------------------------------
-
-    @property
-    def size(self) -> int:
-        return 3
-
-    @property
-    def pattern(self) -> tuple[Indices, Indices]:
-        return np.tile(np.arange(2), 3), np.repeat(np.arange(3), 2)
-
-    def index_of(self, scalar: Scalar) -> int:
-        """Place of u among the unknowns; there is no Omega."""
-        if scalar is Scalar.OMEGA:
-            raise ValueError("an edge has no Omega among its unknowns")
-        return 2
-
-    def _equations(self) -> Never:
-        raise NotImplementedError("edges are functions of orbits, not expressions")
-
-    def prolong(self, z: Array, finer: Problem) -> Array:
-        return z.copy()
-
-    def parameter_size(self, z: Array) -> float:
-        return 1.0
-
-    def profile_change(self, z: Array, step: Array) -> float:
-        return float(np.max(np.abs(step[:2])))
-
-    def sample(self, z: Array, theta: Array) -> Array:
-        return np.tile(z[:2], (np.size(theta), 1))
-
-    def frequency(self, z: Array) -> float:
-        return 1.0
-
-    def frequency_step(self, z: Array, step: Array) -> float:
-        return 0.0
-
-    def metric(self, z: Array, parameter_scale: float) -> Array:
-        return np.ones(3)
-
-    def rounding(self, z: Array) -> float:
-        return DIFFERENCE_STEP**3
-
-    def whereabouts(self, z: Array) -> str:
-        S, value = self.where(z)
-        return f"S = {S:.8g}, parameter = {value:.8g}"
-
-
-# A family at other values of a parameter of its model, and its orbits near an edge of a tongue ------------------------
-
-REAL_KIND = "real"  # kind of an edge at which a multiplier is 1
+REAL_KIND, COMPLEX_KIND = "real", "complex"  # kinds of an edge: a multiplier is 1, or two meet
 EDGE_OMEGA_RTOL = 1e-6  # relative difference of Omega: the orbit of an edge
 OFFSET_FROM_EDGE = 1e-4  # of S: how far the orbits on both sides are, whose cubic is good to some 1e-13
 
@@ -382,9 +141,6 @@ def _not_followed(localised: StabilityDiagram | None) -> Iterator[Unresolved]:
             yield Unresolved(change.S, change.S, words, EDGE)
 
 
-SAME_PARAMETER_RTOL = 1e-12  # relative: values of the parameter that are one
-
-
 def parameters_of(family: Family) -> tuple[str, ...]:
     """Names of the parameters of a family's model in which its edges can be followed."""
     model, names = family.request.model, tuple(family.coordinates.parameters)
@@ -394,11 +150,11 @@ def parameters_of(family: Family) -> tuple[str, ...]:
     return tuple(name for name in names if name in known)
 
 
-def family_at(family: Family, parameter: str, value: float, S: float, tolerance: float | None = None) -> Family:
-    """The family at a value of a parameter, to somewhat beyond S."""
+def family_at(family: Family, parameter: str, value: float) -> Family:
+    """The family at a value of a parameter, in the same units; raises ValueError where the model has no such value."""
     request = family.request
-    changed: dict[str, Any] = {"targets": Targets(), "amplitude_max": 1.5 * S}
-    changed |= {} if tolerance is None else {"tolerance": tolerance}
+    method = replace(request.method, corrector="newton")
+    changed: dict[str, Any] = {"targets": Targets(), "tolerance": FINE_TOLERANCE, "method": method}
     if isinstance(request.model, OdeModel):
         changed["parameters"] = {**family.coordinates.parameters, parameter: value}
     else:
@@ -427,16 +183,6 @@ def orbit_at(family: Family, S: float, guess: Point) -> Point:
     return found
 
 
-def orbit_of_edge(family: Family, S: float, center: Point) -> Point:
-    """The orbit at an edge; where its equations are singular, by the curve through orbits on both sides."""
-    try:
-        return orbit_at(family, S, beside(family, center, S))
-    except ArithmeticError:
-        places = [S * (1.0 + h) for h in (-OFFSET_FROM_EDGE, OFFSET_FROM_EDGE)]
-        before, after = (orbit_at(family, place, beside(family, center, place)) for place in places)
-        return along_curve(family, before, after, S)
-
-
 def beside(family: Family, point: Point, S: float) -> Point:
     """A guess at another S along the tangent of a point."""
     index = point.problem.parameter_index
@@ -444,38 +190,274 @@ def beside(family: Family, point: Point, S: float) -> Point:
     return replace(point, z=point.z + moved * point.tangent, better=None)
 
 
-@dataclass(frozen=True)
-class Orbits:
-    """Orbits of families at values of the parameter, each solved from the nearest of those known before.
+def matrices_of(family: Family, point: Point) -> tuple[Array, Array, Array]:
+    """(K, P, Q) of an orbit, or K alone, whose mu are the eigenvalues of K; matrices like their errors; their frame.
 
-    Attributes:
-        family_at: the family at a value, to somewhat beyond an S.
-        first: the orbit from which the first one is solved.
+    The trivial direction is left out: the frame, shape (n, m), holds the coordinates across it.
+    """
+    whole, everywhere = family.whole, family.on_all_positions(point)
+    transition = whole.flow.transition(everywhere.problem, everywhere.z)
+    symplectic = whole.coordinates.symplectic
+    if symplectic:
+        directions = whole.accelerations([orbit_state(everywhere)])
+    else:  # the rate along the family of positions at phase zero, see `branch_sampler`
+        problem, k = everywhere.problem, everywhere.problem.parameter_index
+        q, change = (problem.sample(v, np.zeros(1))[0] for v in (everywhere.z, everywhere.tangent))
+        S_rate = whole.coordinates.S_rate
+        directions = whole.across((2.0 / S_rate * everywhere.z[k] * change + everywhere.tangent[k] * q)[None])
+    matrix, error = transition.matrix[None], flow_error(transition)[None]
+    values, changes = reduced_matrices(matrix, error, directions, symplectic)
+    frame = np.eye(values.shape[-1]) if directions is None else orthogonal_complements(directions)[0]
+    return values[0], changes[0], frame
+
+
+# Edges followed in a parameter of the model with S free: one equation in both -------------------------------
+
+DIFFERENCE_STEP = 3e-4  # of S and of the way of the parameter: that of derivatives; not the offset of orbits
+SAME_SLOPES = 3e-7  # of these: a distance within which derivatives are the same
+BEND_STEP = 1e-3  # of S: that of a second derivative
+LAST_NEWTON_STEP = 1e-8  # of these: a step of Newton's method after which an edge is one
+FIRST_STEP, SHORTEST_STEP = 0.05, 1e-5  # of these, along the curve
+FINE_TOLERANCE = 1e-10  # of the families at other values of the parameter
+KEPT_ORBITS, KEPT_FAMILIES = 40, 12  # orbits that the next ones are solved from; families
+EDGE_S_RTOL = 1e-6  # of S: within which the edge that a curve starts from is found again
+HALF_STRETCH = 8e-3  # of S: half the stretch on which it is sought
+ASIDE_FRACTION, UNEVEN_FRACTION = 0.4, 0.8  # of that: where an orbit and an end are, off places that are singular
+EQUAL_MU_DISTANCE = 1e-6  # between mu that pass a real edge together, as those that a symmetry makes equal
+REAL_MU_ATOL = 1e-9  # imaginary part of a mu that is real
+EQUAL_PAIRS_DISTANCE = 1e-4  # between those of several pairs that collide together
+
+
+class EdgeProblem(Problem):
+    """Unknowns z = (S / S0, mu, u), where the parameter goes from its start to its end as u goes from 0 to 1.
+
+    The equations are that mu is the mean of those that meet, of which there are `count`, and with an orthonormal basis
+    V of the invariant space of K that belongs to them
+
+        trace V^T P V = 0                   where they pass 0 or -1: by P or Q, whichever vanishes,
+        n^T P K n = 0 with n^T P n = 0      where two meet, n in the space of V: by P and K, or Q and K^T.
+
+    These zeros are simple however narrow a tongue is (see `stability.tongues.pairs`); of both n it is that nearest to
+    n at the nearest orbit known. Without P and Q, and of more mu, their distance from the edge's mu, or their variance
+    where they meet, vanishes instead.
     """
 
-    family_at: Callable[[float, float], Family]
-    first: Point
-    families: dict[float, Family] = field(default_factory=dict)
-    known: dict[tuple[float, float], Point] = field(default_factory=dict)
+    resolution = 1
+    states = 2
 
-    def near(self, S: float, value: float) -> Point:
-        """The orbit that is nearest among those that were solved."""
-        if not self.known:
-            return self.first
-        places = np.array(list(self.known))
-        sizes = np.ptp(places, axis=0) + SAME_PARAMETER_RTOL * np.abs(places[0])
-        nearest = int(np.argmin(np.sum(((places - (S, value)) / sizes) ** 2, axis=1)))
-        return list(self.known.values())[nearest]
+    def __init__(
+        self, orbit: Orbit, course: Course, exact: Iterable[float], edge: StabilityEdge, beside: Point
+    ) -> None:
+        self.edge, self._family, self._course, self._S = edge, orbit.space.whole, course, edge.S
+        breaking = breaking_of(orbit, edge.mu) if edge.kind == REAL_KIND else None
+        self._crossed = breaking is not None and not breaking.lost
+        self._exact = {course.fraction(value): value for value in exact}
+        self._families, self._last = dict[float, Family](), dict[bytes, tuple[Array, Array]]()
+        self._known: dict[tuple[float, float], tuple[Point, Array | None]]
+        self._known = {(self._family.request.S_of(beside.parameter) / edge.S, 0.0): (beside, None)}
+        self._meet, self._form = edge.kind == COMPLEX_KIND, 0
+        here = self.orbit(self.begin)
+        (K, *forms), _, _ = matrices_of(here.space, here.point)
+        near = EQUAL_PAIRS_DISTANCE if self._meet else EQUAL_MU_DISTANCE
+        self.count = max(1 + self._meet, int(np.sum(np.abs(np.linalg.eigvals(K) - edge.mu) <= near)))
+        if forms and (self.count == 2 if self._meet else edge.kind == REAL_KIND):
+            own = [V.T @ P @ V for P, V in zip(forms, map(self._space, (K, K.T), [edge.mu] * 2), strict=True)]
+            shown = [np.linalg.det(P) / np.sum(P**2) if self._meet else abs(np.trace(P)) for P in own]
+            self._form = 1 + int(np.argmin(shown))
 
-    def multipliers(self, S: float, value: float) -> ComplexArray:
-        """All mu but the trivial one; raises ArithmeticError where no orbit is found."""
-        if value not in self.families:
-            self.families[value] = self.family_at(value, S)
-        self.known[S, value] = orbit_at(self.families[value], S, self.near(S, value))
-        return multipliers_of(self.families[value], self.known[S, value])
+    @property
+    def begin(self) -> Array:
+        """The start."""
+        return np.array([1.0, self.edge.mu, 0.0])
+
+    def where(self, z: Array) -> tuple[float, float]:
+        """S and the parameter."""
+        return self._S * float(z[0]), float(self._exact.get(float(z[2]), self._course.at(float(z[2]))))
+
+    def _family_at(self, value: float) -> Family:
+        if value not in self._families:
+            self._families[value] = family_at(self._family, self._course.name, value)
+            _keep_last(self._families, KEPT_FAMILIES)
+        return self._families[value]
+
+    def orbit(self, z: Array) -> Orbit:
+        """The orbit at z; raises ArithmeticError where none is found, ValueError where the model has no such value.
+
+        Where another branch of the same class crosses it is on the curve from one side to the other.
+        """
+        S, value = self.where(z)
+        if not S > 0.0:
+            raise ArithmeticError("S comes to 0")
+        family, (near, _) = self._family_at(value), self._nearest(z)
+        if not self._crossed:
+            return Orbit(family, orbit_at(family, S, beside(family, near, S)))
+        sides = (S * (1.0 + h) for h in (-OFFSET_FROM_EDGE, OFFSET_FROM_EDGE))
+        before, after = (orbit_at(family, side, beside(family, near, side)) for side in sides)
+        return Orbit(family, along_curve(family, before, after, S))
+
+    def _nearest(self, z: Array) -> tuple[Point, Array | None]:
+        """The nearest of the orbits known, with its n."""
+        places = np.array(list(self._known))
+        return list(self._known.values())[int(np.argmin(np.sum((places - z[[0, 2]]) ** 2, axis=1)))]
+
+    def values(self, z: Array, errors: bool = False) -> Array:
+        """The mean of mu and the function that vanishes; with `errors` this with those of flow and orbit, too."""
+        place, (_, before) = (float(z[0]), float(z[2])), self._nearest(z)
+        orbit = self.orbit(z)
+        matrices, changes, frame = matrices_of(orbit.space, orbit.point)
+        mean, value, n = self._function(matrices, frame, z[1], before)
+        self._known[place] = orbit.point, n
+        _keep_last(self._known, KEPT_ORBITS)
+        if not errors:
+            return np.array([mean, value])
+        moved, better = self._function(matrices + changes, frame, z[1], n)[1], orbit.point.better
+        if better is not None:
+            finer = replace(orbit.point, problem=better.problem, z=better.z, better=None)
+            matrices, _, frame = matrices_of(orbit.space, finer)
+        return np.array([mean, value, moved, self._function(matrices, frame, z[1], n)[1]])
+
+    def _space(self, K: Array, mu: float) -> Array:
+        """An orthonormal basis of the invariant space of the mu that meet, near one, shape (m, count)."""
+        from scipy.linalg import schur
+
+        away = np.sort(np.abs(np.linalg.eigvals(K) - mu))
+        within = 0.5 * (away[self.count - 1] + away[self.count]) if away.size > self.count else np.inf
+
+        def meets(real: float, imaginary: float = 0.0) -> bool:
+            return bool(abs(real + 1j * imaginary - mu) < within)
+
+        _, vectors, count = schur(K, sort=meets)
+        if count != self.count:
+            raise ArithmeticError("the multipliers that meet cannot be distinguished from others")
+        return np.asarray(vectors[:, :count])
+
+    def _function(
+        self, matrices: Array, frame: Array, mu: float, before: Array | None
+    ) -> tuple[float, float, Array | None]:
+        """The mean of mu, the function that vanishes, and n in all coordinates."""
+        K, form = matrices[0].T if self._form == 2 else matrices[0], matrices[self._form]
+        V = self._space(K, mu)
+        own = V.T @ K @ V
+        mean = float(np.trace(own)) / self.count
+        if not self._form:
+            off = own - (mean if self._meet else self.edge.mu) * np.eye(self.count)
+            return mean, float(np.trace(off @ off if self._meet else off)) / self.count, None
+        if not self._meet:
+            return mean, float(np.trace(V.T @ form @ V)) / self.count, None
+        (low, high), axes = np.linalg.eigh(V.T @ form @ V)
+        if not low < 0.0 < high:
+            raise ArithmeticError("the multipliers that meet have signatures that are not opposite")
+        both = [V @ axes @ np.array([np.sqrt(high), side * np.sqrt(-low)]) for side in (1.0, -1.0)]
+        both = [n / np.linalg.norm(n) for n in both]
+        found = [float(n @ form @ K @ n) for n in both]
+        which = np.argmin(np.abs(found)) if before is None else np.argmax([abs(frame @ n @ before) for n in both])
+        return mean, found[which], frame @ both[which]
+
+    def linear(self, z: Array) -> tuple[Array, Array]:
+        """`values` and their derivatives by S and u, shape (2, 2), by differences; raises SingularError.
+
+        Those by u are to the side that is within the way, as the model may accept nothing beyond it.
+        """
+        key = z.tobytes()
+        if key not in self._last:
+            beside = (s for x, (_, s) in self._last.items() if np.max(np.abs(np.frombuffer(x) - z)) <= SAME_SLOPES)
+            try:
+                here = self.values(z)
+                slopes = next(beside, None)
+                self._last[key] = here, self._slopes(z, here) if slopes is None else slopes
+            except (ArithmeticError, ValueError, RuntimeError) as error:
+                raise SingularError(str(error)) from error
+            _keep_last(self._last, KEPT_ORBITS)
+        return self._last[key]
+
+    def _slopes(self, z: Array, here: Array) -> Array:
+        h, (in_S, _, in_u) = DIFFERENCE_STEP, np.eye(3)
+        inwards = h if z[2] < 0.5 else -h
+        by_u = (self.values(z + inwards * in_u) - here) / inwards
+        return np.column_stack([(self.values(z + h * in_S) - self.values(z - h * in_S)) / (2.0 * h), by_u])
+
+    def evaluate(self, z: Array) -> tuple[Array, Array]:
+        """Residuals and derivatives, the second equation relative to its largest derivative."""
+        (mu, value), slopes = self.linear(z)
+        size = float(np.max(np.abs(slopes[1])))
+        if not size > 0.0:
+            raise SingularError("the multipliers do not depend on S and the parameter")
+        matrix = np.array([[-slopes[0, 0], 1.0, -slopes[0, 1]], [slopes[1, 0] / size, 0.0, slopes[1, 1] / size]])
+        return np.array([z[1] - mu, value / size]), matrix.ravel(order="F")
+
+    def point(self, found: Point) -> EdgePoint:
+        """A point of the curve with its errors: by those of the flow and of the orbit, over the slope by S.
+
+        At a fold that slope is zero to within its own error, which gives that of S, and the parameter has one too.
+        """
+        z, (S, _) = found.z, self.where(found.z)
+        (_, (by_S, by_u)), (mu, value, moved, finer) = self.linear(z)[1], self.values(z, errors=True)
+        off, parameter_error = abs(value) + abs(moved - value) + abs(finer - value), 0.0
+        if found.special:
+            step = BEND_STEP * np.eye(3)[0]
+            bend = abs(self.values(z + step)[1] + self.values(z - step)[1] - 2.0 * value) / BEND_STEP**2
+            S_error = FOLD_TOLERANCE + SAME_SLOPES + DIFFERENCE_STEP**2 + off / (DIFFERENCE_STEP * bend)
+            parameter_error = abs((self._course.to - self._course.start) / by_u) * (off + 0.5 * bend * S_error**2)
+        else:
+            S_error = off / abs(by_S)
+        orbit = self.orbit(z)
+        place = Place(0.0, 0.0, S, float(self._S * S_error), orbit.Omega)
+        edge = replace(self.edge, place=place, mu=float(mu) if self._meet else self.edge.mu)
+        values = {**orbit.space.parameters(orbit.point), "S": S}
+        return EdgePoint(orbit, edge, values, float(parameter_error))
+
+    # As continuations take it -----------------------------------------------------------------------------------------
+
+    @property
+    def size(self) -> int:
+        return 3
+
+    @property
+    def pattern(self) -> tuple[Indices, Indices]:
+        return np.tile(np.arange(2), 3), np.repeat(np.arange(3), 2)
+
+    def index_of(self, scalar: Scalar) -> int:
+        """Place of u among the unknowns; there is no Omega."""
+        if scalar is Scalar.OMEGA:
+            raise ValueError("an edge has no Omega among its unknowns")
+        return 2
+
+    def prolong(self, z: Array, finer: Problem) -> Array:
+        return z.copy()
+
+    def parameter_size(self, z: Array) -> float:
+        return 1.0
+
+    def profile_change(self, z: Array, step: Array) -> float:
+        return float(np.max(np.abs(step[:2])))
+
+    def sample(self, z: Array, theta: Array) -> Array:
+        return np.tile(z[:2], (np.size(theta), 1))
+
+    def frequency(self, z: Array) -> float:
+        return 1.0
+
+    def frequency_step(self, z: Array, step: Array) -> float:
+        return 0.0
+
+    def metric(self, z: Array, parameter_scale: float) -> Array:
+        return np.array([z[0] ** -2.0, 1.0, 1.0])
+
+    def rounding(self, z: Array) -> float:
+        return DIFFERENCE_STEP**3
+
+    def whereabouts(self, z: Array) -> str:
+        S, value = self.where(z)
+        return f"S = {S:.8g}, {self._course.name} = {value:.8g}"
 
 
-# Edges of tongues of instability of a family, followed in a parameter of the model with S free ------------------------
+def _keep_last(known: dict[Any, Any], count: int) -> None:
+    """Forget the oldest entries."""
+    while len(known) > count:
+        del known[next(iter(known))]
+
+
+# Curves of edges ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -569,313 +551,82 @@ class EdgeCurve(Result):
         return f"{words}: {self.detail}" if self.detail else words
 
 
-EDGE_S_RTOL = 1e-6  # of S: within which the edge that a curve starts from is found again
-FIRST_STEP_FRACTION = 0.02  # of the way: the first step
-STEP_GROWTH = 1.8  # of a step whose edge was well extrapolated
-WELL_EXTRAPOLATED_S, BADLY_EXTRAPOLATED_S = 1e-3, 1e-2  # of S: how far the edge may be from where it was extrapolated
-WIDEST_HALF_STRETCH, NARROWEST_HALF_STRETCH = 0.02, 1e-5  # of S: half the stretch on which the edge is sought
-ASIDE_FRACTION, UNEVEN_FRACTION = (
-    0.4,
-    0.8,
-)  # of that half: where an orbit and an end are, as equations may be singular at an edge
-ERRORS_AROUND_EDGE = 8.0  # times the error of the last extrapolation: the same
-OTHER_EDGE_FRACTION = 0.3  # of the distance of another edge of the kind: how far the edge may be from the extrapolation
-MU_CHANGE_PER_STEP = 0.05  # change of mu in a step
-SHORTEST_STEP = 1e-5  # of the way: a step
-NEAR_FOLD = 0.5  # of the distance to a fold: a step that is not taken there goes around it
-FORESEEN_FOLD_FACTOR = 10.0  # times the way of the last edges: how far ahead a fold is foreseen
-FINE_TOLERANCE, ROUGH_TOLERANCE = 1e-10, 1e-8  # tolerances of multipliers around a fold
-EXTRAPOLATING_EDGES = 4  # edges that the next one is extrapolated from
-
-
 def edge_curve(
     orbit: Orbit, S: float, parameter: str, to: float, at: Sequence[float], settings: ContinuationSettings,
     until: Callable[[Any], bool] | None, progress: Callable[[Any], None] | None, back_to: float | None,
-    kind: type[EdgeWalk],
 ) -> EdgeCurve:  # fmt: skip
-    """The edge of a tongue near S of a family, followed in a parameter (see `critical_orbits.curve.curve`).
+    """The edge of a tongue near S of a family, followed in a parameter (see `points.curves.curve`).
 
     Raises ArithmeticError and ValueError where the edge is not found again.
     """
-    walk = kind(orbit, S, parameter, float(to), at, settings, back_to)
-    stopped = False
-    for point in walk:
-        if progress is not None:
-            progress(point)
-        stopped = until is not None and until(point)
-        if stopped:
+    start = float(orbit.parameters[parameter])
+    exact = (start, to, *at, *(() if back_to is None else (back_to,)))
+    family, point, turns = orbit.space.whole, orbit.space.on_all_positions(orbit.point), turns_of(orbit)
+    for value in exact:
+        family_at(family, parameter, value)  # refused where the model has no such value
+    if turns == 1:
+        edge, known = _edge_near(family, point, S)
+    else:
+        known = orbit_at(family, S, shortened(point, turns))
+        edge = _resonance(family, known, S, turns)
+    problem = EdgeProblem(orbit, Course(parameter, start, to), exact, edge, known)
+    limits = replace(
+        settings, tolerance=LAST_NEWTON_STEP, min_step=SHORTEST_STEP, closing=False, guard_distance=0.3,
+        guard_angle=40.0, aim_angle=20.0, first_step=FIRST_STEP,
+        at=(*settings.at, Target(Scalar.PARAMETER, settings.parameter_min)),
+    )  # fmt: skip
+    solver = PointSolver(ExactLevels(problem, lambda problem: NewtonCorrector(problem, LAST_NEWTON_STEP)), limits)
+    row = problem.parameter_row()
+    found = solver.levels.corrector(problem).correct(problem.begin, row, 0.0)
+    if not (found.converged and abs(found.z[0] - 1.0) <= EDGE_S_RTOL):
+        raise ArithmeticError(f"the edge is not found again: {found.message}".removesuffix(": "))
+    tangent = solver.tangent(problem, found.z, solver.factor(problem, found.z, row))
+    last = Point(problem, found.z, tangent, ErrorEstimate(0.0, 0.0), limits.first_step, 0)
+    walk, points, folds, stopped = ArclengthContinuation(solver, (last,)), [problem.point(last)], list[int](), False
+    end: End | None = None
+    for following in walk:
+        for place in (*folds_between(solver, last, following), following):
+            folds += [len(points)] if place.special else []
+            points.append(problem.point(place))
+            if progress is not None:
+                progress(points[-1])
+            stopped = stopped or (until is not None and until(points[-1]))
+        last = following
+        if last.parameter == settings.parameter_min:  # back, and as far to the other side as it was to go
+            closed = abs(last.z[0] - 1.0) <= EDGE_S_RTOL and back_to is None
+            end = End.CLOSED if closed else End.AWAY
+        if stopped or end is not None:
             break
-    end, detail = (None, "") if stopped else (walk.end, walk.detail)
-    return EdgeCurve(parameter, tuple(walk.points), end, detail, tuple(walk.folds))
+    end = None if stopped else end or walk.end
+    return EdgeCurve(parameter, tuple(points), end, "" if end in (None, End.AWAY) else walk.detail, tuple(folds))
 
 
-class EdgeWalk:
-    """Iterates over the points of a curve of edges; `folds` are the numbers of those at which the parameter folds."""
-
-    def __init__(
-        self, orbit: Orbit, S: float, parameter: str, to: float, at: Sequence[float], settings: ContinuationSettings,
-        back_to: float | None,
-    ) -> None:  # fmt: skip
-        self._family, self._name, self._settings = orbit.space.whole, parameter, settings
-        start = float(orbit.parameters[parameter])
-        self._goal, self._other_goal = to, start if back_to is None else back_to
-        self._to, self._span = to, to - start
-        self._at = sorted(float(value) for value in at)
-        self.points, self.folds = list[EdgePoint](), list[int]()
-        self._trail = list[EdgePoint]()  # those since the last fold
-        self.end: End | None = None
-        self.detail = ""
-        self._opens = False
-        self._missed = WELL_EXTRAPOLATED_S
-        for value in (to, self._other_goal):
-            self.at_value(value, S)  # refused where the model has no such value
-        self._first = self._found(start, S, self._guess(orbit), None)
-
-    def __iter__(self) -> Iterator[EdgePoint]:
-        yield self._kept(self._first)
-        step = FIRST_STEP_FRACTION * self._span
-        while len(self.points) < self._settings.max_points:
-            here = self.points[-1].parameters[self._name]
-            if here == self._goal:
-                self._ended()
-                return
-            way = np.sign(self._goal - here)
-            ahead = [value for value in (*self._at, self._goal) if (value - here) * way > 0.0]
-            target = min(ahead, key=lambda value: abs(value - here))
-            value = target if abs(target - here) <= 1.01 * abs(step) else here + step
-            found = self._stepped(value)
-            if found is None:
-                around = self._around_fold(value)
-                if around:
-                    step = 0.5 * (around[-1].parameters[self._name] - around[-2].parameters[self._name])
-                    yield from around
-                    continue
-                step = 0.5 * (value - here)
-                if abs(step) < SHORTEST_STEP * abs(self._span):
-                    self.end = End.NO_STEP
-                    return
-                continue
-            well = self._missed <= WELL_EXTRAPOLATED_S * found.edge.S
-            longest = self._settings.max_step * abs(self._span)
-            step = (STEP_GROWTH if well else 0.7) * max(abs(value - here), abs(step) if well else 0.0)
-            step = float(way * min(step, longest))
-            yield self._kept(found)
-        self.end, self.detail = End.POINTS, f"{self._settings.max_points} points"
-
-    def _ended(self) -> None:
-        """Set the end of a curve that has come to its goal."""
-        first, last = self.points[0], self.points[-1]
-        closed = len(self.points) > 1 and first.parameters[self._name] == last.parameters[self._name]
-        if self._goal == self._to:
-            self.end = End.REACHED
-        elif closed and abs(last.edge.S - first.edge.S) <= EDGE_S_RTOL * first.edge.S:
-            self.end = End.CLOSED
-        else:
-            self.end = End.AWAY
-        self.detail = ""
-
-    # Around folds -----------------------------------------------------------------------------------------------------
-
-    def _around_fold(self, value: float) -> list[EdgePoint]:
-        """A fold before a value of the parameter and points beyond it, which are kept; none where there is no fold."""
-        away = self._fold_ahead()
-        if away is None or abs(value - self.points[-1].parameters[self._name]) < NEAR_FOLD * abs(away[1]):
-            return []
-        last, count = self.points[-1], len(self.points)
-        start = Start(last.edge.kind, last.edge.S, last.edge.mu, last.parameters[self._name], *away)
-        try:
-            orbits = Orbits(partial(self.at_value, tolerance=FINE_TOLERANCE), last.orbit.point)
-            rougher = replace(orbits, family_at=partial(self.at_value, tolerance=ROUGH_TOLERANCE), families={})
-            found = turn(orbits.multipliers, rougher.multipliers, start)
-            self._opens = not self._opens
-            self._kept(self._at_fold(found, orbits.near(found.S, found.value)))
-            self.folds.append(count)
-            for S, mu, there in found.beyond:
-                self._missed = WELL_EXTRAPOLATED_S
-                self._kept(self._found(there, S, orbits.near(S, there), mu))
-            self._missed = WELL_EXTRAPOLATED_S
-        except (ArithmeticError, ValueError, RuntimeError) as error:
-            if len(self.points) > count:
-                del self.points[count:], self.folds[-1:]
-                self._opens = not self._opens
-            self.detail = f"around a fold near {self._name} = {start.value:.8g}, S = {start.S:.8g}: {error}"
-            return []
-        self._trail = self.points[count + 1 :]
-        self._goal, self._other_goal = self._other_goal, self._goal
-        return self.points[count:]
-
-    def _fold_ahead(self) -> tuple[float, float] | None:
-        """Differences of S and of the parameter to a fold, by the parabola through the last edges; None without one."""
-        if len(self._trail) < 3:
-            return None
-        S = np.array([point.edge.S for point in self._trail[-3:]])
-        values = np.array([point.parameters[self._name] for point in self._trail[-3:]])
-        curvature, slope, _ = np.polyfit(S - S[-1], values - values[-1], 2)
-        with np.errstate(all="ignore"):
-            S_away, away = -0.5 * slope / curvature, -0.25 * slope**2 / curvature
-        onwards = S_away * (S[-1] - S[-2]) > 0.0 and away * (values[-1] - values[-2]) > 0.0
-        near = abs(away) < FORESEEN_FOLD_FACTOR * abs(values[-1] - values[0])
-        return (float(S_away), float(away)) if onwards and near else None
-
-    def _at_fold(self, found: Turn, guess: Point) -> EdgePoint:
-        """The fold as a point of the curve."""
-        last, family = self.points[-1], self.at_value(found.value, found.S)
-        orbit = Orbit(family, orbit_at(family, found.S, guess))
-        place = replace(last.edge.place, coordinate_error=0.0, S=found.S, S_error=found.S_error, Omega=orbit.Omega)
-        edge = replace(last.edge, place=place, mu=found.mu, width=0.0)
-        return EdgePoint(orbit, edge, {**orbit.parameters, "S": found.S}, found.error)
-
-    def _guess(self, orbit: Orbit) -> Any:
-        """The orbit that a curve starts from."""
-        return orbit.space.on_all_positions(orbit.point)
-
-    # Points -----------------------------------------------------------------------------------------------------------
-
-    def _kept(self, point: EdgePoint) -> EdgePoint:
-        self.points.append(point)
-        self._trail.append(point)
-        return point
-
-    def _stepped(self, value: float) -> EdgePoint | None:
-        """The edge at a value of the parameter; None, with `detail` set, where it is not found for certain."""
-        S = float(self._extrapolated(value, [point.edge.S for point in self._trail]))
-        mu = float(self._extrapolated(value, [point.edge.mu for point in self._trail]))
-        last = self.points[-1]
-        level = last.orbit.point.problem.resolution
-        known: list[Array] = [
-            point.orbit.point.z
-            for point in self._trail[-EXTRAPOLATING_EDGES:]
-            if point.orbit.point.problem.resolution == level
-        ]
-        guess = replace(last.orbit.point, z=np.asarray(self._extrapolated(value, known)))
-        try:
-            return self._found(value, S, guess, mu)
-        except (ArithmeticError, ValueError, RuntimeError, np.linalg.LinAlgError) as error:
-            here = f"{self._name} = {last.parameters[self._name]:.8g}, S = {last.edge.S:.8g}, mu = {last.edge.mu:.6g}"
-            self.detail = f"beyond {here}: {error}"
-            return None
-
-    def _extrapolated(self, value: float, known: Sequence[Any]) -> Any:
-        """Value of the polynomial through the last points at a value of the parameter."""
-        count = min(len(known), EXTRAPOLATING_EDGES)
-        places = np.array([point.parameters[self._name] for point in self._trail[-count:]])
-        total = 0.0 * np.asarray(known[-1])
-        for k, entry in enumerate(known[-count:]):
-            others = np.delete(places, k)
-            total = total + float(np.prod((value - others) / (places[k] - others))) * np.asarray(entry)
-        return total
-
-    def _found(self, value: float, S: float, guess: Point, mu: float | None) -> EdgePoint:
-        """The edge near S at a value of the parameter; raises ArithmeticError where none is found for certain."""
-        if not S > 0.0:
-            raise ArithmeticError("S comes to 0")
-        family = self.at_value(value, S)
-        half = S * float(np.clip(ERRORS_AROUND_EDGE * self._missed, NARROWEST_HALF_STRETCH, WIDEST_HALF_STRETCH))
-        center = orbit_at(family, S + ASIDE_FRACTION * half, guess)
-        ends = [beside(family, center, S + side * half) for side in (-1.0, UNEVEN_FRACTION)]
-        diagram = tongues_on(family, [ends[0], center, ends[1]])
-        if diagram.unresolved:
-            raise FlowError(diagram.unresolved[0].reason)
-        edge = self._nearest(diagram, S, mu)
-        self._missed = abs(edge.S - S) / S if mu is not None else WELL_EXTRAPOLATED_S
-        self._opens = _opens(diagram, edge)
-        if abs(edge.S - S) > half:
-            raise ArithmeticError("the edge is farther from where it is expected than the step allows")
-        point = orbit_of_edge(family, edge.S, center)
-        values = {**family.parameters(point), "S": edge.S}
-        return EdgePoint(Orbit(family, point), edge, values)
-
-    def _nearest(self, diagram: StabilityDiagram, S: float, mu: float | None) -> StabilityEdge:
-        """The edge that a curve goes on with; raises ArithmeticError where there is none, or it may be another one."""
-        edges = [*diagram.changes, *diagram.further]
-        if mu is None:
-            nearest = min(edges, key=lambda edge: abs(edge.S - S), default=None)
-            if nearest is None or abs(nearest.S - S) > EDGE_S_RTOL * S:
-                raise ArithmeticError("the edge is not found again")
-            return nearest
-        last = self.points[-1].edge
-        alike = [e for e in edges if e.kind == last.kind and abs(e.mu - mu) <= MU_CHANGE_PER_STEP]
-        same = [e for e in alike if _opens(diagram, e) == self._opens]
-        if not same:
-            raise ArithmeticError("the edge is not found: its tongue closes, meets another one, or passes S too fast")
-        nearest = min(same, key=lambda edge: abs(edge.S - S))
-        others = [abs(edge.S - nearest.S) for edge in same if edge is not nearest]
-        if abs(nearest.S - S) > min([BADLY_EXTRAPOLATED_S * S, *(OTHER_EDGE_FRACTION * other for other in others)]):
-            raise ArithmeticError("the edge cannot be distinguished from another one")
-        return nearest
-
-    def at_value(self, value: float, S: float, tolerance: float | None = None) -> Family:
-        """The family at a value of the parameter, to somewhat beyond S."""
-        return family_at(self._family, self._name, value, S, tolerance)
+def _edge_near(family: Family, point: Point, S: float) -> tuple[StabilityEdge, Point]:
+    """The edge at an orbit, among those of a short stretch around it, and an orbit of that."""
+    half = HALF_STRETCH * S
+    center = orbit_at(family, S + ASIDE_FRACTION * half, point)
+    ends = [beside(family, center, S + side * half) for side in (-1.0, UNEVEN_FRACTION)]
+    diagram = tongues_on(family, [ends[0], center, ends[1]])
+    if diagram.unresolved:
+        raise FlowError(diagram.unresolved[0].reason)
+    nearest = min((*diagram.changes, *diagram.further), key=lambda edge: abs(edge.S - S), default=None)
+    if nearest is None or abs(nearest.S - S) > EDGE_S_RTOL * S:
+        raise ArithmeticError("the edge is not found again")
+    return nearest, center
 
 
-def _opens(diagram: StabilityDiagram, edge: StabilityEdge) -> bool:
-    """Whether an edge is the one at which its tongue starts, in the order of S."""
-    assert edge.tongue is not None
-    start, place = diagram.tongues[edge.tongue].start, edge.place
-    return abs(start.coordinate - place.coordinate) <= start.coordinate_error + place.coordinate_error
+def _resonance(family: Family, point: Point, S: float, turns: int) -> StabilityEdge:
+    """Edges that coincide where a family crosses one of an m-th of its period, whose multiplier is a root of 1 or -1.
 
-
-# Edges that coincide where a family crosses one of an m-th of its period, followed as its resonance -------------------
-
-CROSSING_S_RTOL = 1e-6  # of S: within which the crossing that a curve starts from is found again
-SECANT_OFFSET = 1e-4  # of S: the second place of the secant method
-SOLVED_S_RTOL = 1e-13  # of S
-LONGEST_CROSSING_MOVE = 0.02  # of S: how far a crossing may be from where it is expected
-REAL_MU_ATOL = 1e-9  # imaginary part of a mu that is real
-
-
-class CrossingWalk(EdgeWalk):
-    """Iterates over the orbits of the shorter period whose multipliers are roots of 1 or -1, along a parameter."""
-
-    def __init__(self, orbit: Orbit, *arguments: Any) -> None:
-        self._turns, self._target = turns_of(orbit), np.nan
-        super().__init__(orbit, *arguments)
-
-    def _guess(self, orbit: Orbit) -> Point:
-        """The orbit of the shorter period; the multiplier that decides is the one nearest to a root."""
-        family = orbit.space.whole
-        point = orbit_at(family, orbit.S, shortened(super()._guess(orbit), self._turns))
-        mu = multipliers_of(family, point)
-        angles = np.arccos(1.0 + 2.0 * np.clip(mu[np.abs(mu.imag) <= REAL_MU_ATOL].real, -1.0, 0.0))
-        roots = np.pi * np.arange(1, self._turns) / self._turns
-        nearest = roots[np.argmin(np.min(np.abs(roots[:, None] - angles), axis=1, initial=np.inf))]
-        self._target = -(float(np.sin(0.5 * nearest)) ** 2)
-        return point
-
-    def _found(self, value: float, S: float, guess: Point, mu: float | None) -> EdgePoint:
-        """The crossing near S at a value of the parameter; raises ArithmeticError where none is found for certain."""
-        from scipy.optimize import newton
-
-        fine, near = self.at_value(value, S, FINE_TOLERANCE), guess
-
-        def off(at: float) -> float:
-            nonlocal near
-            near = orbit_at(fine, float(at), near)
-            return self._off(fine, near)
-
-        if not S > 0.0:
-            raise ArithmeticError("S comes to 0")
-        beside = S * (1.0 + SECANT_OFFSET)
-        slope = (off(beside) - off(S)) / (beside - S)
-        found = float(newton(off, S, x1=beside, tol=SOLVED_S_RTOL * S))
-        if not abs(found - S) <= (CROSSING_S_RTOL if mu is None else LONGEST_CROSSING_MOVE) * S:
-            raise ArithmeticError("the crossing is farther from where it is expected than the step allows")
-        self._missed = WELL_EXTRAPOLATED_S if mu is None else abs(found - S) / S
-        orbit = Orbit(fine, orbit_at(fine, found, near))
-        error = abs(self._off(fine, orbit.point, moved=True) / slope) + SOLVED_S_RTOL * found
-        place = Place(0.0, 0.0, found, float(error), orbit.Omega)
-        kind, power = f"1:{self._turns} resonance", POWERS_BY_FRACTION[fine.symmetry.value]
-        edge = StabilityEdge(place, kind, self._target, (), False, False, power)
-        return EdgePoint(orbit, edge, {**fine.parameters(orbit.point), "S": found})
-
-    def _off(self, family: Family, point: Point, moved: bool = False) -> float:
-        """Difference of the nearest mu to the one of the resonance."""
-        away = multipliers_of(family, point, moved) - self._target
-        nearest = away[np.argmin(np.abs(away))]
-        if abs(nearest.imag) > REAL_MU_ATOL:
-            raise ArithmeticError("the multipliers of the resonance leave the unit circle")
-        return float(nearest.real)
+    It is the resonance of the orbit of the shorter period, at a point of which the family is.
+    """
+    mu = np.linalg.eigvals(matrices_of(family, point)[0][0])
+    real = np.clip(mu[np.abs(mu.imag) <= REAL_MU_ATOL].real, -1.0, 0.0)
+    roots = np.pi * np.arange(1, turns) / turns
+    away = np.min(np.abs(roots[:, None] - np.arccos(1.0 + 2.0 * real)), axis=1, initial=np.inf)
+    target, power = -(float(np.sin(0.5 * roots[np.argmin(away)])) ** 2), POWERS_BY_FRACTION[family.symmetry.value]
+    place = Place(0.0, 0.0, S, 0.0, point.Omega)
+    return StabilityEdge(place, f"1:{turns} resonance", target, (), False, False, power)
 
 
 def shortened(point: Point, turns: int) -> Point:
