@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
+from scipy.optimize import newton
 
 from casadi_skin.dynamics import EvolutionError, distance_from_orbit, evolve
 from casadi_skin.follow.solution import Orbit
@@ -18,15 +18,17 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.arguments import check_name, number, short_repr, whole
 from casadi_skin.model.result import Result
 from casadi_skin.optimise.kick_nlp import KickedFlow, KickNlp, KickOptimum, reach
-from casadi_skin.optimise.nlp import STOPPED_STATUS
 from casadi_skin.optimise.optimum import CosineOrbit
-from casadi_skin.solve.ipopt import Monitor, nlp_reason
+from casadi_skin.optimise.search import distinct
+from casadi_skin.optimise.search_problem import Ending, Outcome, Start, solve_start
+from casadi_skin.solve.ipopt import SOLVED_STATUS, Monitor, nlp_reason
 from casadi_skin.solve.processes import Report, Runner
 from casadi_skin.zero.problem import Array, Indices
 
+PEAK_WINDOWS = np.array([0.125, 0.03, 0.01, 0.003])  # of a period, around a time of escape
+PEAK_SAMPLES = 17  # in them
+SIZE_RTOL = 1e-10  # of the size along one direction
 SAMPLES_PER_PERIOD = 64  # a period; the largest distance is that of the parabola through the three largest
-FINER_SAMPLES = 17  # samples around the largest
-NARROWEST_BRACKET = 1e-9  # of the bracket of a size, relative to it
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,21 +69,12 @@ def sampled(orbit: Orbit, time: float) -> Array:
     return np.linspace(0.0, time, 1 + max(8, int(np.ceil(SAMPLES_PER_PERIOD * time / orbit.period))))
 
 
-def farthest(orbit: Orbit, kick: Array, time: float) -> tuple[float, float]:
-    """Largest distance up to `time` after a kick (2N,), and its time: sampled, then finer around the largest sample."""
-    coarse = escape(orbit, kick, sampled(orbit, time))
-    k = int(np.argmax(coarse.distance))
-    around = coarse.t[max(0, k - 1)], coarse.t[min(k + 1, len(coarse.t) - 1)]
-    fine = escape(orbit, kick, np.linspace(*around, FINER_SAMPLES))
-    return max(
-        coarse.farthest if len(fine.t) < FINER_SAMPLES else fine.farthest, (float(coarse.distance[k]), coarse.t[k])
-    )
-
-
 def size_to_escape(orbit: Orbit, direction: Array, time: float, distance: float) -> tuple[float, float]:
-    """Smallest size of a kick along `direction` (2N,) that escapes, and its time of escape: bisection on CVODES runs.
+    """Smallest size of a kick along `direction` (2N,) that escapes, and its time of escape, by CVODES.
 
-    The bracket comes from a scan of sizes around that of linear growth. Raises ArithmeticError where none escapes.
+    The size that is at the distance at a time, and the time near it at which that kick is farthest, in turn: there an
+    error of the time counts squared. They start from a scan of sizes around that of linear growth. Raises
+    ArithmeticError where none escapes.
     """
     flow = KickedFlow.up_to(orbit, time)
     in_gauge = direction / (np.sqrt(orbit.S) * np.tile(orbit.model.rho, 2))
@@ -89,25 +82,24 @@ def size_to_escape(orbit: Orbit, direction: Array, time: float, distance: float)
     found = flow.first_to_escape(in_gauge, distance, near)
     if found is None:
         raise ArithmeticError(f"size_to_escape: no size up to {1000 * near:.3g} comes to the distance {distance:g}")
+    size, at = found[0], found[1] / flow.steps * time
+    for window in orbit.period * PEAK_WINDOWS:
 
-    def excess(size: float) -> float:
-        return farthest(orbit, size * direction, time)[0] - distance
+        def excess(size: float, at: float = at) -> float:
+            return float(escape(orbit, size * direction, [at]).distance[-1]) - distance
 
-    low, high = 0.95 * found[0], found[0]
-    while excess(high) < 0:  # the scan had fewer samples in time
-        low, high = high, 1.02 * high
-    while excess(low) >= 0:
-        low, high = 0.9 * low, low
-    size = float(brentq(excess, low, high, xtol=NARROWEST_BRACKET * high, rtol=NARROWEST_BRACKET))
-    return size, farthest(orbit, size * direction, time)[1]
+        size = float(newton(excess, size, rtol=SIZE_RTOL, tol=SIZE_RTOL * size))
+        around = np.linspace(max(0.0, at - window), min(at + window, time), PEAK_SAMPLES)
+        at = escape(orbit, size * direction, around).farthest[1]
+    return size, at
 
 
 # The search: where it starts, and where each start leads --------------------------------------------------------------
 
 FLOW_ERROR = 1e-6  # of the distance, against CVODES; the steps are halved until it is met
 MOST_REFINEMENTS = 4
-SAME_KICK_RTOL = 1e-3  # relative difference of kicks that count as one optimum
 SHORTER_KICK_FACTOR = 0.98  # a kick that escapes at this part of its size is searched again from there
+LAST_MOMENT = 1e-6  # of the time: an escape in it is at the end of the time allowed
 
 
 class KickError(ArithmeticError):
@@ -115,35 +107,11 @@ class KickError(ArithmeticError):
 
 
 @dataclass(frozen=True, eq=False)
-class KickStart:
-    """A direction (m,) that a search starts from, by number and name."""
-
-    number: int
-    name: str
-    direction: Array
-
-
-@dataclass(frozen=True, eq=False)
-class KickOutcome:
-    """Where a start leads: `first`, the size of it that escapes, if any, and `found`, where Ipopt ended from there.
-
-    `last` has iterations, norm and violation.
-    """
-
-    start: KickStart
-    first: KickOptimum | None = None
-    found: KickOptimum | None = None
-    last: tuple[int, float, float] = (0, np.inf, np.inf)
-
-    @property
-    def interrupted(self) -> bool:
-        """Whether an interruption ended it."""
-        return self.found is not None and self.found.words == STOPPED_STATUS
-
-
-@dataclass(frozen=True, eq=False)
 class KickSearch:
-    """A search over kicks `basis` (2N, m) times m unknowns, near the norm `scale`, in units of sqrt(S)."""
+    """A search over kicks `basis` (2N, m) times m unknowns, near the norm `scale`, in units of sqrt(S).
+
+    A start is a direction (m,); Ipopt starts from the size of it that escapes.
+    """
 
     flow: KickedFlow
     distance: float
@@ -163,72 +131,63 @@ class KickSearch:
         orbit = self.flow.orbit
         return np.asarray(np.sqrt(orbit.S) * np.tile(orbit.model.rho, 2) * (self.basis @ kick))
 
-    def solve(self, start: KickStart, monitor: Monitor | None = None) -> KickOutcome:
-        """Outcome of a start; raises KeyboardInterrupt only before a size of it escapes."""
-        first = self._first(start.name, start.direction)
-        if first is None:
-            return KickOutcome(start)
-        try:
-            found = self._from(first, monitor)
-        except KeyboardInterrupt:
-            found = replace(first, words=STOPPED_STATUS)
-        last = (found.iterations, float(np.sqrt(self.flow.orbit.S)) * found.norm, found.violation)
-        return KickOutcome(start, first, found, last)
-
-    def _first(self, name: str, direction: Array) -> KickOptimum | None:
-        """The smallest multiple of a direction (m,) that escapes, as a point that Ipopt starts from."""
-        unit = direction / np.linalg.norm(direction)
+    def first(self, start: Start) -> KickOptimum | None:
+        """The smallest multiple of a start's direction that escapes; None where none does."""
+        unit = np.array(start.free) / np.linalg.norm(start.free)
         found = self.flow.first_to_escape(self.basis @ unit, self.distance, self.scale)
         if found is None:
             return None
         size, step = found
-        shorter = replace(self.flow, time=step / self.flow.steps * self.flow.time)
-        phase = self.flow.nearest_phase(shorter.run((size * self.basis @ unit)[None])[0, -1])
-        return KickOptimum(name, size * unit, size, shorter.time, phase)
+        return KickOptimum(start.name, size * unit, size, step / self.flow.steps * self.flow.time, np.nan)
 
-    def _from(self, first: KickOptimum, monitor: Monitor | None) -> KickOptimum:
-        """The optimum from a point, and from shorter ones where a part of it escapes at another time."""
-        found = self.optimum(first, monitor)
+    def nlp_at(self, start: Start) -> tuple[KickNlp, Array]:
+        """The programme, and the first point of a start; raises ArithmeticError where no size of it escapes."""
+        first = self.first(start)
+        if first is None:
+            raise ArithmeticError("no size escapes")
+        return self.nlp, self.nlp.packed(first.kick, first.time)
+
+    def solve(self, start: Start, monitor: Monitor | None = None) -> Outcome:
+        """Outcome of a start, from a part of its kick too that escapes at another time; its objective is the norm."""
+        size = np.sqrt(self.flow.orbit.S) * self.scale  # the objective is the squared norm in these units
+
+        def solved(start: Start) -> Outcome:
+            outcome = solve_start(self, start, monitor and (lambda i, f, v: monitor(i, float(size * np.sqrt(f)), v)))
+            solution = outcome.solution
+            norm = solution and replace(solution, objective=float(size * np.sqrt(solution.objective)))
+            return replace(outcome, solution=norm)
+
+        found = solved(start)
         for _ in range(3):
-            shorter = self._first(first.name, found.kick) if found.solved else None
-            if shorter is None or shorter.norm > SHORTER_KICK_FACTOR * found.norm:
+            if found.ending is not Ending.CONVERGED:
                 break
-            again = self.optimum(shorter, monitor)
-            if not again.solved or again.norm > found.norm:
+            kick = self.scale * found.place[:-1]
+            shorter = self.first(along := replace(start, free=tuple(kick.tolist())))
+            if shorter is None or shorter.norm > SHORTER_KICK_FACTOR * np.linalg.norm(kick):
                 break
-            found = again
+            again = solved(along)
+            if again.ending is not Ending.CONVERGED or again.objective > found.objective:
+                break
+            found = replace(again, start=start)
         return found
 
-    def optimum(self, first: KickOptimum, monitor: Monitor | None = None) -> KickOptimum:
-        """End of Ipopt from a point."""
-        states = replace(self.flow, time=first.time).run((self.basis @ first.kick)[None])[0]
-        size = np.sqrt(self.flow.orbit.S) * self.scale  # the objective is the squared norm in these units
-        report = monitor and (lambda i, f, v: monitor(i, float(size * np.sqrt(f)), v))
-        return self.nlp.optimum(first, states, report)
+    def optimum(self, outcome: Outcome) -> KickOptimum:
+        """The optimum that a start led to."""
+        assert outcome.solution is not None
+        return self.nlp.optimum(outcome.start.name, replace(outcome.solution, words=SOLVED_STATUS))
 
+    def optima(self, outcomes: Sequence[Outcome]) -> list[KickOptimum]:
+        """Optima that differ, ascending, each by the name of the first start that led to it.
 
-def distinct(outcomes: Sequence[KickOutcome]) -> list[KickOptimum]:
-    """Optima that differ, each by the name of the first start that led to it, ascending.
-
-    Where no start led to one, the first point of least norm, with Ipopt's message in place of an optimum.
-    """
-    optima: list[KickOptimum] = []
-    for found in (o.found for o in sorted(outcomes, key=lambda o: o.start.number)):
-        if found is not None and found.solved and not any(_same(found, other) for other in optima):
-            optima.append(found)
-    if optima:
-        return sorted(optima, key=lambda optimum: optimum.norm)
-    failures = {o.found.words for o in outcomes if o.found is not None and not o.interrupted}
-    words = f"Ipopt: {', '.join(sorted(map(nlp_reason, failures)))}" if failures else "Ipopt was not done"
-    least = min((o.first for o in outcomes if o.first is not None), key=lambda first: first.norm)
-    return [replace(least, words=words)]
-
-
-def _same(a: KickOptimum, b: KickOptimum) -> bool:
-    return (
-        float(np.linalg.norm(a.kick - b.kick)) <= SAME_KICK_RTOL * max(a.norm, b.norm)
-        and abs(a.time / b.time - 1) <= SAME_KICK_RTOL
-    )
+        Where no start led to one, the first point of least norm, with Ipopt's message in place of an optimum.
+        """
+        found = [self.optimum(one) for one, _ in distinct(sorted(outcomes, key=lambda o: o.start.number))]
+        if found:
+            return found
+        failures = {nlp_reason(o.words) for o in outcomes if o.ending not in (Ending.NO_ORBIT, Ending.INTERRUPTED)}
+        firsts = [self.first(o.start) for o in outcomes if o.ending is not Ending.NO_ORBIT]
+        least = min((first for first in firsts if first is not None), key=lambda first: first.norm)
+        return [replace(least, words=f"Ipopt: {', '.join(sorted(failures))}" if failures else "Ipopt was not done")]
 
 
 def verified(search: KickSearch, best: KickOptimum) -> tuple[KickOptimum, float, bool]:
@@ -245,7 +204,8 @@ def verified(search: KickSearch, best: KickOptimum) -> tuple[KickOptimum, float,
                 return best, reached, False
             if refinement < MOST_REFINEMENTS:
                 search = replace(search, flow=replace(search.flow, steps=2 * search.flow.steps))
-                best, reached = search.optimum(best), np.nan
+                solution, reached = search.nlp.solve(search.nlp.packed(best.kick, best.time)), np.nan
+                best = search.nlp.optimum(best.name, solution)
     except KeyboardInterrupt:
         return best, reached, True
     raise KickError(
@@ -254,7 +214,7 @@ def verified(search: KickSearch, best: KickOptimum) -> tuple[KickOptimum, float,
     )
 
 
-def directions(far: Array, gains: Array, vectors: Array, starts: int, seed: int) -> list[KickStart]:
+def directions(far: Array, gains: Array, vectors: Array, starts: int, seed: int) -> list[Start]:
     """Directions (m,): linear optima at the highest peaks of the gains, the far end, random ones."""
     first = gains[:, 0]
     padded = np.concatenate([[-np.inf], first, [-np.inf]])
@@ -271,7 +231,7 @@ def directions(far: Array, gains: Array, vectors: Array, starts: int, seed: int)
     generator, size = np.random.default_rng(seed), vectors.shape[2]
     chosen = signed[: starts - starts // 4]
     chosen += [(f"random {k + 1}", generator.normal(size=size)) for k in range(starts - len(chosen))]
-    return [KickStart(number, name, v) for number, (name, v) in enumerate(chosen, start=1)]
+    return [Start(number, tuple(v.tolist()), name) for number, (name, v) in enumerate(chosen, start=1)]
 
 
 # Arguments of the search for the smallest kick, checked ---------------------------------------------------------------
@@ -333,7 +293,7 @@ GAIN_STEPS = 8  # for each of the flow's: the gain swings twice a period, and it
 
 @dataclass(frozen=True, eq=False)
 class SmallestKick(Result):
-    """The smallest kick of a search; dimensionless. After an interruption the comparisons that are missing are nan.
+    """The smallest kick of a search; dimensionless. Comparisons that are missing, as after an interruption, are nan.
 
     Attributes:
         orbit, time, distance, norm_name: the arguments.
@@ -414,8 +374,8 @@ class SmallestKick(Result):
             words += f" from {self.tried} starts; that it is the global one is not proved"
         else:
             words = f"a kick that escapes, the least of those that the search started from; no optimum ({o.words})"
-        end = "the kick itself is that far" if self.escape_time < 1e-6 * self.time else "inside the time allowed"
-        if self.escape_time > (1 - 1e-6) * self.time:
+        end = "the kick itself is that far" if self.escape_time < LAST_MOMENT * self.time else "inside the time allowed"
+        if self.escape_time > (1.0 - LAST_MOMENT) * self.time:
             end = "at the end of the time allowed"
         words += f"; distance {self.reached:.6g}" if np.isfinite(self.reached) else "; not yet compared with CVODES"
         words += f" at t = {self.escape_time:.6g}, {end}"
@@ -477,13 +437,20 @@ def smallest_kick(
     along_far = np.asarray(np.linalg.lstsq(basis, far / np.tile(orbit.model.rho, 2), rcond=None)[0], dtype=float)
     search = KickSearch(flow, distance, basis, scale)
     starting = directions(along_far, gains, vectors, starts, seed)
-    outcomes, interrupted = _run(search, starting, runner)
-    best, *others = distinct(outcomes)
+    with runner.listening():
+        outcomes: list[Outcome] = list(runner.run(search.solve, starting))
+    interrupted = runner.interrupted or any(outcome.ending is Ending.INTERRUPTED for outcome in outcomes)
+    if all(outcome.ending is Ending.NO_ORBIT for outcome in outcomes):
+        if interrupted:
+            raise KeyboardInterrupt
+        words = f"none of {len(outcomes)} starts comes to the distance {distance:g}"
+        raise KickError(f"smallest_kick: {words} within t = {flow.time:g} at any size tried")
+    best, *others = search.optima(outcomes)
     best, reached, stopped = verified(search, best)
     try:
         far_size, far_time = size_to_escape(orbit, far, float(time), distance)
-    except KeyboardInterrupt:
-        far_size, far_time, interrupted = np.nan, np.nan, True
+    except (KeyboardInterrupt, ArithmeticError) as error:
+        far_size, far_time, interrupted = np.nan, np.nan, interrupted or isinstance(error, KeyboardInterrupt)
     return SmallestKick(
         orbit=orbit,
         time=float(time),
@@ -500,21 +467,6 @@ def smallest_kick(
         interrupted=interrupted or stopped,
         tried=len(outcomes),
     )
-
-
-def _run(search: KickSearch, starts: list[KickStart], runner: Runner) -> tuple[list[KickOutcome], bool]:
-    """Outcomes of the starts, and whether an interruption ended them; raises KickError where no start escapes."""
-    with runner.listening():
-        outcomes = list(runner.run(search.solve, starts))
-    interrupted = runner.interrupted or any(outcome.interrupted for outcome in outcomes)
-    if not any(outcome.first is not None for outcome in outcomes):
-        if interrupted:
-            raise KeyboardInterrupt
-        raise KickError(
-            f"smallest_kick: none of {len(outcomes)} starts comes to the distance {search.distance:g} "
-            f"within t = {search.flow.time:g} at any size tried"
-        )
-    return outcomes, interrupted
 
 
 def kick_norm(orbit: Orbit, kick: Array, norm: str = "physical") -> float:

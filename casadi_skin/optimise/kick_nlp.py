@@ -14,7 +14,7 @@ within the time has been at the distance before, or is itself farther at t = 0, 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -22,9 +22,9 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.solution import Curve, Orbit, cosine_curve
-from casadi_skin.optimise.nlp import Limits, Nlp, optimality
+from casadi_skin.optimise.nlp import Limits, Nlp, Solution, optimality
 from casadi_skin.optimise.optimum import CosineOrbit
-from casadi_skin.solve.ipopt import SOLVED_STATUS, Monitor
+from casadi_skin.solve.ipopt import SOLVED_STATUS
 from casadi_skin.stability.splitting import srkn_step
 from casadi_skin.zero.problem import Array
 
@@ -228,7 +228,7 @@ class KickNlp(Nlp):
     """
 
     def __init__(self, flow: KickedFlow, distance: float, basis: Array, scale: float) -> None:
-        self.flow, self.distance, self.scale = flow, distance, scale
+        self.flow, self.basis, self.scale = flow, basis, scale
         self.steps = np.diff(np.append(np.arange(0, flow.steps, SEGMENT_STEPS), flow.steps))
         spread = scale * np.linalg.norm(flow.linear_images(basis)[np.cumsum(self.steps)], axis=2)
         self._units = np.maximum(distance, spread).T
@@ -245,6 +245,7 @@ class KickNlp(Nlp):
         lower[-2], upper[-2] = 0.0, 1.0
         limits = Limits(lower, upper, zero, zero, {"time": np.array([z.numel() - 2])})
         super().__init__(z, ca.sumsqr(kick), g, limits, options={**IPOPT_OPTIONS, "ipopt.max_iter": MOST_ITERATIONS})
+        self.place = ca.vertcat(kick, share)
 
     def _segments(self, before: ca.MX, h: ca.MX) -> ca.MX:
         """States after each segment, (2N, segments): equal ones in one map, the last by itself if it is shorter."""
@@ -258,26 +259,17 @@ class KickNlp(Nlp):
             parts.append(segment(ca.vertcat(before[:, column : column + many], ca.repmat(h, 1, many))))
         return ca.horzcat(*parts)
 
-    def optimum(self, start: KickOptimum, states: Array, monitor: Monitor | None = None) -> KickOptimum:
-        """The optimum from a kick and the states (steps + 1, 2N) up to its time of escape.
+    def packed(self, kick: Array, time: float) -> Array:
+        """Unknowns of a kick (m,) that is at the distance after a time."""
+        states = replace(self.flow, time=time).run((self.basis @ kick)[None])[0]
+        nodes, phase = states[np.cumsum(self.steps)] / self._units.T, self.flow.nearest_phase(states[-1])
+        return np.concatenate([kick / self.scale, nodes.ravel(), [time / self.flow.time, phase]])
 
-        Raises KeyboardInterrupt after an interruption, and exceptions of the monitor.
-        """
-        nodes = states[np.cumsum(self.steps)] / self._units.T
-        share = start.time / self.flow.time
-        z0 = np.concatenate([start.kick / self.scale, nodes.ravel(), [share, start.phase]])
-        solution = self.solve(z0, monitor)
-        z, found = solution.x, optimality(self, solution)
-        kick = self.scale * z[: self._kicks]
+    def optimum(self, name: str, solution: Solution) -> KickOptimum:
+        """Where Ipopt ended, from the start of a name."""
+        kick, found = self.scale * solution.x[: self._kicks], optimality(self, solution)
         return KickOptimum(
-            name=start.name,
-            kick=kick,
-            norm=float(np.linalg.norm(kick)),
-            time=float(z[-2]) * self.flow.time,
-            phase=float(z[-1]),
-            kkt=found.kkt.largest,
-            violation=found.kkt.violation,
-            strict=found.curvature > 0,
-            iterations=solution.iterations,
-            words=solution.words,
-        )
+            name, kick, norm=float(np.linalg.norm(kick)), time=float(solution.x[-2]) * self.flow.time,
+            phase=float(solution.x[-1]), kkt=found.kkt.largest, violation=found.kkt.violation,
+            strict=found.curvature > 0, iterations=solution.iterations, words=solution.words,
+        )  # fmt: skip

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pickle
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -171,25 +171,16 @@ class _Search:
 
     def run_again(self) -> None:
         """Run once more, away from the known optima, each start that led to an optimum of an earlier start."""
-        distinct = self._distinct()
-        repeated = {number for _, numbers in distinct for number in numbers[1:]}
-        known = tuple(outcome.place for outcome, _ in distinct)
+        optima = self._distinct()
+        repeated = {number for _, numbers in optima for number in numbers[1:]}
+        known = tuple(outcome.place for outcome, _ in optima)
         starts = [start for start in self.starts if start.number in repeated]
         self.again += self.runner.run(partial(solve_start, self.problem, known=known), starts)
 
     # Optima ---------------------------------------------------------------------------------------------------------
 
     def _distinct(self) -> list[tuple[Outcome, tuple[int, ...]]]:
-        """One outcome for each optimum, best first, with the numbers of the starts that led to it."""
-        groups = list[list[Outcome]]()
-        for outcome in (*self.outcomes, *self.again):
-            if outcome.ending is Ending.CONVERGED:
-                same = next((group for group in groups if same_optimum(group[0], outcome)), None)
-                if same is None:
-                    groups.append(same := [])
-                same.append(outcome)
-        groups.sort(key=lambda group: self._rank(group[0]))
-        return [(group[0], tuple(dict.fromkeys(o.start.number for o in group))) for group in groups]
+        return distinct((*self.outcomes, *self.again), self.problem.maximise)
 
     def _rank(self, outcome: Outcome) -> float:
         return -outcome.objective if self.problem.maximise else outcome.objective
@@ -260,6 +251,19 @@ class _Search:
         gone = next(o for o in self.outcomes if o.ending is Ending.UNBOUNDED)
         k = int(np.argmax(np.abs(gone.free)))
         return f"{self.problem.free_names[k]} = {gone.free[k]:.3g}, objective {gone.objective:.3g}"
+
+
+def distinct(outcomes: Iterable[Outcome], maximise: bool = False) -> list[tuple[Outcome, tuple[int, ...]]]:
+    """One outcome for each optimum, best first, with the numbers of the starts that led to it."""
+    groups = list[list[Outcome]]()
+    for outcome in outcomes:
+        if outcome.ending is Ending.CONVERGED:
+            same = next((group for group in groups if same_optimum(group[0], outcome)), None)
+            if same is None:
+                groups.append(same := [])
+            same.append(outcome)
+    groups.sort(key=lambda group: -group[0].objective if maximise else group[0].objective)
+    return [(group[0], tuple(dict.fromkeys(o.start.number for o in group))) for group in groups]
 
 
 def same_optimum(one: Outcome, other: Outcome) -> bool:

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
@@ -150,8 +150,14 @@ class SearchProblem(ABC):
         """The optimum of an outcome at the tolerance, checked; None where finer discretisations do not confirm it."""
 
 
+class Startable(Protocol):
+    """What one start needs of a search."""
+
+    def nlp_at(self, start: Start) -> tuple[Nlp, Array]: ...
+
+
 def solve_start(
-    problem: SearchProblem, start: Start, monitor: Monitor | None = None, *, known: Sequence[Array] = ()
+    problem: Startable, start: Start, monitor: Monitor | None = None, *, known: Sequence[Array] = ()
 ) -> Outcome:
     """Outcome of a start: an orbit there, then Ipopt.
 
