@@ -13,7 +13,7 @@ from kernels import needs_kernels
 from numpy.typing import NDArray
 from orbit_problems import gauss_problem, linear_mode
 
-from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit, follow_family
+from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit
 from casadi_skin.follow.find import packed, space_of
 from casadi_skin.follow.point import LocalCurve
 from casadi_skin.follow.space import BoundaryError
@@ -151,28 +151,6 @@ def test_the_last_word_is_ipopts(monkeypatch: pytest.MonkeyPatch) -> None:
     model = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, (1 - x**2) * y - x))
     with pytest.raises(BoundaryError, match="no point near the guess satisfies the equations"):
         find_orbit(model, lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6)
-
-
-def test_what_meets_ipopts_own_test_is_not_handed_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ipopt takes no step from there; one step it takes, and so it is called, where the residuals are a bit larger."""
-    problem, guess = line()
-    row, tolerance = problem.parameter_row(), 1e-9
-    z = NewtonCorrector(problem, 1e-14).correct(guess, row, 0.0).z
-    along = np.where(np.arange(problem.size) == 3, 1.0, 0.0)
-    base = problem.evaluate(z)[0]
-    moved = np.max(np.abs(problem.evaluate(z + 1e-3 * along)[0] - base)) / np.max(np.abs(z))
-    size = 1e-3 * tolerance / moved
-    calls = []
-    true_correct = IpoptCorrector.correct
-    monkeypatch.setattr(IpoptCorrector, "correct", lambda *a: calls.append(1) or true_correct(*a))
-    for part, called in ((0.0, 0), (0.99, 0), (1.01, 1)):
-        near = z + part * size * along
-        calls.clear()
-        assert ArbitratedCorrector(problem, tolerance, always=False).confirm_all([(near, row, 0.0)])[0].converged
-        assert len(calls) == called
-        assert (IpoptCorrector(problem, tolerance).correct(near, row, 0.0).iterations > 0) == bool(called)
-        ArbitratedCorrector(problem, tolerance).confirm_all([(near, row, 0.0)])
-        assert len(calls) == called + 2
 
 
 def test_newton_with_smaller_residuals_finds_what_ipopt_finds() -> None:
@@ -421,16 +399,3 @@ def test_the_last_bits_of_a_state_do_not_depend_on_the_others(others: int) -> No
 
     for alone, among in zip(of(slice(12 - others, 12)), of(slice(None)), strict=True):
         np.testing.assert_array_equal(alone, among[12 - others :])
-
-
-def test_a_family_is_the_same_where_its_places_are_polished_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    chain = Chain(24, 1.0, 0.25, -1.0)
-    at_once = follow_family(chain, 1, 3.0, at=(0.2, 1.0), corrector="newton")
-    monkeypatch.setattr(BorderedSolver, "takes_several", False)
-    one_by_one = follow_family(chain, 1, 3.0, at=(0.2, 1.0), corrector="newton")
-    assert at_once.complete
-    assert one_by_one.complete
-    np.testing.assert_allclose(at_once.S, one_by_one.S, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(at_once.Omega, one_by_one.Omega, rtol=0, atol=1e-13)
-    errors = [[orbit.point.error.relative(orbit.Omega) for orbit in family.orbits] for family in (at_once, one_by_one)]
-    np.testing.assert_allclose(*errors, rtol=1e-2, atol=1e-13)

@@ -115,13 +115,6 @@ def test_sizes_of_states_are_those_of_the_motion(tmp_path: Path) -> None:
     assert set(nominals(export_fmu(chain, tmp_path / "rest.fmu", start=np.zeros(200), binary=False))) == set(found)
 
 
-@pytest.mark.slow
-def test_two_chains_joined_in_cosimulation(tmp_path: Path) -> None:
-    errors = load("coupled_fmus").main(tmp_path / "picture.png", (300, 600))
-    assert errors[300] / errors[600] == pytest.approx(4.0, rel=0.05)  # of the coupling's order
-    assert errors[600] < 5e-5
-
-
 @pytest.mark.parametrize(
     ("jump", "words"),
     [
@@ -143,3 +136,10 @@ def test_what_jumps_is_refused_by_name(kind: Any, jump: Any, words: str, tmp_pat
     export_fmu(held, tmp_path / "held.fmu", binary=False)  # a parameter is the same between events
     with pytest.raises(ValueError, match="where it jumps"):
         export_fmu(held, tmp_path / "input.fmu", binary=False, inputs=["p"])
+
+
+@pytest.mark.slow
+def test_two_chains_joined_in_cosimulation(tmp_path: Path) -> None:
+    errors = load("coupled_fmus").main(tmp_path / "picture.png", (300, 600))
+    assert errors[300] / errors[600] == pytest.approx(4.0, rel=0.05)  # of the coupling's order
+    assert errors[600] < 5e-5

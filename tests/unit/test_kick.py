@@ -239,24 +239,6 @@ def test_processes_find_the_same_optima(given: bool) -> None:
     assert str(told[-1]).startswith("4 of 4 starts done")
 
 
-@pytest.mark.usefixtures("interruptible")
-@pytest.mark.slow
-def test_interruption_ends_processes_with_the_best_of_them() -> None:
-    told: list[SearchProgress] = []
-
-    def interrupt(progress: SearchProgress) -> None:
-        if progress.done == 1 and not told:  # a second one would end the wait for starts that have begun
-            told.append(progress)
-            os.kill(os.getpid(), signal.SIGINT)
-
-    kick = smallest_kick(breather(), 3.0 * breather().period, starts=40, workers=2, progress=interrupt)
-    assert kick.interrupted
-    assert kick.status.startswith("interrupted")
-    assert 1 <= kick.tried < 40
-    assert kick.norm == pytest.approx(found().norm, rel=0.1)
-    assert not multiprocessing.active_children()
-
-
 def test_what_the_progress_callback_raises_arrives() -> None:
     def refuse(progress: SearchProgress) -> None:
         raise LookupError("no place for it")

@@ -5,7 +5,6 @@ At the end among the families of second-order models in odd cosines: against the
 
 from __future__ import annotations
 
-import pickle
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from scipy.special import ellipk
 from casadi_skin import Chain, OdeModel, find_orbit, search_orbit
 from casadi_skin.optimise.search import SearchResult, SearchStatus, pareto_front, stated_search
 from casadi_skin.optimise.search import search as run_search
-from casadi_skin.optimise.search_problem import Ending, Outcome, solve_start
+from casadi_skin.optimise.search_problem import Ending, Outcome
 from casadi_skin.results.branch_records import data_of, value_of
 from casadi_skin.results.tables import write_search
 from casadi_skin.solve.processes import SearchProgress
@@ -270,16 +269,6 @@ def test_a_parameter_and_several_amplitudes() -> None:
     w = (2.4 / (frequency(0.5) + frequency(2.0))) ** 2
     assert result.best.w == pytest.approx(w, abs=1e-7)
     assert [o.Omega for o in result.best.orbits] == pytest.approx([frequency(S, w) for S in (0.5, 2.0)], abs=1e-7)
-
-
-def test_a_search_that_was_pickled_leads_to_the_same() -> None:
-    problem = stated_search(CHAIN.tunable_model(), mode="last", objective="Omega", free=("g",),
-                            bounds={"g": (0.5, 2.0)})  # fmt: skip
-    start = problem.starts(1, 0)[0]
-    problem = problem.prepared(start)
-    one, other = solve_start(problem, start), solve_start(pickle.loads(pickle.dumps(problem)), start)
-    assert one.ending is Ending.CONVERGED
-    np.testing.assert_array_equal(one.free, other.free)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,9 +10,7 @@ import pytest
 from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.follow import Following
-from casadi_skin.follow.point import PointSolver
 from casadi_skin.lattice.closed_forms import duffing_frequency
-from casadi_skin.zero.request import family_request
 
 
 @cache
@@ -48,17 +45,6 @@ def test_the_resolution_comes_down_where_less_will_do_and_does_not_waver(method:
     assert down_and_up <= 1
 
 
-@pytest.mark.slow
-def test_a_family_is_the_same_whether_its_resolution_comes_down_or_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    chain, mode, amplitude_max = HARDEST_AMID
-    branch = followed(chain, mode, amplitude_max, 1e-8)
-    monkeypatch.setattr(PointSolver, "lighter", lambda _, point: point.problem)
-    other = follow_family(chain, mode, amplitude_max, tolerance=1e-8, corrector="newton")
-    sums = [sum(o.point.problem.resolution for o in b.orbits) for b in (branch, other)]
-    assert sums[0] < sums[1]
-    assert branch.Omega[-1] == pytest.approx(other.Omega[-1], rel=1e-8)
-
-
 def test_the_error_expected_of_fewer_harmonics_is_about_the_error_found() -> None:
     branch = followed(Chain(6, 1.0, 0.4, -1.0), 1, 2.0, 1e-12)
     levels = branch.space.levels
@@ -84,19 +70,6 @@ def test_a_walk_that_comes_down_is_broken_off_and_goes_on_as_if_it_had_not_been(
     list(again)
     np.testing.assert_array_equal(again.branch().S, branch.S)
     np.testing.assert_array_equal(again.branch().Omega, branch.Omega)
-
-
-def test_a_walk_starts_where_the_linear_mode_is_resolved() -> None:
-    request = family_request(
-        Chain(3, 1.0, 0.3, 1.0), 3, 1.0, tolerance=1e-4, transcription="gauss", corrector="newton", degree=2
-    )
-    tools = Family(request)
-    start = tools.start
-    assert start.problem.resolution > tools.levels.resolutions[0]
-    step = tools.levels.corrector(start.problem).correct(start.z, start.problem.parameter_row(), 0.0).z - start.z
-    assert abs(step[start.problem.Omega_index]) < 1e-4 * start.Omega
-    cosines = replace(request, method=replace(request.method, transcription="trigonometric", degree=None))
-    assert Family(cosines).start.problem.resolution == 4
 
 
 # Round-off ----------------------------------------------------------------------------------------------------------
