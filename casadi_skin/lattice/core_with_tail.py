@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -26,9 +25,6 @@ from casadi_skin.zero.family import Localised, Method, normalised
 from casadi_skin.zero.model_coordinates import DEEPEST_LOG_SCALE, ModelCoordinates, check_alone
 from casadi_skin.zero.problem import Array, Indices, Problem
 from casadi_skin.zero.settings import Point
-
-if TYPE_CHECKING:
-    pass
 
 BESIDE_CORE = 100  # sites beside the core on which stability is computed at first
 SITE_DOUBLINGS = 2  # of the cells, where multipliers that decay into the tail are not decided
@@ -128,8 +124,8 @@ class CoreWithTail(ModelCoordinates):
             sites, bands, lattice.at_last, lattice.cell, lattice.coupling, lattice.inlet, lattice.outlet, self.attached
         )
 
-    def cut(self, sites: int) -> tuple[EdgeCells, int]:
-        return EdgeCells(self._cells_at_edge(sites)), self.mode_number
+    def cut(self, sites: int) -> tuple[CellsAtEdge, int]:
+        return self._cells_at_edge(sites), self.mode_number
 
     def _cells_at_edge(self, sites: int) -> CellsAtEdge:
         if sites not in self._cuts:
@@ -336,16 +332,9 @@ class CellsAtEdge(CoreWithTail):
     def is_whole(self) -> bool:
         return True
 
-
-@dataclass(frozen=True, eq=False)
-class EdgeCells:
-    """Cells at the edge of a long lattice as a model that has coordinates for its families."""
-
-    coordinates: CellsAtEdge
-
     def family_coordinates(self, *_: Any) -> CellsAtEdge:
-        """Those given, whatever the mode and the method."""
-        return self.coordinates
+        """These, whatever the mode and the method: a model of its own families."""
+        return self
 
 
 def long_lattice_coordinates(

@@ -12,6 +12,7 @@ import numpy as np
 from casadi_skin.lattice.declaration import CELL_INDICES, Declaration, Link, read_formula
 from casadi_skin.model.expressions import expression
 from casadi_skin.model.formula import Name, Operation, Tree
+from casadi_skin.zero.linear_modes import tree_of
 
 
 class Equations:
@@ -72,6 +73,16 @@ class Equations:
     def inner(self) -> list[int]:
         """Indices of the links between two sites."""
         return [k for k, link in enumerate(self.links) if link.inner]
+
+    @cached_property
+    def ends(self) -> list[tuple[int, int]]:
+        """Start and end of these."""
+        return [(self.links[k].start, self.links[k].end) for k in self.inner]  # type: ignore[misc]
+
+    @cached_property
+    def tree(self) -> list[tuple[int, int, int, bool]]:
+        """Those of a tree from the first site of each connected part, see `tree_of`."""
+        return list(tree_of(self.y.numel(), self.ends, range(self.y.numel())))
 
     def links_of(self, bond: int) -> list[Link]:
         """The links of a bond, in the order of cells."""

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
-from casadi_skin.lattice.declaration import CELL_INDICES, Array, Declaration, Link
+from casadi_skin.lattice.declaration import CELL_INDICES, Array, Declaration
 from casadi_skin.lattice.equations import Equations
 from casadi_skin.model.expressions import antiderivative
 from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
+from casadi_skin.zero.linear_modes import tree_of
 from casadi_skin.zero.problem import Indices
 
 # Random points at which the properties of a lattice are checked -------------------------------------------------------
@@ -21,9 +20,8 @@ from casadi_skin.zero.problem import Indices
 SAME_VALUE_RTOL = 1e-12  # relative difference of values that are the same but for rounding, per site
 RANDOM_POINTS = 3  # random points
 RANDOM_AMPLITUDES = (1.0, 0.1, 0.01)  # of random positions: the first at which all forces are finite
-PARAMETER_SPREAD = (
-    0.1  # relative change of parameters at random points: a property of the declared values alone is not declared
-)
+# Relative change of parameters at random points: a property of the declared values alone is not declared.
+PARAMETER_SPREAD = 0.1
 
 
 @dataclass(frozen=True)
@@ -54,11 +52,8 @@ def trials_of(equations: Equations) -> Iterator[Trial]:
     for k in range(RANDOM_POINTS):
         parameters = nominal * (1.0 + (spread * generator.uniform(-1, 1, nominal.size) if k else 0.0))
         found = [np.array(value).ravel() for value in evaluate(parameters)]
-        y, v, t = (
-            generator.normal(size=equations.y.numel()),
-            generator.normal(size=equations.y.numel()),
-            generator.normal(),
-        )
+        y, v = (generator.normal(size=equations.y.numel()) for _ in "yv")
+        t = generator.normal()
         for amplitude in RANDOM_AMPLITUDES:
             trial = Trial(parameters, found[0].reshape(-1, 2), found[1], amplitude * y, v, t, field)
             if np.all(np.isfinite(trial.accelerations(trial.y, v))):
@@ -74,31 +69,26 @@ def _is_zero(array: Array, beside: Array, count: int = 1) -> bool:
 # The gauge of a lattice: weights with which the forces are a gradient, and the energy that these give -----------------
 
 DEEPEST_GAIN = 50  # operations on operations in gains that are compared
-LARGEST_LOG_WEIGHT = (
-    600.0  # logarithm of a weight of the energy that is still a double when squared displacements multiply it
-)
+# Logarithm of a weight of the energy that is still a double when squared displacements multiply it.
+LARGEST_LOG_WEIGHT = 600.0
 
 
 def log_weights_of(equations: Equations, trials: list[Trial]) -> tuple[Array | None, list[ca.SX]]:
     """Logarithms of the weights at the declared values, and the weights as expressions; None where loops disagree."""
-    size, inner = equations.y.numel(), equations.inner
-    start, end = (np.array([_ends(equations.links[k])[side] for k in inner], dtype=int) for side in (0, 1))
-    logs = []
+    size, inner, logs = equations.y.numel(), equations.inner, list[Array]()
     for trial in trials:
         ratios = (trial.gains[:, 0] / trial.gains[:, 1])[inner]  # c_end / c_start
         if np.any(ratios <= 0) or not np.all(np.isfinite(ratios)):
             return None, []
-        found = logs_of(equations, trial.gains)
-        if np.any(np.abs(found[end] - found[start] - np.log(ratios)) > SAME_VALUE_RTOL * size):
+        logs.append(logs_of(equations, trial.gains))
+        change = np.diff(logs[-1][np.reshape(equations.ends, (-1, 2)).astype(int)])[:, 0]
+        if np.any(np.abs(change - np.log(ratios)) > SAME_VALUE_RTOL * size):
             return None, []
-        logs.append(found)
     firsts, expressions = np.argsort(logs[0], kind="stable"), [ca.SX(1)] * size  # of each part the first has the least
-    alike = [ca.is_equal(*pair, DEEPEST_GAIN) for pair in equations.gains]
-    for k, forwards in _walk(equations, firsts.tolist()):
-        i, j = _ends(equations.links[k])
-        first, second = equations.gains[k]
-        here, there = (i, j) if forwards else (j, i)
-        ratio = 1 if alike[k] else first / second if forwards else second / first
+    for k, here, there, forwards in tree_of(size, equations.ends, firsts.tolist()):
+        first, second = equations.gains[inner[k]]
+        alike = ca.is_equal(first, second, DEEPEST_GAIN)
+        ratio = 1 if alike else first / second if forwards else second / first
         expressions[there] = expressions[here] * ratio
     (values,) = equations.at_nominal(ca.log(ca.vertcat(*expressions)))
     return values, expressions
@@ -106,49 +96,10 @@ def log_weights_of(equations: Equations, trials: list[Trial]) -> tuple[Array | N
 
 def logs_of(equations: Equations, gains: Array) -> Array:
     """Logarithms of the weights along a tree of bonds, 0 where it begins, from the gains of all, shape (links, 2)."""
-    logs, rates = [0.0] * equations.y.numel(), np.zeros(len(equations.links))
-    inner = equations.inner
-    rates[inner] = np.log(gains[inner, 0] / gains[inner, 1])
-    for k, forwards in _tree(equations):
-        i, j = _ends(equations.links[k])
-        if forwards:
-            logs[j] = logs[i] + rates[k]
-        else:
-            logs[i] = logs[j] - rates[k]
-    return np.array(logs)
-
-
-def _ends(link: Link) -> tuple[int, int]:
-    assert link.start is not None
-    assert link.end is not None
-    return link.start, link.end
-
-
-@lru_cache(maxsize=2)
-def _tree(equations: Equations) -> list[tuple[int, bool]]:
-    """The bonds of a tree from the first site of each connected part."""
-    return list(_walk(equations, range(equations.y.numel())))
-
-
-def _walk(equations: Equations, firsts: Iterable[int]) -> Iterator[tuple[int, bool]]:
-    """Bonds of a tree through each connected part, and whether they are gone along from start to end."""
-    touching: dict[int, list[tuple[int, int, bool]]] = {}
-    for k in equations.inner:
-        i, j = _ends(equations.links[k])
-        touching.setdefault(i, []).append((k, j, True))
-        touching.setdefault(j, []).append((k, i, False))
-    seen: set[int] = set()
-    for first in firsts:
-        if first in seen:
-            continue
-        queue = deque([first])
-        seen.add(first)
-        while queue:
-            for k, there, forwards in touching.get(queue.popleft(), ()):
-                if there not in seen:
-                    seen.add(there)
-                    queue.append(there)
-                    yield k, forwards
+    logs, rates = np.zeros(equations.y.numel()), np.log(gains[equations.inner, 0] / gains[equations.inner, 1])
+    for k, here, there, forwards in equations.tree:
+        logs[there] = logs[here] + rates[k] if forwards else logs[here] - rates[k]
+    return logs
 
 
 def is_gradient(equations: Equations, trials: list[Trial]) -> bool:
@@ -156,12 +107,10 @@ def is_gradient(equations: Equations, trials: list[Trial]) -> bool:
     arguments = [equations.y, equations.parameters]
     derivative = ca.Function("J", arguments, [ca.jacobian(equations.accelerations, equations.y)])
     for trial in trials:
-        logs = logs_of(equations, trial.gains)
+        half = 0.5 * (logs_of(equations, trial.gains) + np.log(trial.masses))
         J = derivative(trial.y, trial.parameters).sparse()
-        half = 0.5 * (logs + np.log(trial.masses))
         i, j = J.nonzero()
-        entries = np.asarray(J[i, j]).ravel() * np.exp(half[i] - half[j])
-        opposite = np.asarray(J[j, i]).ravel() * np.exp(half[j] - half[i])
+        entries, opposite = (np.asarray(J[at]).ravel() * np.exp(half[at[0]] - half[at[1]]) for at in ((i, j), (j, i)))
         if not _is_zero(entries - opposite, entries, half.size):
             return False
     return True

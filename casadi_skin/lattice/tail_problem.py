@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -14,43 +13,6 @@ from casadi_skin.native import TAIL, Structure
 from casadi_skin.zero.cosines import TrigonometricProblem, cosine_matrix
 from casadi_skin.zero.problem import FREQUENCY_WEIGHT, Array, Indices, Problem, Scalar, SingularError, Solve
 from casadi_skin.zero.recursion import PolynomialForm, TaylorRecursion
-
-
-@dataclass(frozen=True)
-class _Pattern:
-    """Non-zeros of dR/dz in terms of those of the core by itself, of which the rows of the attached site are a block.
-
-    The block is dense in the columns that it `touched`, among them those of the site's `own` unknowns and `Omega`.
-    Entries of the core number `of_block` are those number `block` of it. Entries are those number `source` of the
-    core's and of the block behind them; those number `by_Omega` are the core's by Omega.
-    """
-
-    rows: Indices
-    columns: Indices
-    touched: Indices
-    own: Indices
-    Omega: int
-    of_block: Indices
-    block: Indices
-    source: Indices
-    by_Omega: Indices
-
-    @classmethod
-    def of(cls, core: TrigonometricProblem, attached: int) -> _Pattern:
-        """That of a site's rows."""
-        H, (rows, columns) = core.resolution, core.pattern
-        first, own = attached * H, np.arange(attached * H, (attached + 1) * H)
-        inside = (rows >= first) & (rows < first + H)
-        of_block, others = np.flatnonzero(inside), np.flatnonzero(~inside)
-        touched = np.unique(np.concatenate([columns[of_block], own, [core.Omega_index]]))
-        block = (rows[of_block] - first) * touched.size + np.searchsorted(touched, columns[of_block])
-        all_rows = np.concatenate([rows[others], np.repeat(own, touched.size)])
-        all_columns = np.concatenate([columns[others], np.tile(touched, H)])
-        order = np.lexsort((all_rows, all_columns))
-        source = np.concatenate([others, rows.size + np.arange(H * touched.size)])[order]
-        by_Omega = np.flatnonzero((all_columns[order] == core.Omega_index) & (source < rows.size))
-        here = np.searchsorted(touched, own), int(np.searchsorted(touched, core.Omega_index))
-        return cls(all_rows[order], all_columns[order], touched, *here, of_block, block, source, by_Omega)
 
 
 class CoreWithTailProblem(TrigonometricProblem):
@@ -93,18 +55,40 @@ class CoreWithTailProblem(TrigonometricProblem):
         return TrigonometricProblem(self.model, self.resolution)
 
     @cached_property
-    def _pattern(self) -> _Pattern:
-        return _Pattern.of(self.core, self.attached)
+    def _places(self) -> tuple[tuple[Indices, Indices], Indices, Indices, Indices, Indices]:
+        """Of dR/dz, in terms of that of the core by itself, of which the rows of the attached site are a dense block.
+
+        Rows and columns of the non-zeros; the unknowns that the block is `touched` by; which of the core's non-zeros
+        are entries of the block, and which of it; the numbers of all among the core's, with the block's behind them;
+        and which are the core's by Omega.
+        """
+        H, (rows, columns) = self.resolution, self.core.pattern
+        own = np.arange(self.attached * H, (self.attached + 1) * H)
+        inside = (rows >= own[0]) & (rows <= own[-1])
+        of_block, others = np.flatnonzero(inside), np.flatnonzero(~inside)
+        touched = np.unique(np.concatenate([columns[of_block], own, [self.Omega_index]]))
+        block = (rows[of_block] - own[0]) * touched.size + np.searchsorted(touched, columns[of_block])
+        all_rows = np.concatenate([rows[others], np.repeat(own, touched.size)])
+        all_columns = np.concatenate([columns[others], np.tile(touched, H)])
+        order = np.lexsort((all_rows, all_columns))
+        source = np.concatenate([others, rows.size + np.arange(H * touched.size)])[order]
+        pattern, by_Omega = (all_rows[order], all_columns[order]), (all_columns[order] == self.Omega_index)
+        return pattern, touched, np.stack([of_block, block]), source, np.flatnonzero(by_Omega & (source < rows.size))
 
     @property
     def touched(self) -> Indices:
         """Unknowns in the equations of the attached site by itself."""
-        return self._pattern.touched
+        return self._places[1]
 
     @property
+    def rows(self) -> slice:
+        """Equations, and unknown positions, of the attached site."""
+        return slice(self.attached * self.resolution, (self.attached + 1) * self.resolution)
+
+    @cached_property
     def own_Omega(self) -> int:
-        """Place of Omega among these."""
-        return self._pattern.Omega
+        """Place of Omega among those `touched`."""
+        return int(np.searchsorted(self.touched, self.Omega_index))
 
     def attached_balance(self, own: Array) -> tuple[Array, Array, Array]:
         """The core's equations of the attached site by harmonic, their derivatives, and those of all by Omega.
@@ -112,16 +96,13 @@ class CoreWithTailProblem(TrigonometricProblem):
         `own` are unknowns of the core by itself. Derivatives are by those `touched`, of the equations times Omega^2 and
         over its value: a bond to the tail balances them.
         """
-        pattern, H = self._pattern, self.resolution
+        H, (rows, columns), (of_block, places) = self.resolution, self.core.pattern, self._places[2]
         residual, nonzeros = self.core.evaluate(own)
-        rows, columns = self.core.pattern
-        by_Omega = np.zeros(self.size - 1)
-        chosen = columns == self.Omega_index
+        by_Omega, chosen = np.zeros(self.size - 1), columns == self.Omega_index
         by_Omega[rows[chosen]] = nonzeros[chosen]
-        block = np.zeros((H, pattern.touched.size))
-        block.ravel()[pattern.block] = nonzeros[pattern.of_block]
-        balance = residual[self.attached * H : (self.attached + 1) * H]
-        block[:, pattern.Omega] += 2.0 / own[self.Omega_index] * balance
+        block, balance = np.zeros((H, self.touched.size)), residual[self.rows]
+        block.ravel()[places] = nonzeros[of_block]
+        block[:, self.own_Omega] += 2.0 / own[self.Omega_index] * balance
         return self._to_coefficients @ balance, self._to_coefficients @ block, by_Omega
 
     def recursion(self, form: PolynomialForm, orders: int) -> TailRecursion:
@@ -130,7 +111,7 @@ class CoreWithTailProblem(TrigonometricProblem):
 
     @property
     def pattern(self) -> tuple[Indices, Indices]:
-        return self._pattern.rows, self._pattern.columns
+        return self._places[0]
 
     @property
     def numbers(self) -> Array:
@@ -151,29 +132,29 @@ class CoreWithTailProblem(TrigonometricProblem):
         except ArithmeticError:
             if len(z) > 1:
                 return Problem.evaluate_all(self, z)
-            return np.full((1, self.size - 1), np.nan), np.full((1, self._pattern.rows.size), np.nan)
-        pattern, place, H = self._pattern, self.Omega_index, self.resolution
+            return np.full((1, self.size - 1), np.nan), np.full((1, self._places[3].size), np.nan)
+        place, H, (_, touched, (of_block, places), source, by_Omega) = self.Omega_index, self.resolution, self._places
         columns = [(v.Omega, v.Omega_slope, v.across, v.across_slope, v.down, v.down_slope) for v in tails]
         Omega, Omega_slope, across, across_slope, down, down_slope = (np.array(v) for v in zip(*columns, strict=True))
         own = z.copy()
         own[:, place] = Omega
         residuals, nonzeros = self.core.evaluate_all(own)
-        rows = slice(self.attached * H, (self.attached + 1) * H)
         T, bond = self._to_coefficients, (self.tail.coupling / Omega**2)[:, None]  # T is symmetric
         # One product a state: the last bit of a larger one depends on how many there are.
-        balance, a = ((values[:, None, rows] @ T)[:, 0] for values in (residuals, z))
+        balance, a = ((values[:, None, self.rows] @ T)[:, 0] for values in (residuals, z))
         from_tail = bond * across * a  # the force that the core's own equations lack, over Omega^2
-        residuals[:, rows] = down * balance - from_tail
+        residuals[:, self.rows] = down * balance - from_tail
 
-        block = np.zeros((len(z), H, pattern.touched.size))
-        block.reshape(len(z), -1)[:, pattern.block] = nonzeros[:, pattern.of_block]
+        block = np.zeros((len(z), H, touched.size))
+        block.reshape(len(z), -1)[:, places] = nonzeros[:, of_block]
         block = down[:, :, None] * (T @ block)
-        block[:, :, pattern.own] -= (bond * across)[:, :, None] * T
+        first = int(np.searchsorted(touched, self.rows.start))
+        block[:, :, first : first + H] -= (bond * across)[:, :, None] * T
         relative = (Omega_slope / Omega)[:, None]
-        block[:, :, pattern.Omega] *= Omega_slope[:, None]
-        block[:, :, pattern.Omega] += down_slope * balance - bond * across_slope * a + 2.0 * relative * from_tail
-        found = np.take(np.concatenate([nonzeros, block.reshape(len(z), -1)], axis=1), pattern.source, axis=1)
-        found[:, pattern.by_Omega] *= Omega_slope[:, None]
+        block[:, :, self.own_Omega] *= Omega_slope[:, None]
+        block[:, :, self.own_Omega] += down_slope * balance - bond * across_slope * a + 2.0 * relative * from_tail
+        found = np.take(np.concatenate([nonzeros, block.reshape(len(z), -1)], axis=1), source, axis=1)
+        found[:, by_Omega] *= Omega_slope[:, None]
         return residuals, found
 
     def by_itself(self, z: Array) -> tuple[TrigonometricProblem, Array]:
@@ -185,7 +166,7 @@ class CoreWithTailProblem(TrigonometricProblem):
         H, values = self.resolution, self.values(z)
         bonds = self.tail.coupling / values.Omega**2 * values.across / values.down
         block = -(cosine_matrix(H) * bonds) @ self._to_coefficients
-        return block, slice(self.attached * H, (self.attached + 1) * H), -self.tail.passed(values)
+        return block, self.rows, -self.tail.passed(values)
 
     def rounding(self, z: Array) -> float:
         """That of the core by itself, whose equations have the largest terms."""
@@ -211,13 +192,47 @@ class CoreWithTailProblem(TrigonometricProblem):
 # Power series of a branch of the core with its tail, order by order ---------------------------------------------------
 
 
+class TailRecursion:
+    """Coefficients of a branch of one problem with an eliminated tail, by the recursion of its core alone."""
+
+    def __init__(self, problem: CoreWithTailProblem, form: PolynomialForm, orders: int) -> None:
+        self.problem, self.orders = problem, orders
+        self._core = TaylorRecursion(problem.core, form, orders)
+        self.end: tuple[int, float] | None = None
+
+    def series(self, z: Array, slope: Array, solve: Solve) -> Array:
+        """Coefficients z_0 = z, z_1 = slope, z_2, ..., shape (orders + 1, size); see `TaylorRecursion`.
+
+        Raises SingularError where the tail has no series.
+        """
+        place = self.problem.Omega_index
+        try:
+            tail = self.problem.tail.series(float(z[place]), self.orders)
+        except ArithmeticError as error:
+            raise SingularError(str(error)) from error
+        self.end = None if np.isnan(tail.end) else (place, float(z[place]) + tail.end)
+        orders = _Orders(self.problem, tail, z)
+        self._core.put(0, orders.own)
+        orders.first(slope)
+        self._core.put(1, orders.own)
+        if not self._core.solve_all(solve, orders.structure):
+            for k in range(2, self.orders + 1):
+                orders.solved(k, self._core.right_side(k), solve)
+                self._core.put(k, orders.own)
+        return orders.found
+
+
 class _Orders:
     """Orders of a branch in turn, with those of all that depends on it."""
 
     def __init__(self, problem: CoreWithTailProblem, tail: TailSeries, z: Array) -> None:
         H, orders, place = problem.resolution, tail.Omega.size - 1, problem.Omega_index
-        self._place, self._touched, self._own_Omega = place, problem.touched, problem.own_Omega
-        self._first, self._rows = problem.attached * H, slice(problem.attached * H, (problem.attached + 1) * H)
+        self._place, self._touched, self._own_Omega, self._rows = (
+            place,
+            problem.touched,
+            problem.own_Omega,
+            problem.rows,
+        )
         self._transform, self._bond = (2.0 / H) * cosine_matrix(H), problem.tail.coupling / tail.Omega[0] ** 2
         self._by_u = np.column_stack([tail.Omega, tail.across, tail.down])  # by powers of u
         self._along, self._powers = np.zeros(self._by_u.shape), np.zeros((orders + 1, orders + 1))
@@ -260,38 +275,7 @@ class _Orders:
         """What the compiled kernel needs for the same from order 2 on."""
         orders, size = self.found.shape
         return Structure(
-            TAIL, orders - 1, self._transform.shape[0], size, self._first, self._place, self._touched.size,
+            TAIL, orders - 1, self._transform.shape[0], size, self._rows.start, self._place, self._touched.size,
             self._own_Omega, self._touched, self._by_u, self._transform, self._block, self._by_Omega, self._along,
             self._powers, self._balance, self._site, self.found, self._bond,
         )  # fmt: skip
-
-
-class TailRecursion:
-    """Coefficients of a branch of one problem with an eliminated tail, by the recursion of its core alone."""
-
-    def __init__(self, problem: CoreWithTailProblem, form: PolynomialForm, orders: int) -> None:
-        self.problem, self.orders = problem, orders
-        self._core = TaylorRecursion(problem.core, form, orders)
-        self.end: tuple[int, float] | None = None
-
-    def series(self, z: Array, slope: Array, solve: Solve) -> Array:
-        """Coefficients z_0 = z, z_1 = slope, z_2, ..., shape (orders + 1, size); see `TaylorRecursion`.
-
-        Raises SingularError where the tail has no series.
-        """
-        core, u = self._core, float(z[self.problem.Omega_index])
-        try:
-            tail = self.problem.tail.series(u, self.orders)
-        except ArithmeticError as error:
-            raise SingularError(str(error)) from error
-        self.end = None if np.isnan(tail.end) else (self.problem.Omega_index, u + tail.end)
-        orders = _Orders(self.problem, tail, z)
-        core.put(0, orders.own)
-        orders.first(slope)
-        core.put(1, orders.own)
-        if core.solve_all(solve, orders.structure):
-            return orders.found
-        for k in range(2, self.orders + 1):
-            orders.solved(k, core.right_side(k), solve)
-            core.put(k, orders.own)
-        return orders.found

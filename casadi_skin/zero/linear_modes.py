@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -134,25 +135,43 @@ def symmetrising_scale(K: Array) -> Array | None:
     There are such factors where the products of opposite couplings are positive and agree around every loop
     (Kolmogorov's criterion): a walk over the couplings finds them, and every coupling is checked.
     """
-    log_scale, seen = np.zeros(len(K)), np.zeros(len(K), dtype=bool)
-    coupled = [np.flatnonzero((row != 0.0) | (column != 0.0)) for row, column in zip(K, K.T, strict=True)]
     if np.any((K != 0.0) != (K.T != 0.0)) or np.any(K * K.T < 0.0):
         return None
-    for first in range(len(K)):
-        if seen[first]:
-            continue
-        part, queue = [first], deque([first])
-        seen[first] = True
-        while queue:
-            i = queue.popleft()
-            for j in coupled[i]:
-                if not seen[j]:  # d_i^2 / d_j^2 = K_ij / K_ji
-                    log_scale[j] = log_scale[i] - 0.5 * np.log(K[i, j] / K[j, i])
-                    seen[j] = True
-                    part.append(int(j))
-                    queue.append(int(j))
-        log_scale[part] -= np.max(log_scale[part])
+    log_scale, part, pairs = np.zeros(len(K)), np.arange(len(K)), np.argwhere(np.triu(K, 1))
+    for _, i, j, _ in tree_of(len(K), pairs.tolist(), range(len(K))):  # d_i^2 / d_j^2 = K_ij / K_ji
+        log_scale[j], part[j] = log_scale[i] - 0.5 * np.log(K[i, j] / K[j, i]), part[i]
+    for first in np.unique(part):
+        log_scale[part == first] -= np.max(log_scale[part == first])
     rows, columns = np.nonzero(K)
     ratios = np.log(K[rows, columns] / K[columns, rows])
     mismatch = 2.0 * (log_scale[rows] - log_scale[columns]) - ratios
     return log_scale if np.max(np.abs(mismatch), initial=0.0) <= SYMMETRY_RTOL * len(K) else None
+
+
+def tree_of(size: int, pairs: Sequence[Sequence[int]], firsts: Iterable[int]) -> Iterator[tuple[int, int, int, bool]]:
+    """Pairs of a tree through each connected part of a graph, breadth first.
+
+    Arguments:
+        size: number of places.
+        pairs: of places that are joined.
+        firsts: places, in whose order parts are gone through, each from the first of these in it.
+
+    Returns:
+        Of each pair of the trees its number, the place from which and that to which it is gone along, and whether
+        these are in its order.
+    """
+    touching: list[list[tuple[int, int, bool]]] = [[] for _ in range(size)]
+    for k, (i, j) in enumerate(pairs):
+        touching[i].append((k, j, True))
+        touching[j].append((k, i, False))
+    seen = [False] * size
+    for first in firsts:
+        queue = deque([] if seen[first] else [first])
+        seen[first] = True
+        while queue:
+            here = queue.popleft()
+            for k, there, forwards in touching[here]:
+                if not seen[there]:
+                    seen[there] = True
+                    queue.append(there)
+                    yield k, here, there, forwards

@@ -93,27 +93,26 @@ class Reference:
     rotation: Array
 
     @property
-    def _order(self) -> Array:
-        return np.arange(1.0, len(self.coefficients) + 1)
+    def _slopes(self) -> Any:
+        """Coefficients of the derivative by the angle 2 pi turn."""
+        return 1j * np.arange(1.0, len(self.coefficients) + 1)[:, None] * self.coefficients
+
+    def _waves(self, turn: Expression, coefficients: Any) -> Expression:
+        angle = TWO_PI * turn * ca.DM(np.arange(1.0, len(coefficients) + 1))
+        return (ca.cos(angle).T @ ca.DM(coefficients.real) - ca.sin(angle).T @ ca.DM(coefficients.imag)).T
 
     def state(self, turn: Expression) -> Expression:
         """The reference at a turn, without its rotation."""
-        angle = TWO_PI * turn * ca.DM(self._order)
-        waves = ca.cos(angle).T @ ca.DM(self.coefficients.real) - ca.sin(angle).T @ ca.DM(self.coefficients.imag)
-        return waves.T + ca.DM(self.mean)
+        return self._waves(turn, self.coefficients) + ca.DM(self.mean)
 
     def slope(self, turn: Expression) -> Expression:
         """Its derivative by the angle 2 pi turn, of the rotation too."""
-        order = self._order
-        angle, c = TWO_PI * turn * ca.DM(order), order[:, None] * self.coefficients
-        waves = -ca.sin(angle).T @ ca.DM(c.real) - ca.cos(angle).T @ ca.DM(c.imag)
-        return waves.T + ca.DM(self.rotation / TWO_PI)
+        return self._waves(turn, self._slopes) + ca.DM(self.rotation / TWO_PI)
 
     @property
     def size(self) -> float:
         """Mean square of the slope over a period."""
-        waves = np.sum(self._order[:, None] ** 2 * np.abs(self.coefficients) ** 2) / 2.0
-        return float(waves + np.sum((self.rotation / TWO_PI) ** 2))
+        return float(np.sum(np.abs(self._slopes) ** 2) / 2.0 + np.sum((self.rotation / TWO_PI) ** 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,66 +250,41 @@ def _unfolding(name: str) -> str:
 
 
 def statement_of(request: OrbitRequest) -> Statement:
-    """The boundary-value problem whose solution is the requested orbit."""
-    if request.model.forced:
-        return _forced(request)
-    return _closed(request) if request.symmetry is SymmetryClass.FULL else _symmetric(request)
+    """The boundary-value problem whose solution is the requested orbit.
 
-
-def _forced(request: OrbitRequest) -> Statement:
-    """Whole periods of the forcing, closed."""
-    model = request.model
-    assert model.forcing_period is not None
-    period = request.cycles * model.forcing_period
-    conditions = [_closure(request, model)]
-    conditions += [] if request.select is None else [request.at_start(model, "select", request.select)]
-    return Statement(
-        model, conditions, (), (0.0, period), request.values, request.free, **request.minimised(model, period)
-    )  # fmt: skip
-
-
-def _closed(request: OrbitRequest) -> Statement:
-    """The whole period, closed, with its phases; unfolded where the model is conservative."""
-    model = request.extended()
-    period = model.parameters[model.parameter_names.index(PERIOD)]
-    conditions = [_closure(request, model)]
+    It is whole periods of a forcing; or the whole period, closed, with its phase; or half or a quarter of the period,
+    from one fixed set of the reversal to the other. Autonomous models have their period among the unknowns.
+    """
+    forced, conditions, integrals = request.model.forced, list[Expression](), list[Expression]()
+    if forced:
+        model, values, free = request.model, request.values, request.free
+        period: Any = request.cycles * model.forcing_period  # type: ignore[operator]
+    else:
+        model = request.extended()
+        values, free = request.values_of(model), (PERIOD, *request.unfolded, *request.free)
+        period = model.parameters[model.parameter_names.index(PERIOD)]
+        integrals = _symmetry_phases(request, model, period)
+    minimised, end = request.minimised(model, period), period
+    if forced or request.symmetry is SymmetryClass.FULL:
+        closure = model.end(model.state) - model.start(model.state)
+        conditions.append(closure - ca.DM(TWO_PI * request.rotations) if np.any(request.rotations) else closure)
+    else:
+        first, last = pinned_components(request.model, request.symmetry)
+        part, turned = request.symmetry.value, np.pi * request.rotations[last]  # half of the change in a period
+        conditions += [model.start(model.state)[first], model.end(model.state)[last] - ca.DM(turned)]
+        integrals = [phase / part for phase in integrals]
+        minimised |= {"running": minimised["running"] / part} if "running" in minimised else {}
+        end = part * period
     if request.select is not None:
         conditions.append(request.at_start(model, "select", request.select))
-    integrals = []
-    if request.section is not None:
-        conditions.append(request.at_start(model, "section", request.section))
-    else:
-        slope = request.reference.slope(model.time / period)
-        integrals.append(ca.dot(slope, _without_rotation(request, model, period)) / request.reference.size / period)
-    integrals += _symmetry_phases(request, model, period)
-    free = [PERIOD, *request.unfolded, *request.free]
-    return Statement(
-        model, conditions, integrals, (0.0, period), request.values_of(model), free, **request.minimised(model, period)
-    )  # fmt: skip
-
-
-def _symmetric(request: OrbitRequest) -> Statement:
-    """Half or a quarter of the period, from one fixed set of the reversal to the other."""
-    first, last = pinned_components(request.model, request.symmetry)
-    model = request.extended()
-    period = model.parameters[model.parameter_names.index(PERIOD)]
-    turned = np.pi * request.rotations[last]  # half of the change in a period
-    conditions = [model.start(model.state)[first], model.end(model.state)[last] - ca.DM(turned)]
-    conditions += [] if request.select is None else [request.at_start(model, "select", request.select)]
-    minimised, part = request.minimised(model, period), request.symmetry.value
-    if "running" in minimised:
-        minimised["running"] = minimised["running"] / part
-    phases = [phase / part for phase in _symmetry_phases(request, model, period)]
-    free = [PERIOD, *request.unfolded, *request.free]
-    return Statement(
-        model, conditions, phases, (0.0, part * period), request.values_of(model), free, **minimised
-    )  # fmt: skip
-
-
-def _closure(request: OrbitRequest, model: OdeModel) -> Expression:
-    """Expression that vanishes where the orbit returns to its start, turned by its rotations."""
-    closure = model.end(model.state) - model.start(model.state)
-    return closure - ca.DM(TWO_PI * request.rotations) if np.any(request.rotations) else closure
+    if not forced and request.symmetry is SymmetryClass.FULL:
+        if request.section is not None:
+            conditions.append(request.at_start(model, "section", request.section))
+        else:
+            slope = request.reference.slope(model.time / period)
+            phase = ca.dot(slope, _without_rotation(request, model, period)) / request.reference.size / period
+            integrals = [phase, *integrals]
+    return Statement(model, conditions, integrals, (0.0, end), values, free, **minimised)
 
 
 def _without_rotation(request: OrbitRequest, model: OdeModel, period: Expression) -> Expression:

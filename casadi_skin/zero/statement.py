@@ -83,11 +83,8 @@ class Statement(WithVerbs):
         if len(set(self.free)) < len(self.free):
             raise ValueError(f"free: given {short_repr(list(self.free))}; accepted: each parameter once")
         self._check_values()
-        self._check_expressions()
         self._check_count()
         self._check_bounds()
-        if isinstance(self.model.state, ca.MX):
-            self._take_scalar_operations()
 
     # Checks ---------------------------------------------------------------------------------------------------------
 
@@ -112,46 +109,32 @@ class Statement(WithVerbs):
                 raise TypeError(f"interval: given {short_repr(end)}; accepted: numbers or expressions in parameters")
 
     def _take_expressions(self) -> None:
-        """Turn functions, lists and numbers into the expressions that they stand for."""
-        ends = [*self.model.ends, self.model.parameters]
-        along = [self._time, self.model.full_state, self.model.parameters]
-        taken: dict[str, Any] = {
-            "conditions": _listed("conditions", self.conditions, ends, "f(start, end, p)"),
-            "integrals": _listed("integrals", self.integrals, along, "f(t, x, p)"),
-        }
-        if self.objective is not None:
-            taken["objective"] = expression_of("objective", self.objective, ends, "f(start, end, p)", constants=False)
-        if self.running is not None:
-            taken["running"] = expression_of("running", self.running, along, constants=False)
-        for label, value in taken.items():
-            object.__setattr__(self, label, value)
+        """Turn functions, lists and numbers into expressions, which are to be in the symbols of their kind alone.
 
-    def _take_scalar_operations(self) -> None:
-        """Write expressions in MX as scalar operations, which files keep to the last bit."""
+        Expressions in MX become scalar operations, which files keep to the last bit.
+        """
         ends = [*self.model.ends, self.model.parameters]
         along = [self._time, self.model.full_state, self.model.parameters]
-        for label, symbols in (("conditions", ends), ("integrals", along)):
-            object.__setattr__(self, label, tuple(in_scalars(symbols, entry) for entry in getattr(self, label)))
-        for label, symbols in (("objective", ends), ("running", along)):
-            if getattr(self, label) is not None:
-                object.__setattr__(self, label, in_scalars(symbols, getattr(self, label)))
+        for label, summand, symbols, form in (
+            ("conditions", "objective", ends, "f(start, end, p)"),
+            ("integrals", "running", along, "f(t, x, p)"),
+        ):
+            listed = _listed(label, getattr(self, label), symbols, form)
+            named = {f"{label}, number {place}": given for place, given in enumerate(listed, start=1)}
+            if getattr(self, summand) is not None:
+                named[summand] = expression_of(summand, getattr(self, summand), symbols, form, constants=False)
+            check_expressions(list(named.items()), symbols)
+            if summand in named and named[summand].numel() != 1:
+                raise ValueError(f"{summand}: given shape {named[summand].shape}; accepted: a scalar expression")
+            if isinstance(self.model.state, ca.MX):
+                named = {place: in_scalars(symbols, given) for place, given in named.items()}
+            object.__setattr__(self, summand, named.pop(summand, None))
+            object.__setattr__(self, label, tuple(named.values()))
 
     def _check_values(self) -> None:
         start, end = self.span()
         if not (np.isfinite(start) and np.isfinite(end) and end > start):
             raise ValueError(f"interval: given ({start:g}, {end:g}); accepted: finite ends, the second larger")
-
-    def _check_expressions(self) -> None:
-        along = [self._time, self.model.full_state, self.model.parameters]
-        groups: list[tuple[str, Sequence[Any], str, Any, list[Expression]]] = [
-            ("conditions", self.conditions, "objective", self.objective, [*self.model.ends, self.model.parameters]),
-            ("integrals", self.integrals, "running", self.running, along),
-        ]
-        for label, expressions, sum_of, one, symbols in groups:
-            named = [(f"{label}, number {place}", given) for place, given in enumerate(expressions, start=1)]
-            check_expressions(named if one is None else [*named, (sum_of, one)], symbols)
-            if one is not None and one.numel() != 1:
-                raise ValueError(f"{sum_of}: given shape {one.shape}; accepted: a scalar expression")
 
     def _check_count(self) -> None:
         given = _count(self.conditions) + _count(self.integrals)
@@ -188,17 +171,15 @@ class Statement(WithVerbs):
     def _time(self) -> Expression:
         return type(self.model.state).sym("t") if self.model.time is None else self.model.time
 
-    def _end_of_interval(self, i: int, parameters: Any) -> Any:
-        """The start (0) or the end (1) of the interval at parameters: numbers, or an expression of the same kind."""
-        end = self.interval[i]
-        if not isinstance(end, ca.SX | ca.MX):
-            return float(end)
-        found = ca.Function("t", [self.model.parameters], [end])(parameters)
-        return float(found) if isinstance(found, ca.DM) else found
-
     def ends_at(self, parameters: Any) -> tuple[Any, Any]:
         """Start and end of the interval at parameters, numbers or expressions."""
-        return self._end_of_interval(0, parameters), self._end_of_interval(1, parameters)
+
+        def at(end: Any) -> Any:
+            if isinstance(end, ca.SX | ca.MX):
+                end = ca.Function("t", [self.model.parameters], [end])(parameters)
+            return end if isinstance(end, ca.SX | ca.MX) else float(end)
+
+        return at(self.interval[0]), at(self.interval[1])
 
     def along(self, name: str, expression: Expression) -> ca.Function:
         """Function (t, x, p) of an expression in these."""
@@ -350,27 +331,14 @@ def check_expressions(named: Sequence[tuple[str, Any]], symbols: list[Expression
     kind = type(symbols[0])
     for label, expression in named:
         if not isinstance(expression, kind):
-            raise TypeError(
-                f"{label}: given {short_repr(expression)}; accepted: a CasADi expression of kind {kind.__name__}"
-            )
+            accepted = f"a CasADi expression of kind {kind.__name__}"
+            raise TypeError(f"{label}: given {short_repr(expression)}; accepted: {accepted}")
         if is_comparison(expression):
             raise ValueError(
                 f"{label}: given a comparison, {short_repr(expression)}; accepted: an expression, x - 1 for x == 1"
             )
-    if not named or not _free(symbols, [expression for _, expression in named]):
-        return
-    for label, expression in named:
-        _check_symbols(label, expression, symbols)
-
-
-def _free(symbols: list[Expression], expressions: list[Expression]) -> list[str]:
-    """Names of symbols that expressions depend on beside these."""
-    found: list[str] = ca.Function("f", symbols, expressions, {"allow_free": True}).get_free()
-    return found
-
-
-def _check_symbols(label: str, expression: Expression, symbols: list[Expression]) -> None:
-    if stranger := _free(symbols, [expression]):
-        known = [symbol.name() for block in symbols for symbol in ca.symvar(block)]
-        other = " of another model" if set(stranger) <= set(known) else ""
-        raise ValueError(f"{label}: depends on {', '.join(stranger)}{other}; accepted: {', '.join(known) or 'numbers'}")
+        if stranger := ca.Function("f", symbols, [expression], {"allow_free": True}).get_free():
+            known = [symbol.name() for block in symbols for symbol in ca.symvar(block)]
+            other = " of another model" if set(stranger) <= set(known) else ""
+            accepted = ", ".join(known) or "numbers"
+            raise ValueError(f"{label}: depends on {', '.join(stranger)}{other}; accepted: {accepted}")
