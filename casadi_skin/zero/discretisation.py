@@ -19,44 +19,7 @@ from casadi_skin.zero.problem import Array, Buffers, Indices
 
 # Places of the entries of collocation equations, which depend on numbers and patterns alone, for all problems ---------
 
-KEPT_TABLES, LARGE_NONZEROS = 64, 20_000  # tables that are kept, and non-zeros beyond which none are
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Numbers that determine the places: of states, intervals, increments and scalars; stages; patterns.
-
-    `stages` are their places among the values of an interval. `conditions` and `integrals` are numbers of rows;
-    `by_ends` are the patterns of the conditions' derivatives by the state at the start, the state at the end, and the
-    scalars.
-    """
-
-    states: int
-    intervals: int
-    stages: tuple[int, ...]
-    increments: int
-    scalars: int
-    conditions: int
-    integrals: int
-    field: Pattern
-    by_ends: tuple[Pattern, ...]
-
-    @classmethod
-    def of(cls, formulation: Formulation, intervals: int, table: CollocationTable) -> Layout:
-        """The layout of a formulation on so many intervals."""
-        counts = formulation.states, intervals, table.stages, table.ends.size, int(formulation.scalars.numel())
-        rows = int(formulation.conditions.numel()), formulation.integrals
-        return cls(*counts, *rows, *formulation.patterns)
-
-    @property
-    def degree(self) -> int:
-        """Number of stages of an interval."""
-        return len(self.stages)
-
-    @property
-    def values(self) -> int:
-        """Number of state values."""
-        return self.states * (self.intervals * self.increments + 1)
+KEPT_STRUCTURES, LARGE_NONZEROS = 64, 20_000  # structures that are kept, and non-zeros beyond which none are
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,62 +53,53 @@ class Structure:
         return self._made[name]
 
 
-def structure_of(layout: Layout) -> Structure:
-    """The places of all entries, which are not to be written to."""
-    large = layout.intervals * layout.increments * layout.degree * len(layout.field[0]) > LARGE_NONZEROS
-    return _structure(layout) if large else _kept_structure(layout)
+@lru_cache(maxsize=KEPT_STRUCTURES)
+def structure_of(
+    n: int, K: int, stages: tuple[int, ...], R: int, m: int, counts: tuple[int, int], field: Pattern,
+    by_ends: tuple[Pattern, ...],
+) -> Structure:  # fmt: skip
+    """The places of all entries, which are not to be written to.
 
-
-@lru_cache(maxsize=KEPT_TABLES)
-def _kept_structure(layout: Layout) -> Structure:
-    return _structure(layout)
-
-
-def _structure(layout: Layout) -> Structure:
-    K, R = layout.intervals, layout.increments
-    stage, start = (np.arange(K)[:, None] * R + np.array(layout.stages)).ravel(), np.arange(K) * R
-    parts = _places(layout, stage, start)
-    equations = layout.values - layout.states + layout.conditions + layout.integrals
-    keys = [columns * equations + rows for rows, columns in parts]
-    found, slots = np.unique(np.concatenate(keys), return_inverse=True)
-    at_end, at_start, stiff, *rest = np.split(slots, np.cumsum([key.size for key in keys])[:-1])
-    differences = np.zeros(found.size)
-    differences[at_end], differences[at_start] = 1.0, -1.0
-    rows, columns = found % equations, found // equations
-    stages = np.append(stage, stage[-1])
-    return Structure(rows, columns, differences, stiff, differences[stiff], np.concatenate(rest), stages, start)
-
-
-def _places(layout: Layout, stage: Indices, start: Indices) -> list[tuple[Indices, Indices]]:
-    """Rows and columns of the parts of the Jacobian: differences, field by states and scalars, then the rest."""
-    n, K, d, R, m = layout.states, layout.intervals, layout.degree, layout.increments, layout.scalars
-    bottom, component = layout.values - n, np.arange(n)
-    increment = np.arange(bottom)
-    ends = np.repeat(start, R), np.arange(1, K * R + 1)
-    parts = [(increment, (column[:, None] * n + component).ravel()) for column in ends[::-1]]
-    r, c = (np.array(t, dtype=np.int64) for t in layout.field)
-    shape = (K, R, d, r.size)
-    stiff = (np.arange(K * R).reshape(K, R, 1, 1) * n + r, stage.reshape(K, 1, d, 1) * n + c)
-    parts.append(tuple(np.broadcast_to(places, shape).ravel() for places in stiff))  # type: ignore[arg-type]
-    scalars = layout.values + np.arange(m)
-    by_scalars = np.broadcast_arrays(increment.reshape(K, R, 1, n), scalars[:, None])
-    parts.append((by_scalars[0].ravel(), by_scalars[1].ravel()))
-    for pattern, offset in zip(layout.by_ends, (0, bottom, layout.values), strict=True):
+    Arguments:
+        n, K, R, m: numbers of states, of intervals, of increments of an interval and of scalars.
+        stages: their places among the values of an interval.
+        counts: numbers of conditions and of integrals.
+        field: pattern of the field's derivative by the states.
+        by_ends: patterns of the conditions' derivatives by the state at the start, that at the end, and the scalars.
+    """
+    d, bottom, values, component = len(stages), n * K * R, n * (K * R + 1), np.arange(n)
+    stage, start = (np.arange(K)[:, None] * R + np.array(stages)).ravel(), np.arange(K) * R
+    increment, scalars = np.arange(bottom), values + np.arange(m)
+    ends = np.arange(1, K * R + 1), np.repeat(start, R)
+    at_end, at_start = ((column[:, None] * n + component).ravel() for column in ends)
+    r, c = (np.array(t, dtype=np.int64) for t in field)
+    stiff = np.broadcast_arrays(increment.reshape(K, R, 1, n)[..., r], stage.reshape(K, 1, d, 1) * n + c)
+    parts = [(increment, at_end), (increment, at_start), stiff]
+    parts.append(np.broadcast_arrays(increment.reshape(K, R, 1, n), scalars[:, None]))
+    for pattern, offset in zip(by_ends, (0, bottom, values), strict=True):
         rows, columns = (np.array(t, dtype=np.int64) for t in pattern)
         parts.append((rows + bottom, columns + offset))
-    if layout.integrals:
-        first = bottom + layout.conditions + np.arange(layout.integrals)
-        by_x = np.broadcast_arrays(first, (stage[:, None, None] * n + component[:, None]))
-        by_s = np.broadcast_arrays(first, scalars[:, None])
-        parts += [(by_x[0].ravel(), by_x[1].ravel()), (by_s[0].ravel(), by_s[1].ravel())]
-    return parts
+    if counts[1]:
+        first = bottom + counts[0] + np.arange(counts[1])
+        parts.append(np.broadcast_arrays(first, stage[:, None, None] * n + component[:, None]))
+        parts.append(np.broadcast_arrays(first, scalars[:, None]))
+    equations = bottom + sum(counts)
+    keys = [columns.ravel() * equations + rows.ravel() for rows, columns in parts]
+    found, slots = np.unique(np.concatenate(keys), return_inverse=True)
+    plus, minus, by_states, *rest = np.split(slots, np.cumsum([key.size for key in keys])[:-1])
+    differences = np.zeros(found.size)
+    differences[plus], differences[minus] = 1.0, -1.0
+    return Structure(
+        found % equations, found // equations, differences, by_states, differences[by_states], np.concatenate(rest),
+        np.append(stage, stage[-1]), start,
+    )  # fmt: skip
 
 
 class Discretisation:
     """Collocation equations of a formulation on K intervals of any lengths that sum to 1.
 
     Attributes:
-        table, layout: the method, and the numbers and patterns of the equations.
+        formulation, table: the problem and the method.
         structure: where entries of the Jacobian go.
         rows, columns: places of its non-zeros, column by column.
         shared: solvers that have been made for these equations, by name.
@@ -156,7 +110,7 @@ class Discretisation:
         self._at, self._last = b"", (np.empty(0), np.empty(0))
         self._on = b""  # the mesh whose places and weights are kept
         self._n, self._K, self._d, self._R = formulation.states, intervals, table.degree, table.ends.size
-        self._m, self.table = int(formulation.scalars.numel()), table
+        self._m, self.table, self.formulation = int(formulation.scalars.numel()), table, formulation
         self._states = self._n * (intervals * self._R + 1)
         places = intervals * self._d + 1  # the stages, or the check points
         self._field = Buffers(formulation.field_function.map(places), places)
@@ -164,8 +118,11 @@ class Discretisation:
         self._integrals = formulation.integrals
         if self._integrals:
             self._integrands = Buffers(formulation.integrand_function.map(places), places)
-        self.layout = Layout.of(formulation, intervals, table)
-        self.structure = structure_of(self.layout)
+        counts = int(formulation.conditions.numel()), formulation.integrals
+        sizes = self._n, intervals, table.stages, self._R, self._m
+        large = places * self._R * len(formulation.patterns[0][0]) > LARGE_NONZEROS
+        structure = structure_of.__wrapped__ if large else structure_of
+        self.structure: Structure = structure(*sizes, counts, *formulation.patterns)
         self.rows, self.columns = self.structure.rows, self.structure.columns
         self._stage, self._start = self.structure.stage, self.structure.start
 
@@ -228,7 +185,7 @@ class Discretisation:
     def jacobians(self, z: Array, numbers: Array) -> Array:
         """Derivatives of the field by the states at the stages, dense, shape (K d, n, n)."""
         found = np.zeros((self._K * self._d, self._n, self._n))
-        rows, columns = (list(places) for places in self.layout.field)
+        rows, columns = (list(places) for places in self.formulation.patterns[0])
         found[:, rows, columns] = self._at_stages(self._field, self.stages(z, numbers))[1]
         return found
 
@@ -252,16 +209,16 @@ def missed(equations: Discretisation, z: Array, numbers: Array) -> tuple[Array, 
         The residual, shape (size - 1,), and the integral of the defect from the start of its interval to each inner
         check point, less the polynomial through those at the stages, shape (inner points, states).
     """
-    of, table = equations.layout, equations.table.defect
-    n, K, rows = of.states, of.intervals, of.increments
+    of, table, start = equations.formulation, equations.table.defect, equations.structure.start
+    n, K, d = of.states, start.size, equations.table.degree
     lengths, constants = numbers[:K], numbers[K:]
-    values, scalars = z[: of.values].reshape(-1, n), z[of.values :]
-    column = np.arange(K)[:, None] * rows
-    polynomials = values[column + np.arange(of.degree + 1)]
+    count = n * (K * equations.table.ends.size + 1)
+    values, scalars = z[:count].reshape(-1, n), z[count:]
+    polynomials = values[start[:, None] + np.arange(d + 1)]
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
     inner = ends[:-1, None] + lengths[:, None] * table.inner
     places = np.concatenate([inner.ravel(), ends])[:, None]
-    states = np.concatenate([(table.values @ polynomials).reshape(-1, n), values[::rows]])
+    states = np.concatenate([(table.values @ polynomials).reshape(-1, n), values[:: equations.table.ends.size]])
     count = K * table.inner.size
 
     def by_intervals(found: Array) -> Array:
@@ -271,9 +228,9 @@ def missed(equations: Discretisation, z: Array, numbers: Array) -> tuple[Array, 
 
     field, integrands = map(by_intervals, equations.along(places, states, scalars, constants))
     defects = lengths[:, None, None] * field - table.slopes @ polynomials
-    residual = [-(table.increments @ defects).ravel(), np.zeros(of.conditions)]
+    residual = [-(table.increments @ defects).ravel(), np.zeros(of.conditions.numel())]
     if of.integrals:
-        at_stages = equations.along(*equations.stages(z, numbers))[1][:-1].reshape(K, of.degree, -1)
+        at_stages = equations.along(*equations.stages(z, numbers))[1][:-1].reshape(K, d, -1)
         whole = table.quadrature[0] @ at_stages + table.quadrature[1] @ integrands
         residual.append(lengths @ whole - lengths @ (equations.table.extended[-1] @ at_stages))
     return np.concatenate(residual), (table.between @ defects).reshape(-1, n)
