@@ -112,7 +112,9 @@ class Reference:
     @property
     def size(self) -> float:
         """Mean square of the slope over a period."""
-        return float(np.sum(np.abs(self._slopes) ** 2) / 2.0 + np.sum((self.rotation / TWO_PI) ** 2))
+        order = np.arange(1.0, len(self.coefficients) + 1)
+        waves = np.sum(order[:, None] ** 2 * np.abs(self.coefficients) ** 2) / 2.0
+        return float(waves + np.sum((self.rotation / TWO_PI) ** 2))
 
 
 @dataclass(frozen=True, eq=False)

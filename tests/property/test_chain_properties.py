@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
-
 import casadi as ca
 import numpy as np
 from effort import examples
@@ -61,10 +58,6 @@ def variational(chain: Chain, coordinates: str, state: Array, parameter: float) 
     return np.array(ca.DM(chain.variational_matrix(coordinates)(state, parameter)))
 
 
-def mirrored(chain: Chain) -> Chain:
-    return replace(chain, gamma=-chain.gamma)
-
-
 @quick
 @given(chain=chains, S=amplitudes, seed=seeds)
 def test_gauge_equations_are_the_physical_ones_in_other_coordinates(chain: Chain, S: float, seed: int) -> None:
@@ -75,25 +68,6 @@ def test_gauge_equations_are_the_physical_ones_in_other_coordinates(chain: Chain
     expected = evaluate(physical, physical.rhs, change * q, chain.g) / change
     found = evaluate(gauge, gauge.rhs, q, chain.g * S)
     assert np.all(np.abs(found - expected) <= 1e-13 * force_scale(chain, q, chain.g * S))
-
-
-@quick
-@given(chain=chains, S=amplitudes, factor=st.floats(0.1, 10.0), seed=seeds)
-def test_only_the_product_of_nonlinearity_and_amplitude_matters(
-    chain: Chain, S: float, factor: float, seed: int
-) -> None:
-    """Physical chains with (g, S) and (factor g, S/factor) move alike; the gauge knows one parameter, g S."""
-    (q,) = points(chain, seed)
-    rho, kappa = envelope(chain), chain.g * S
-    scale = 1e-13 * force_scale(chain, q, kappa)
-    gauge = replace(chain, g=factor * chain.g).gauge_model()
-    assert gauge.parameters.numel() == 1
-    reduced = evaluate(gauge, gauge.rhs, q, kappa)
-    physical = chain.physical_model()
-    for g, amplitude in ((chain.g, S), (factor * chain.g, S / factor)):
-        change = np.sqrt(amplitude) * rho
-        moved = evaluate(physical, physical.rhs, change * q, g) / change
-        assert np.all(np.abs(moved - reduced) <= scale)
 
 
 @quick
@@ -125,26 +99,6 @@ def test_variational_matrices_are_similar_and_the_gauge_one_is_hamiltonian(chain
     zero, one = np.zeros((chain.sites, chain.sites)), np.eye(chain.sites)
     J = np.block([[zero, -one], [one, zero]])
     np.testing.assert_array_equal(W.T @ J + J @ W, np.zeros_like(W))
-
-
-@quick
-@given(chain=chains, seed=seeds)
-def test_the_opposite_nonreciprocity_is_the_mirror_image(chain: Chain, seed: int) -> None:
-    (q,) = points(chain, seed)
-    size = np.abs(q)
-    neighbours = np.append(size[1:], 0.0) + np.insert(size[:-1], 0, 0.0)
-    scale = (2 + chain.alpha) * size + 2 * neighbours + abs(chain.g) * size**3
-    for coordinates in ("physical_model", "gauge_model"):
-        model: Any = getattr(chain, coordinates)()
-        image: Any = getattr(mirrored(chain), coordinates)()
-        there = evaluate(model, model.rhs, q, chain.g)
-        back = evaluate(image, image.rhs, q[::-1], chain.g)[::-1]
-        assert np.all(np.abs(there - back) <= 1e-15 * scale)
-    np.testing.assert_array_equal(mirrored(chain).rho[::-1], chain.rho)
-    np.testing.assert_array_equal(mirrored(chain).linear_frequencies(), chain.linear_frequencies())
-    mode = 1 + seed % chain.sites
-    there, back = chain.right_eigenvector(mode), mirrored(chain).right_eigenvector(mode)[::-1]
-    np.testing.assert_allclose(back / chain.rho, (-1) ** (mode + 1) * there / chain.rho, atol=5e-15)
 
 
 @quick

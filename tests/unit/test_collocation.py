@@ -16,11 +16,9 @@ from casadi_skin.follow.follow import Following
 from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.results.branch_records import PointRecord, known_of, point_record
-from casadi_skin.solve.ipopt import IpoptCorrector
-from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.butcher import gauss_table, radau_table
 from casadi_skin.zero.collocation import CollocationProblem
-from casadi_skin.zero.problem import OrbitProblem, Scalar
+from casadi_skin.zero.problem import OrbitProblem
 from casadi_skin.zero.request import family_request
 
 Array = NDArray[np.float64]
@@ -37,22 +35,6 @@ def lengths_of(intervals: int, seed: int = 0) -> Array:
 # A mesh as constants ------------------------------------------------------------------------------------------------
 
 
-def test_problems_that_differ_in_their_mesh_share_what_was_built_and_keep_their_own_numbers() -> None:
-    even = gauss_problem(Chain(3, 1.0, 0.2, 1.0).gauge_model(), 4, QUARTER, degree=3)
-    uneven = even.with_constants(lengths_of(4))
-    z = np.random.default_rng(0).normal(size=even.size)
-    before = even.evaluate(z)
-    other = uneven.evaluate(z)
-    assert uneven.discretisation is even.discretisation
-    np.testing.assert_array_equal(even.evaluate(z)[0], before[0])
-    assert np.abs(other[0] - before[0]).max() > 1e-3
-    fresh = gauss_problem(even.model, 4, QUARTER, degree=3)
-    fresh.constants = lengths_of(4)
-    np.testing.assert_array_equal(fresh.evaluate(z)[1], other[1])
-    with pytest.raises(ValueError, match="constants: given 3; accepted: 4"):
-        even.with_constants(lengths_of(3))
-
-
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("symmetry", SymmetryClass)
 def test_an_uneven_mesh_finds_the_same_orbit(kind: Kind, symmetry: SymmetryClass) -> None:
@@ -63,20 +45,6 @@ def test_an_uneven_mesh_finds_the_same_orbit(kind: Kind, symmetry: SymmetryClass
     assert other[even.Omega_index] == pytest.approx(one[even.Omega_index], rel=1e-11)
     theta = np.random.default_rng(3).uniform(-9, 9, 40)
     np.testing.assert_allclose(uneven.sample(other, theta), even.sample(one, theta), atol=2e-6)
-
-
-@pytest.mark.parametrize("make", [NewtonCorrector, IpoptCorrector])
-def test_a_corrector_built_once_serves_every_mesh(make: type[NewtonCorrector | IpoptCorrector]) -> None:
-    chain = Chain(2, 1.0, 0.3, 1.0)
-    even = gauss_problem(chain.gauge_model(), 3, QUARTER, degree=4)
-    uneven = even.with_constants(lengths_of(3))
-    corrector = make(even)
-    guess = solved(uneven, chain, 1, 0.5, 2)
-    for problem in (uneven, even, uneven):
-        correction = corrector.on(problem).correct(guess, problem.parameter_row(), 0.6)
-        assert correction.converged
-        assert problem.relative_residual(correction.z) < 1e-13
-    assert corrector.problem is even
 
 
 # Placement along a branch -------------------------------------------------------------------------------------------
@@ -114,36 +82,6 @@ def test_placing_saves_intervals_where_the_orbit_rests_for_long(
     assert placed.orbits[-1].Omega == pytest.approx(duffing_frequency(3.0, -1.0, np.sqrt(2.9999999)), rel=1e-6)
     lengths = placed.orbits[-1].point.problem.constants
     assert np.max(lengths) > 3.0 * np.min(lengths)
-
-
-@pytest.mark.slow
-def test_placing_does_no_harm_to_smooth_orbits(monkeypatch: pytest.MonkeyPatch) -> None:
-    request = family_request(Chain(4, 1.0, 0.4, 1.0), 2, 3.0, tolerance=1e-8, transcription="gauss", corrector="newton")
-    placed = followed(Family(request))
-    never_placed(monkeypatch)
-    even = followed(Family(request))
-    assert len(placed) <= len(even) + 1
-    totals = [sum(o.point.problem.resolution for o in branch.orbits) for branch in (placed, even)]
-    assert totals[0] <= totals[1]
-    assert placed.at(2.0).Omega == pytest.approx(even.at(2.0).Omega, rel=1e-10)
-
-
-@pytest.mark.parametrize("S", [2.99, pytest.param(2.99999, marks=pytest.mark.slow)])
-def test_a_poor_mesh_is_placed_again_before_more_intervals_are_taken(S: float) -> None:
-    tools = Family(
-        family_request(Chain(1, 1.0, 0.0, -1.0), 1, S, tolerance=1e-8, transcription="gauss", corrector="newton")
-    )
-    point = followed(tools).orbits[-1].point
-    problem = point.problem
-    even = tools.levels.problem(problem.resolution)
-    z = problem.prolong(point.z, even)
-    assert even.imbalance(z) > 1.3 > problem.imbalance(point.z)
-    correction = tools.levels.corrector(even).correct(z, even.parameter_row(), point.parameter)
-    assert tools.levels.error(even, correction.z).relative(point.Omega) > 1e-8
-    found = tools.point_solver.refined(even, correction, -even.parameter_row(), Scalar.PARAMETER)
-    assert found is not None
-    assert found.problem.resolution == problem.resolution
-    assert found.error.relative(found.Omega) <= 1e-8
 
 
 @pytest.mark.slow

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.sparse import csc_matrix
-from scipy.sparse.linalg import splu
 
 from casadi_skin import BoundaryValueProblem
-from casadi_skin.follow.find import packed, space_of
+from casadi_skin.follow.find import space_of
 from casadi_skin.follow.space import BoundaryError
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.zero import butcher
 from casadi_skin.zero.butcher import CollocationTable
-from casadi_skin.zero.problem import Problem
-from casadi_skin.zero.stated_problem import BoundaryProblem
 
 
 def oscillator() -> BoundaryValueProblem:
@@ -44,20 +37,6 @@ def test_the_assembled_equations_are_those_of_the_graph(options: dict[str, objec
     matrix[problem.pattern] = nonzeros
     np.testing.assert_allclose(matrix, jacobian.full(), rtol=0, atol=1e-14)
     assert np.array_equal(problem.pattern, jacobian.sparsity().get_triplet())
-
-
-def test_solving_again_builds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = oscillator()
-    guess = lambda t: [2 * np.cos(2 * np.pi * t), -2 * np.sin(2 * np.pi * t)]  # noqa: E731
-    first = problem.solve(guess)
-
-    def build(*_: object, **__: object) -> None:
-        raise AssertionError("built again")
-
-    monkeypatch.setattr(ca.Function, "map", build)
-    monkeypatch.setattr(ca, "nlpsol", build)
-    monkeypatch.setattr(Problem, "symbols", property(build))
-    assert problem.solve(guess).parameters == first.parameters
 
 
 def test_other_values_of_parameters_build_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,23 +70,6 @@ def test_other_values_of_parameters_build_nothing(monkeypatch: pytest.MonkeyPatc
         first.with_parameters(c=1.0)
 
 
-def test_linear_equations_are_factorised_once_where_a_mesh_suffices(monkeypatch: pytest.MonkeyPatch) -> None:
-    sizes = []
-    factored = BorderedSolver._factored
-
-    def counted(self: BorderedSolver, *arguments: Any) -> Any:
-        sizes.append(self.problem.resolution)
-        return factored(self, *arguments)
-
-    monkeypatch.setattr(BorderedSolver, "_factored", counted)
-    u, v = ca.SX.sym("u"), ca.SX.sym("v")
-    model = OdeModel("line", ca.vertcat(u, v), ca.vertcat(v, u))
-    solution = BoundaryValueProblem(model, [model.start(u), model.end(u) - 1.0]).solve([0.0, 0.0])
-    times = np.linspace(0.0, 1.0, 7)
-    np.testing.assert_allclose(solution.evaluate(times)[:, 0], np.sinh(times) / np.sinh(1.0), rtol=0, atol=1e-9)
-    assert sizes == [solution.intervals]
-
-
 def test_a_solve_tells_how_far_it_is_and_ends_in_time() -> None:
     told: list[str] = []
     problem, guess = oscillator(), lambda t: [2 * np.cos(2 * np.pi * t), -2 * np.sin(2 * np.pi * t)]
@@ -117,42 +79,6 @@ def test_a_solve_tells_how_far_it_is_and_ends_in_time() -> None:
         problem.solve(guess, time_limit=1e-6)
     with pytest.raises(ValueError, match="time_limit: given -1; accepted: a number of seconds > 0"):
         problem.solve(guess, time_limit=-1)
-
-
-def ring(units: int) -> BoundaryValueProblem:
-    """A wave around a ring of van der Pol oscillators: with a period to be found and a phase that an integral fixes."""
-    x, y, T = ca.SX.sym("x", units), ca.SX.sym("y", units), ca.SX.sym("T")
-    beside = ca.vertcat(x[-1], x[:-1]) + ca.vertcat(x[1:], x[0]) - 2 * x
-    rate = ca.vertcat(y, 0.5 * (1 - x**2) * y - x + 0.1 * beside)
-    model = OdeModel("ring", ca.vertcat(x, y), T * rate, T)
-    state = model.full_state
-    phase = [lambda t, x, p: ca.sin(2 * np.pi * t) * x[0]]
-    return BoundaryValueProblem(
-        model, [model.start(state) - model.end(state)], phase, parameters={"T": 6.4}, free=["T"]
-    )
-
-
-def wave(units: int) -> Any:
-    phases = 2 * np.pi * np.arange(units) / units
-    return lambda t: np.concatenate([2 * np.cos(2 * np.pi * t - phases), -2 * np.sin(2 * np.pi * t - phases)])
-
-
-def test_factors_of_a_ring_are_sparse_and_solve_as_dense_elimination_does() -> None:
-    space = space_of(ring(12), wave(12), {})
-    problem = space.levels.problem(5)
-    assert isinstance(problem, BoundaryProblem)
-    order = problem.elimination_order
-    np.testing.assert_array_equal(np.sort(order), np.arange(problem.size))
-    z = packed(problem, wave(12))
-    row, nonzeros = problem.parameter_row(), problem.evaluate(z)[1]
-    closed = np.zeros((problem.size, problem.size))
-    np.add.at(closed, problem.pattern, nonzeros)
-    closed[-1] = row
-    right = np.random.default_rng(0).normal(size=(problem.size, 2))
-    found = BorderedSolver.of(problem).factor(z, nonzeros, row)(right)
-    np.testing.assert_allclose(closed @ found, right, rtol=0, atol=1e-9 * np.abs(found).max())
-    fill = [splu(csc_matrix(closed[:, o]), permc_spec="NATURAL").nnz for o in (order, np.arange(problem.size))]
-    assert fill[0] < 0.6 * fill[1]
 
 
 def test_a_second_method_of_as_many_stages_has_equations_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:

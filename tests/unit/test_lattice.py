@@ -145,15 +145,6 @@ def test_values_by_cell_and_boundaries_against_sums_by_hand() -> None:
         assert accelerations(lattice, y) == pytest.approx(expected, rel=1e-14)
 
 
-def test_a_plane_against_sums_by_hand() -> None:
-    lattice, y = plane((3, 2)), np.random.default_rng(1).normal(size=(3, 2))
-    padded = np.pad(y, 1)
-    dx, dy = np.diff(padded[:, 1:-1], axis=0), np.diff(padded[1:-1], axis=1)
-    expected = -(y - y**3) + 0.7 * dx[1:] - 1.3 * dx[:-1] + 0.85 * dy[:, 1:] - 1.15 * dy[:, :-1]
-    assert accelerations(lattice, y.ravel()) == pytest.approx(expected.ravel(), rel=1e-13)
-    assert lattice.state_names[:3] == ("y_1_1", "y_1_2", "y_2_1")
-
-
 # What lattices find out -----------------------------------------------------------------------------------------------
 
 

@@ -98,15 +98,6 @@ def test_toda_ring_is_integrable_and_never_loses_stability(sites: int) -> None:
     assert branch.stable.all()
 
 
-@pytest.mark.parametrize(("sites", "energy", "S_max"), [(8, 0.5320603626, 0.5), (32, 0.1043149731, 0.1)])
-def test_fput_beta_ring_loses_stability_at_the_published_energy(sites: int, energy: float, S_max: float) -> None:
-    """Of the pi mode, y_n = (-1)^n a: bonds are 2 a long, so that energy is 2 S + 4 S^2 / N."""
-    branch = follow_family(ring(sites, "d + d^3"), mode="last", amplitude_max=S_max, stability=True)
-    first = branch.changes[0]
-    assert 2 * first.S + 4 * first.S**2 / sites == pytest.approx(energy, abs=1e-9)
-    assert branch.unresolved == ()
-
-
 def test_ring_of_two_kinds_of_sites_changes_where_a_monodromy_matrix_does() -> None:
     """Acoustic and optical edges of the bands are modes of their own; the monodromy matrix is that of all positions."""
     sites = [Site("a"), Site("b", mass="2.5")]

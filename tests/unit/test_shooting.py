@@ -6,7 +6,6 @@ import os
 import signal
 import threading
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -16,7 +15,6 @@ import pytest
 from numpy.typing import NDArray
 from orbit_problems import (
     corrector_of,
-    solved,
 )
 from scipy.integrate import solve_ivp
 
@@ -27,7 +25,7 @@ from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.levels import Levels
-from casadi_skin.solve.newton import NewtonCorrector, Status
+from casadi_skin.solve.newton import Status
 from casadi_skin.zero.problem import SingularError
 from casadi_skin.zero.request import family_request
 from casadi_skin.zero.settings import End
@@ -72,23 +70,6 @@ def test_the_size_of_the_states_does_not_change_what_digits_mean() -> None:
 
 
 # Orbits ---------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("symmetry", SymmetryClass)
-def test_samples_at_the_segments_starts_are_the_unknowns_and_paths_join_them(symmetry: SymmetryClass) -> None:
-    chain = Chain(2, 1.0, 0.3, 1.0)
-    problem = ShootingProblem(chain.gauge_model(), 13, symmetry, 3)
-    z = solved(problem, chain, 1, 1.0)
-    starts = symmetry.value * 2 * np.pi * np.arange(3) / 3
-    states = z[: problem.states].reshape(4, 4)
-    np.testing.assert_array_equal(problem.sample(z, np.zeros(1))[0], states[0, :2])
-    np.testing.assert_allclose(problem.sample(z, starts), states[:3, :2], atol=1e-11)
-    theta = np.linspace(0.0, 8.0, 400)
-    slopes = np.diff(problem.sample(z, theta), axis=0) / np.diff(theta)[:, None]
-    assert np.abs(np.diff(slopes, axis=0)).max() < 0.05  # no jump
-    other = z.copy()
-    other[problem.states // 2] += 0.1
-    assert np.abs(problem.sample(other, theta) - problem.sample(z, theta)).max() > 0.05  # nothing stale is kept
 
 
 # Errors ---------------------------------------------------------------------------------------------------------------
@@ -142,14 +123,6 @@ def test_the_estimated_error_covers_the_true_one(chain: Chain, mode: int, S: flo
     assert found
     for estimated, true in found:
         assert true <= estimated <= most * true
-
-
-def test_prolonging_changes_nothing_but_the_tolerance() -> None:
-    chain = Chain(2, 1.0, 0.3, -1.0)
-    coarse, fine = (ShootingProblem(chain.gauge_model(), d, QUARTER) for d in (6, 12))
-    z = solved(coarse, chain, 1, -1.0)
-    np.testing.assert_array_equal(coarse.prolong(z, fine), z)
-    assert np.abs(coarse.evaluate(z)[0]).max() < 1e-7 < np.abs(fine.evaluate(z)[0]).max() < 1e-4
 
 
 # Failures -------------------------------------------------------------------------------------------------------------
@@ -282,16 +255,3 @@ def test_a_tolerance_out_of_reach_ends_the_family_by_name() -> None:
     told = all(o.point.at_round_off or o.point.error.relative(o.Omega) <= 1e-13 for o in beyond.orbits)
     assert told
     assert beyond.complete or beyond.end is End.RESOLUTION
-
-
-def test_a_corrector_is_not_asked_for_less_than_the_noise() -> None:
-    tools = Family(family_request(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, tolerance=1e-6, transcription="shooting"))
-    assert tools.levels.resolutions == CVODES_DIGITS
-    assert CVODES_DIGITS[-3:] == (12, 14, 15)
-    newton = Family(
-        replace(tools.request, method=replace(tools.request.method, corrector="newton"), tolerance=1e-10)
-    ).levels
-    assert newton.resolutions == (12, 14, 15)
-    corrector = newton.corrector(ShootingProblem(tools.coordinates.scaled, 9, QUARTER))
-    assert isinstance(corrector, NewtonCorrector)
-    assert corrector.tolerance == pytest.approx(1e-8)

@@ -67,16 +67,6 @@ def test_a_wave_has_the_angle_that_the_recurrence_gives_it(sites: int, phi: floa
     assert tail.angle(place) == pytest.approx(phi, abs=2e-13 * sites)
 
 
-@pytest.mark.parametrize("sites", [5, 150, 10**6, math.inf])
-@pytest.mark.parametrize("phi", [0.36, 0.5, 0.7, 0.78, 0.9, 1.57, 1.6, 4.0])
-def test_slopes_of_a_wave_are_derivatives(sites: float, phi: float) -> None:
-    tail, step = chain_tail(sites), 1e-6
-    higher, lower = (tail.at_angle(0, phi + sign * step).off for sign in (1, -1))
-    slope = 1.0 / tail.slope(tail.at_angle(0, phi))
-    assert slope == pytest.approx((higher - lower) / (2 * step), rel=1e-4, abs=1e-9)
-    assert slope > 0 or not np.isfinite(sites)
-
-
 @pytest.mark.parametrize("sites", [5, 150, 10**6])
 def test_at_the_edge_of_the_band_nothing_jumps(sites: float) -> None:
     tail = chain_tail(sites)

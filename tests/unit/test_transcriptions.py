@@ -11,7 +11,6 @@ import casadi as ca
 import mpmath as mp
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from orbit_problems import (
     asymmetric_oscillator,
     check_jacobian,
@@ -27,7 +26,7 @@ from scipy.integrate import quad, solve_ivp
 
 from casadi_skin import Chain, OdeModel
 from casadi_skin.lattice.closed_forms import duffing_displacement, duffing_frequency
-from casadi_skin.model.conserved import SymmetryClass, pinned_components, symmetry_class
+from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.butcher import gauss_table, radau_table
 from casadi_skin.zero.collocation import CollocationProblem, FirstOrderProblem
@@ -35,7 +34,6 @@ from casadi_skin.zero.cosines import TrigonometricProblem
 from casadi_skin.zero.problem import OrbitProblem
 from casadi_skin.zero.shooting import ShootingProblem
 
-Array = NDArray[np.float64]
 Make = Callable[[OdeModel, SymmetryClass], FirstOrderProblem]
 QUARTER, HALF, FULL = SymmetryClass.QUARTER, SymmetryClass.HALF, SymmetryClass.FULL
 
@@ -67,11 +65,6 @@ def test_tables_agree_with_forty_digits(degree: int) -> None:
         polynomial = lambda s: mp.legendre(degree, s) - mp.legendre(degree - 1, s)  # noqa: E731
         nodes = [(mp.findroot(polynomial, mp.mpf(2 * c - 1)) + 1) / 2 for c in radau.nodes[:-1].tolist()]
         check_table(radau, [*nodes, mp.mpf(1)], [*nodes, mp.mpf(1)])
-
-
-def test_the_known_radau_method_of_two_stages() -> None:
-    np.testing.assert_allclose(radau_table(2).extended, [[5 / 12, -1 / 12], [3 / 4, 1 / 4]], rtol=1e-15)
-    np.testing.assert_allclose(radau_table(2).nodes, [1 / 3, 1.0], rtol=1e-15)
 
 
 # Equations ------------------------------------------------------------------------------------------------------------
@@ -108,20 +101,6 @@ def test_jacobian_in_odd_cosines_agrees_with_finite_differences(model: OdeModel,
     z = np.random.default_rng(model.size).normal(size=problem.size)
     z[problem.Omega_index] = 1.3
     check_jacobian(problem, z)
-
-
-@pytest.mark.parametrize("symmetry", SymmetryClass)
-def test_unknowns_are_counted_one_more_than_equations(symmetry: SymmetryClass) -> None:
-    model = Chain(3, 1.0, 0.2, 1.0).gauge_model()
-    columns = {"gauss": 3 * 4 + 1, "radau": 3 * 2 + 1, "shooting": 2 + 1}
-    for kind, count in columns.items():
-        problem = COARSE[kind](model, symmetry)
-        assert problem.states == 6 * count
-        assert problem.size == problem.states + (3 if symmetry is FULL else 2)
-        assert problem.evaluate(np.ones(problem.size))[0].size == problem.size - 1
-    cosines = TrigonometricProblem(model, 7)
-    assert (cosines.states, cosines.size, cosines.Omega_index, cosines.parameter_index) == (21, 23, 21, 22)
-    assert cosines.parameter_row() @ np.arange(23.0) == 22.0
 
 
 # Orders ---------------------------------------------------------------------------------------------------------------
@@ -212,26 +191,6 @@ def test_every_class_finds_the_orbit_of_odd_cosines(
         np.testing.assert_allclose(q[:, 0], y, atol=1e-12)
 
 
-@pytest.mark.parametrize(("sites", "mode", "kappa"), [(2, 1, -0.8), (3, 2, 2.0), (5, 5, 1.0)])
-def test_samples_follow_the_integrated_orbit_over_several_periods(sites: int, mode: int, kappa: float) -> None:
-    """DOP853 on gauge equations typed out here, from the sampled start, at random times over three periods."""
-    chain = Chain(sites, 1.0, 0.3, np.sign(kappa))
-    problem = TrigonometricProblem(chain.gauge_model(), 16)
-    z = solved(problem, chain, mode, kappa)
-    s, w = np.sqrt(1 - 0.3**2), ((1 + 0.3) / (1 - 0.3)) ** (np.arange(1, sites + 1) - sites)
-
-    def field(_: float, x: Array) -> Array:
-        q = np.pad(x[:sites], 1)
-        return np.concatenate([x[sites:], s * (q[:-2] + q[2:]) - 3.0 * x[:sites] - kappa * w * x[:sites] ** 3])
-
-    t = np.sort(np.random.default_rng(5).uniform(0.0, 6 * np.pi / z[problem.Omega_index], 30))
-    start = np.concatenate([problem.sample(z, np.zeros(1))[0], np.zeros(sites)])
-    path = solve_ivp(field, (0.0, t[-1]), start, "DOP853", t, rtol=1e-12, atol=1e-13)
-    q = problem.sample(z, z[problem.Omega_index] * t)
-    np.testing.assert_allclose(q, path.y[:sites].T, rtol=0, atol=2e-9 * np.abs(start).max())
-    assert chain.weights @ start[:sites] ** 2 == pytest.approx(1.0, abs=1e-13)
-
-
 @pytest.mark.parametrize("symmetry", [HALF, FULL])
 @pytest.mark.parametrize("kind", ["gauss", "shooting"])
 def test_an_orbit_that_is_not_odd_is_not_sampled_as_if_it_were(kind: str, symmetry: SymmetryClass) -> None:
@@ -312,52 +271,7 @@ def test_samples_return_the_unknowns_and_are_unfolded_by_the_symmetries(symmetry
             np.testing.assert_allclose(problem.sample(z, theta + np.pi), -q, atol=1e-10)
 
 
-@pytest.mark.parametrize("symmetry", SymmetryClass)
-@pytest.mark.parametrize("kind", ["gauss", "radau"])
-def test_halved_intervals_hold_the_same_polynomials_on_any_mesh(kind: str, symmetry: SymmetryClass) -> None:
-    make = {"gauss": gauss_problem, "radau": radau_problem}[kind]
-    coarse, finer, other = (make(Chain(2, 1.0, 0.3, 1.0).gauge_model(), K, symmetry, degree=3) for K in (3, 6, 4))
-    uneven = coarse.with_constants(np.random.default_rng(0).dirichlet(8.0 * np.ones(3)))
-    part = symmetry.value * 2 * np.pi
-    theta = np.random.default_rng(2).uniform(0, part, 30)
-    z = np.random.default_rng(1).normal(size=coarse.size)
-    for problem in (coarse, uneven):
-        halved = problem.transferred(finer)
-        np.testing.assert_allclose(halved.constants, np.repeat(problem.constants / 2, 2), rtol=1e-12)
-        found = halved.sample(problem.prolong(z, halved), theta)
-        np.testing.assert_allclose(found, problem.sample(z, theta), atol=1e-11 * np.abs(z).max())
-    knots = part * np.arange(5) / 4  # a mesh that cuts across has the values at its own ends
-    found = other.sample(coarse.prolong(z, other), knots)
-    np.testing.assert_allclose(found, coarse.sample(z, knots), atol=1e-12 * np.abs(z).max())
-    np.testing.assert_array_equal(coarse.prolong(z, finer)[finer.states :], z[coarse.states :])
-
-
-def test_more_harmonics_continue_the_same_function_and_fewer_truncate_it() -> None:
-    model = Chain(3, 1.0, 0.3, 1.0).gauge_model()
-    coarse, fine = TrigonometricProblem(model, 5), TrigonometricProblem(model, 12)
-    z = np.random.default_rng(0).normal(size=coarse.size)  # every harmonic of the same size
-    longer = coarse.prolong(z, fine)
-    theta = np.random.default_rng(1).uniform(-20, 20, 40)
-    np.testing.assert_allclose(fine.sample(longer, theta), coarse.sample(z, theta), atol=1e-12)
-    np.testing.assert_array_equal(longer[-2:], z[-2:])
-    np.testing.assert_allclose(fine.coefficients(longer)[:, 5:], 0.0, atol=1e-14)
-    np.testing.assert_allclose(fine.prolong(longer, coarse), z, atol=1e-14)
-    w = np.random.default_rng(2).normal(size=fine.size)
-    np.testing.assert_allclose(coarse.coefficients(fine.prolong(w, coarse)), fine.coefficients(w)[:, :5], atol=1e-14)
-
-
 # Models ---------------------------------------------------------------------------------------------------------------
-
-
-def test_the_smallest_part_of_the_period_follows_from_what_is_declared() -> None:
-    model = Chain(2, 1.0, 0.3, 1.0).gauge_model()
-    assert symmetry_class(model) is QUARTER
-    assert symmetry_class(replace(model, half_period=None)) is HALF
-    assert symmetry_class(replace(model, reversal=None)) is FULL
-    assert pinned_components(model, QUARTER) == ([2, 3], [0, 1])
-    assert pinned_components(model, HALF) == ([2, 3], [2, 3])
-    assert pinned_components(model, FULL) == ([], [])
-    assert [c.value for c in (QUARTER, HALF, FULL)] == [0.25, 0.5, 1.0]
 
 
 def changed(model: OdeModel, changes: dict[str, Any]) -> OdeModel:

@@ -6,56 +6,13 @@ from collections.abc import Iterator
 
 import casadi as ca
 import numpy as np
-import pytest
-from numpy.typing import NDArray
 from orbit_problems import dense_jacobian
 
 from casadi_skin.follow.family import Family
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import lifted
-from casadi_skin.zero.cosines import TrigonometricProblem, cosine_matrix, second_derivative_matrix
+from casadi_skin.zero.cosines import TrigonometricProblem
 from casadi_skin.zero.request import family_request
-
-Array = NDArray[np.float64]
-
-
-@pytest.mark.parametrize("harmonics", [1, 2, 5, 16, 128])
-def test_node_values_and_coefficients_are_each_others_transform(harmonics: int) -> None:
-    V = cosine_matrix(harmonics)
-    i = np.arange(harmonics)
-    expected = np.cos(np.outer(2 * i + 1, (i + 0.5) * np.pi / (2 * harmonics)))
-    np.testing.assert_array_equal(V, V.T)
-    np.testing.assert_allclose(V, expected, atol=1e-15 * harmonics**2)
-    np.testing.assert_allclose(V @ V, harmonics / 2 * np.eye(harmonics), atol=1e-14 * harmonics)
-
-
-@pytest.mark.parametrize("harmonics", [1, 3, 8])
-def test_second_derivative_is_exact_on_odd_cosines(harmonics: int) -> None:
-    theta = (np.arange(harmonics) + 0.5) * np.pi / (2 * harmonics)
-    D2 = second_derivative_matrix(harmonics)
-    for k in range(harmonics):
-        cosine = np.cos((2 * k + 1) * theta)
-        np.testing.assert_allclose(D2 @ cosine, -((2 * k + 1) ** 2) * cosine, atol=2e-14 * harmonics**3)
-
-
-@pytest.mark.parametrize("reach", [1, 2, 3])
-def test_half_bandwidth_holds_every_coupling(reach: int) -> None:
-    """Couplings as far as `reach` sites; the band is what the linear solver is told."""
-    n = 8
-    q, v, p = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("p")
-    i = np.arange(n)
-    K = np.where(np.abs(i[:, None] - i) <= reach, -0.2, 0.0) + 3 * np.eye(n)
-    model = OdeModel(
-        "far", q, -ca.sparsify(ca.DM(K)) @ q - p * q**3, p, 2, v,
-        reversal=(1,) * n + (-1,) * n, half_period=(-1,) * (2 * n), normalisation=ca.dot(q, q) - 1,
-    )  # fmt: skip
-    problem = TrigonometricProblem(model, 4)
-    rows, columns = problem.pattern
-    inside = (rows < problem.states) & (columns < problem.states)
-    assert problem.half_bandwidth is not None
-    assert np.abs(rows - columns)[inside].max() <= problem.half_bandwidth
-
 
 # Equations that models have in common --------------------------------------------------------------------------------
 
