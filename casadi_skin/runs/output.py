@@ -1,22 +1,20 @@
-"""Output of a command that is not for a reader: nothing, or its results as JSON."""
+"""Output of a command: results as JSON, tables of text, the exit status, and streams whose faults are known."""
 
 from __future__ import annotations
 
 import argparse
+import errno
+import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, TextIO
 
 from casadi_skin.model.methods import FORMATS
 
 Value = float | int | str | None
-
-
-def add_output(parser: argparse.ArgumentParser) -> None:
-    """Add --quiet and --json, one of which may be given."""
-    either = parser.add_mutually_exclusive_group()
-    either.add_argument("--quiet", action="store_true", help="print nothing but errors")
-    either.add_argument("--json", action="store_true", help="print the results as JSON, and nothing else")
 
 
 def add_study_options(parser: argparse.ArgumentParser, default: Path) -> None:
@@ -27,7 +25,9 @@ def add_study_options(parser: argparse.ArgumentParser, default: Path) -> None:
     words = "format of its pictures, once for each that is wanted (default: png)"
     parser.add_argument("--format", action="append", dest="formats", choices=FORMATS, help=words)
     parser.add_argument("--overwrite", action="store_true", help="replace what DIR holds of the same")
-    add_output(parser)
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    either.add_argument("--json", action="store_true", help="print the results as JSON, and nothing else")
 
 
 def print_json(value: object) -> None:
@@ -106,6 +106,83 @@ def exit_status(act: Callable[[], int]) -> int:
     except OSError as error:
         print(f"casadi-skin: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
         return FAILED
+
+
+# Standard output and error of a command: faults of the first end it in one line, those of the second are nothing ------
+
+
+class OutputError(Exception):
+    """Standard output cannot be written; the message says why."""
+
+
+class _Stream:
+    """A stream whose faults are raised as OutputError, or forgotten; None is one that is closed."""
+
+    def __init__(self, stream: TextIO | None, forgiving: bool = False) -> None:
+        self._stream, self._forgiving = stream, forgiving
+
+    def write(self, text: str) -> int:
+        self._call("write", text)
+        return len(text)
+
+    def flush(self) -> None:
+        self._call("flush")
+
+    def _call(self, name: str, *arguments: str) -> None:
+        try:
+            if self._stream is not None:
+                getattr(self._stream, name)(*arguments)
+            elif arguments:
+                raise OSError(errno.EBADF, "it is closed")
+        except (OSError, ValueError) as error:  # ValueError: closed since
+            if not self._forgiving:
+                raise OutputError(getattr(error, "strerror", None) or str(error)) from error
+
+    def isatty(self) -> bool:
+        return self._stream is not None and self._stream.isatty()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+@contextmanager
+def guarded_streams() -> Iterator[None]:
+    """Standard streams whose faults are known, without warnings of other packages, inside the block.
+
+    Raises OutputError where something that was printed cannot be written.
+    """
+    _fill_descriptors()
+    output, error = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = _Stream(output), _Stream(error, forgiving=True)
+    try:
+        with warnings.catch_warnings():
+            if not sys.warnoptions:  # users can enable them in Python
+                warnings.simplefilter("ignore")
+            yield
+        sys.stdout.flush()
+    except OutputError:
+        _discard(output)
+        raise
+    finally:
+        sys.stdout, sys.stderr = output, error
+
+
+def _fill_descriptors() -> None:
+    """Open the standard descriptors that are closed, or a file of results would take their place and be printed to."""
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+
+
+def _discard(stream: TextIO | None) -> None:
+    """Discard the rest of a stream, or Python would try again, and fail, when it ends."""
+    try:
+        if stream is not None:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    except (OSError, ValueError):  # a stream without a file, as in tests
+        return
 
 
 # Names and values in the lines that `check` prints --------------------------------------------------------------------

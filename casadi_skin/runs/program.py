@@ -1,107 +1,69 @@
-"""The command line: its commands and their options as a table, and standard streams whose faults are known."""
+"""The command line: each command is a function with its purpose, an example and its options, and returns a status.
+
+Nothing is written where a scene or its model is wrong. What a command needs is loaded when it is run: --help needs
+none of it.
+"""
 
 from __future__ import annotations
 
 import argparse
-import errno
 import gc
-import os
+import math
 import re
 import signal
 import sys
-import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from importlib import import_module
+from importlib.resources import files
 from pathlib import Path
-from types import FrameType
-from typing import Any, NamedTuple, NoReturn, TextIO
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from casadi_skin._version import __version__
-from casadi_skin.runs.output import FAILED, WRONG_INPUT, add_study_options, exit_status
+from casadi_skin.runs.output import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    WRONG_INPUT,
+    InputError,
+    OutputError,
+    add_study_options,
+    exit_status,
+    guarded_streams,
+    print_json,
+    print_results,
+)
 
-# Standard output and error of a command: faults of the first end it in one line, those of the second are nothing ------
-
-
-class OutputError(Exception):
-    """Standard output cannot be written; the message says why."""
-
-
-class _Stream:
-    """A stream whose faults are raised as OutputError, or forgotten; None is one that is closed."""
-
-    def __init__(self, stream: TextIO | None, forgiving: bool = False) -> None:
-        self._stream, self._forgiving = stream, forgiving
-
-    def write(self, text: str) -> int:
-        self._call("write", text)
-        return len(text)
-
-    def flush(self) -> None:
-        self._call("flush")
-
-    def _call(self, name: str, *arguments: str) -> None:
-        try:
-            if self._stream is not None:
-                getattr(self._stream, name)(*arguments)
-            elif arguments:
-                raise OSError(errno.EBADF, "it is closed")
-        except (OSError, ValueError) as error:  # ValueError: closed since
-            if not self._forgiving:
-                raise OutputError(getattr(error, "strerror", None) or str(error)) from error
-
-    def isatty(self) -> bool:
-        return self._stream is not None and self._stream.isatty()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-
-@contextmanager
-def guarded_streams() -> Iterator[None]:
-    """Standard streams whose faults are known, without warnings of other packages, inside the block.
-
-    Raises OutputError where something that was printed cannot be written.
-    """
-    _fill_descriptors()
-    output, error = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = _Stream(output), _Stream(error, forgiving=True)
-    try:
-        with warnings.catch_warnings():
-            if not sys.warnoptions:  # users can enable them in Python
-                warnings.simplefilter("ignore")
-            yield
-        sys.stdout.flush()
-    except OutputError:
-        _discard(output)
-        raise
-    finally:
-        sys.stdout, sys.stderr = output, error
-
-
-def _fill_descriptors() -> None:
-    """Open the standard descriptors that are closed, or a file of results would take their place and be printed to."""
-    for descriptor in range(3):
-        try:
-            os.fstat(descriptor)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)
-
-
-def _discard(stream: TextIO | None) -> None:
-    """Discard the rest of a stream, or Python would try again, and fail, when it ends."""
-    try:
-        if stream is not None:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-    except (OSError, ValueError):  # a stream without a file, as in tests
-        return
-
+if TYPE_CHECKING:
+    from casadi_skin.model.interrupts import TimeLimit
+    from casadi_skin.runs.directory import Existing
+    from casadi_skin.runs.map_result import Map
+    from casadi_skin.runs.progress import Progress
+    from casadi_skin.runs.request import Request
+    from casadi_skin.runs.scene import Scene
 
 COLLECTOR_THRESHOLDS = (200_000, 20, 50)  # modules live to the end, and a picture is 20,000 objects
+OF_MODEL = ("orbit", "continuation", "search", "dynamics", "export", "map")  # tables checked against the model
+ASKED_TASKS = ("family", "equilibrium", "orbit", "solution", "search", "dynamics", "export", "spectrum")
+KINDS = ("chain", "lattice", "model")  # of scenes to start from
+MOST_REASONS = 5  # of failed cells that are printed
 
-# The commands: what each is for, an example, and its options; options of which one may be given stand in one list --
-
+# Options, and the table of commands -----------------------------------------------------------------------------------
 
 Option = tuple[str, dict[str, Any]]  # a name, and what argparse takes with it
+Act = Callable[[argparse.Namespace], int]
+Options = tuple[Option | list[Option], ...]  # of those in one list one may be given
+COMMANDS: dict[str, tuple[Act, Options]] = {}  # functions by name, whose help is their docstring
+
+
+def command(*options: Option | list[Option]) -> Callable[[Act], Act]:
+    """Enter a function as the command of its name."""
+
+    def enter(act: Act) -> Act:
+        COMMANDS[act.__name__.rstrip("_")] = act, options
+        return act
+
+    return enter
 
 
 def switch(name: str, words: str) -> Option:
@@ -114,87 +76,405 @@ def value(name: str, words: str | None, metavar: str | None, kind: Callable[[str
     return name, {"type": kind, "help": words, **({} if metavar is None else {"metavar": metavar}), **more}
 
 
-class Command(NamedTuple):
-    """A command: what it does, an example, and its options."""
-
-    words: str
-    example: str
-    options: Sequence[Sequence[Option]]
-
-
-SCENE = [value("scene", None, "SCENE.toml", Path)]
-OUT = [value("--out", "directory of the results (default: results/NAME-OF-THE-SCENE)", "DIR", Path)]
+SCENE = value("scene", None, "SCENE.toml", Path)
+OUT = value("--out", "directory of the results (default: results/NAME-OF-THE-SCENE)", "DIR", Path)
+RESUME = switch("--resume", "go on with a run or a map that was killed, interrupted or ended early")
 OVERWRITE = switch("--overwrite", "replace the results that DIR holds")
 QUIET = switch("--quiet", "print nothing but errors")
 OUTPUT = [QUIET, switch("--json", "print the results as JSON, and nothing else")]
+
+# A scene: run, check, spectrum, map -----------------------------------------------------------------------------------
+
+
+def _scene(arguments: argparse.Namespace) -> tuple[Scene, str]:
+    """The scene in the file that a command is given, and its text."""
+    from casadi_skin.runs.reading import parse_scene, read_text
+
+    text = read_text(arguments.scene)
+    return parse_scene(text, str(arguments.scene)), text
+
+
+def _bound(scene: Scene, arguments: argparse.Namespace) -> Request:
+    """The scene with its model, checked; which Python file that is about to be run is printed before.
+
+    A program may do anything, a saved model nothing. The line goes to standard error where standard output is for
+    results alone.
+    """
+    _name_program(scene, arguments)
+    from casadi_skin.runs.binding import bound
+
+    return bound(scene, arguments.scene)
+
+
+def _name_program(scene: Scene, arguments: argparse.Namespace) -> None:
+    if scene.model is not None and scene.model.file.endswith(".py") and not arguments.quiet:
+        name = str(arguments.scene.parent / scene.model.file)
+        words = f"{'program':<14}{name if name.isprintable() else repr(name)} is run as Python"
+        print(words, flush=True, file=sys.stderr if arguments.json else sys.stdout)
+
+
+def _place(arguments: argparse.Namespace) -> tuple[Path, Existing]:
+    """The directory of the results, and what is done where it holds some."""
+    from casadi_skin.runs.directory import Existing
+
+    existing = Existing.RESUME if arguments.resume else Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
+    return arguments.out or Path("results") / arguments.scene.stem, existing
+
+
+def _stopped(arguments: argparse.Namespace, limit: TimeLimit) -> tuple[int, str]:
+    """Exit status and reason of an interruption: by the limit of time, or by the user."""
+    return (FAILED, f"{arguments.scene}: {limit}") if limit.is_over else (INTERRUPTED, "interrupted")
+
+
+@command(SCENE, OUT, [RESUME, OVERWRITE], OUTPUT)
+def run(arguments: argparse.Namespace) -> int:
+    """Compute what a scene asks for.
+
+    Example: casadi-skin run examples/softening_end_breather.toml --out results/breather
+    """
+    scene, text = _scene(arguments)
+    if not scene.given(*ASKED_TASKS):
+        accepted = "a table [family], [equilibrium], [orbit], [solution], [search], [dynamics], [export] or [spectrum]"
+        raise InputError(f"{arguments.scene}: asks for nothing to compute; accepted: {accepted}")
+    request = _bound(scene, arguments)
+    from casadi_skin.runs.directory import in_use
+    from casadi_skin.runs.progress import Progress
+
+    directory, existing = _place(arguments)
+    with Progress(arguments.quiet) as progress, in_use(directory, progress.report):
+        return _run_in(directory, existing, request, text, arguments, progress)
+
+
+def _run_in(
+    directory: Path, existing: Existing, request: Request, text: str, arguments: argparse.Namespace, progress: Progress
+) -> int:
+    """Compute a request in a directory of this process, and return the exit status."""
+    from casadi_skin.runs.directory import Existing, check_same_source, prepare
+
+    if existing is Existing.RESUME and request.path is not None:
+        check_same_source(directory, request.path, request.source)
+    if not prepare(directory, request.scene, text, existing):
+        if arguments.json:
+            print_results(directory, True, ())
+        elif not arguments.quiet:
+            print(f"{directory} holds the complete run already")
+        return DONE
+
+    from casadi_skin.model.interrupts import TimeLimit, time_limited
+    from casadi_skin.runs.run import Run
+    from casadi_skin.runs.summary import print_summary
+
+    run, stopped, limit = Run(request, text, directory, progress), "", TimeLimit(request.scene.time_limit)
+    try:
+        with time_limited(limit):
+            status = DONE if run.execute() else FAILED
+    except KeyboardInterrupt:
+        status, stopped = _stopped(arguments, limit)
+    except OSError as error:
+        status, stopped = FAILED, f"casadi-skin: {error.filename or directory}: {error.strerror or error}"
+    progress.stop()
+    reasons = run.reasons()
+    if arguments.json:
+        print_results(directory, status == DONE, [stopped] if stopped else reasons)
+    elif not arguments.quiet:
+        print_summary(run)
+    if stopped:
+        print(f"{stopped}; what was computed is in {directory}; go on with --resume", file=sys.stderr)
+    for reason in () if stopped else reasons:
+        print(f"{arguments.scene}: {reason}", file=sys.stderr)
+    return status
+
+
+@command(SCENE, switch("--measure", "build and solve at the start of families too: unknowns, expected cost"), OUTPUT)
+def check(arguments: argparse.Namespace) -> int:
+    """Print what a run would do.
+
+    Example: casadi-skin check examples/fput_modes.toml
+    """
+    from casadi_skin.runs.family_plan import chain_lines
+
+    scene, _ = _scene(arguments)
+    lines = None if arguments.measure else chain_lines(scene)
+    if lines is None:
+        request = _bound(scene, arguments)
+        from casadi_skin.runs.plan import plan_lines
+        from casadi_skin.runs.rules import SceneError
+
+        try:
+            lines = plan_lines(request, arguments.measure)
+            if scene.map is not None:
+                from casadi_skin.runs.map import map_lines
+
+                lines += map_lines(scene, request, arguments.scene)
+        except SceneError as error:
+            raise InputError(f"{arguments.scene}: {error}") from None
+        except (ValueError, TypeError) as error:  # of a search that cannot be meant
+            raise InputError(f"{arguments.scene}: [search] {error}") from error
+    if arguments.json:
+        print_json([{"subject": subject, "words": words} for subject, words in lines])
+    elif not arguments.quiet:
+        for subject, words in lines:
+            print(f"{subject:<14}{words}")
+    return DONE
+
+
+@command(SCENE, value("--out", "also write spectrum.csv and its picture there", "DIR", Path), OVERWRITE, OUTPUT)
+def spectrum(arguments: argparse.Namespace) -> int:
+    """Print the linear frequencies omega_j of a scene's model.
+
+    Example: casadi-skin spectrum examples/fput_modes.toml --out results/spectrum
+    """
+    scene, text = _scene(arguments)
+    frequencies = None if arguments.out is not None else _closed_form(scene)
+    if frequencies is None:
+        from casadi_skin.lattice.spectrum import linear_frequencies
+        from casadi_skin.runs.binding import bound, check_spectrum
+        from casadi_skin.runs.rules import SceneError
+
+        request = bound(scene, arguments.scene)
+        try:
+            check_spectrum(request)
+        except SceneError as error:
+            raise InputError(f"{arguments.scene}: {error}") from error
+        if arguments.out is not None:
+            from casadi_skin.runs.directory import Existing, prepare
+            from casadi_skin.runs.run import write_spectrum
+
+            prepare(arguments.out, scene, text, Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE)
+            write_spectrum(request, arguments.out)
+        frequencies = [float(omega) for omega in linear_frequencies(request.model, request.parameters)]
+    if arguments.json:
+        print_json({"omega": frequencies})
+    elif not arguments.quiet:
+        print("j omega_j")
+        for mode, omega in enumerate(frequencies, start=1):
+            print(f"{mode} {omega:.15g}")
+    return DONE
+
+
+def _closed_form(scene: Scene) -> list[float] | None:
+    """Linear frequencies of a finite chain that oscillates, without loading numerics; None for another scene."""
+    from casadi_skin.lattice.stiffness import stiffness
+
+    chain = scene.chain
+    if chain is None or chain.sites == math.inf or scene.given(*OF_MODEL):
+        return None
+    squares = [chain.alpha + stiffness(chain.sites, chain.gamma, mode) for mode in range(1, int(chain.sites) + 1)]
+    return [math.sqrt(square) for square in squares] if min(squares) > 0.0 else None
+
+
+@command(
+    SCENE, OUT, [RESUME, OVERWRITE], switch("--no-pictures", "tables alone"), OUTPUT,
+    value("--workers", "processes on this machine (default: 1)", "N", int, default=1),
+    [value("--scheduler", "a dask scheduler, whose workers compute the cells", "ADDRESS", str),
+     value("--part", "one share of a batch array; whoever comes last joins them", "K/N", str),
+     switch("--collect", "join what all shares have; compute nothing")],
+)  # fmt: skip
+def map_(arguments: argparse.Namespace) -> int:
+    """Compute a scene over one or two of its parameters, cell by cell, on one machine or many.
+
+    Example: casadi-skin map examples/stability_chart.toml --workers 2
+    """
+    scene, text = _scene(arguments)
+    if scene.map is None:
+        raise InputError(f"{arguments.scene}: [map]: missing; accepted: a table of parameters with ranges or lists")
+    part = _part(arguments.part)
+    _name_program(scene, arguments)
+    from casadi_skin.model.interrupts import TimeLimit, time_limited
+    from casadi_skin.runs.map import Mapped, Ways, check_ways, compute_map
+    from casadi_skin.runs.progress import Progress
+
+    directory, existing = _place(arguments)
+    ways = Ways(
+        arguments.workers, arguments.scheduler, None, part, arguments.collect, existing, not arguments.no_pictures
+    )
+    try:
+        check_ways(ways)
+    except (ValueError, TypeError) as error:
+        raise InputError(f"map: --{error}") from None
+    mapped, limit = Mapped.of(text, arguments.scene), TimeLimit(scene.time_limit)
+    with Progress(arguments.quiet) as progress:
+        try:
+            with time_limited(limit):
+                found = compute_map(mapped, directory, ways, progress)
+        except ImportError as error:
+            raise InputError(f"map: --scheduler: {error}") from None
+        except KeyboardInterrupt:
+            status, words = _stopped(arguments, limit)
+            print(f"{words}; what was computed is in {directory}; go on with --resume", file=sys.stderr)
+            return status
+        except (ValueError, ArithmeticError) as error:
+            if type(error).__module__.startswith("casadi_skin"):
+                raise
+            print(f"casadi-skin: {directory}: {error}", file=sys.stderr)
+            return FAILED
+    return _report_map(found, arguments)
+
+
+def _part(words: str | None) -> tuple[int, int] | None:
+    if words is None:
+        return None
+    pair = re.fullmatch(r"(\d{1,6})/(\d{1,6})", words)
+    if pair is None or not 1 <= int(pair[1]) <= int(pair[2]):
+        raise InputError(f"map: --part: given {words}; accepted: K/N with 1 <= K <= N, such as 3/20")
+    return int(pair[1]), int(pair[2])
+
+
+def _report_map(found: Map, arguments: argparse.Namespace) -> int:
+    """Report the computed and the missing cells of the map, and return the exit status."""
+    waits = found.waits and arguments.part is not None
+    failures = [] if waits else [f"{cell}: {reason}" for cell, reason in found.failures(MOST_REASONS + 1)]
+    reasons = failures[:MOST_REASONS]
+    if len(failures) > MOST_REASONS:
+        reasons.append(f"more cells failed or ended early; see {found.directory / 'map.csv'}")
+    if not found.complete and not waits:
+        reasons.append("cells are missing; go on with --resume")
+    if arguments.json:
+        print_results(found.directory, found.complete and not failures, reasons)
+    elif waits and not arguments.quiet:
+        print(f"the share {arguments.part} is computed; {found.directory} waits for the other shares")
+    elif not arguments.quiet:
+        print(f"{found.summary()}\nresults in {found.directory}")
+    for reason in reasons:
+        print(f"{arguments.scene}: {reason}", file=sys.stderr)
+    return FAILED if reasons else DONE
+
+
+# Other commands -------------------------------------------------------------------------------------------------------
+
 MEASURED = (
     "scene whose family is measured, the first of several; its accuracy and methods do not matter "
     "(default: j = 1, g = -1, N = 24 to S = 1)"
 )
-PAGE = "the file (default: DIR/explore.html, beside a file its name with .html)"
-COMMANDS = {
-    "run": Command(
-        "Compute what a scene asks for.",
-        "casadi-skin run examples/softening_end_breather.toml --out results/breather",
-        [SCENE, OUT, [switch("--resume", "go on with a run that was killed, interrupted or ended early"), OVERWRITE],
-         OUTPUT],
-    ),
-    "check": Command(
-        "Print what a run would do.",
-        "casadi-skin check examples/fput_modes.toml",
-        [SCENE, [switch("--measure", "build and solve at the start of families too: unknowns, expected cost")], OUTPUT],
-    ),
-    "spectrum": Command(
-        "Print the linear frequencies omega_j of a scene's model.",
-        "casadi-skin spectrum examples/fput_modes.toml --out results/spectrum",
-        [SCENE, [value("--out", "also write spectrum.csv and its picture there", "DIR", Path)], [OVERWRITE], OUTPUT],
-    ),
-    "map": Command(
-        "Compute a scene over one or two of its parameters, cell by cell, on one machine or many.",
-        "casadi-skin map examples/stability_chart.toml --workers 2",
-        [SCENE, OUT, [value("--workers", "processes on this machine (default: 1)", "N", int, default=1)],
-         [value("--scheduler", "a dask scheduler, whose workers compute the cells", "ADDRESS", str),
-          value("--part", "one share of a batch array; whoever comes last joins them", "K/N", str),
-          switch("--collect", "join what all shares have; compute nothing")],
-         [switch("--resume", "compute what is missing of a map that was begun"), OVERWRITE],
-         [switch("--no-pictures", "tables alone")], OUTPUT],
-    ),
-    "tradeoff": Command(
-        "Measure time, memory and true errors of every method and tolerance on one family.",
-        "casadi-skin tradeoff examples/softening_end_breather.toml --quick",
-        [[value("scene", MEASURED, "SCENE.toml", Path, nargs="?")],
-         [switch("--quick", "three tolerances, each timed once")],
-         [value("--repeats", "timed runs of each setting (default: 5; 1 if quick)", "K", int)]],
-    ),
-    "explore": Command(
-        "Write one HTML file that shows a run, a map, or a branch or diagram that was saved, without network.",
-        "casadi-skin explore results/chain",
-        [[value("directory", "the directory of a run or of a map, or a file of one", "DIR", Path)],
-         [value("--out", PAGE, "FILE.html", Path)], [QUIET]],
-    ),
-    "new": Command(
-        "Write a scene of a chain, a lattice or a model, with a comment on every line, that runs as it is.",
-        "casadi-skin new chain --out breather.toml",
-        [[value("kind", "what the scene is of; a model comes with its Python file", None, str,
-                choices=("chain", "lattice", "model"))],
-         [value("--out", "the file (default: KIND.toml)", "SCENE.toml", Path)], [QUIET]],
-    ),
-    "schema": Command(
-        "Print the JSON schema of scenes; editors complete and check scenes with it.",
-        "casadi-skin schema --out scene.schema.json",
-        [[value("--out", "write it there in place of printing it", "FILE.json", Path)]],
-    ),
-    "completion": Command(
-        "Print what a shell needs to complete commands, options and files.",
-        'eval "$(casadi-skin completion bash)"',
-        [[value("shell", None, None, str, choices=("bash", "zsh", "tcsh"))]],
-    ),
-}  # fmt: skip
-COMMANDS["help"] = Command(
-    "Print what a command does, with an example.",
-    "casadi-skin help run",
-    [[value("verb", "default: all of them", "COMMAND", str, nargs="?", choices=(*COMMANDS, "help"))]],
+
+
+@command(
+    value("scene", MEASURED, "SCENE.toml", Path, nargs="?"),
+    switch("--quick", "three tolerances, each timed once"),
+    value("--repeats", "timed runs of each setting (default: 5; 1 if quick)", "K", int),
 )
+def tradeoff(arguments: argparse.Namespace) -> int:
+    """Measure time, memory and true errors of every method and tolerance on one family.
+
+    Example: casadi-skin tradeoff examples/softening_end_breather.toml --quick
+    """
+    status: int = import_module("casadi_skin.runs.tradeoff").run(arguments)
+    return status
+
+
+def _target(arguments: argparse.Namespace, default: Path, suffix: str = "") -> Path:
+    """The file that a command writes; raises InputError where that cannot be."""
+    path: Path = arguments.out or default
+    if path.suffix != (suffix or path.suffix):
+        raise InputError(f"{arguments.command}: given --out {path}; accepted: a name that ends in {suffix}")
+    if not path.parent.is_dir():
+        place = "--out in a directory that is there"
+        raise InputError(f"{arguments.command}: {path.parent} is no directory; accepted: {place}")
+    return path
+
+
+@command(
+    value("directory", "the directory of a run or of a map, or a file of one", "DIR", Path),
+    value("--out", "the file (default: DIR/explore.html, beside a file its name with .html)", "FILE.html", Path),
+    QUIET,
+)
+def explore(arguments: argparse.Namespace) -> int:
+    """Write one HTML file that shows a run, a map, or a branch or diagram that was saved, without network.
+
+    Example: casadi-skin explore results/chain
+    """
+    from casadi_skin.runs.explorer import PAGE_FILE, write_page
+
+    source = arguments.directory
+    if not source.exists():
+        accepted = "accepted: the directory of a run or a map, or a file of one"
+        raise InputError(f"explore: {source} does not exist; {accepted}")
+    target = _target(arguments, source.with_suffix(".html") if source.is_file() else source / PAGE_FILE, ".html")
+    try:
+        write_page(source, target)
+    except ValueError as error:
+        raise InputError(f"explore: {error}") from None
+    if not arguments.quiet:
+        print(f"wrote {target}; open it in a browser")
+    return DONE
+
+
+@command(
+    value("kind", "what the scene is of; a model comes with its Python file", None, str, choices=KINDS),
+    value("--out", "the file (default: KIND.toml)", "SCENE.toml", Path),
+    QUIET,
+)
+def new(arguments: argparse.Namespace) -> int:
+    """Write a scene of a chain, a lattice or a model, with a comment on every line, that runs as it is.
+
+    Example: casadi-skin new chain --out breather.toml
+    """
+    scene = _target(arguments, Path(f"{arguments.kind}.toml"), ".toml")
+    names = {scene: f"{arguments.kind}.toml"}
+    if arguments.kind == "model":
+        names[scene.with_suffix(".py")] = "model.py"
+    for path in filter(Path.exists, names):
+        raise InputError(f"new: {path} is there already; accepted: another --out")
+    for path, name in names.items():
+        text = (files("casadi_skin.runs") / "starts" / name).read_text(encoding="utf-8")
+        _write(path, text.replace("NAME.py", scene.with_suffix(".py").name))
+    if not arguments.quiet:
+        print(f"wrote {' and '.join(map(str, names))}; next: casadi-skin run {scene}")
+    return DONE
+
+
+@command(value("--out", "write it there in place of printing it", "FILE.json", Path))
+def schema(arguments: argparse.Namespace) -> int:
+    """Print the JSON schema of scenes; editors complete and check scenes with it.
+
+    Example: casadi-skin schema --out scene.schema.json
+    """
+    import json
+
+    from casadi_skin.runs.reading import scene_schema
+
+    text = json.dumps(scene_schema(), indent=2)
+    if arguments.out is None:
+        print(text)
+    else:
+        _write(_target(arguments, Path()), f"{text}\n")
+    return DONE
+
+
+def _write(path: Path, text: str) -> None:
+    from casadi_skin.model.files import replacing
+
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+@command(value("shell", None, None, str, choices=("bash", "zsh", "tcsh")))
+def completion(arguments: argparse.Namespace) -> int:
+    """Print what a shell needs to complete commands, options and files.
+
+    Example: eval "$(casadi-skin completion bash)"
+    """
+    import shtab
+
+    for parser in arguments.parsers.values():
+        for action in parser._actions:
+            if action.type is Path:
+                action.complete = shtab.DIRECTORY if action.metavar == "DIR" else shtab.FILE
+    sys.stdout.write(shtab.complete(arguments.parser, arguments.shell))
+    return DONE
+
+
+@command(value("verb", "default: all of them", "COMMAND", str, nargs="?", choices=(*COMMANDS, "help")))
+def help_(arguments: argparse.Namespace) -> int:
+    """Print what a command does, with an example.
+
+    Example: casadi-skin help run
+    """
+    arguments.parsers.get(arguments.verb, arguments.parser).print_help()
+    return DONE
+
+
+# The program ----------------------------------------------------------------------------------------------------------
 
 
 class _Parser(argparse.ArgumentParser):
@@ -226,21 +506,16 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version, and which kernels are in use")
     added = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, command in COMMANDS.items():
-        purpose = f"{command.words[0].lower()}{command.words[1:-1]}"
-        one = added.add_parser(name, help=purpose, description=command.words, epilog=f"Example: {command.example}")
-        for options in command.options:
-            group = one if len(options) == 1 else one.add_mutually_exclusive_group()
-            for option, given in options:
+    for name, (act, options) in COMMANDS.items():
+        words, _, example, *_ = map(str.strip, (act.__doc__ or "\n\n").split("\n"))
+        one = added.add_parser(name, help=words[:1].lower() + words[1:-1], description=words, epilog=example)
+        for either in options:
+            group = one.add_mutually_exclusive_group() if isinstance(either, list) else one
+            for option, given in either if isinstance(either, list) else [either]:
                 group.add_argument(option, **given)
     add_study_options(added.choices["tradeoff"], Path("results/tradeoff"))
     parser.set_defaults(parser=parser, parsers=added.choices)
     return parser
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    """A polite kill ends a run like Ctrl-C: the results so far are written."""
-    raise KeyboardInterrupt
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -249,24 +524,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     gc.set_threshold(*COLLECTOR_THRESHOLDS)
     try:
         with guarded_streams():
-            return _status(arguments)
+            parsed, unknown = _parser().parse_known_args(arguments)
+            if unknown:
+                _Parser(prog=f"casadi-skin {parsed.command}").error(f"unrecognized arguments: {' '.join(unknown)}")
+            signal.signal(signal.SIGTERM, signal.default_int_handler)  # a polite kill ends a run like Ctrl-C
+            return exit_status(lambda: COMMANDS[parsed.command][0](parsed))
     except OutputError as error:
         with suppress(OSError, ValueError, AttributeError):  # standard error may be closed, too
             sys.stderr.write(f"casadi-skin: standard output: {error}\n")
         return FAILED
     finally:
         gc.set_threshold(*before)
-
-
-def _status(arguments: Sequence[str] | None) -> int:
-    """Exit status of a command that has reported its reason."""
-    parsed, unknown = _parser().parse_known_args(arguments)
-    if unknown:
-        _Parser(prog=f"casadi-skin {parsed.command}").error(f"unrecognized arguments: {' '.join(unknown)}")
-    signal.signal(signal.SIGTERM, _interrupt)
-    from casadi_skin.runs.commands import ACTS  # here: --help needs none of it
-
-    return exit_status(lambda: ACTS[parsed.command](parsed))
 
 
 if __name__ == "__main__":
