@@ -51,7 +51,8 @@ def _equilibrium(request: Request, table: EquilibriumTable) -> Solution:
 
 
 def _orbit(request: Request, guess: Cycle, options: dict[str, Any]) -> Orbit:
-    orbit, model, values = request.orbit, request.equations, dict(request.parameters)
+    orbit, model, values = request.scene.orbit, request.equations, dict(request.parameters)
+    assert orbit is not None
     if orbit.rotations:
         guess = replace(guess, turns=turns_of(orbit.rotations, model))
         options = options | {"rotations": orbit.rotations}
@@ -75,7 +76,8 @@ def cycle(request: Request) -> Cycle:
     A forced model starts it at a multiple of its period after the transient, an autonomous one where the section is
     crossed, if there is one. Raises IntegrationError where the simulation fails, ValueError where it does not settle.
     """
-    orbit, model, values = request.orbit, request.ode, request.parameters
+    orbit, model, values = request.scene.orbit, request.ode, request.parameters
+    assert orbit is not None
     start_state = state_of(orbit.start, model.state_names)
     if model.forced:
         length = orbit.cycles * model.forcing_period_at(list(values.values()))

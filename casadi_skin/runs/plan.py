@@ -195,12 +195,13 @@ def _boundary_lines(request: Request) -> Lines:
 
 
 def _symmetry(request: Request) -> SymmetryClass:
-    symmetric = request.scene.orbit is not None and request.orbit.symmetric
+    symmetric = request.scene.orbit is not None and request.scene.orbit.symmetric
     return symmetry_class(request.ode) if symmetric else SymmetryClass.FULL
 
 
 def _orbit_lines(request: Request) -> Lines:
-    orbit, model = request.orbit, request.ode
+    orbit, model = request.scene.orbit, request.ode
+    assert orbit is not None
     start = named(dict(zip(model.state_names, state_of(orbit.start, model.state_names), strict=True)))
     turning = f", but for {named(orbit.rotations)} turns" if orbit.rotations else ""
     if model.forced:

@@ -208,8 +208,6 @@ def check(arguments: argparse.Namespace) -> int:
                 lines += map_lines(scene, request, arguments.scene)
         except SceneError as error:
             raise InputError(f"{arguments.scene}: {error}") from None
-        except (ValueError, TypeError) as error:  # of a search that cannot be meant
-            raise InputError(f"{arguments.scene}: [search] {error}") from error
     if arguments.json:
         print_json([{"subject": subject, "words": words} for subject, words in lines])
     elif not arguments.quiet:

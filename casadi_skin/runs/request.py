@@ -1,4 +1,4 @@
-"""The request of a scene, with its model at hand: everything is checked before anything is solved."""
+"""The request of a scene, with its model at hand."""
 
 from __future__ import annotations
 
@@ -9,38 +9,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from msgspec.structs import asdict, astuple
+from msgspec.structs import asdict
 
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.runs.rules import check_known, faults_at, refusal
-from casadi_skin.runs.scene import CONSERVED, LatticeTable, OrbitTable, Scene, UniformTable
+from casadi_skin.runs.rules import check_known, refusal
+from casadi_skin.runs.scene import CONSERVED, Scene
 from casadi_skin.zero.family import Method, Targets
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.request import FamilyRequest
 
 if TYPE_CHECKING:
-    from casadi_skin.lattice.lattice import Lattice
-    from casadi_skin.lattice.long_lattice import LongLattice
+    from casadi_skin.optimise.family_search import FamilySearch
     from casadi_skin.zero.guesses import Guess
     from casadi_skin.zero.statement import BoundaryValueProblem
 
-
-# Values and states as a scene gives them, by name or in order ---------------------------------------------------------
-
-Numbers = Sequence[float] | Mapping[str, float]
-
-
-def values_of(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
-    """Values of all parameters of a model by name; raises SceneError."""
-    for name in given:
-        check_known("[model] parameters", name, model.parameter_names)
-    if model.order == 2 and model.normalisation is not None:  # the amplitude's parameter needs no value
-        return dict(given)
-    from casadi_skin.zero.statement import named_values
-
-    with faults_at("[model] "):
-        return named_values(model, given)
+Numbers = Sequence[float] | Mapping[str, float]  # states in order, or by name
 
 
 def state_of(given: Numbers, names: Sequence[str]) -> Array:
@@ -103,32 +87,42 @@ class Request:
         """The equations of motion of first order, in the same symbols."""
         return self.equations.first_order()
 
-    @property
-    def orbit(self) -> OrbitTable:
-        """The table [orbit]; raises ValueError where there is none."""
-        if self.scene.orbit is None:
-            raise ValueError("[orbit]: missing; accepted: a scene with an [orbit]")
-        return self.scene.orbit
-
     @cached_property
     def families(self) -> tuple[FamilyRequest, ...]:
         """The families of the scene, in its order; raises ValueError for families that cannot be followed."""
-        family = self.scene.family
+        scene, family = self.scene, self.scene.family
         if family is None:
             return ()
         targets = Targets(family.at, family.at_Omega, family.at_period, family.period_max, family.max_points)
-        export = self.scene.export
-        exported, stability = export is not None and export.S is not None, self.scene.stability is not None
-        found = []
-        for mode in self.scene.modes():
+        sites = None if scene.stability is None else scene.stability.sites
+        method, certify = Method(**asdict(scene.method), stability_sites=sites), scene.accuracy.certify
+        exported, found = scene.export is not None and scene.export.S is not None, []
+        for mode in scene.modes():
             request = FamilyRequest(
-                self.model, mode, family.amplitude_max, targets, self.tolerance, method_of(self.scene),
-                self.model_parameters, self.scene.accuracy.certify, decimals=bool(self.scene.accuracy.certify),
+                self.model, mode, family.amplitude_max, targets, self.tolerance, method, self.model_parameters, certify,
+                decimals=bool(certify),
             )  # fmt: skip
             if exported:
                 request.coordinates.check_whole("[export] S")
-            found.append(request.for_stability(self.scene.method.walker) if exported or stability else request)
+            whole = exported or scene.stability is not None
+            found.append(request.for_stability(scene.method.walker) if whole else request)
         return tuple(found)
+
+    @cached_property
+    def searched(self) -> FamilySearch:
+        """What [search] asks for; raises ValueError or TypeError for values that are not accepted."""
+        from casadi_skin.optimise.search import stated_family_search
+
+        table: Any = self.scene.search
+        constraints = [
+            (held.quantity, *((held.equal, held.equal) if held.equal is not None else (held.lower, held.upper)))
+            for held in table.constraints
+        ]
+        return stated_family_search(
+            self.model, mode=table.mode, parameters=self.model_parameters, S=table.S, objective=table.objective,
+            free=table.free, bounds=table.bounds, constraints=constraints, maximise=table.maximise,
+            tolerance=self.tolerance,
+        )  # fmt: skip
 
     @property
     def options(self) -> dict[str, Any]:
@@ -146,35 +140,3 @@ class Request:
     def condition(self, given: Mapping[str, float] | None) -> Expression | None:
         """What vanishes where a quantity has its value, from a table with one number by its name."""
         return next((self.quantity(name) - value for name, value in (given or {}).items()), None)
-
-
-def method_of(scene: Scene) -> Method:
-    """The table [method] in the form for families."""
-    sites = None if scene.stability is None else scene.stability.sites
-    return Method(**asdict(scene.method), stability_sites=sites)
-
-
-def lattice_of(table: LatticeTable) -> Lattice | LongLattice:
-    """The lattice of a scene, with a linear tail where the table has one.
-
-    Raises ValueError and TypeError, with the place in the table.
-    """
-    from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
-
-    sites = [Site(*map(str, astuple(site))) for site in table.site]
-    bonds = []
-    for bond in table.bond:
-        offset = (bond.offset,) if isinstance(bond.offset, int) else bond.offset
-        bonds.append(Bond(bond.start, bond.end, offset, str(bond.force), (str(bond.gain[0]), str(bond.gain[1]))))
-    values: dict[str, Any] = {
-        name: Uniform(**asdict(value)) if isinstance(value, UniformTable) else value
-        for name, value in table.parameters.items()
-    }
-    if not table.long:
-        cells: Any = table.cells  # finite: inf is long
-        return Lattice(cells, sites, bonds, table.boundary, values, forcing_period=table.forcing_period)
-    from casadi_skin.lattice.long_lattice import LongLattice
-
-    cells = table.cells[0] if isinstance(table.cells, tuple) and len(table.cells) == 1 else table.cells
-    boundary: Any = table.boundary[0] if isinstance(table.boundary, tuple) else table.boundary
-    return LongLattice(cells, sites, bonds, boundary, values, table.edge)

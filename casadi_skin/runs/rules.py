@@ -149,7 +149,8 @@ class Seen:
     """A scene as rules see it: its tables by name, those that it lacks as `Absent`."""
 
     def __init__(self, scene: Scene) -> None:
-        self.scene, self.sites, self.modes = scene, scene.sites, scene.modes()
+        self.scene, self.sites = scene, scene.sites
+        self.modes: tuple[Any, ...] = scene.modes()
         self.transcription = scene.methods.transcription
         self.sought = scene.given("family", "equilibrium", "orbit", "solution")
         self.collocated = bool(scene.orbit or scene.solution)
@@ -172,18 +173,22 @@ class Seen:
 
 def check_scene(scene: Scene) -> None:
     """Raises SceneError for the first key that does not go with another one."""
-    seen = Seen(scene)
     for rules in (_of_how, _of_what, _of_branches, _of_families, _of_lengths, _of_dynamics, _of_search, _of_export):
-        for rule in rules(seen):
-            message = rule if isinstance(rule, str) else _message(seen, *rule)
-            if message:
-                raise SceneError(message)
+        check_rules(scene, rules(Seen(scene)))
 
 
-def _message(seen: Seen, place: str, fault: object, accepted: str) -> str:
+def check_rules(scene: Scene, rules: Rules) -> None:
+    """Raises SceneError for the first rule that does not hold."""
+    for rule in rules:
+        message = rule if isinstance(rule, str) else _message(scene, *rule)
+        if message:
+            raise SceneError(message)
+
+
+def _message(scene: Scene, place: str, fault: object, accepted: str) -> str:
     """The message of a rule; empty where it holds, or its key is not given."""
     table, _, key = place.partition(" ")
-    value = getattr(getattr(seen, table), key) if key else True
+    value = getattr(getattr(scene, table), key, None) if key else True
     lacking = value is None or value is False or value == ()
     if not fault or lacking is not (fault is MISSING):
         return ""
@@ -393,8 +398,8 @@ def _of_dynamics(s: Seen) -> Rules:
     yield "dynamics S", s.family and MISSING, "a finite number > 0, up to amplitude_max"
     yield from _orbit_of_family(s, "dynamics")
     ends = [name for name in ("duration", "periods") if getattr(table, name) is not None]
-    words = {0: "neither duration nor periods", 2: "duration and periods"}.get(len(ends))
-    yield "dynamics", words, "duration or periods, one of them"
+    counted = {0: "neither duration nor periods", 2: "duration and periods"}.get(len(ends))
+    yield "dynamics", counted, "duration or periods, one of them"
     yield "dynamics", len(kicks) > 1 and " and ".join(kicks), "site, vector or seed, one of them or none"
     yield "dynamics size", kicks and MISSING, f"beside {kicks[0] if kicks else ''} a finite number > 0"
     yield "dynamics size", not s.at_rest and not kicks, "beside one of site, vector, seed"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -34,7 +34,6 @@ from casadi_skin.runs.scene import DynamicsTable, ExportTable, Scene, SearchTabl
 if TYPE_CHECKING:
     from casadi_skin.dynamics import Evolution
     from casadi_skin.dynamics.starts import Spreading
-    from casadi_skin.optimise.family_search import FamilySearch
     from casadi_skin.optimise.search import SearchResult
 
 PER_PERIOD, FEWEST_TIMES, MOST_TIMES = 20, 401, 4001  # times that are written unless a number of them is given
@@ -309,27 +308,11 @@ class Search(Task):
     asked: SearchTable
     result: SearchResult | None = None
 
-    @cached_property
-    def problem(self) -> FamilySearch:
-        """What is searched; raises ValueError or TypeError for values that are not accepted."""
-        from casadi_skin.optimise.search import stated_family_search
-
-        asked, request = self.asked, self.request
-        constraints = [
-            (held.quantity, *((held.equal, held.equal) if held.equal is not None else (held.lower, held.upper)))
-            for held in asked.constraints
-        ]
-        return stated_family_search(
-            request.model, mode=asked.mode, parameters=request.model_parameters, S=asked.S, objective=asked.objective,
-            free=asked.free, bounds=asked.bounds, constraints=constraints, maximise=asked.maximise,
-            tolerance=request.tolerance,
-        )  # fmt: skip
-
     def plan(self) -> Lines:
         """The search, with the nonlinear programme of one start measured."""
         from casadi_skin.optimise.family_search import FamilyNlp
 
-        table, problem = self.asked, self.problem
+        table, problem = self.asked, self.request.searched
         started = time.perf_counter()
         problem = problem.prepared(problem.starts(1, table.seed)[0])
         nlp = FamilyNlp(problem, problem.harmonics)
@@ -374,9 +357,10 @@ class Search(Task):
         """The result; in a run starts that its journal holds are not run again."""
         from casadi_skin.optimise.search import search
 
-        starts = self.problem.starts(self.asked.starts, self.asked.seed)
+        problem = self.request.searched
+        starts = problem.starts(self.asked.starts, self.asked.seed)
         if progress is None:
-            return search(self.problem, starts, deflate=self.asked.deflate)
+            return search(problem, starts, deflate=self.asked.deflate)
         from casadi_skin.optimise.search_problem import Ending
         from casadi_skin.results.branch_records import OutcomeRecord, data_of, value_of
         from casadi_skin.results.journal import Journal
@@ -387,7 +371,7 @@ class Search(Task):
                 progress.report(f"{journal}: {file.fault}; what follows it is dropped and computed again")
             known = [value_of(record.outcome) for record in file.records]
             return search(
-                self.problem,
+                problem,
                 starts,
                 deflate=self.asked.deflate,
                 known=[outcome for outcome in known if outcome.ending is not Ending.INTERRUPTED],

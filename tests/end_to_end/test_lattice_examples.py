@@ -11,8 +11,8 @@ from scipy.optimize import fsolve
 
 from casadi_skin import Lattice, find_orbit, follow_family
 from casadi_skin.lattice.linear import bands, lattice_modes
+from casadi_skin.runs.binding import lattice_of
 from casadi_skin.runs.reading import read_scene
-from casadi_skin.runs.request import lattice_of
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 Forces = Callable[[np.ndarray], np.ndarray]
