@@ -7,11 +7,17 @@ import pytest
 
 from casadi_skin.stability.tongues import chebyshev
 from casadi_skin.stability.tongues.assembly import DISAGREEMENT_WORDS, groups_of
-from casadi_skin.stability.tongues.blocks import PROBE_NODES, SERIES_DEGREE, blocks_of, comes_apart, contracts
-from casadi_skin.stability.tongues.pairs import Segment, SingleBlock, single_functions
+from casadi_skin.stability.tongues.blocks import PROBE_NODES, SERIES_DEGREE, Matrices, blocks_of, contracts
+from casadi_skin.stability.tongues.pairs import Block, Segment, real_blocks
 
 Array = np.ndarray
 ALONE = np.eye(3, dtype=bool)[None]
+
+
+def comes_apart(K: Array) -> bool:
+    """Whether no block has more than two mu."""
+    ((_, blocks),) = blocks_of(K[None, :, None], np.zeros_like(K)[None, :, None])
+    return bool(blocks.done[0])
 
 
 def linear(middle: list[float], slopes: list[float], couplings: list[list[float]]) -> Array:
@@ -67,13 +73,16 @@ def test_no_block_has_complex_mu_beside_real_ones() -> None:
     assert seen > 10
 
 
-def block_of(start: float, end: float, pi: Array, kappa: Array, error: float = 1e-12) -> SingleBlock:
-    parts = np.zeros((SERIES_DEGREE + 1, 3, 1, 1))
-    parts[:, 1, 0, 0], parts[:, 2, 0, 0] = pi, kappa
-    errors, none = np.full(parts.shape, error), np.zeros(3)
-    coefficients = np.tensordot(chebyshev.transform(SERIES_DEGREE), parts[..., 0, 0], 1)
-    (functions,) = single_functions(coefficients[None], errors[None, ..., 0, 0], none[None])
-    return SingleBlock(start, end, parts, errors, none, none, functions)
+def block_of(start: float, end: float, pi: Array, kappa: Array, error: float = 1e-12) -> Block:
+    """One mu between 0 and -1 times pi and kappa."""
+    parts = np.zeros((1, SERIES_DEGREE + 1, 3, 1, 1))
+    parts[0, :, 1, 0, 0], parts[0, :, 2, 0, 0] = pi, kappa
+    one, none = np.zeros(1, dtype=np.int64), np.zeros((1, 3))
+    bounds = np.array([[start, end]])
+    (block,), _, _ = real_blocks(
+        Matrices(one, one[:, None], one == 0, bounds, parts, np.full(parts.shape, error), none, none)
+    )
+    return block
 
 
 def test_an_edge_that_neither_of_two_intervals_has_is_not_invented() -> None:

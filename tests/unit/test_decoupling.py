@@ -82,7 +82,7 @@ def test_forms_have_the_eigenvalues_of_their_columns() -> None:
     inverse = np.linalg.inv(vectors)
     K = vectors[:, None] @ own @ inverse[:, None]
     near = np.zeros((5, 8), dtype=bool)
-    forms = decoupling.decoupled(own, same, columns, near, vectors, inverse, K[:, :, None], None, np.arange(5))
+    forms = decoupling.decoupled(own, same, columns, near, vectors, inverse, K[:, :, None], None)
     for i in range(5):
         count = np.count_nonzero(columns[i] >= 0)
         for node in (0, 3, SERIES_DEGREE // 2, SERIES_DEGREE):

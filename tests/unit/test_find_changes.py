@@ -11,14 +11,14 @@ import pytest
 from symplectic_families import Entries, ReversibleFamily, SymplecticFamily, cluster, collision, cubic, passage, real
 
 from casadi_skin.stability.flows import FlowError
-from casadi_skin.stability.tongues import crossings
+from casadi_skin.stability.tongues import crossings, interpolation
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.stability.tongues.find_changes import Entry, find_changes
 from casadi_skin.stability.tongues.interpolation import (
-    Interpolated,
     MatrixSeries,
     OrbitNotFoundError,
     Samples,
+    Search,
     interpolate,
 )
 
@@ -179,7 +179,7 @@ def test_work_is_done_from_small_coordinates_on_and_ends_where_it_is_limited(mon
     windows = [collision(cubic(-0.1, 2.0), 0.01), collision(cubic(-1.8, 2.0), 0.01, square=3.0)]
     family = SymplecticFamily([*windows, FAR])
     monkeypatch.setattr(crossings, "BATCH_WORK", 1.0)
-    monkeypatch.setattr(crossings, "EIGENVALUE_OVERHEAD", 0.0)
+    monkeypatch.setattr(interpolation, "EIGENVALUE_OVERHEAD", 0.0)
     monkeypatch.setattr(crossings, "first_intervals", eight_intervals)
     agree(find_changes(family), [0.04, 0.06, 0.89, 0.91], 1e-12)
     diagram = find_changes(family, work=1500.0)
@@ -310,7 +310,7 @@ def test_linear_algebra_that_fails_in_the_search_leaves_a_gap(monkeypatch: pytes
         return original(matrices, errors)
 
     family = SymplecticFamily([collision(cubic(-0.6, 2.0), 0.01), FAR])
-    known = Interpolated()
+    known = Search()
     (piece, *_) = [p for p in interpolate(family, 1e-11, known) if p.matrices.start <= 0.62 <= p.matrices.end]
     where = float(piece.matrices.at(np.array([0.62]))[0, 0, 0, 0])
     monkeypatch.setattr(crossings, "blocks_of", failing)
@@ -324,8 +324,8 @@ def test_linear_algebra_that_fails_in_the_search_leaves_a_gap(monkeypatch: pytes
 def test_noise_of_the_matrices_is_among_the_errors_whatever_the_flow_says(noise: float) -> None:
     """Orbits that differ by rounding make matrices whose series do not fall beyond it."""
     blocks = [collision(cubic(-0.6, 2.0), 0.01), real(cubic(-0.7, 1.0), cubic(-0.71, 1.0)), FAR]
-    exact = list(interpolate(SymplecticFamily(blocks), 1e-11, Interpolated()))
-    for piece in interpolate(SymplecticFamily(blocks, noise=noise), 1e-11, Interpolated()):
+    exact = list(interpolate(SymplecticFamily(blocks), 1e-11, Search()))
+    for piece in interpolate(SymplecticFamily(blocks, noise=noise), 1e-11, Search()):
         for s in np.linspace(piece.matrices.start, piece.matrices.end, 101).tolist():
             true = next(p for p in exact if s <= p.matrices.end)
             off = np.linalg.norm((piece.matrices.at(np.array([s])) - true.matrices.at(np.array([s])))[0], axis=(1, 2))

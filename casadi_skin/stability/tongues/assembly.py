@@ -7,15 +7,13 @@ rotation angles meet where it begins; the edges of tongues are the changes of st
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.tongues.blocks import Indices
 from casadi_skin.stability.tongues.diagram import (
     Place,
     StabilityEdge,
@@ -27,9 +25,9 @@ from casadi_skin.stability.tongues.interpolation import (
     Gap,
     Piece,
 )
-from casadi_skin.stability.tongues.pairs import Block, Edge, Segment
+from casadi_skin.stability.tongues.pairs import Edge, Segment, evaluate
 from casadi_skin.stability.tongues.rotation import Tracks
-from casadi_skin.zero.problem import Array
+from casadi_skin.zero.problem import Array, Indices
 
 SAME_MU_DISTANCE = 0.05  # distance of two mu at the end of an interval that may be one
 SAME_MU = 1e-6  # difference of mu of edges that coincide
@@ -173,9 +171,8 @@ def _unstable_mu(
     wanted = [(i, place) for place, lefts, rights in boundaries if lefts and rights for i in (*lefts, *rights)]
     if not wanted:
         return {}
-    blocks, places = [order[i].block for i, _ in wanted], np.array([[place] for _, place in wanted])
-    mu = values_together(blocks, places, lambda cls, those, at: list(cls.mu_together(those, at)[:, 0]))
-    return {(i, place): order[i].unstable(values) for (i, place), values in zip(wanted, mu, strict=True)}
+    mu, _ = evaluate([order[i].block for i, _ in wanted], np.array([[place] for _, place in wanted]))
+    return {(i, place): order[i].unstable(values) for (i, place), values in zip(wanted, mu[:, 0], strict=True)}
 
 
 def _match(
@@ -200,24 +197,6 @@ def _of_all(
     """All unstable mu of segments at a coordinate, and the segment of each."""
     values = [mu[i, coordinate] for i in side]
     return np.concatenate(values), [i for i, each in zip(side, values, strict=True) for _ in each]
-
-
-Evaluated = TypeVar("Evaluated")
-
-
-def values_together(
-    blocks: Sequence[Block],
-    coordinates: Array,
-    evaluate: Callable[[type[Block], Sequence[Block], Array], Iterable[Evaluated]],
-) -> list[Evaluated]:
-    """Values of each block at coordinates, (blocks, points), of those that are alike together."""
-    kinds: dict[tuple[type[Block], Hashable], list[int]] = defaultdict(list)
-    for i, block in enumerate(blocks):
-        kinds[type(block), block.alike].append(i)
-    found: dict[int, Evaluated] = {}
-    for (kind, _), those in kinds.items():
-        found |= zip(those, evaluate(kind, [blocks[i] for i in those], coordinates[those]), strict=True)
-    return [found[i] for i in range(len(blocks))]
 
 
 DEPTH_SAMPLES = 17  # of a segment, at which its depth is measured, and of the neighbourhood of the deepest
@@ -290,7 +269,7 @@ def depths(groups: Sequence[Group]) -> tuple[Array, Array]:
     for zoom in range(DEPTH_ZOOMS + 1):
         at = np.linspace(low[near], high[near], DEPTH_SAMPLES, axis=1)
         blocks = [segments[i].block for i in near.tolist()]
-        growth = np.array(values_together(blocks, at, lambda cls, those, places: cls.growths_together(those, places)))
+        growth = evaluate(blocks, at)[1]
         k = np.argmax(growth, axis=1)[:, None]
         found, where = (np.take_along_axis(each, k, 1)[:, 0] for each in (growth, at))
         deepest = _largest(owners[near], found, where, *deepest)

@@ -11,7 +11,7 @@ happen: for mu that may meet others, that come near -1 or 0, or that are outside
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any
 
@@ -22,7 +22,7 @@ from casadi_skin import native
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues import chebyshev
 from casadi_skin.stability.tongues.chebyshev import SERIES_DEGREE
-from casadi_skin.zero.problem import Array
+from casadi_skin.zero.problem import Array, Indices
 
 # Matrices between bases that make them block diagonal at each node of an interval, from their eigenvectors ------------
 
@@ -37,17 +37,7 @@ BETWEEN_DEGREE = 32  # degree of the nodes at which distances are looked at betw
 NEARER_SQUARE_RATIO = 0.25  # of the least square of a distance at the probes: the least one between them
 
 Booleans = NDArray[np.bool_]
-Indices = NDArray[np.int64]
 Numbers = NDArray[Any]  # real or complex
-
-
-def _weights(K: Numbers, same: Booleans, columns: Indices) -> Numbers:
-    """1 / (mu_b - mu_a) of each mu_a and of columns b of other blocks, 0 of their own; (intervals, J, m, c)."""
-    places, each = np.where(columns >= 0, columns, 0), np.arange(len(K))[:, None]
-    diagonal = np.diagonal(K, axis1=2, axis2=3)
-    gaps = diagonal[each, :, places].transpose(0, 2, 1)[:, :, None, :] - diagonal[:, :, :, None]
-    skipped = (same[each, places].swapaxes(1, 2) | (columns < 0)[:, None, :])[:, None] | (gaps == 0.0)
-    return np.where(skipped, 0.0, 1.0 / np.where(skipped, 1.0, gaps))
 
 
 def applied(matrices: Array, columns: Numbers) -> Numbers:
@@ -68,8 +58,7 @@ def contracts(K: Numbers, same: Booleans) -> Booleans:
     else:
         places, T = np.tile(np.arange(K.shape[-1]), (len(K), 1)), np.zeros_like(probes)
         T[:] = np.eye(K.shape[-1])
-        limits = MOST_STEPS + 1, SMALL_STEP, LARGEST_STEP
-        _, values, fine = _iterated(probes, T, _weights(probes, same, places), places, same, limits, 2)
+        _, values, fine = _iterated(probes, T, same, places, (MOST_STEPS + 1, SMALL_STEP, LARGEST_STEP), 2)
     fine[fine] = _stay_apart(values[fine], same[fine])
     return fine
 
@@ -88,23 +77,14 @@ class Forms:
     """Matrices between bases that make K block diagonal on intervals; c columns, J nodes.
 
     `values` are K, P and Q, or K alone, on the columns, and `changes` matrices like their errors, (intervals, J, 3 or
-    1, c, c) each. `squares` (intervals, 2, c) are the largest squares of the lengths of right and left columns. All are
-    zero where they are not `found`.
+    1, c, c) each. `squares` (intervals, 2, c) are the largest squares of the lengths of right and left columns. They
+    are not `found` where the iteration does not converge.
     """
 
     values: Numbers
     changes: Numbers
     squares: Array
     found: Booleans
-
-    def among(self, chosen: Booleans) -> Forms:
-        """Those of the intervals that are chosen, among others that have none."""
-        every: list[Any] = []
-        for each in (self.values, self.changes, self.squares, self.found):
-            more = np.zeros((chosen.size, *each.shape[1:]), each.dtype)
-            more[chosen] = each
-            every.append(more)
-        return Forms(*every)
 
 
 def decoupled(
@@ -116,11 +96,8 @@ def decoupled(
     inverse: Numbers,
     matrices: Array,
     errors: Array | None,
-    numbers: Indices,
 ) -> Forms:
     """The forms on the columns at the nodes of any degree, with the errors where there are any.
-
-    Of matrices and errors those of the intervals are taken by their `numbers`.
 
     Since P K is symmetric, P makes left bases of right ones, but for mu near -1 and 0, where it is nearly singular.
     """
@@ -133,7 +110,6 @@ def decoupled(
     if special.any():
         S, by_left = _invariant(K.swapaxes(2, 3), same, _columns_of(columns, special))
         found &= by_left
-    matrices, errors = matrices[numbers], None if errors is None else errors[numbers]
     right = vectors[:, None] @ T
     if matrices.shape[2] == 1:
         rows = np.zeros_like(right.swapaxes(2, 3))
@@ -141,14 +117,7 @@ def decoupled(
         rows = applied(matrices[:, :, 1], right).swapaxes(2, 3)  # P is symmetric
     for i in np.flatnonzero(special.any(axis=1)).tolist():
         rows[i][:, special[i]] = (S[i].swapaxes(1, 2) @ inverse[i])[:, : np.count_nonzero(special[i])]
-    return _forms(right, rows, _within(same, columns), found, matrices, errors)
-
-
-def _forms(
-    right: Numbers, rows: Numbers, within: Booleans, found: Booleans, matrices: Array, errors: Array | None
-) -> Forms:
-    """The forms by right bases, and left ones that are combinations of rows."""
-    products = np.where(within[:, None], rows @ right, 0.0)
+    products = np.where(_within(same, columns)[:, None], rows @ right, 0.0)
     found &= np.all(np.isfinite(products), axis=(1, 2, 3))
     products[~found] = 0.0
     idle = ~np.any(products != 0.0, axis=3)
@@ -197,13 +166,12 @@ def _invariant(K: Numbers, same: Booleans, columns: Indices) -> tuple[Numbers, B
     if native.kernels():
         return native.invariant(K, same, columns, nested_nodes(degree), MOST_ITERATIONS, CONVERGED_STEP)
     places, each = np.where(columns >= 0, columns, 0), np.arange(intervals)[:, None]
-    weights, inner = _weights(K, same, columns), _within(same, columns)
     T = np.zeros((intervals, count, size, columns.shape[1]), dtype=K.dtype)
     T[each, degree // 2, places, np.arange(columns.shape[1])] = columns >= 0
     done, limits = np.ones(intervals, dtype=bool), (MOST_ITERATIONS, CONVERGED_STEP, 1.0)
     for known, wanted, prediction in nested_nodes(degree):
         guess = np.tensordot(T[:, known], prediction, (1, 1)).transpose(0, 3, 1, 2)
-        T[:, wanted], _, converged = _iterated(K[:, wanted], guess, weights[:, wanted], places, inner, limits)
+        T[:, wanted], _, converged = _iterated(K[:, wanted], guess, same, columns, limits)
         done &= converged
     return T, done
 
@@ -228,39 +196,33 @@ def nested_nodes(degree: int) -> tuple[tuple[Indices, Indices, Array], ...]:
 
 
 def _iterated(
-    K: Numbers,
-    T: Numbers,
-    weights: Numbers,
-    places: Indices,
-    inner: Booleans,
-    limits: tuple[int, float, float],
-    fewest: int = 1,
+    K: Numbers, T: Numbers, same: Booleans, columns: Indices, limits: tuple[int, float, float], fewest: int = 1
 ) -> tuple[Numbers, Numbers, Booleans]:
     """T from a guess, by Newton's method without couplings inside a block, so that it converges linearly.
 
     `limits` are the number of steps, the size of a step that is small enough after the `fewest`, and that of one that
     converges. Beside T the diagonals of the blocks, and whether all nodes of an interval have converged.
     """
-    shape, (size, width) = T.shape[:2], T.shape[2:]
-    T = np.ascontiguousarray(T).reshape(-1, size, width)
-    values, converged = np.empty((len(T), width), dtype=T.dtype), np.zeros(len(T), dtype=bool)
-    K, weights = K.reshape(-1, size, size), weights.reshape(-1, size, width)
-    rows, inner = np.repeat(places, shape[1], axis=0), np.repeat(inner, shape[1], axis=0)
-    active, (most, small, large) = np.arange(len(T)), limits
+    places, each = np.where(columns >= 0, columns, 0), np.arange(len(K))[:, None]
+    diagonal, inner = np.diagonal(K, axis1=2, axis2=3), _within(same, columns)[:, None]
+    apart = diagonal[each, :, places].transpose(0, 2, 1)[:, :, None, :] - diagonal[:, :, :, None]
+    skipped = (same[each, places].swapaxes(1, 2) | (columns < 0)[:, None, :])[:, None] | (apart == 0.0)
+    weights = np.where(skipped, 0.0, 1.0 / np.where(skipped, 1.0, apart))
+    values, active = np.zeros((*T.shape[:2], T.shape[3]), T.dtype), np.ones(T.shape[:2], dtype=bool)
+    converged, (most, small, large) = np.zeros(T.shape[:2], dtype=bool), limits
     for count in range(1, most + 1):
-        turn, each = T[active], np.arange(active.size)[:, None]
         with np.errstate(over="ignore", invalid="ignore"):
-            product = K[active] @ turn
-            block = np.where(inner[active], product[each, rows[active]], 0.0)
-            step = (product - turn @ block) * weights[active]
-            largest = np.max(np.abs(step), axis=(1, 2), initial=0.0)
-        T[active], values[active] = turn + step, np.diagonal(block, axis1=1, axis2=2)
-        converged[active] = (largest <= small) & (count >= fewest)
-        active = active[~converged[active] & (largest < large)]
-        if not active.size:
+            product = K @ T
+            block = np.where(inner, product[each, :, places].swapaxes(1, 2), 0.0)
+            step = (product - T @ block) * weights
+            largest = np.max(np.abs(step), axis=(2, 3), initial=0.0)
+        T = np.where(active[..., None, None], T + step, T)
+        values = np.where(active[..., None], np.diagonal(block, axis1=2, axis2=3), values)
+        converged |= active & (largest <= small) & (count >= fewest)
+        active &= ~converged & (largest < large)
+        if not active.any():
             break
-    all_nodes = np.asarray(converged.reshape(shape).all(axis=1))
-    return T.reshape(*shape, size, width), values.reshape(*shape, width), all_nodes
+    return T, values, np.asarray(converged.all(axis=1))
 
 
 MEETING_HALF_LENGTHS = (
@@ -276,58 +238,124 @@ REAL_MU_ATOL = 1e-13  # imaginary part of a mu, below which rounding may have ma
 REGULAR_CONDITION = 1e8  # condition number of eigenvectors up to which they serve as coordinates
 LARGEST_BLOCK = 6  # mu in a block that is taken out of a larger matrix, or a quarter of that
 PAIRS_AT_A_TIME = 20_000  # of mu at nodes of intervals that are compared at a time: they stay in the cache of a core
+BLOCK_ENTRY_RTOL = 1e-9  # of a block's entries: what its series may leave out
 CLEAR_DISTANCE_FACTOR = 2.0  # times the shift of a mu by couplings: a distance from -1 and 0 that it does not cross
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """Matrices of several blocks of one number m of mu at the nodes of their intervals, with what bounds their errors.
+
+    Attributes:
+        owners: numbers of their intervals.
+        members: places of their mu among all, shape (blocks, m).
+        is_real: whether all mu of a block are.
+        bounds: start and end of the interval, shape (blocks, 2).
+        parts: (k, p, q), or k alone, shape (blocks, J, 3 or 1, m, m).
+        errors: matrices like their errors, of the same shape.
+        noise, tails: bounds on the norm of what comes to these, from elsewhere, and from the series on the interval,
+            which shorter intervals lessen; shape (blocks, 3 or 1).
+    """
+
+    owners: Indices
+    members: Indices
+    is_real: Booleans
+    bounds: Array
+    parts: Numbers
+    errors: Numbers
+    noise: Array
+    tails: Array
+
+    def take(self, chosen: Booleans) -> Matrices:
+        """Those of some blocks, as real matrices where all of these are."""
+        taken = Matrices(*(getattr(self, each.name)[chosen] for each in fields(self)))
+        if not taken.is_real.all():
+            return taken
+        return replace(taken, parts=np.ascontiguousarray(taken.parts.real), errors=taken.errors.real)
+
+    @property
+    def symplectic(self) -> bool:
+        """Whether there are forms p and q."""
+        return bool(self.parts.shape[2] == 3)
+
+    @property
+    def coarse(self) -> Booleans:
+        """Which have series that leave out more than the errors from elsewhere."""
+        return np.asarray(np.any(self.tails > self.noise + np.max(np.abs(self.errors), axis=(1, 3, 4)), axis=1))
+
+    @property
+    def rough(self) -> Booleans:
+        """Which have series that leave out too much."""
+        return are_rough(self.parts, self.tails)
+
+
+def tails_of(k: Numbers) -> Array:
+    """Norms of what the series of the matrices of blocks leave out, (blocks, J, 3 or 1, m, m) -> (blocks, 3 or 1)."""
+    last = chebyshev.transform(k.shape[1] - 1)[-chebyshev.TAIL_COEFFICIENTS :]
+    left_out = np.sum(np.abs(chebyshev.combined(last, k)), axis=1)
+    return np.asarray(np.sqrt(np.sum(left_out**2, axis=(2, 3))))
+
+
+def are_rough(k: Numbers, tails: Array) -> Booleans:
+    """Which series of matrices of blocks leave out too much of their largest entries."""
+    return np.asarray(np.any(tails > BLOCK_ENTRY_RTOL * np.max(np.abs(k), axis=(1, 3, 4)), axis=1))
 
 
 @dataclass(frozen=True)
 class Blocks:
     """Blocks in which something can happen, on several intervals; m mu in all, c columns, J nodes.
 
+    `mu`, eigenvectors as columns of `vectors`, and the `rates` of mu per half of the interval are those at the middle.
     `labels` (intervals, m) hold the block of each mu; `columns` (intervals, c) are the mu of the columns, -1 where an
-    interval has fewer, and `forms` K, P and Q on them. `real` (intervals, m) marks the mu with real columns. Where
-    `done` is False an interval is too long. `mu`, eigenvectors as columns of `vectors`, and the `rates` of mu per half
-    of the interval are those at the middle; `basis` are these vectors made real and apart, with its `inverse`, and
-    `near` marks the mu that may come to -1 or 0.
+    interval has fewer. `real` (intervals, m) marks the mu with real columns, `near` those that may come to -1 or 0;
+    `basis` are the vectors made real and apart, with its `inverse`. `rows` are the intervals on whose columns `forms`
+    has K, P and Q where these are found; the others are too long.
     """
 
-    labels: Indices
-    columns: Indices
-    forms: Forms
-    real: Booleans
-    done: Booleans
+    rows: Indices
     mu: ComplexArray
     vectors: Numbers
     rates: Numbers
+    labels: Indices
+    columns: Indices
+    real: Booleans
+    near: Booleans
     basis: Numbers
     inverse: Numbers
-    near: Booleans
+    forms: Forms
 
-    def members(self) -> Iterator[tuple[Indices, Indices]]:
-        """Blocks by their numbers of mu, where `done`: their intervals (b,) and the places of columns, (b, m)."""
-        i, places = np.nonzero((self.columns >= 0) & self.done[:, None])
-        blocks = i * self.labels.shape[1] + self.labels[i, self.columns[i, places]]
+    @property
+    def done(self) -> Booleans:
+        """Which intervals are not too long."""
+        found = np.zeros(len(self.mu), dtype=bool)
+        found[self.rows] = self.forms.found
+        return found
+
+    def matrices(self, bounds: Array, noise: Array) -> Iterator[Matrices]:
+        """Those of all blocks by their numbers of mu, with bounds (intervals, 2) and noise (intervals, 3 or 1)."""
+        known, columns, labels = self.forms, self.columns[self.rows], self.labels[self.rows]
+        rows, places = np.nonzero((columns >= 0) & known.found[:, None])
+        blocks = rows * labels.shape[1] + labels[rows, columns[rows, places]]
         order = np.argsort(blocks, kind="stable")
         _, firsts, counts = np.unique(blocks[order], return_index=True, return_counts=True)
         for count in np.unique(counts).tolist():
             those = order[firsts[counts == count][:, None] + np.arange(count)]
-            yield i[those[:, 0]], places[those]
+            i, members = rows[those[:, 0]], places[those]
+            entries = i[:, None, None], slice(None), slice(None), members[:, :, None], members[:, None, :]
+            k, change = (each[entries].transpose(0, 3, 4, 1, 2) for each in (known.values, known.changes))
+            right, left = (np.sum(known.squares[i[:, None], side, members], axis=1) for side in (0, 1))
+            scales = np.stack([np.sqrt(right * left), right, left], axis=1)[:, : noise.shape[1]]
+            mu, owners = columns[i[:, None], members], self.rows[i]
+            is_real = np.all(self.real[owners[:, None], mu], axis=1)
+            yield Matrices(owners, mu, is_real, bounds[owners], k, change, noise[owners] * scales, tails_of(k))
 
-    def finer(self, chosen: Indices, columns: Indices, matrices: Array) -> tuple[Numbers, Booleans]:
-        """Some columns of some intervals anew, from the matrices at the nodes of a higher degree.
-
-        Arguments:
-            chosen: numbers of the intervals.
-            columns: mu of whole blocks, shape (intervals, c), -1 behind them.
-            matrices: shape (intervals, J, 3 or 1, m, m).
-
-        Returns:
-            Their parts (intervals, J, 3 or 1, c, c), and for which intervals these are found.
-        """
-        labels = self.labels[chosen]
-        same, basis, inverse = labels[:, :, None] == labels[:, None, :], self.basis[chosen], self.inverse[chosen]
-        K = inverse[:, None] @ applied(matrices[:, :, 0], basis[:, None])
-        forms = decoupled(K, same, columns, self.near[chosen], basis, inverse, matrices, None, np.arange(len(matrices)))
-        return forms.values, forms.found
+    def finer(self, i: int, columns: Indices, matrices: Array) -> Numbers | None:
+        """K, P and Q on the columns (c,) of whole blocks of one interval from the matrices at more nodes, if found."""
+        same, columns = self.labels[i, :, None] == self.labels[i, None, :], columns[None]
+        basis, inverse = self.basis[i][None], self.inverse[i][None]
+        K = inverse[:, None] @ applied(matrices[None, :, 0], basis[:, None])
+        forms = decoupled(K, same[None], columns, self.near[i][None], basis, inverse, matrices[None], None)
+        return forms.values[0] if forms.found[0] else None
 
 
 def blocks_of(matrices: Array, errors: Array) -> list[tuple[Indices, Blocks]]:
@@ -347,24 +375,22 @@ def blocks_of(matrices: Array, errors: Array) -> list[tuple[Indices, Blocks]]:
     for chosen in (np.flatnonzero(real.all(axis=1)), np.flatnonzero(~real.all(axis=1))):
         if chosen.size:
             basis = vectors[chosen].real if real[chosen[0]].all() else vectors[chosen]
-            found.append((chosen, _blocks(matrices, errors, chosen, mu[chosen], basis.copy(), real[chosen])))
+            K, changes = (each if chosen.size == len(mu) else each[chosen] for each in (matrices, errors))
+            found.append((chosen, _blocks(K, changes, mu[chosen], basis.copy(), real[chosen])))
     return found
 
 
-def _blocks(
-    matrices: Array, errors: Array, chosen: Indices, mu: ComplexArray, vectors: Numbers, real: Booleans
-) -> Blocks:
-    """Blocks of chosen intervals, from the eigenvalues and eigenvectors at the middle, `real` or complex."""
-    original, here = vectors.copy(), matrices[:, :, 0] if chosen.size == len(matrices) else matrices[chosen, :, 0]
+def _blocks(matrices: Array, errors: Array, mu: ComplexArray, vectors: Numbers, real: Booleans) -> Blocks:
+    """Blocks of intervals, from the eigenvalues and eigenvectors at the middle, `real` or complex."""
+    original = vectors.copy()
     glued = _separate_parallel(vectors, mu, real)
-    K, inverse, fine = _similar(here, vectors)
-    diagonal = np.diagonal(K, axis1=2, axis2=3)
-    rates = chebyshev.middle_slope(SERIES_DEGREE) @ diagonal
+    K, inverse, fine = _similar(matrices[:, :, 0], vectors)
+    rates = chebyshev.middle_slope(SERIES_DEGREE) @ np.diagonal(K, axis1=2, axis2=3)
     same, shifts = _graph(K, glued)
     while (conjugate := ~real & _conjugates_together(mu, same)).any():  # in real coordinates more may be joined
         _make_real(vectors, mu, conjugate)
         real = real | conjugate
-        K, inverse, fine = _similar(here, vectors)
+        K, inverse, fine = _similar(matrices[:, :, 0], vectors)
         same, shifts = _graph(K, same)
     counts = np.sum(same, axis=2)
     fine &= np.max(counts, axis=1) <= _most(mu.shape[1])
@@ -373,35 +399,12 @@ def _blocks(
     fine[fine] = contracts(K[fine], same[fine])
     needed = ((counts > 1) | ~real | near) & fine[:, None]
     columns = _columns_of(np.tile(np.arange(mu.shape[1]), (len(mu), 1)), needed)
-    if fine.all():
-        forms = decoupled(K, same, columns, near, vectors, inverse, matrices, errors, chosen)
-    else:
-        i = np.flatnonzero(fine)
-        some = K[i], same[i], columns[i], near[i], vectors[i], inverse[i]
-        forms = decoupled(*some, matrices, errors, chosen[i]).among(fine)
+    rows = np.flatnonzero(fine)
+    those = (K, same, columns, near, vectors, inverse, matrices, errors)
+    forms = decoupled(*(those if fine.all() else (each[rows] for each in those)))
     return Blocks(
-        labels=np.argmax(same, axis=2),
-        columns=columns,
-        forms=forms,
-        real=real,
-        done=forms.found,
-        mu=np.asarray(mu, dtype=complex),
-        vectors=original,
-        rates=rates,
-        basis=vectors,
-        inverse=inverse,
-        near=near,
+        rows, mu.astype(complex), original, rates, np.argmax(same, axis=2), columns, real, near, vectors, inverse, forms
     )
-
-
-def comes_apart(matrices: Array) -> bool:
-    """Whether the blocks on an interval are small: K at its nodes, shape (DEGREE + 1, m, m)."""
-    mu, vectors = np.linalg.eig(matrices[MIDDLE_NODE])
-    basis = vectors[None].copy()
-    glued = _separate_parallel(basis, mu[None], np.abs(mu.imag)[None] <= REAL_MU_ATOL)
-    K, _, fine = _similar(matrices[None], basis)
-    same, _ = _graph(K, glued)
-    return bool(fine[0] and np.max(np.sum(same, axis=2)) <= _most(mu.size) and contracts(K, same)[0])
 
 
 def _most(size: int) -> int:

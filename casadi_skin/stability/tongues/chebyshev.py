@@ -5,19 +5,21 @@ See Trefethen, Approximation Theory and Approximation Practice (2013), chapters 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cache
-from itertools import groupby
+from typing import Any
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebder
+from numpy.polynomial.chebyshev import chebder, chebroots, chebtrim, chebval
 from numpy.typing import NDArray
 
 from casadi_skin.zero.problem import Array, Indices
 
 SERIES_DEGREE = 16  # of the series on an interval of a branch
 END_SLACK = 1e-9  # beyond the ends, in which a zero still counts
-NEARLY_REAL = 1e-4  # imaginary part of a zero that rounding may have made of two real ones
+BESIDE_END = 1e-4  # beyond the ends: a zero that Newton steps may bring there
+NEARLY_REAL = 1e-2  # imaginary part of a zero that errors or rounding may have made of two real ones
 NEGLIGIBLE_COEFFICIENT = (
     1e-14  # of the largest coefficient: smaller ones are left out of the eigenvalue problem of the zeros
 )
@@ -48,14 +50,6 @@ def transform(degree: int) -> Array:
     return _kept(matrix)
 
 
-@cache
-def derivative(degree: int) -> Array:
-    """Matrix from coefficients to those of the derivative, shape (degree + 1, degree + 1)."""
-    matrix = np.zeros((degree + 1, degree + 1))
-    matrix[:-1] = chebder(np.eye(degree + 1), axis=0) if degree else 0.0
-    return _kept(matrix)
-
-
 def basis(points: Array | float, degree: int) -> Array:
     """Values of the polynomials 0 to `degree` at points in [-1, 1], shape (points, degree + 1)."""
     angles = np.arccos(np.clip(points, -1.0, 1.0))
@@ -71,7 +65,7 @@ def refinement(degree: int, finer: int) -> Array:
 @cache
 def middle_slope(degree: int) -> Array:
     """Weights of values at the nodes that give the derivative at 0, shape (degree + 1,)."""
-    return _kept(basis(0.0, degree) @ derivative(degree) @ transform(degree))
+    return _kept(basis(0.0, degree - 1) @ chebder(transform(degree)))
 
 
 def combined(matrix: Array, values: Array) -> Array:
@@ -93,17 +87,12 @@ def excludes_zero(coefficients: Array, margin: float = 1.0) -> NDArray[np.bool_]
     return np.asarray(margin * np.abs(coefficients[0]) > np.sum(np.abs(coefficients[1:]), axis=0))
 
 
-def value(coefficients: Array, of: NDArray[np.int64], x: Array) -> Array:
-    """Values at places x, each of the function numbered `of`; coefficients (degree + 1, functions)."""
-    return np.asarray(np.sum(basis(x, len(coefficients) - 1) * coefficients.T[of], axis=1))
-
-
-def real_zeros(coefficients: Array) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
+def real_zeros(coefficients: Array) -> tuple[Indices, Array, NDArray[np.bool_]]:
     """Zeros in [-1, 1] of several functions, and where they come near zero without a change of sign.
 
     The second are real parts of conjugate zeros next to the real axis. A function that has no zero or is monotonic on
     each of a few parts has no such ones, and as many zeros as changes of sign; the others have those that are
-    eigenvalues of their colleague matrices (Good 1961), all of one size at a time.
+    eigenvalues of their colleague matrices (Good 1961).
 
     Arguments:
         coefficients: shape (degree + 1, functions).
@@ -112,11 +101,12 @@ def real_zeros(coefficients: Array) -> tuple[NDArray[np.int64], Array, NDArray[n
         The function of each place, the places, and whether it changes its sign there.
     """
     simple, of, x = _simple_zeros(coefficients)
-    others = np.flatnonzero(~simple)
-    those, zeros = _by_eigenvalues(coefficients[:, others])
-    crosses = np.concatenate([np.ones(x.size, dtype=bool), zeros.imag == 0.0])
-    of, x = np.concatenate([of, others[those]]), np.concatenate([x, zeros.real])
-    x[crosses] = _polished(coefficients, of[crosses], x[crosses])
+    others = np.flatnonzero(~simple).tolist()
+    zeros = [_by_eigenvalues(coefficients[:, i]) for i in others]
+    crosses = np.concatenate([np.ones(x.size, dtype=bool), *(each.imag == 0.0 for each in zeros)])
+    of = np.concatenate([of, np.repeat(others, [each.size for each in zeros]).astype(np.int64)])
+    x = np.concatenate([x, *(each.real for each in zeros)])
+    x[crosses] = _polished(coefficients[:, of[crosses]], x[crosses])
     inside = ~crosses | (np.abs(x) <= 1.0 + END_SLACK)
     return of[inside], np.clip(x[inside], -1.0, 1.0), crosses[inside]
 
@@ -129,15 +119,14 @@ def _parts(degree: int) -> tuple[Array, Array]:
     return _kept(places), _kept(basis(places, degree))
 
 
-def _simple_zeros(coefficients: Array) -> tuple[NDArray[np.bool_], NDArray[np.int64], Array]:
+def _simple_zeros(coefficients: Array) -> tuple[NDArray[np.bool_], Indices, Array]:
     """Functions without a zero or an extremum near any part, and the function and the place, nearly, of their zeros."""
     degree = len(coefficients) - 1
     places, polynomials = _parts(degree)
-    values = polynomials @ coefficients
+    values, slopes = polynomials @ coefficients, polynomials[..., :degree] @ chebder(coefficients)
     simple = np.ones(coefficients.shape[1], dtype=bool)
-    slopes = polynomials @ (derivative(degree) @ coefficients)
-    for here, slope in zip(values, slopes, strict=True):
-        excluded, monotonic = (excludes_zero(transform(degree) @ each, CLEAR_MEAN_RATIO) for each in (here, slope))
+    for parts in zip(values, slopes, strict=True):
+        excluded, monotonic = (excludes_zero(transform(degree) @ each, CLEAR_MEAN_RATIO) for each in parts)
         simple &= excluded | monotonic
     values, slopes = values[..., simple], slopes[..., simple]
     values[0, 0], values[-1, -1] = values[0, 0] - END_SLACK * slopes[0, 0], values[-1, -1] + END_SLACK * slopes[-1, -1]
@@ -150,48 +139,25 @@ def _simple_zeros(coefficients: Array) -> tuple[NDArray[np.bool_], NDArray[np.in
     return simple, np.flatnonzero(simple)[which], x + np.clip(share, 0.0, 1.0) * (places[part, k + 1] - x)
 
 
-def _by_eigenvalues(coefficients: Array) -> tuple[NDArray[np.int64], NDArray[np.complex128]]:
-    """Zeros next to the real axis, not below it, and the function of each."""
-    sizes = np.abs(coefficients)
-    significant = sizes > NEGLIGIBLE_COEFFICIENT * np.max(sizes, axis=0)
-    degrees = np.max(np.arange(len(sizes))[:, None] * significant, axis=0, initial=0)
-    owners, places = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=complex)]
-    for degree in np.unique(degrees[degrees > 0]).tolist():
-        chosen = np.flatnonzero(degrees == degree)
-        values = np.linalg.eigvals(_colleagues(coefficients[: degree + 1, chosen]))
-        near_axis = (np.abs(values.imag) <= NEARLY_REAL) & (np.abs(values.real) <= 1.0 + NEARLY_REAL)
-        owners.append(chosen[np.nonzero(near_axis)[0]])
-        places.append(values[near_axis].astype(complex))
-    of, zeros = np.concatenate(owners), np.concatenate(places)
-    kept = zeros.imag >= 0.0
-    return of[kept], zeros[kept]
+def _by_eigenvalues(coefficients: Array) -> NDArray[Any]:
+    """Zeros of one function next to the real axis, not below it."""
+    size = float(np.max(np.abs(coefficients)))
+    roots = chebroots(chebtrim(coefficients, NEGLIGIBLE_COEFFICIENT * size)) if size else np.empty(0)
+    near_axis = (roots.imag >= 0.0) & (roots.imag <= NEARLY_REAL) & (np.abs(roots.real) <= 1.0 + BESIDE_END)
+    return np.asarray(roots[near_axis])
 
 
-def _colleagues(coefficients: Array) -> Array:
-    """Matrices whose eigenvalues are the zeros, shape (functions, degree, degree); the last coefficient is not 0."""
-    degree, count = coefficients.shape[0] - 1, coefficients.shape[1]
-    if degree == 1:
-        return np.asarray(-(coefficients[0] / coefficients[1])[:, None, None])
-    matrix = np.zeros((degree, degree))
-    k = np.arange(degree - 1)
-    matrix[k, k + 1] = matrix[k + 1, k] = 0.5
-    matrix[0, 1] = 1.0
-    matrices = np.tile(matrix, (count, 1, 1))
-    matrices[:, -1, :] -= 0.5 * (coefficients[:-1] / coefficients[-1]).T
-    return matrices
-
-
-def _polished(coefficients: Array, of: NDArray[np.int64], x: Array) -> Array:
-    """Zeros after a few steps of Newton's method, each of the function numbered `of`."""
-    slopes = derivative(len(coefficients) - 1) @ coefficients
+def _polished(coefficients: Array, x: Array) -> Array:
+    """Zeros after a few steps of Newton's method, each of the function with the coefficients in its column."""
+    slopes = chebder(coefficients)
     step, start = np.full(x.shape, np.inf), x
     for _ in range(POLISHING_STEPS if x.size else 0):
-        here, change = value(coefficients, of, x), value(slopes, of, x)
+        here, change = (chebval(x, each, tensor=False) for each in (coefficients, slopes))
         new = np.divide(here, change, out=np.zeros_like(here), where=change != 0.0)
         new = np.where(np.abs(new) < np.abs(step), new, 0.0)
         x, step = x - new, new
-    worse = np.abs(value(coefficients, of, x)) > np.abs(value(coefficients, of, start))  # at a double zero
-    return np.where(worse, start, x)
+    size, before = (np.abs(chebval(each, coefficients, tensor=False)) for each in (x, start))
+    return np.where(size > before, start, x)  # at a double zero
 
 
 # Functions on an interval whose zeros are edges of instabilities, with the effects of their errors on these -----------
@@ -199,20 +165,25 @@ def _polished(coefficients: Array, of: NDArray[np.int64], x: Array) -> Array:
 FINEST_PLACE = 1e-14  # of an interval: no place in it is known better
 ERROR_REACH_NODES = 2  # nodes to either side of a place whose errors count there
 
-Zeros = list[tuple[float, float, bool]]
 
-
+@dataclass(eq=False)
 class Function:
-    """A function on [-1, 1] whose zeros are edges: its Chebyshev coefficients, and its errors at the nodes.
+    """A function on [-1, 1] whose zeros are edges.
 
-    `excludes_zero` where it certainly has no zero, nor comes as near to zero as its error; `is_nothing` where it is
-    zero everywhere, within its error.
+    Attributes:
+        coefficients: of its Chebyshev series.
+        errors: of its values at the nodes of `SERIES_DEGREE`.
+        excludes_zero: whether it certainly has no zero, nor comes as near to zero as its error.
+        is_nothing: whether it is zero everywhere, within its error.
+        zeros: (place, its error, whether the function changes sign there) in ascending order; without a change of sign
+            where it comes so near to zero that its error may hide two changes. By `find_zeros`.
     """
 
-    def __init__(self, coefficients: Array, errors: Array, excludes_zero: bool, is_nothing: bool) -> None:
-        self.coefficients, self.errors = coefficients, errors
-        self.excludes_zero, self.is_nothing = excludes_zero, is_nothing
-        self._zeros: Zeros | None = None
+    coefficients: Array
+    errors: Array
+    excludes_zero: bool
+    is_nothing: bool
+    zeros: list[tuple[float, float, bool]] | None = None
 
     @classmethod
     def several(cls, coefficients: Array, errors: Array) -> list[Function]:
@@ -223,63 +194,45 @@ class Function:
         rows = np.ascontiguousarray(coefficients.T)
         return [cls(*row) for row in zip(rows, errors, excluded.tolist(), nothing.tolist(), strict=True)]
 
-    def __call__(self, x: Array | float) -> Array:
-        return np.asarray(basis(x, len(self.coefficients) - 1) @ self.coefficients)
-
-    def error(self, x: float) -> float:
-        """Error near a place."""
-        return float(_errors(self.errors[None], np.zeros(1, dtype=np.int64), np.array([x]))[0])
-
-    @staticmethod
-    def find_zeros(functions: Sequence[Function]) -> None:
-        """Find the zeros of several functions together: that is cheaper."""
-        waiting = [f for f in functions if f._zeros is None]
-        for f in waiting:
-            f._zeros = []
-        chosen = [f for f in waiting if not (f.excludes_zero or f.is_nothing)]
-        chosen.sort(key=lambda f: f.coefficients.size)
-        for _, group in groupby(chosen, key=lambda f: f.coefficients.size):
-            those = list(group)
-            coefficients = np.stack([f.coefficients for f in those], axis=1)
-            errors = np.stack([f.errors for f in those])
-            of, x, crosses = real_zeros(coefficients)
-            seen = crosses | (np.abs(value(coefficients, of, x)) <= _errors(errors, of, x))
-            of, x, crosses = of[seen], x[seen], crosses[seen]
-            widths = _widths(coefficients, errors, of, x)
-            for k, *zero in zip(of.tolist(), x.tolist(), widths.tolist(), crosses.tolist(), strict=True):
-                those[k].zeros.append((zero[0], zero[1], zero[2]))
-            for f in those:
-                f.zeros.sort()
-
-    @property
-    def zeros(self) -> Zeros:
-        """(place, its error, whether the function changes sign there) in ascending order.
-
-        Without a change of sign where the function comes so near to zero that its error may hide two changes.
-        """
-        if self._zeros is None:
-            Function.find_zeros([self])
-        assert self._zeros is not None
-        return self._zeros
-
-    def width(self, x: float) -> float:
-        """Change of a zero when the function changes by its error: by slope, or by curvature where that is more."""
-        one = np.zeros(1, dtype=np.int64)
-        return float(_widths(self.coefficients[:, None], self.errors[None], one, np.array([x]))[0])
+    def near_zero(self, x: float, safety: float) -> float | None:
+        """How far from a place a zero may be that errors allow there; None where they allow none."""
+        c, errors, at = self.coefficients[:, None], self.errors[None], np.array([x])
+        if self.is_nothing or abs(float(chebval(x, self.coefficients))) > safety * _errors(errors, at)[0]:
+            return None
+        return float(_widths(c, errors, at)[0])
 
 
-def _errors(errors: Array, of: Indices, x: Array) -> Array:
-    """Errors near places x of the functions numbered `of`, whose errors at the nodes are (functions, nodes)."""
+def find_zeros(functions: Iterable[Function]) -> None:
+    """Find the zeros of several functions of one degree together: that is cheaper."""
+    chosen = []
+    for f in functions:
+        if f.zeros is None:
+            f.zeros = []
+            if not (f.excludes_zero or f.is_nothing):
+                chosen.append(f)
+    if not chosen:
+        return
+    coefficients, errors = np.stack([f.coefficients for f in chosen], axis=1), np.stack([f.errors for f in chosen])
+    of, x, crosses = real_zeros(coefficients)
+    sizes = np.abs(chebval(x, coefficients[:, of], tensor=False))
+    seen = crosses | (sizes <= _errors(errors[of], x))
+    of, x, crosses = of[seen], x[seen], crosses[seen]
+    order = np.lexsort((x, of))
+    widths = _widths(coefficients[:, of], errors[of], x)
+    for i in order.tolist():
+        chosen[of[i]].zeros += [(float(x[i]), float(widths[i]), bool(crosses[i]))]
+
+
+def _errors(errors: Array, x: Array) -> Array:
+    """Errors near places x, each of the function with the errors at the nodes in its row."""
     near = np.searchsorted(nodes(SERIES_DEGREE), x)[:, None] + np.arange(-ERROR_REACH_NODES, ERROR_REACH_NODES)
-    return np.asarray(np.max(errors[of[:, None], np.clip(near, 0, SERIES_DEGREE)], axis=1))
+    return np.asarray(np.max(np.take_along_axis(errors, np.clip(near, 0, SERIES_DEGREE), 1), axis=1))
 
 
-def _widths(coefficients: Array, errors: Array, of: Indices, x: Array) -> Array:
-    """`Function.width` at places x of the functions numbered `of`, coefficients (degree + 1, functions)."""
-    matrix = derivative(len(coefficients) - 1)
-    first = matrix @ coefficients
-    slope, curvature = (np.abs(value(c, of, x)) for c in (first, matrix @ first))
-    error = _errors(errors, of, x)
+def _widths(coefficients: Array, errors: Array, x: Array) -> Array:
+    """Changes of zeros x when functions change by their errors: by slope, or by curvature where that is more."""
+    slope, curvature = (np.abs(chebval(x, chebder(coefficients, m), tensor=False)) for m in (1, 2))
+    error = _errors(errors, x)
     by_slope = slope**2 > 2.0 * curvature * error
     with np.errstate(divide="ignore", invalid="ignore"):
         width = np.where(by_slope, error / slope, np.sqrt(2.0 * error / curvature)) + FINEST_PLACE

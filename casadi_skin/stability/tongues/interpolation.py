@@ -9,13 +9,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebder, chebval
 
 from casadi_skin.stability.flows import FlowError
 from casadi_skin.stability.multipliers import reduced_matrices
 from casadi_skin.stability.tongues import chebyshev
+from casadi_skin.stability.tongues.rotation import Spectrum
 from casadi_skin.zero.problem import EPSILON, Array
 
 SERIES_DEGREES = (16, 32)  # of the series: for a short piece, and where longer pieces of higher degree save little more
@@ -112,28 +114,14 @@ class MatrixSeries:
         flat = weights @ coefficients.reshape(len(coefficients), -1)
         return np.asarray(flat.reshape(len(weights), *coefficients.shape[1:]))
 
-    @staticmethod
-    def several_at(series: Sequence[MatrixSeries], coordinates: Array) -> tuple[Array, Array]:
-        """The matrices of series of one shape, each at places of its own, (series, points), and those like errors."""
-        starts, ends = (np.array([getattr(each, name) for each in series])[:, None] for name in ("start", "end"))
-        x = (2.0 * coordinates - starts - ends) / (ends - starts)
-        values, errors = (np.stack([getattr(each, name) for each in series]) for name in ("coefficients", "errors"))
-        shape = *x.shape, *values.shape[2:]
-        weights = chebyshev.basis(x, values.shape[1] - 1)
-        lines = _by_straight_lines(x.ravel(), errors.shape[1]).reshape(*x.shape, -1)
-        flat = (each.reshape(*each.shape[:2], -1) for each in (values, errors))
-        found = [(w @ each).reshape(shape) for w, each in zip((weights, lines), flat, strict=True)]
-        return found[0], found[1]
-
-
-def _by_straight_lines(x: Array, count: int) -> Array:
-    """Weights of values at so many nodes in those on straight lines between them, at places in [-1, 1]."""
-    places, x = chebyshev.nodes(count - 1), np.clip(x, -1.0, 1.0)
-    right = np.clip(np.searchsorted(places, x), 1, count - 1)
-    weight, each = (x - places[right - 1]) / (places[right] - places[right - 1]), np.arange(x.size)
-    weights = np.zeros((x.size, count))
-    weights[each, right - 1], weights[each, right] = 1.0 - weight, weight
-    return weights
+    def errors_at(self, coordinates: Array) -> Array:
+        """Matrices like the errors, on straight lines between the nodes, of the same shape."""
+        places, x = chebyshev.nodes(len(self.errors) - 1), np.clip(self.local(coordinates), -1.0, 1.0)
+        right = np.clip(np.searchsorted(places, x), 1, places.size - 1)
+        share, each = (x - places[right - 1]) / (places[right] - places[right - 1]), np.arange(x.size)
+        weights = np.zeros((x.size, places.size))
+        weights[each, right - 1], weights[each, right] = 1.0 - share, share
+        return np.asarray(np.tensordot(weights, self.errors, 1))
 
 
 @dataclass(frozen=True)
@@ -155,12 +143,10 @@ class Piece:
     def slopes(self, coordinates: Array) -> Array:
         """dS/d coordinate at coordinates."""
         scale = 2.0 / (self.matrices.end - self.matrices.start)
-        return scale * self._values(
-            coordinates, chebyshev.derivative(self.S_coefficients.size - 1) @ self.S_coefficients
-        )
+        return scale * self._values(coordinates, np.asarray(chebder(self.S_coefficients), dtype=float))
 
     def _values(self, coordinates: Array, coefficients: Array) -> Array:
-        return np.asarray(chebyshev.basis(self.matrices.local(coordinates), coefficients.size - 1) @ coefficients)
+        return np.asarray(chebval(self.matrices.local(coordinates), coefficients))
 
 
 @dataclass(frozen=True)
@@ -172,13 +158,35 @@ class Gap:
     reason: str
 
 
+EIGENVALUE_OVERHEAD = 3e4  # of an eigenvalue problem of any size, in units of m^3: measured, about a millisecond
+
+
 @dataclass
-class Interpolated:
-    """A branch as pieces in order, as far as they are computed, with the missing stretches; `samples` counts orbits."""
+class Search:
+    """What is known of a branch.
+
+    Attributes:
+        pieces: in order, as far as they are computed.
+        gaps: stretches on which matrices or instabilities are not known.
+        samples: number of orbits.
+        segments: unstable ones, in any order.
+        passages: (coordinate, mu, distance) of pairs of one signature that meet within errors.
+        intervals: number of eigenvalue problems by their size.
+        spectra: mu, their rates and signatures at some coordinates.
+    """
 
     pieces: list[Piece] = field(default_factory=list)
     gaps: list[Gap] = field(default_factory=list)
     samples: int = 0
+    segments: list[Any] = field(default_factory=list)
+    passages: list[tuple[float, float, float]] = field(default_factory=list)
+    intervals: dict[int, int] = field(default_factory=dict)
+    spectra: list[Spectrum] = field(default_factory=list)
+
+    @property
+    def work(self) -> float:
+        """Sum of m^3, and of what small ones cost as well, over the eigenvalue problems."""
+        return float(sum(count * (size**3 + EIGENVALUE_OVERHEAD) for size, count in self.intervals.items()))
 
 
 @dataclass
@@ -226,9 +234,7 @@ class _Plan:
             self.longest = SHORTER_PIECE_FACTOR * length
 
 
-def interpolate(
-    branch: BranchSampler, tolerance: float, known: Interpolated, first: float = FIRST_LENGTH
-) -> Iterator[Piece]:
+def interpolate(branch: BranchSampler, tolerance: float, known: Search, first: float = FIRST_LENGTH) -> Iterator[Piece]:
     """The matrices along a branch, to `tolerance` relative to their largest entry, piece by piece.
 
     Arguments:

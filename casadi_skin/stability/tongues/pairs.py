@@ -1,30 +1,30 @@
-"""Blocks of two mu on an interval: every edge of an instability as a simple zero of an analytic function.
+"""Blocks of one or two mu on an interval: every edge of an instability as a simple zero of an analytic function.
 
-On such a block there are matrices k, p, q of two rows, with p k symmetric and p q = k^T (1 + k^T). Where p is definite
-both mu are real. Where it is not, it has two null vectors n+ and n-, and the discriminant of k is 4 f+ f- / rho^2 with
-f = n^T p k n for each of them and rho = n+^T p n-: the pair is complex where f+ f- < 0, and the edges of this
-instability are simple zeros of f+ and f-, however near they lie. Likewise with q and k^T.
+On such a block there are matrices k, p, q of one or two rows, with p k symmetric and p q = k^T (1 + k^T). A mu passes 0
+or -1 where det p or det q vanishes. Of two mu, both are real where p is definite. Where it is not, it has two null
+vectors n+ and n-, and the discriminant of k is 4 f+ f- / rho^2 with f = n^T p k n for each of them and rho = n+^T p n-:
+the pair is complex where f+ f- < 0, and the edges of this instability are simple zeros of f+ and f-, however near they
+lie. Likewise with q and k^T. Without a symplectic structure there is k alone: zeros are those of det k, det (1 + k)
+and the discriminant.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebder, chebval
 
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues import chebyshev
-from casadi_skin.stability.tongues.blocks import Booleans, Indices, Numbers
-from casadi_skin.stability.tongues.chebyshev import SERIES_DEGREE, Function
-from casadi_skin.zero.problem import Array
-
-# Blocks of mu on an interval, and their instabilities between edges; the block of one mu, and complex ones ------------
+from casadi_skin.stability.tongues.blocks import Booleans, Matrices, Numbers
+from casadi_skin.stability.tongues.chebyshev import SERIES_DEGREE, Function, find_zeros
+from casadi_skin.zero.problem import Array, Indices
 
 ERROR_SAFETY = 2.0  # of estimated errors of the matrices
+FINE_DEGREE = 2 * SERIES_DEGREE  # degree of functions that are products
+ROUNDED_MU_DISTANCE = 1e-7  # distance of two mu that rounding makes of none
 
 
 @dataclass(frozen=True)
@@ -66,21 +66,20 @@ class Segment:
         return self.start - slack <= edge.coordinate <= self.end + slack
 
     def unstable(self, mu: ComplexArray) -> ComplexArray:
-        """Those of the block's mu at a place that are unstable on it."""
-        if self.is_complex:
-            return mu
-        order = np.argsort(-(mu * (1.0 + mu)).real)
+        """Those of the block's mu at a place, (m,), that are unstable on it."""
+        order = np.argsort(-(mu * (1.0 + mu)).real)  # what is no number comes last
         return np.asarray(mu[order[: self.outside]])
 
     def edge_at(self, coordinate: float) -> Edge | None:
         """The edge that errors allow at the end of its interval, where none is seen; None where they allow none."""
-        width = self.block.edge_width(coordinate)
-        if width is None:
+        block, x = self.block, -1.0 if coordinate == self.block.start else 1.0
+        widths = [width for f in block.functions if (width := f.near_zero(x, ERROR_SAFETY)) is not None]
+        if not widths:
             return None
-        mu = complex(np.mean(self.block.unstable_mu(self, coordinate)))
-        error = 0.5 * (self.block.end - self.block.start) * width
+        mu = complex(np.mean(self.unstable(evaluate([block], np.array([[coordinate]]))[0][0, 0])))
+        error = 0.5 * (block.end - block.start) * max(widths)
         if self.is_complex:
-            return Edge(coordinate, error, "complex", mu.real, (1, -1) if self.block.noise.size == 3 else ())
+            return Edge(coordinate, error, "complex", mu.real, (1, -1) if block.symplectic else ())
         return Edge(coordinate, error, "real", float(np.round(mu.real)) + 0.0, ())
 
 
@@ -90,51 +89,56 @@ def growth_of(mu: ComplexArray) -> Array:
     return np.asarray(np.abs(2.0 * np.log(np.abs(np.sqrt(mu) + np.sqrt(mu + 1.0)))))
 
 
-def real_growth(product: Array) -> Array:
-    """The same of a real mu from mu (1 + mu): without loss of digits near -1 and 0."""
-    return np.asarray(np.arcsinh(2.0 * np.sqrt(np.maximum(product, 0.0))))
-
-
+@dataclass(eq=False)
 class Block:
-    """Matrices (k, p, q), or k alone, of some mu at the nodes of an interval, shape (DEGREE + 1, 3 or 1, m, m).
+    """One or two real mu on an interval, or any number on one side of the real axis that do not come to it.
 
-    `errors` are matrices like their errors at the nodes, `noise` and `tails` (3 or 1,) bounds on the norm of what comes
-    to these: from elsewhere, and from the series on the interval, which shorter intervals lessen. Its edges are zeros
-    of `functions`.
+    Attributes:
+        start, end: of the interval.
+        matrices: coefficients of (k, p, q), or of k alone, shape (DEGREE + 1, 3 or 1, m, m).
+        functions: of real mu, whose zeros are edges; the last two are det p and det q, those before them the functions
+            that vanish where two mu meet and may become complex.
+        series: of real mu, coefficients (FINE + 1, 6) of their mean, rho, the two functions whose product over rho^2 is
+            the square of half their difference, with all digits where it is small, and det p and det q.
+        is_coarse: whether the remainder of the series is larger than the other errors: shorter intervals lessen it.
+        error: of k, in norm.
+        segments: where it is unstable, in order; by `find_segments`.
     """
 
-    def __init__(
-        self,
-        start: float,
-        end: float,
-        parts: Numbers,
-        errors: Array,
-        noise: Array,
-        tails: Array,
-        functions: tuple[Function, ...] = (),
-    ) -> None:
-        self.start, self.end, self.parts, self.errors, self.tails = start, end, parts, errors, tails
-        self.noise, self.functions = noise + tails, functions
-        self._others = noise
+    start: float
+    end: float
+    matrices: Numbers
+    functions: tuple[Function, ...] = ()
+    series: Array = field(default_factory=lambda: np.empty((0, 6)))
+    is_coarse: bool = field(default=False, kw_only=True)
+    error: float = field(default=0.0, kw_only=True)
+    segments: list[Segment] | None = None
 
-    @cached_property
-    def is_coarse(self) -> bool:
-        """Whether the remainder of the series is larger than the other errors."""
-        return bool(is_coarse(self.errors[None], self._others[None], self.tails[None])[0])
+    @property
+    def size(self) -> int:
+        """Number m of mu."""
+        return int(self.matrices.shape[-1])
 
-    @cached_property
-    def coefficients(self) -> Numbers:
-        """Of the matrices, shape (DEGREE + 1, 3 or 1, m, m)."""
-        return np.asarray(chebyshev.combined(chebyshev.transform(SERIES_DEGREE), self.parts[None])[0])
+    @property
+    def symplectic(self) -> bool:
+        """Whether mu have signatures."""
+        return bool(self.matrices.shape[1] == 3)
 
-    def at(self, x: Array) -> Numbers:
-        """The matrices at places in [-1, 1], shape (places, 3 or 1, m, m)."""
-        return np.asarray(chebyshev.combined(chebyshev.basis(x, SERIES_DEGREE), self.coefficients[None])[0])
+    @property
+    def definite(self) -> bool:
+        """Whether it has two mu of one signature, which are real."""
+        return self.size == 2 and len(self.functions) == 2
 
-    def local(self, coordinates: Array | float) -> Array:
-        """Places in [-1, 1] of coordinates."""
-        x = (2.0 * np.asarray(coordinates) - self.start - self.end) / (self.end - self.start)
-        return np.asarray(np.clip(x, -1.0, 1.0))
+    @property
+    def conserved(self) -> bool:
+        """Whether one mu stays at -1 or 0: a second conserved quantity."""
+        return any(function.is_nothing for function in self.functions[-2:])
+
+    @property
+    def is_blurred(self) -> bool:
+        """Whether a shorter interval would show whether one of its instabilities is there."""
+        bounds = [(s.end - s.start, s.start_edge, s.end_edge) for s in self.segments or ()]
+        return self.is_coarse and any(a and b and length <= a.error + b.error for length, a, b in bounds)
 
     def coordinate(self, x: float) -> float:
         """Coordinate of a place in [-1, 1]."""
@@ -142,125 +146,65 @@ class Block:
             return self.start if x < 0.0 else self.end
         return self.start + 0.5 * (1.0 + x) * (self.end - self.start)
 
-    def mu(self, coordinates: Array) -> ComplexArray:
-        """All mu of the block, shape (points, m)."""
-        return np.asarray(self.mu_together([self], coordinates[None])[0])
-
-    @property
-    def alike(self) -> Hashable:
-        """Blocks of one class for which this is the same are evaluated together."""
-        return self.parts.shape[-1], self.parts.dtype.kind
-
-    @classmethod
-    def mu_together(cls, blocks: Sequence[Any], coordinates: Array) -> ComplexArray:
-        """All mu of blocks that are alike, each at coordinates of its own, (blocks, points) -> (blocks, points, m)."""
-        K, size = np.stack([block.parts[:, 0] for block in blocks]), blocks[0].parts.shape[-1]
-        coefficients = chebyshev.transform(SERIES_DEGREE) @ K.reshape(len(K), SERIES_DEGREE + 1, -1)
-        found = chebyshev.basis(local_places(blocks, coordinates), SERIES_DEGREE) @ coefficients
-        if size == 1:
-            return np.asarray(found, dtype=complex)
-        return np.asarray(np.linalg.eigvals(found.reshape(*coordinates.shape, size, size)), dtype=complex)
-
-    @classmethod
-    def growths_together(cls, blocks: Sequence[Any], coordinates: Array) -> Array:
-        """log |lambda(M)| of the most unstable multiplier of each, (blocks, points) -> (blocks, points)."""
-        return np.asarray(np.max(growth_of(cls.mu_together(blocks, coordinates)), axis=2))
-
-    @property
-    def is_blurred(self) -> bool:
-        """Whether a shorter interval would show whether one of its instabilities is there."""
-        if not self.is_coarse:
-            return False
-        bounds = [(s.end - s.start, s.start_edge, s.end_edge) for s in self.segments]
-        return any(a is not None and b is not None and length <= a.error + b.error for length, a, b in bounds)
-
-    @property
-    def is_quiet(self) -> bool:
-        """Whether it is stable on the whole interval."""
-        return all(f.excludes_zero for f in self.functions) and not self.states(np.zeros(1))[1].any()
-
-    def edge_width(self, coordinate: float) -> float | None:
-        """How far from an end of the interval an edge may be, in half-lengths; None where errors allow none there."""
-        x = -1.0 if coordinate == self.start else 1.0
-        near = [f for f in self.functions if not f.is_nothing and abs(float(f(x))) <= ERROR_SAFETY * f.error(x)]
-        return max((f.width(x) for f in near), default=None)
-
-    def unstable_mu(self, segment: Segment, coordinate: float) -> ComplexArray:
-        """Those mu of the block that are unstable on a segment, at a coordinate."""
-        return segment.unstable(self.mu(np.array([coordinate]))[0])
-
-    @cached_property
     def edges(self) -> list[tuple[Edge, bool]]:
-        """Edges in order, and whether the state changes there."""
-        return []
+        """Edges in order, one within its error of an end of the interval there, and whether functions change sign."""
+        found = []
+        for number, function in enumerate(self.functions, start=2 - len(self.functions)):
+            for x, width, crosses in function.zeros or ():
+                kind, (mu, signatures) = (
+                    ("complex", self._meeting(x)) if number < 0 else ("real", self._leaving(x, number))
+                )
+                at, error = self.coordinate(x), 0.5 * (self.end - self.start) * width
+                at = next((end for end in (self.start, self.end) if abs(at - end) <= error), at)
+                found.append((x, Edge(at, error, kind, mu, signatures), crosses))
+        found.sort(key=lambda item: (item[1].coordinate, item[0]))
+        return [(edge, crosses) for _, edge, crosses in found]
 
-    def states(self, x: Array) -> tuple[Booleans, Indices]:
-        """Whether the mu outside are complex, and how many are outside, at places that are no edges."""
-        is_complex, outside = self.states_together([self], x[None])
-        return is_complex[0], outside[0]
+    def _meeting(self, x: float) -> tuple[float, tuple[int, ...]]:
+        """The mu at which two meet, and their signatures."""
+        mu = float(chebval(x, self.series[:, 0]))
+        return mu, (1, -1) if self.symplectic and -1.0 < mu < 0.0 else ()
 
-    @classmethod
-    def states_together(cls, blocks: Sequence[Any], x: Array) -> tuple[Booleans, Indices]:
-        """The same of blocks that are alike, (blocks, points) each."""
-        raise NotImplementedError
+    def _leaving(self, x: float, number: int) -> tuple[float, tuple[int, ...]]:
+        """The end of [-1, 0] that a mu is at where det p (0) or det q (1) vanishes, and its signature."""
+        parts = np.tensordot(chebyshev.basis(x, SERIES_DEGREE), self.matrices, 1)
+        values, vectors = np.linalg.eig(parts[0])
+        chosen = int(np.argmin(np.abs(values * (1.0 + values))))
+        mu = float(np.round(values[chosen].real)) + 0.0  # no negative zero
+        if not self.symplectic:
+            return mu, ()
+        vector = np.linalg.inv(vectors)[chosen].real if number == 0 else vectors[:, chosen].real
+        sign = int(np.sign(vector @ parts[2 - number] @ vector))
+        return mu, (sign if number == 0 else -sign,)
 
-    @staticmethod
-    def find_states(blocks: Sequence[Block]) -> None:
-        """Find the states between edges of blocks that are alike and have as many edges."""
-        stops = np.stack([block._stops for block in blocks])
-        x = local_places(blocks, 0.5 * (stops[:, :-1] + stops[:, 1:]))
-        for block, *states in zip(blocks, *type(blocks[0]).states_together(blocks, x), strict=True):
-            block._states_between = states[0], states[1]
-
-    def _edge(self, x: float, width: float, kind: str, mu: float, signatures: tuple[int, ...]) -> Edge:
-        return Edge(self.coordinate(x), 0.5 * (self.end - self.start) * width, kind, mu, signatures)
-
-    @cached_property
-    def _edges_in_order(self) -> list[tuple[Edge, bool]]:
-        edges = ((self._at_an_end(edge), crosses) for edge, crosses in self.edges)
-        return sorted(edges, key=lambda item: item[0].coordinate)
-
-    @cached_property
-    def _stops(self) -> Array:
-        """The ends of the interval, with the edges between them."""
-        return np.array([self.start, *(edge.coordinate for edge, _ in self._edges_in_order), self.end])
-
-    @cached_property
-    def _states_between(self) -> tuple[Booleans, Indices]:
-        """Between each of the stops and the next."""
-        return self.states(self.local(0.5 * (self._stops[:-1] + self._stops[1:])))
-
-    @cached_property
-    def segments(self) -> list[Segment]:
-        """Where the block is unstable, in order.
+    def segments_between(self, edges: Sequence[tuple[Edge, bool]], states: tuple[Booleans, Indices]) -> list[Segment]:
+        """Where the block is unstable, from edges and the states between: whether mu are complex, how many outside.
 
         An edge within its error of an end of the interval is there: the interval beside it then sees the same one, and
         what lies between edge and end is nothing. A place where no function changes its sign is an edge all the same
         where the states beside it differ: two equal mu pass -1 or 0 together. Two edges with nothing between them are
         those of a segment too: mu of opposite signatures that pass one another uncoupled.
         """
-        edges, stops = self._edges_in_order, self._stops
-        is_complex, outside = self._states_between
-        passed = [crosses for _, crosses in edges]
-        if not all(passed):
-            lengths = np.diff(stops)
-            differ = (outside[:-1] != outside[1:]) & (lengths[:-1] > 0.0) & (lengths[1:] > 0.0)
-            passed = [crosses or bool(differ[i]) for i, crosses in enumerate(passed)]
-            stops = stops[[True, *passed, True]]
-            is_complex, outside = self.states(self.local(0.5 * (stops[:-1] + stops[1:])))
+        places, (is_complex, outside) = [self.start, *(edge.coordinate for edge, _ in edges), self.end], states
+        passed = [
+            crosses or bool(outside[i] != outside[i + 1] and places[i] < places[i + 1] < places[i + 2])
+            for i, (_, crosses) in enumerate(edges)
+        ]
         crossed = [edge for (edge, _), passes in zip(edges, passed, strict=True) if passes]
-        places = stops.tolist()
+        touched = [edge for (edge, _), passes in zip(edges, passed, strict=True) if not passes]
+        if touched:
+            places = [self.start, *(edge.coordinate for edge in crossed), self.end]
+            is_complex, outside = (each[0] for each in _states([self], _middles([places])))
         bounds: list[Edge | None] = [None, *crossed, None]
         found = [
             Segment(self, places[i], places[i + 1], bounds[i], bounds[i + 1], bool(is_complex[i]), int(outside[i]))
-            for i in np.flatnonzero(outside).tolist()
-            if places[i] < places[i + 1] or (bounds[i] is not None and bounds[i + 1] is not None)
+            for i in range(len(places) - 1)
+            if outside[i] and (places[i] < places[i + 1] or (bounds[i] and bounds[i + 1]))
         ]
         found += self._passed_twice(crossed, found)
-        for edge in (edge for (edge, _), passes in zip(edges, passed, strict=True) if not passes):
-            place = edge.coordinate
+        for edge in touched:
             if not any(segment.holds(edge) for segment in found):
-                found.append(Segment(self, place, place, edge, edge, edge.kind != "real", 1))
+                found.append(Segment(self, edge.coordinate, edge.coordinate, edge, edge, edge.kind != "real", 1))
         return sorted(found, key=lambda segment: segment.start)
 
     def _passed_twice(self, crossed: Sequence[Edge], segments: Sequence[Segment]) -> Iterator[Segment]:
@@ -275,54 +219,39 @@ class Block:
             yield Segment(self, before.coordinate, edge.coordinate, before, edge, kind, 2 if kind else 1)
             before = None
 
-    def _at_an_end(self, edge: Edge) -> Edge:
-        """The edge, moved to an end of the interval where that is within its error."""
-        for end in (self.start, self.end):
-            if abs(edge.coordinate - end) <= edge.error:
-                return replace(edge, coordinate=end)
-        return edge
+    def meetings_without_instability(self) -> Iterator[tuple[float, float, float]]:
+        """(coordinate, mu, distance) where the two mu of a definite pair meet within errors."""
+        k = chebyshev.combined(chebyshev.basis(chebyshev.nodes(FINE_DEGREE), SERIES_DEGREE), self.matrices[None])[
+            0, :, 0
+        ]
+        slope = np.asarray(chebder(chebyshev.transform(FINE_DEGREE) @ discriminants(k)), dtype=float)
+        _, zeros, crosses = chebyshev.real_zeros(slope[:, None])
+        for x in np.sort(zeros[crosses]).tolist():
+            here = np.tensordot(chebyshev.basis(x, SERIES_DEGREE), self.matrices[:, 0], 1)
+            distance = float(np.sqrt(max(float(discriminants(here)), 0.0)))
+            if distance <= max(self.error, ROUNDED_MU_DISTANCE):
+                yield self.coordinate(x), 0.5 * float(np.trace(here)), distance
 
 
-class ComplexBlock(Block):
-    """Mu on one side of the real axis that do not come to it within the interval."""
-
-    @classmethod
-    def states_together(cls, blocks: Sequence[ComplexBlock], x: Array) -> tuple[Booleans, Indices]:
-        sizes = np.array([block.parts.shape[-1] for block in blocks])
-        return np.ones(x.shape, dtype=bool), np.tile(sizes[:, None], (1, x.shape[1]))
+# Values of several blocks ---------------------------------------------------------------------------------------------
 
 
-class SingleBlock(Block):
-    """One real mu; its `functions` are those of `single_functions`."""
+def find_segments(blocks: Sequence[Block]) -> None:
+    """Find the segments of several blocks together: that is cheaper."""
+    waiting = [block for block in blocks if block.segments is None]
+    find_zeros(function for block in waiting for function in block.functions)
+    edges = [block.edges() for block in waiting]
+    places = [[b.start, *(edge.coordinate for edge, _ in each), b.end] for b, each in zip(waiting, edges, strict=True)]
+    if waiting:
+        for block, known, *states in zip(waiting, edges, *_states(waiting, _middles(places)), strict=True):
+            block.segments = block.segments_between(known, (states[0], states[1]))
 
-    @cached_property
-    def edges(self) -> list[tuple[Edge, bool]]:
-        first, second = self.functions
-        found = []
-        for function, other, sign in ((first, second, 1), (second, first, -1)):
-            for x, width, crosses in function.zeros:
-                mu = float(np.round(self.mu(np.array([self.coordinate(x)]))[0, 0].real)) + 0.0  # no negative zero
-                signatures = (sign * int(np.sign(other(x))),) if self.noise.size == 3 else ()
-                found.append((self._edge(x, width, "real", mu, signatures), crosses))
-        return sorted(found, key=lambda item: item[0].coordinate)
 
-    @classmethod
-    def states_together(cls, blocks: Sequence[SingleBlock], x: Array) -> tuple[Booleans, Indices]:
-        outside = (cls._products(blocks, x) > 0.0).astype(np.int64)
-        conserved = [any(function.is_nothing for function in block.functions) for block in blocks]
-        outside[conserved] = 0  # a second conserved quantity: they stay at -1 or 0
-        return np.zeros(x.shape, dtype=bool), outside
-
-    @classmethod
-    def _products(cls, blocks: Sequence[SingleBlock], x: Array) -> Array:
-        """mu (1 + mu) at places in [-1, 1] of each, (blocks, points)."""
-        series = np.stack([[function.coefficients for function in block.functions] for block in blocks])
-        values = chebyshev.basis(x, SERIES_DEGREE) @ series.swapaxes(1, 2)
-        return np.asarray(values[..., 0] * values[..., 1])
-
-    @classmethod
-    def growths_together(cls, blocks: Sequence[SingleBlock], coordinates: Array) -> Array:
-        return real_growth(cls._products(blocks, local_places(blocks, coordinates)))
+def _middles(places: Sequence[Sequence[float]]) -> Array:
+    """Middles between neighbouring places of each of several rows, the last one repeated in shorter rows."""
+    count = max(map(len, places))
+    filled = np.array([[*row, *[row[-1]] * (count - len(row))] for row in places])
+    return np.asarray(0.5 * (filled[:, :-1] + filled[:, 1:]))
 
 
 def local_places(blocks: Sequence[Block], coordinates: Array) -> Array:
@@ -331,161 +260,139 @@ def local_places(blocks: Sequence[Block], coordinates: Array) -> Array:
     return np.asarray(np.clip((2.0 * coordinates - starts - ends) / (ends - starts), -1.0, 1.0))
 
 
-def single_functions(coefficients: Array, errors: Array, noise: Array) -> list[tuple[Function, Function]]:
-    """pi and kappa, of a map that is not symplectic mu and 1 + mu, of blocks of one mu.
+def _real_values(blocks: Sequence[Block], coordinates: Array) -> tuple[Array, Array, Array, Booleans, Booleans]:
+    """Of real blocks: mean of mu, square of half the difference, product of mu (1 + mu), whether one, or two are out.
 
-    Coefficients and errors at the nodes have shape (blocks, J, 3 or 1), `noise` (blocks, 3 or 1).
+    Of two real mu that are both in [-1, 0] or both outside, the sum of mu (1 + mu) decides.
     """
-    c, error = coefficients.swapaxes(0, 1), ERROR_SAFETY * np.abs(errors) + noise[:, None]
-    if noise.shape[1] == 3:
-        return list(zip(*(Function.several(c[..., i], error[..., i]) for i in (1, 2)), strict=True))
-    shifted = c[..., 0].copy()
-    shifted[0] += 1.0
-    return list(zip(*(Function.several(values, error[..., 0]) for values in (c[..., 0], shifted)), strict=True))
+    x = local_places(blocks, coordinates)
+    values = chebyshev.basis(x, FINE_DEGREE) @ np.stack([block.series for block in blocks])
+    mean, square = values[..., 0], values[..., 2] * values[..., 3] / values[..., 1] ** 2
+    product, both = values[..., 4] * values[..., 5], np.array([[block.size == 2] for block in blocks])
+    square = np.where([[block.definite] for block in blocks], np.maximum(square, 0.0), square)
+    conserved = np.array([[block.conserved] for block in blocks])
+    product = np.where(conserved, np.where(both, np.abs(product), -np.abs(product)), product)
+    one = (product < 0.0) == both
+    one &= product != 0.0
+    return mean, square, product, one, both & ((square < 0.0) | (~one & (mean + mean**2 + square > 0.0)))
 
 
-def is_coarse(errors: Array, noise: Array, tails: Array) -> Booleans:
-    """Which blocks have series that leave out more than the errors from elsewhere: (blocks, J, 3 or 1, m, m)."""
-    return np.asarray(np.any(tails > noise + np.max(np.abs(errors), axis=(1, 3, 4)), axis=1))
+def _states(blocks: Sequence[Block], coordinates: Array) -> tuple[Booleans, Indices]:
+    """Whether the mu outside are complex, and how many are outside, at coordinates of each that are no edges."""
+    is_complex = np.ones(coordinates.shape, dtype=bool)
+    outside = np.tile(np.array([[block.size] for block in blocks]), (1, coordinates.shape[1]))
+    real = [i for i, block in enumerate(blocks) if block.series.size]
+    if real:
+        _, square, _, one, two = _real_values([blocks[i] for i in real], coordinates[real])
+        is_complex[real], outside[real] = square < 0.0, np.where(two, 2, one)
+    return is_complex, outside
 
 
-def find_segments(blocks: Sequence[Block]) -> None:
-    """Compute the values that `Block.segments` needs of several blocks together: that is cheaper."""
-    Function.find_zeros([function for block in blocks for function in block.functions])
-    kinds: dict[Hashable, list[Block]] = defaultdict(list)
-    for block in blocks:
-        kinds[type(block), block.alike, block._stops.size].append(block)
-    for those in kinds.values():
-        Block.find_states(those)
+def evaluate(blocks: Sequence[Block], coordinates: Array) -> tuple[ComplexArray, Array]:
+    """All mu, and log |lambda(M)| of the most unstable multiplier, of each block at coordinates of its own.
 
-
-FINE_DEGREE = 2 * SERIES_DEGREE  # degree of functions that are products
-ROUNDED_MU_DISTANCE = 1e-7  # distance of two mu that rounding makes of none
-
-
-class PairBlock(Block):
-    """Two mu that may meet.
-
-    Its functions are the `meetings` f+ and f-, none for a definite pair, and the `ends` det p and det q; of a map that
-    is not symplectic the discriminant, det k and det (1 + k). `mean_and_rho` are coefficients (FINE + 1, 2) of the mean
-    of both mu and of rho: with f+ f- / rho^2 the square of half their difference is known with all digits where it is
-    small. See `Pairs`.
+    Coordinates (blocks, points) -> (blocks, points, most mu), no numbers behind those of smaller ones, and (blocks,
+    points).
     """
-
-    mean_and_rho: Array
-
-    @property
-    def meetings(self) -> tuple[Function, ...]:
-        return self.functions[:-2]
-
-    @property
-    def ends(self) -> tuple[Function, ...]:
-        return self.functions[-2:]
-
-    @cached_property
-    def _series(self) -> Array:
-        return np.column_stack([self.mean_and_rho, *(function.coefficients for function in self.functions)])
-
-    @property
-    def definite(self) -> bool:
-        """Whether its mu have one signature and are real."""
-        return not self.meetings
-
-    @property
-    def alike(self) -> Hashable:
-        return len(self.meetings)
-
-    @classmethod
-    def _values(cls, blocks: Sequence[PairBlock], x: Array) -> tuple[Array, Array, Array]:
-        """Mean of both mu, the square of half their difference, and the product of both mu (1 + mu).
-
-        At places of each of several blocks that are alike, (blocks, points).
-        """
-        values = chebyshev.basis(x, FINE_DEGREE) @ np.stack([block._series for block in blocks])
-        mean, rho, meetings = values[..., 0], values[..., 1], values[..., 2:-2]
-        if meetings.shape[-1] == 2:
-            square = meetings[..., 0] * meetings[..., 1] / rho**2
-        elif meetings.shape[-1] == 1:
-            square = 0.25 * meetings[..., 0]
-        else:
-            k = np.stack([block.coefficients[:, 0].reshape(-1, 4) for block in blocks])
-            k = (chebyshev.basis(x, SERIES_DEGREE) @ k).reshape(*x.shape, 2, 2)
-            square = np.maximum(0.25 * discriminants(k), 0.0)
-        product = values[..., -2] * values[..., -1]
-        conserved = np.array([any(function.is_nothing for function in block.ends) for block in blocks])
-        product[conserved] = np.abs(product[conserved])  # a second conserved quantity: one stays at -1 or 0
-        return mean, square, product
-
-    @cached_property
-    def edges(self) -> list[tuple[Edge, bool]]:
-        found = []
-        for function in self.meetings:
-            for x, width, crosses in function.zeros:
-                mu = float((chebyshev.basis(x, FINE_DEGREE) @ self._series)[0])
-                met = (1, -1) if self.noise.size == 3 and -1.0 < mu < 0.0 else ()
-                found.append((self._edge(x, width, "complex", mu, met), crosses))
-        for which, function in enumerate(self.ends):
-            for x, width, crosses in function.zeros:
-                end, signatures = self._leaving(x, which)
-                found.append((self._edge(x, width, "real", end, signatures), crosses))
-        return sorted(found, key=lambda item: item[0].coordinate)
-
-    def _leaving(self, x: float, which: int) -> tuple[float, tuple[int, ...]]:
-        """The end of [-1, 0] that a mu of the pair is at, and its signature."""
-        parts = self.at(np.array([x]))[0]
-        values, vectors = np.linalg.eig(parts[0])
-        chosen = int(np.argmin(np.abs(values * (1.0 + values))))
-        mu = float(np.round(values[chosen].real)) + 0.0  # no negative zero
-        if self.noise.size == 1:
-            return mu, ()
-        if which == 0:
-            left = np.linalg.inv(vectors)[chosen].real
-            return mu, (int(np.sign(left @ parts[2] @ left)),)
-        right = vectors[:, chosen].real
-        return mu, (-int(np.sign(right @ parts[1] @ right)),)
-
-    @classmethod
-    def states_together(cls, blocks: Sequence[PairBlock], x: Array) -> tuple[Booleans, Indices]:
-        mean, square, product = cls._values(blocks, x)
-        # Of two real mu that are both in [-1, 0] or both outside, the sum of mu (1 + mu) decides.
-        both = mean + mean**2 + square > 0.0
-        outside = np.where(product < 0.0, 1, np.where(both, 2, 0))
-        return square < 0.0, np.where(square < 0.0, 2, outside)
-
-    @classmethod
-    def mu_together(cls, blocks: Sequence[PairBlock], coordinates: Array) -> ComplexArray:
-        mean, square, _ = cls._values(blocks, local_places(blocks, coordinates))
-        root = np.sqrt(square + 0j)
-        return np.stack([mean + root, mean - root], axis=-1)
-
-    @classmethod
-    def growths_together(cls, blocks: Sequence[PairBlock], coordinates: Array) -> Array:
-        mean, square, product = cls._values(blocks, local_places(blocks, coordinates))
-        root = np.sqrt(square + 0j)
-        mu = np.stack([mean + root, mean - root], axis=-1)
-        inside = np.min((mu * (1.0 + mu)).real, axis=-1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            one = real_growth(product / inside)
-        return np.asarray(np.where(product < 0.0, one, np.max(growth_of(mu), axis=-1)))
-
-    def meetings_without_instability(self) -> list[tuple[float, float, float]]:
-        """(coordinate, mu, distance) where the two mu of a definite pair meet within errors."""
-        k = self.at(chebyshev.nodes(FINE_DEGREE))[:, 0]
-        slope = chebyshev.derivative(FINE_DEGREE) @ chebyshev.transform(FINE_DEGREE) @ discriminants(k)
-        allowed = ERROR_SAFETY * float(np.max(np.abs(self.errors[:, 0]))) + float(self.noise[0])
-        found = []
-        _, zeros, crosses = chebyshev.real_zeros(slope[:, None])
-        for x in np.sort(zeros[crosses]).tolist():
-            here = self.at(np.array([x]))[:, 0]
-            distance = float(np.sqrt(max(discriminants(here)[0], 0.0)))
-            if distance <= max(allowed, ROUNDED_MU_DISTANCE):
-                found.append((self.coordinate(x), 0.5 * float(np.trace(here[0])), distance))
-        return found
+    mu = np.full((*coordinates.shape, max(block.size for block in blocks)), np.nan, dtype=complex)
+    growths, keys = np.empty(coordinates.shape), [0 if block.series.size else block.size for block in blocks]
+    mu = np.pad(mu, ((0, 0), (0, 0), (0, max(0, 2 - mu.shape[2]))), constant_values=np.nan)
+    for size in set(keys):
+        i = [n for n, key in enumerate(keys) if key == size]
+        those, at = [blocks[n] for n in i], coordinates[i]
+        if size == 0:
+            mean, square, product, one, _ = _real_values(those, at)
+            root, single = np.sqrt(square + 0j), np.array([[block.size == 1] for block in those])
+            mu[i, :, 0], mu[i, :, 1] = mean + root, np.where(single, np.nan, mean - root)
+            inside = np.where(single, 1.0, np.nanmin((mu[i] * (1.0 + mu[i])).real, axis=-1))
+            with np.errstate(divide="ignore", invalid="ignore"):  # without loss of digits near -1 and 0
+                real = np.arcsinh(2.0 * np.sqrt(np.maximum(product / inside, 0.0)))
+            growths[i] = np.where(one | single, real, np.max(growth_of(mu[i, :, :2]), axis=-1))
+            continue
+        k = np.stack([block.matrices[:, 0] for block in those]).reshape(len(i), SERIES_DEGREE + 1, -1)
+        K = (chebyshev.basis(local_places(those, at), SERIES_DEGREE) @ k).reshape(*at.shape, size, size)
+        mu[i, :, :size] = K[..., 0] if size == 1 else np.linalg.eigvals(K)
+        growths[i] = np.max(growth_of(mu[i, :, :size]), axis=-1)
+    return mu, growths
 
 
-def discriminants(k: Array) -> Array:
-    """(mu_1 - mu_2)^2 of matrices of two rows."""
-    return np.asarray((k[..., 0, 0] - k[..., 1, 1]) ** 2 + 4.0 * k[..., 0, 1] * k[..., 1, 0])
+# Blocks from the matrices on their intervals --------------------------------------------------------------------------
+
+
+def complex_blocks(those: Matrices) -> list[Block]:
+    """Blocks of mu off the real axis."""
+    coefficients = chebyshev.combined(chebyshev.transform(SERIES_DEGREE), those.parts)
+    rows = zip(those.bounds.tolist(), coefficients, those.coarse.tolist(), strict=True)
+    return [Block(bounds[0], bounds[1], k, is_coarse=coarse) for bounds, k, coarse in rows]
+
+
+def real_blocks(those: Matrices) -> tuple[list[Block], Booleans, Booleans]:
+    """Blocks of one or two real mu, which of them are stable throughout, and which intervals are too long for them."""
+    parts, errors, noise = those.parts, those.errors, those.noise + those.tails
+    fine = chebyshev.combined(chebyshev.refinement(SERIES_DEGREE, FINE_DEGREE), parts)
+    count, size = len(parts), parts.shape[-1]
+    signed = [(1, 0.0), (2, 0.0)] if those.symplectic else [(0, 0.0), (0, 1.0)]
+    ends = []
+    for index, shift in signed:
+        coarse = parts[:, :, index] + shift * np.eye(size)
+        change = _determinant_errors(coarse, errors[:, :, index], noise[:, [index]])
+        ends.append(_series(_determinants(fine[:, :, index] + shift * np.eye(size)), change))
+    mean = np.trace(fine[:, :, 0], axis1=2, axis2=3) / size
+    met, rho, usable = np.zeros((2, FINE_DEGREE + 1, count)), np.ones(fine.shape[:2]), np.ones(count, dtype=bool)
+    met_errors, vanish = np.zeros((2, count, SERIES_DEGREE + 1)), np.zeros((2, count), dtype=bool)
+    if size == 2:
+        rho[:], met[1, 0] = 2.0, 1.0
+        met[0], met_errors[0] = _discriminant(fine[:, :, 0], those)
+        vanish[0] = not those.symplectic
+    if size == 2 and those.symplectic:
+        usable, split = _by_null_vectors(fine, those, [each for each, _ in ends], met, met_errors, rho)
+        vanish[:] = split
+    mean_and_rho = (chebyshev.transform(FINE_DEGREE) @ np.stack([mean, rho], axis=2)).swapaxes(0, 1)
+    all_series = np.concatenate([mean_and_rho, met.transpose(1, 2, 0), np.stack([e for e, _ in ends], axis=2)], axis=2)
+    functions = [Function.several(*each) for each in (*zip(met, met_errors, strict=True), *ends)]
+    coefficients = chebyshev.combined(chebyshev.transform(SERIES_DEGREE), parts)
+    allowed = ERROR_SAFETY * np.max(np.abs(errors[:, :, 0]), axis=(1, 2, 3)) + noise[:, 0]
+    blocks = []
+    for n, (bounds, coarse) in enumerate(zip(those.bounds.tolist(), those.coarse.tolist(), strict=True)):
+        own = [f[n] for f, present in zip(functions, (*vanish[:, n], True, True), strict=True) if present]
+        k, series = coefficients[n], all_series[:, n]
+        blocks.append(Block(bounds[0], bounds[1], k, tuple(own), series, is_coarse=coarse, error=float(allowed[n])))
+    quiet = np.array([all(f.excludes_zero for f in block.functions) for block in blocks], dtype=bool)
+    quiet &= _states(blocks, np.mean(those.bounds, axis=1)[:, None])[1][:, 0] == 0 if blocks else True
+    return blocks, quiet, ~usable
+
+
+def _discriminant(fine: Array, those: Matrices) -> tuple[Array, Array]:
+    """(mu_1 - mu_2)^2, with errors where these are not of a symplectic map."""
+    k, change, noise = those.parts[:, :, 0], ERROR_SAFETY * those.errors[:, :, 0], (those.noise + those.tails)[:, [0]]
+    by_flow = np.abs(discriminants(k + change) - discriminants(k)) + np.abs(discriminants(change))
+    by_noise = 4.0 * noise * (np.linalg.norm(k, axis=(2, 3)) + noise)
+    return _series(discriminants(fine), by_flow + by_noise)
+
+
+def _by_null_vectors(
+    fine: Array, those: Matrices, ends: Sequence[Array], met: Array, met_errors: Array, rho: Array
+) -> tuple[Booleans, Booleans]:
+    """Put in f+ and f- and rho of pairs by the form, p or q, whose determinant has no zero.
+
+    The results mark the pairs that have such a form, and those of them for which it is not definite.
+    """
+    count = len(fine)
+    usable, indefinite = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+    for index in (1, 2):
+        turn = np.linalg.eigh(_symmetric(fine[:, FINE_DEGREE // 2, index]))[1]
+        form, _, s, *vectors = null_vectors(fine, index, turn)
+        regular = chebyshev.excludes_zero(ends[index - 1]) & ~usable
+        definite = regular & (ends[index - 1][0] > 0.0)
+        corner = chebyshev.transform(FINE_DEGREE) @ form[..., 0, 0].T
+        split = regular & ~definite & chebyshev.excludes_zero(corner)
+        coarse = null_vectors(those.parts[split], index, turn[split])
+        for which, n in enumerate(vectors):
+            errors = _null_errors(coarse, which, index, turn[split], those.take(split))
+            met[which][:, split], met_errors[which][split] = _series(_value(s[split], n[split], n[split]), errors)
+        rho[split] = _value(form[split], vectors[0][split], vectors[1][split])
+        usable, indefinite = usable | split | definite, indefinite | split
+    return usable, indefinite
 
 
 def null_vectors(parts: Array, form: int, turn: Array) -> tuple[Array, Array, Array, Array, Array]:
@@ -504,6 +411,20 @@ def null_vectors(parts: Array, form: int, turn: Array) -> tuple[Array, Array, Ar
     return matrix, k, _symmetric(matrix @ k), plus, minus
 
 
+def _null_errors(coarse: tuple[Array, ...], which: int, index: int, turn: Array, those: Matrices) -> Array:
+    """Errors of f at the nodes: at a double mu only those of k show, between p n and n."""
+    form, n, change = coarse[0], coarse[3 + which], those.errors[:, :, 0]
+    change = turn[:, None].swapaxes(2, 3) @ (change if index == 1 else change.swapaxes(2, 3)) @ turn[:, None]
+    left = np.sum(form * n[..., None, :], axis=-1)
+    size = np.linalg.norm(left, axis=-1) * np.linalg.norm(n, axis=-1)
+    return np.asarray(ERROR_SAFETY * np.abs(_value(change, left, n)) + (those.noise + those.tails)[:, [0]] * size)
+
+
+def discriminants(k: Array) -> Array:
+    """(mu_1 - mu_2)^2 of matrices of two rows."""
+    return np.asarray((k[..., 0, 0] - k[..., 1, 1]) ** 2 + 4.0 * k[..., 0, 1] * k[..., 1, 0])
+
+
 def _value(form: Array, left: Array, right: Array) -> Array:
     """left^T form right, point by point."""
     return np.asarray(np.sum(left[..., :, None] * form * right[..., None, :], axis=(-1, -2)))
@@ -514,113 +435,20 @@ def _symmetric(matrices: Array) -> Array:
 
 
 def _determinants(matrices: Array) -> Array:
+    """Determinants of one or two rows."""
+    if matrices.shape[-1] == 1:
+        return np.asarray(matrices[..., 0, 0])
     return np.asarray(matrices[..., 0, 0] * matrices[..., 1, 1] - matrices[..., 0, 1] * matrices[..., 1, 0])
 
 
 def _determinant_errors(matrices: Array, errors: Array, noise: Array) -> Array:
-    """Errors of determinants of two rows, from matrices like errors and bounds on the norm of the rest."""
+    """Errors of determinants, from matrices like errors and bounds on the norm of the rest."""
     m, e = matrices, errors
+    if m.shape[-1] == 1:
+        return np.asarray(ERROR_SAFETY * np.abs(e[..., 0, 0]) + noise)
     first = m[..., 1, 1] * e[..., 0, 0] + m[..., 0, 0] * e[..., 1, 1]
     first = first - m[..., 0, 1] * e[..., 1, 0] - m[..., 1, 0] * e[..., 0, 1]
     return np.asarray(ERROR_SAFETY * np.abs(first) + noise * np.linalg.norm(matrices, axis=(-2, -1)))
-
-
-@dataclass(frozen=True)
-class Pairs:
-    """Several pairs of mu on their intervals, as `Block` has them.
-
-    `parts` and `errors` have shape (pairs, J, 3 or 1, 2, 2), `noise` and `tails` (pairs, 3 or 1).
-    """
-
-    starts: Array
-    ends: Array
-    parts: Array
-    errors: Array
-    noise: Array
-    tails: Array
-
-    def blocks(self) -> list[PairBlock | None]:
-        """A block of each pair, None where its interval is too long for either form."""
-        fine = chebyshev.combined(chebyshev.refinement(SERIES_DEGREE, FINE_DEGREE), self.parts)
-        ends = self._ends(fine)
-        usable, rho = np.ones(len(self.parts), dtype=bool), np.ones(fine.shape[:2])
-        if self.parts.shape[2] == 3:
-            meetings, rho, usable = self._null_functions(fine, [coefficients for coefficients, _ in ends])
-        else:
-            meetings = [self._discriminant(fine)]
-        mean = 0.5 * (fine[:, :, 0, 0, 0] + fine[:, :, 0, 1, 1])
-        series = (chebyshev.transform(FINE_DEGREE) @ np.stack([mean, rho], axis=2)).swapaxes(0, 1)
-        first, last = (Function.several(*each) for each in ends)
-        all_met = list(zip(*(Function.several(*each) for each in meetings), strict=True))
-        found: list[PairBlock | None] = []
-        for i in range(len(self.parts)):
-            if not usable[i]:
-                found.append(None)
-                continue
-            met = tuple(function for function in all_met[i] if np.isfinite(function.coefficients[0]))
-            where = float(self.starts[i]), float(self.ends[i])
-            matrices = self.parts[i], self.errors[i], self.noise[i], self.tails[i]
-            block = PairBlock(*where, *matrices, (*met, first[i], last[i]))
-            block.mean_and_rho = series[:, i]
-            found.append(block)
-        return found
-
-    def _ends(self, fine: Array) -> list[tuple[Array, Array]]:
-        """Coefficients and errors at the nodes of det p and det q, or of det k and det (1 + k)."""
-        symplectic = self.parts.shape[2] == 3
-        found = []
-        for index, shift in ((1, 0.0), (2, 0.0)) if symplectic else ((0, 0.0), (0, 1.0)):
-            values = _determinants(fine[:, :, index] + shift * np.eye(2))
-            coarse = self.parts[:, :, index] + shift * np.eye(2)
-            errors = _determinant_errors(coarse, self.errors[:, :, index], (self.noise + self.tails)[:, [index]])
-            found.append(_series(values, errors))
-        return found
-
-    def _discriminant(self, fine: Array) -> tuple[Array, Array]:
-        """(mu_1 - mu_2)^2 of maps that are not symplectic."""
-        k, change, noise = self.parts[:, :, 0], ERROR_SAFETY * self.errors[:, :, 0], (self.noise + self.tails)[:, [0]]
-        by_flow = np.abs(discriminants(k + change) - discriminants(k)) + np.abs(discriminants(change))
-        by_noise = 4.0 * noise * (np.linalg.norm(k, axis=(2, 3)) + noise)
-        return _series(discriminants(fine[:, :, 0]), by_flow + by_noise)
-
-    def _null_functions(self, fine: Array, ends: Sequence[Array]) -> tuple[list[tuple[Array, Array]], Array, Booleans]:
-        """f+ and f-, no numbers where the form is definite, and rho, by the form whose determinant has no zero.
-
-        The last result marks the pairs that have one.
-        """
-        count = len(self.parts)
-        usable = np.zeros(count, dtype=bool)
-        coefficients, rho = np.full((2, FINE_DEGREE + 1, count), np.nan), np.ones(fine.shape[:2])
-        errors = np.zeros((2, count, SERIES_DEGREE + 1))
-        for index in (1, 2):
-            turn = np.linalg.eigh(_symmetric(fine[:, FINE_DEGREE // 2, index]))[1]
-            form, _, s, *vectors = null_vectors(fine, index, turn)
-            regular = chebyshev.excludes_zero(ends[index - 1]) & ~usable
-            definite = regular & (ends[index - 1][0] > 0.0)
-            corner = chebyshev.transform(FINE_DEGREE) @ form[..., 0, 0].T
-            split = regular & ~definite & chebyshev.excludes_zero(corner)
-            coarse = null_vectors(self.parts[split], index, turn[split])
-            for which, n in enumerate(vectors):
-                series = _series(_value(s[split], n[split], n[split]), self._errors(coarse, which, index, turn, split))
-                coefficients[which][:, split], errors[which][split] = series
-            rho[split] = _value(form[split], vectors[0][split], vectors[1][split])
-            usable |= split | definite
-        return [(coefficients[i], errors[i]) for i in (0, 1)], rho, usable
-
-    def _errors(self, coarse: tuple[Array, ...], which: int, index: int, turn: Array, chosen: Booleans) -> Array:
-        """Errors of f at the nodes: at a double mu only those of k show, between p n and n."""
-        form, n = coarse[0], coarse[3 + which]
-        change = self.errors[chosen][:, :, 0]
-        change = (
-            turn[chosen][:, None].swapaxes(2, 3)
-            @ (change if index == 1 else change.swapaxes(2, 3))
-            @ turn[chosen][:, None]
-        )
-        left = np.sum(form * n[..., None, :], axis=-1)
-        size = np.linalg.norm(left, axis=-1) * np.linalg.norm(n, axis=-1)
-        return np.asarray(
-            ERROR_SAFETY * np.abs(_value(change, left, n)) + (self.noise + self.tails)[chosen][:, [0]] * size
-        )
 
 
 def _series(values: Array, errors: Array) -> tuple[Array, Array]:
