@@ -9,7 +9,7 @@ resolution, to round-off, so that everything is smooth in the coordinate, whatev
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice, pairwise
@@ -19,13 +19,11 @@ from numpy.typing import NDArray
 
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.point import PointSolver, interpolant
-from casadi_skin.follow.series import STACKED_UNKNOWNS
+from casadi_skin.follow.point import PointSolver, interpolant, newton_steps
 from casadi_skin.lattice.spectrum import linear_spectrum
-from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.watch import heed, one_thread
-from casadi_skin.stability.flows import FlowMap, OrbitState, Transition
+from casadi_skin.stability.flows import OrbitState, Transition
 from casadi_skin.stability.result import Floquet
 from casadi_skin.stability.tongues.counts import EdgeHill, Sample
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
@@ -34,11 +32,12 @@ from casadi_skin.stability.tongues.hill import Hill, Layout
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError, Samples
 from casadi_skin.stability.tongues.localised import find_localised_changes
 from casadi_skin.zero.kinds import Unresolved
-from casadi_skin.zero.problem import Array, Problem, SingularError, Solve
+from casadi_skin.zero.problem import Array, Problem
 from casadi_skin.zero.settings import End, Point, Refinement
 
 # Orbits and transition matrices at any coordinate along a branch whose points are known -------------------------------
 
+ORBIT_TOLERANCE = 1e-12  # of the orbits along the family, whatever the tolerance of its points
 LEAST_SECTION_COSINE = 0.6  # cosine of the angle between the branch and the direction of its section, at least
 NEARBY_DISTANCE = 0.3  # of the distance of neighbouring points: how far an orbit may be from where they predict it
 # Steps to the end of the branch, and how far it may be, of the distance of the last points.
@@ -88,43 +87,25 @@ class _Section:
 
 
 class OrbitSampler:
-    """A branch as `find_changes` takes it (`BranchSampler`), from its points.
+    """A family as `find_changes` takes it (`BranchSampler`), from its points.
 
     Arguments:
-        point_solver: with the levels and the metric of the branch.
-        points: of the branch in order, the first may be a linear mode of zero amplitude.
-        flow: makes transition matrices.
-        accelerations: gives q'' at phase zero, shape (orbits, n); None in a model without a trivial multiplier.
-        amplitude: S of a value of the free parameter.
-        tolerance: relative error allowed to orbits.
-        fraction: of the period that transition matrices are over.
-        symplectic: whether transition matrices are.
-        S_rate: the relative change of S per that of the free parameter.
+        family: of which these are points.
+        points: in order, the first may be a linear mode of zero amplitude.
+        flow_tolerance: of the transition matrices, in norm.
         converged: whether the points and their tangents are accurate enough to predict orbits from.
-        across: takes directions (any, positions) to those of the positions that `flow` has.
 
     `coordinates` are those of the points; `unknown` are the stretches between two of which one is not solved again.
     """
 
-    def __init__(
-        self,
-        point_solver: PointSolver,
-        points: Sequence[Point],
-        flow: FlowMap,
-        accelerations: Callable[[Sequence[OrbitState]], Array] | None,
-        amplitude: Callable[[float], float],
-        tolerance: float,
-        fraction: float,
-        symplectic: bool = True,
-        S_rate: float = 1.0,
-        converged: bool = False,
-        across: Callable[[Array], Array] = np.asarray,
-    ) -> None:
-        self.point_solver, self.flow, self._across = point_solver, flow, across
-        self.fraction, self.symplectic = fraction, symplectic
-        self._accelerations, self._amplitude, self._tolerance = accelerations, amplitude, tolerance
-        self._S_rate, self._converged = S_rate, converged
+    def __init__(self, family: Family, points: Sequence[Point], flow_tolerance: float, converged: bool) -> None:
+        self.family = family.whole
+        self.point_solver, self._converged = self.family.point_solver, converged
+        self.flow = Family(replace(self.family.request, tolerance=flow_tolerance)).flow
+        self.fraction, self.symplectic = self.family.symmetry.value, self.family.coordinates.symplectic
+        self._amplitude = self.family.request.S_of
         self.unknown = list[Unresolved]()
+        points = [family.on_all_positions(point) for point in points]
         self._sections = self._divided(points)
         if self._sections:
             self._sections[-1] = self._up_to(self._sections[-1], points[-1].parameter)
@@ -209,7 +190,7 @@ class OrbitSampler:
         problem, z, k = section.problem, section.z[-1], section.problem.parameter_index
         try:
             for _ in range(END_STEPS):
-                found = SectionOrbit.of(problem, *find_one(self.point_solver, problem, z, section.row))
+                found = orbit_near(self.point_solver, problem, z, section.row)
                 off = (parameter - found.z[k]) / (found.along[k] or np.inf)
                 if not abs(off) <= NEAR_END * (section.places[-1] - section.places[-2]):
                     return section
@@ -229,7 +210,7 @@ class OrbitSampler:
             np.sum(self.point_solver.metric(problem, z) * tangent**2)
         ):
             return z, tangent / along
-        found = SectionOrbit.of(problem, *find_one(self.point_solver, problem, z, row))
+        found = orbit_near(self.point_solver, problem, z, row)
         return found.z, found.along
 
     def _fine_enough(self, points: Sequence[Point], hardest: Point) -> Problem:
@@ -239,11 +220,12 @@ class OrbitSampler:
         while True:
             row = self._direction(problem, points)
             guess = hardest.problem.prolong(hardest.z, problem)
-            solved, solve = find_one(self.point_solver, problem, guess, row)
-            estimate = self.levels.error(problem, solved, self.point_solver.tangent(problem, solved, solve))
-            error = estimate.relative(problem.frequency(solved))
+            found = orbit_near(self.point_solver, problem, guess, row)
+            tangent = found.along / self._length(problem, found.z, found.along)
+            estimate = self.levels.error(problem, found.z, tangent)
+            error = estimate.relative(problem.frequency(found.z))
             finer = self.levels.finer(problem)
-            if error <= max(self._tolerance, estimate.round_off) or finer is None or self.levels.finer(finer) is None:
+            if error <= max(ORBIT_TOLERANCE, estimate.round_off) or finer is None or self.levels.finer(finer) is None:
                 return problem
             if LEVEL_GAIN * before < error <= ROUGH_ERROR:
                 return coarser
@@ -263,15 +245,15 @@ class OrbitSampler:
         """Samples at coordinates of one section (see `BranchSampler`); raises TimeLimitError."""
         heed("orbits between the points of a family")
         middle = float(np.mean(coordinates))
-        number = min(range(len(self._sections)), key=lambda i: _away(self._sections[i], middle))
-        section = self._sections[number]
+        section = min(self._sections, key=lambda section: _away(section, middle))
         problem = section.problem
         guesses, distances = section.predicted(section.at(coordinates))
-        together = find_all(self.point_solver, problem, guesses, section.row, NEARBY_DISTANCE * distances)
-        found = [
-            orbit or self._by_itself(number, coordinate)
-            for orbit, coordinate in zip(together, coordinates.tolist(), strict=True)
-        ]
+        near = orbits_near(self.point_solver, problem, guesses, section.row, NEARBY_DISTANCE * distances)
+        found = [orbit for orbit in near if orbit is not None]
+        if len(found) < len(near):
+            lost = near.index(None)
+            self._lost.append(float(coordinates[lost]))
+            raise OrbitNotFoundError(f"no orbit is found near {problem.whereabouts(guesses[lost])}")
         states = [OrbitState(problem, orbit.z) for orbit in found]
         responses = np.array([self._length(problem, orbit.z, orbit.response) for orbit in found])
         k, worst = len(states) // 2, int(np.argmax(responses))
@@ -291,20 +273,6 @@ class OrbitSampler:
             Omega=np.array([state.Omega for state in states]),
         )
 
-    def _by_itself(self, number: int, coordinate: float) -> SectionOrbit:
-        """The orbit at a coordinate of a section; raises OrbitNotFoundError where it is not near its prediction."""
-        try:
-            return self._predicted_orbit(self._sections[number], float(self._sections[number].at(np.array(coordinate))))
-        except OrbitNotFoundError:
-            self._lost.append(coordinate)
-            raise
-
-    def _predicted_orbit(self, section: _Section, place: float) -> SectionOrbit:
-        """The orbit at a place of a section near where its points predict it."""
-        (guess,), (distance,) = section.predicted(np.array([place]))
-        solved = find_one(self.point_solver, section.problem, guess, section.row, NEARBY_DISTANCE * float(distance))
-        return SectionOrbit.of(section.problem, *solved)
-
     def _length(self, problem: Problem, z: Array, change: Array) -> float:
         """Length of a change of an orbit, in the metric."""
         return float(np.sqrt(np.sum(self.point_solver.metric(problem, z) * change**2)))
@@ -314,8 +282,9 @@ class OrbitSampler:
 
         With positions the square root of S times q, and S ~ p^rate, these change like (2/rate) p dq + q dp.
         """
-        if self._accelerations is None or self.symplectic:
-            return None if self._accelerations is None else self._accelerations(states)
+        accelerations = self.family.accelerations
+        if accelerations is None or self.symplectic:
+            return None if accelerations is None else accelerations(states)
         problem, last = section.problem, np.append(np.zeros(section.problem.size - 1), 1.0)
         at_rest, found = np.zeros(1), []
         for state in states:
@@ -323,8 +292,8 @@ class OrbitSampler:
             slope = self.levels.solver(problem).factor(state.z, nonzeros, section.row)(last)
             q, change = problem.sample(state.z, at_rest)[0], problem.sample(slope, at_rest)[0]
             k = problem.parameter_index
-            found.append(2.0 / self._S_rate * state.z[k] * change + slope[k] * q)
-        return self._across(np.array(found))
+            found.append(2.0 / self.family.coordinates.S_rate * state.z[k] * change + slope[k] * q)
+        return self.family.across(np.array(found))
 
     def amplitude(self, coordinate: float) -> float:
         """S near a coordinate, between the points of the branch."""
@@ -360,7 +329,7 @@ def _orbit_error(transition: Transition) -> Array:
     return np.asarray(ORBIT_SAFETY * (transition.pair[1] - transition.pair[0]))
 
 
-# Orbits of one section by Newton's method, with row . z held: one by one, or several in arrays ------------------------
+# Orbits of one section by Newton's method, with row . z held ----------------------------------------------------------
 
 NEWTON_STEPS = 6  # of Newton's method
 SOLVED_STEP = 1e-8  # a step of Newton's method whose square is round-off
@@ -374,60 +343,27 @@ class SectionOrbit:
     along: Array
     response: Array
 
-    @classmethod
-    def of(cls, problem: Problem, z: Array, solve: Solve) -> SectionOrbit:
-        """By the solver closed by the row."""
-        columns = np.zeros((problem.size, 2))
-        columns[-1, 0], columns[:-1, 1] = 1.0, problem.probe
-        return cls(z, *np.ascontiguousarray(solve(columns).T))
 
-
-def find_one(
-    point_solver: PointSolver, problem: Problem, guess: Array, row: Array, allowed: float = np.inf
-) -> tuple[Array, Solve]:
-    """The orbit near a guess that has row . z in common with it, and the solver there.
-
-    Raises OrbitNotFoundError where there is none within `allowed`, in the metric.
-    """
-    z, value = guess.copy(), float(row @ guess)
-    weights = point_solver.metric(problem, guess)
-    try:
-        for _ in range(NEWTON_STEPS):
-            residual, nonzeros = problem.evaluate(z)
-            solve = point_solver.levels.solver(problem).factor(z, nonzeros, row)
-            step = solve(np.append(residual, row @ z - value))
-            z = z - step
-            size = float(np.sqrt(np.sum(weights * step**2)))
-            if size <= SOLVED_STEP:
-                break
-            if not size <= 1.0:
-                raise OrbitNotFoundError(f"no orbit is found near {problem.whereabouts(guess)}")
-    except SingularError as error:
-        raise OrbitNotFoundError(str(error)) from error
-    moved = float(np.sqrt(np.sum(weights * (z - guess) ** 2)))
-    if size > SOLVED_STEP or moved > allowed:
-        raise OrbitNotFoundError(f"no orbit is found near {problem.whereabouts(guess)}")
-    return z, solve
-
-
-def find_all(
-    point_solver: PointSolver, problem: Problem, guesses: Array, row: Array, allowed: Array
+def orbits_near(
+    point_solver: PointSolver, problem: Problem, guesses: Array, row: Array, allowed: Array | float = np.inf
 ) -> list[SectionOrbit | None]:
-    """As `find_one` from several guesses, (guesses, unknowns); None where one has to be sought by itself."""
+    """The orbits near guesses (guesses, unknowns), each with row . z in common with its guess.
+
+    None where there is none within `allowed`, in the metric.
+    """
     found: list[SectionOrbit | None] = [None] * len(guesses)
-    solver = BorderedSolver.of(problem)
-    if problem.size > STACKED_UNKNOWNS or not solver.takes_several:
-        return found
     z, values, active = guesses.copy(), guesses @ row, np.arange(len(guesses))
-    weights = point_solver.metrics(problem, guesses)
+    weights, allowed = point_solver.metrics(problem, guesses), np.broadcast_to(allowed, len(guesses))
     for _ in range(NEWTON_STEPS):
-        here, rows = z[active], np.tile(row, (active.size, 1))
+        here = z[active]
         try:
-            residuals, nonzeros = problem.evaluate_all(here)
-        except (ArithmeticError, RuntimeError):  # those that fail do so again by themselves
-            return found
-        steps = solver.steps(here, np.column_stack([residuals, here @ row - values[active]]), nonzeros, rows)
-        if steps is None:
+            steps = newton_steps(problem, here, here @ row - values[active], np.tile(row, (active.size, 1)))
+        except (ArithmeticError, RuntimeError):  # of one of them, which fails by itself too
+            if len(guesses) > 1:
+                alone = (
+                    orbits_near(point_solver, problem, g[None], row, a) for g, a in zip(guesses, allowed, strict=True)
+                )
+                return [one for (one,) in alone]
             return found
         z[active] = here - steps.newton
         sizes = np.sqrt(np.sum(weights[active] * steps.newton**2, axis=1))
@@ -441,9 +377,16 @@ def find_all(
     return found
 
 
+def orbit_near(point_solver: PointSolver, problem: Problem, guess: Array, row: Array) -> SectionOrbit:
+    """As `orbits_near` from one guess; raises OrbitNotFoundError."""
+    (found,) = orbits_near(point_solver, problem, guess[None], row)
+    if found is None:
+        raise OrbitNotFoundError(f"no orbit is found near {problem.whereabouts(guess)}")
+    return found
+
+
 # Every change of stability of a family: the family's orbits and flow, given to the search for tongues -----------------
 
-ORBIT_TOLERANCE = 1e-12  # of the orbits along the family, whatever the tolerance of its points
 AT_REST = 1e-12  # of the largest omega^2: rounding in that of a mode without restoring force
 ACCURATE_POINT_TOLERANCE = 1e-7  # tolerance of points that orbits between them are predicted from as they are
 LOOKING_ROUNDS = 3  # of looking, each with orbits added where some were not found
@@ -478,7 +421,7 @@ def family_tongues(
     oscillate = bool(squares[0] >= -AT_REST * squares[-1])
     with one_thread():
         for _ in range(LOOKING_ROUNDS):
-            sampler = _sampler(family, points, flow_tolerance, family.request.tolerance <= ACCURATE_POINT_TOLERANCE)
+            sampler = OrbitSampler(family, points, flow_tolerance, family.request.tolerance <= ACCURATE_POINT_TOLERANCE)
             entries = [
                 Entry(float(coordinate), found.mu, found.mu_error)
                 for coordinate, point in zip(sampler.coordinates, points, strict=False)
@@ -504,34 +447,15 @@ def tongues_on(family: Family, points: Sequence[Point]) -> StabilityDiagram:
     Raises OrbitNotFoundError where these are no orbits.
     """
     with one_thread():
-        sampler = _sampler(family, points, FLOW_TOLERANCE, False)
+        sampler = OrbitSampler(family, points, FLOW_TOLERANCE, False)
         if sampler.unknown:
             raise OrbitNotFoundError(sampler.unknown[0].reason)
         return find_changes(sampler, short=True)
 
 
-def _sampler(family: Family, points: Sequence[Point], flow_tolerance: float, converged: bool) -> OrbitSampler:
-    """Orbits and transition matrices anywhere between points of a family."""
-    whole = family.whole
-    request = replace(whole.request, tolerance=flow_tolerance)
-    return OrbitSampler(
-        whole.point_solver,
-        [family.on_all_positions(point) for point in points],
-        Family(request).flow,
-        whole.accelerations,
-        request.S_of,
-        ORBIT_TOLERANCE,
-        whole.symmetry.value,
-        whole.coordinates.symplectic,
-        whole.coordinates.S_rate,
-        converged,
-        whole.across,
-    )
-
-
 # Localised multipliers of a family with an endless tail: its orbits, given to the search ------------------------------
 
-ORBIT_TOLERANCE = 1e-11  # of the orbits along the family, whatever the tolerance of its points
+LOCALISED_ORBIT_TOLERANCE = 1e-11  # of the orbits along the family, whatever the tolerance of its points
 
 
 def localised_changes(family: Family, points: Sequence[Point]) -> StabilityDiagram:
@@ -552,7 +476,7 @@ class EdgeOrbits:
     """Orbits anywhere between points of a family: an `EdgeBranch` whose coordinates count points."""
 
     def __init__(self, family: Family, points: Sequence[Point]) -> None:
-        tolerance = min(ORBIT_TOLERANCE, family.tolerance)
+        tolerance = min(LOCALISED_ORBIT_TOLERANCE, family.tolerance)
         self.family = Family(replace(family.request, tolerance=tolerance))
         levels = self.family.levels
         self.points = [replace(point, problem=levels.problem(point.problem.resolution)) for point in points]

@@ -16,6 +16,7 @@ from typing import cast
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
+from casadi_skin.solve.bordered import BorderedSolver, Steps
 from casadi_skin.solve.levels import Levels, Measured, step_error
 from casadi_skin.solve.newton import Correction
 from casadi_skin.zero.problem import Array, OrbitProblem, Problem, Scalar, SingularError, Solve
@@ -221,6 +222,31 @@ TURNED_TANGENT = (
     1e-2  # that a tangent may differ from the one computed again: a Newton step and a finer level lie between
 )
 BESIDE_TARGET_REACH = 1e-3  # reach of a correction to a target that the point meets but for round-off
+
+
+STACKED_UNKNOWNS = 1000  # unknowns up to which arrays over several states stay in the cache of a core
+
+
+def newton_steps(problem: Problem, z: Array, defects: Array, rows: Array) -> Steps:
+    """Newton steps from states (states, unknowns), each closed by its row, in arrays where that is faster.
+
+    `defects` are those of the values of row . z. Raises SingularError, and what the equations raise at a state.
+    """
+    solver = BorderedSolver.of(problem)
+    if len(z) > 1 and problem.size <= STACKED_UNKNOWNS and solver.takes_several:
+        residuals, nonzeros = problem.evaluate_all(z)
+        steps = solver.steps(z, np.column_stack([residuals, defects]), nonzeros, rows)
+        if steps is not None:
+            return steps
+    found, right = [], np.zeros((problem.size, 3))
+    right[-1, 1], right[:-1, 2] = 1.0, problem.probe
+    for one, defect, row in zip(z, defects, rows, strict=True):
+        residual, nonzeros = problem.evaluate(one)
+        solve = solver.factor(one, nonzeros, row)
+        right[:, 0] = np.append(residual, defect)
+        found.append((*np.ascontiguousarray(solve(right).T), solve.orientation))
+    newton, along, response, orientation = (np.array(each) for each in zip(*found, strict=True))
+    return Steps(newton, along, response, orientation)
 
 
 class PointSolver:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -16,8 +17,8 @@ from numpy.typing import NDArray
 
 from casadi_skin.follow.arclength import START_FRACTION
 from casadi_skin.follow.corners import CORNER_STEP_FRACTION, Corner, Side, point_before, shifts, side_of, turned
-from casadi_skin.follow.point import LocalCurve, PointSolver
-from casadi_skin.solve.bordered import BorderedSolver, Steps
+from casadi_skin.follow.point import STACKED_UNKNOWNS, LocalCurve, PointSolver, newton_steps
+from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.solve.levels import Measured
 from casadi_skin.solve.newton import Correction, Status
 from casadi_skin.zero.problem import Array, Problem, Scalar, SingularError
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 # Newton steps from places of a stretch of series: one by one, or all those of a stretch in arrays ---------------------
 
 FAINT_STATE_RATIO = 1e-7  # of the largest state: its square is round-off
-STACKED_UNKNOWNS = 1000  # unknowns up to which arrays over the places of a stretch stay in the cache of a core
 
 
 @dataclass(frozen=True)
@@ -94,32 +94,10 @@ class Polished:
     measured: Measured | None = None
 
 
-def polished(point_solver: PointSolver, problem: Problem, guesses: Guesses) -> Polished:
-    """The first place after a Newton step; raises SingularError."""
-    guess, weights, row, value = guesses.z[0], guesses.weights[0], guesses.rows[0], float(guesses.values[0])
-    residual, nonzeros = problem.evaluate(guess)
-    solve = point_solver.levels.solver(problem).factor(guess, nonzeros, row)
-    step = solve(np.append(residual, row @ guess - value))
-    length, tangent = float(np.sqrt(np.sum(weights * step**2))), point_solver.tangent(problem, guess, solve)
-    return Polished(guess - step, tangent, solve.orientation, length, row, value)
-
-
-def all_polished(point_solver: PointSolver, problem: Problem, guesses: Guesses) -> list[Polished] | None:
-    """All places after a Newton step, with their errors; None where they have to be polished one by one."""
-    solver = BorderedSolver.of(problem)
-    if problem.size > STACKED_UNKNOWNS or not solver.takes_several:
-        return None
-    try:
-        residuals, nonzeros = problem.evaluate_all(guesses.z)
-        defects = np.einsum("ij,ij->i", guesses.rows, guesses.z) - guesses.values
-        steps = solver.steps(guesses.z, np.column_stack([residuals, defects]), nonzeros, guesses.rows)
-        return None if steps is None else _after(point_solver, problem, guesses, steps)
-    except (ArithmeticError, RuntimeError):  # at a place that the walk may not come to; if it does, they come again
-        return None
-
-
-def _after(point_solver: PointSolver, problem: Problem, guesses: Guesses, steps: Steps) -> list[Polished]:
-    """The places after their steps, with their errors."""
+def polished(point_solver: PointSolver, problem: Problem, guesses: Guesses) -> list[Polished]:
+    """The places after a Newton step, of several with their errors; raises SingularError."""
+    defects = np.einsum("ij,ij->i", guesses.rows, guesses.z) - guesses.values
+    steps = newton_steps(problem, guesses.z, defects, guesses.rows)
     z = guesses.z - steps.newton
     lengths = np.sqrt(np.sum(guesses.weights * steps.newton**2, axis=1))
     tangents = steps.along / np.sqrt(np.sum(guesses.weights * steps.along**2, axis=1))[:, None]
@@ -127,9 +105,10 @@ def _after(point_solver: PointSolver, problem: Problem, guesses: Guesses, steps:
         if target is not None:
             index, wanted = target.unknown(problem)
             one[index] = wanted  # equal but for round-off of the held row
-    held = [None if target is None else target.held for target in guesses.targets]
-    measured = point_solver.levels.all_refined(problem, z, tangents, held)
-    known = measured if measured is not None else [None] * len(z)
+    known: Sequence[Measured | None] = [None] * len(z)
+    if len(z) > 1:
+        held = [None if target is None else target.held for target in guesses.targets]
+        known = point_solver.levels.all_refined(problem, z, tangents, held) or known
     columns = z, tangents, steps.orientation.tolist(), lengths.tolist(), guesses.rows, guesses.values.tolist(), known
     return [Polished(*place) for place in zip(*columns, strict=True)]
 
@@ -357,8 +336,11 @@ class SeriesContinuation:
         """
         problem, ends = base.problem, self.settings.ends
         stops = [stop for stop in self._stops(base, stretch) if stop.tau > last]
-        ready = all_polished(self.point_solver, problem, self._guesses(problem, stretch, stops)) if stops else None
-        self._ready = {} if ready is None else dict(zip(stops, ready, strict=True))
+        self._ready = {}
+        if len(stops) > 1 and problem.size <= STACKED_UNKNOWNS and BorderedSolver.of(problem).takes_several:
+            with suppress(ArithmeticError, RuntimeError):  # at a place that the walk may not come to, or it comes again
+                ready = polished(self.point_solver, problem, self._guesses(problem, stretch, stops))
+                self._ready = dict(zip(stops, ready, strict=True))
         for stop in stops:
             reach = max(base.step * (stop.tau - last), self.settings.min_step)  # nearer than that is round-off
             is_last, end = stop is stops[-1], End.REACHED if stop.target in ends else None
@@ -464,7 +446,7 @@ class SeriesContinuation:
         try:
             found = self._ready.get(stop)
             if found is None:
-                found = polished(self.point_solver, problem, self._guesses(problem, stretch, [stop]))
+                (found,) = polished(self.point_solver, problem, self._guesses(problem, stretch, [stop]))
             correction: Correction | None = Correction(found.z, Status.CONVERGED, 0)
             measured = found.measured
             if not found.step <= SHORT_STEP_FACTOR * self._precision(problem):

@@ -8,7 +8,7 @@ from scipy.optimize import linear_sum_assignment
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.family_changes import SectionOrbit, find_all, find_one
+from casadi_skin.follow.family_changes import orbit_near, orbits_near
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.stability.flows import OrbitState
 from casadi_skin.stability.tongues import chebyshev
@@ -45,9 +45,9 @@ def test_orbits_found_together_are_those_found_one_by_one(family: tuple[Family, 
     z = np.array([orbit.problem.prolong(orbit.z, problem) for orbit in orbits[4:12]])
     row = solver.metric(problem, z[3]) * (z[-1] - z[0])
     guesses = z * (1.0 + 1e-4 * np.cos(np.arange(z.shape[1])))
-    together = find_all(solver, problem, guesses, row, np.full(len(z), np.inf))
+    together = orbits_near(solver, problem, guesses, row)
     for guess, orbit in zip(guesses, together, strict=True):
-        alone = SectionOrbit.of(problem, *find_one(solver, problem, guess, row))
+        alone = orbit_near(solver, problem, guess, row)
         assert orbit is not None
         assert orbit.z == pytest.approx(alone.z, abs=1e-12)
         assert np.max(np.abs(problem.evaluate(orbit.z)[0])) < 1e-12
@@ -55,7 +55,7 @@ def test_orbits_found_together_are_those_found_one_by_one(family: tuple[Family, 
         for name in ("along", "response"):
             mine, other = getattr(orbit, name), getattr(alone, name)
             assert np.max(np.abs(mine - other)) <= 1e-6 * np.max(np.abs(other))
-    assert find_all(solver, problem, guesses, row, np.zeros(len(z))) == [None] * len(z)
+    assert orbits_near(solver, problem, guesses, row, 0.0) == [None] * len(z)
 
 
 def test_zeros_found_together_are_those_of_the_polynomials() -> None:
