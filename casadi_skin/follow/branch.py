@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from casadi_skin.follow.corners import PassedResonance, passed_resonances
 from casadi_skin.follow.events import StabilityChange
-from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import SpecialPoint, folds_of_family, special_point
@@ -49,69 +48,6 @@ EXTREMUM_LENIENCE = 2.0  # times what the cubic goes beyond its ends: the extrem
 
 class _NotFoundError(ArithmeticError):
     """No solution was found at a place between two."""
-
-
-@dataclass(frozen=True)
-class _Stretch:
-    """Two neighbouring solutions, the quantity less the wanted value at both, and how far the cubic lets it go."""
-
-    space: SolutionSpace
-    of: Callable[[Point], float]
-    ends: tuple[Point, Point]
-    values: tuple[float, float]
-    reach: tuple[float, float]
-
-    def at(self, fraction: float) -> float:
-        """The quantity less the wanted value of the corrected solution at a fraction of the way."""
-        if fraction in (0.0, 1.0):
-            return self.values[int(fraction)]
-        return self.of(self.point(fraction))
-
-    def point(self, fraction: float) -> Point:
-        """The corrected solution; raises _NotFoundError where there is none."""
-        solver: PointSolver = self.space.point_solver
-        found = solver.along(*self.ends, fraction)
-        if found is None:
-            raise _NotFoundError(solver.failure)
-        return found
-
-    def roots(self) -> Iterator[float]:
-        """Fractions at which the value is passed, ascending; the ends are not among them."""
-        before, after = self.values
-        if before * after < 0.0:
-            yield from self._root(0.0, 1.0)
-        elif before * after > 0.0:
-            sign = np.sign(before)
-            beyond = max(0.0, min(abs(before), abs(after)) - float(np.min(sign * np.array(self.reach))))
-            if EXTREMUM_LENIENCE * beyond >= min(abs(before), abs(after)):
-                turn = self._turn(float(sign))
-                if turn is not None:
-                    yield from self._root(0.0, turn)
-                    yield from self._root(turn, 1.0)
-
-    def _turn(self, sign: float) -> float | None:
-        """A fraction beyond the value, on the way to the extremum; None where it does not reach the value."""
-        from scipy.optimize import minimize_scalar
-
-        passed: list[float] = []
-
-        def height(fraction: float) -> float:
-            found = sign * self.at(float(fraction)) if not passed else 0.0
-            if found < 0.0:
-                passed.append(float(fraction))
-            return found
-
-        minimize_scalar(height, bounds=(0.0, 1.0), method="bounded", options={"xatol": EXTREMUM_TOLERANCE})
-        return passed[0] if passed else None
-
-    def _root(self, low: float, high: float) -> Iterator[float]:
-        from scipy.optimize import brentq
-
-        ends = self.at(low), self.at(high)
-        place = float(brentq(self.at, low, high, xtol=PLACE_TOLERANCE))
-        noise = self.space.tolerance * max(map(abs, ends))
-        if abs(self.at(place)) <= max(SMOOTH_VALUE_RTOL * abs(ends[1] - ends[0]), noise):
-            yield place
 
 
 def passage(
@@ -156,11 +92,58 @@ def _sought(
     places = np.cumsum([0.0, *(space.point_solver.curve(*pair)[1] for pair in pairwise(points))])
     for k, (point, value) in enumerate(zip(points, values, strict=True)):
         if k and np.isfinite(values[k - 1 : k + 1]).all():
-            low, high = float(values[k - 1]), float(value)
-            stretch = _Stretch(space, of, (points[k - 1], point), (low, high), _reach(places, values, k))
-            yield from (space.solution(stretch.point(fraction)) for fraction in stretch.roots())
+            ends = float(values[k - 1]), float(value)
+            yield from zeros_between(space, (points[k - 1], point), of, ends, _reach(places, values, k))
         if value == 0.0 and k >= limits:
             yield solutions[k - limits]
+
+
+def zeros_between(
+    space: SolutionSpace, ends: tuple[Point, Point], of: Callable[[Point], float], values: tuple[float, float],
+    reach: tuple[float, float],
+) -> Iterator[Any]:  # fmt: skip
+    """Solutions between two at which a quantity is zero, in order; raises _NotFoundError where one is not found.
+
+    Arguments:
+        space: of the solutions.
+        ends: the points of both.
+        of: the quantity of a corrected point.
+        values: of it at both ends.
+        reach: least and largest value in between that is expected.
+    """
+    from scipy.optimize import brentq, minimize_scalar
+
+    def point_at(fraction: float) -> Point:
+        found = space.point_solver.along(*ends, fraction)
+        if found is None:
+            raise _NotFoundError(space.point_solver.failure)
+        return found  # type: ignore[no-any-return]
+
+    def at(fraction: float) -> float:
+        return values[int(fraction)] if fraction in (0.0, 1.0) else of(point_at(fraction))
+
+    def passed(low: float, high: float) -> Iterator[Any]:
+        sides = at(low), at(high)
+        place = float(brentq(at, low, high, xtol=PLACE_TOLERANCE))
+        noise = space.tolerance * max(map(abs, sides))
+        if abs(at(place)) <= max(SMOOTH_VALUE_RTOL * abs(sides[1] - sides[0]), noise):
+            yield space.solution(point_at(place))
+
+    nearest, sign = min(map(abs, values)), float(np.sign(values[0]))
+    if values[0] * values[1] < 0.0:
+        yield from passed(0.0, 1.0)
+    elif nearest and EXTREMUM_LENIENCE * max(0.0, nearest - min(sign * value for value in reach)) >= nearest:
+        beyond = list[float]()  # on the way to the extremum
+
+        def height(fraction: float) -> float:
+            found = sign * at(float(fraction)) if not beyond else 0.0
+            beyond.extend([float(fraction)] * (found < 0.0))
+            return found
+
+        minimize_scalar(height, bounds=(0.0, 1.0), method="bounded", options={"xatol": EXTREMUM_TOLERANCE})
+        if beyond:
+            yield from passed(0.0, beyond[0])
+            yield from passed(beyond[0], 1.0)
 
 
 def _limit(space: SolutionSpace, first: Point, of: Callable[[Point], float]) -> tuple[Point, float]:
@@ -672,8 +655,6 @@ def _listed(values: Sequence[float]) -> str:
 
 # Shares of harmonics in an orbit, and where along a family the third takes over from the first ------------------------
 
-NEAREST_TAKEOVER = 1e-10  # of the way from one orbit to the next, at which a takeover is looked for
-
 
 def harmonic_shares(orbit: Orbit, coordinates: str = "gauge") -> Array:
     """Shares of the odd harmonics 1, 3, 5, ... in the mean over time of sum_n x_n^2, shape (harmonics,), of sum 1.
@@ -697,29 +678,17 @@ def third_harmonic_leads(branch: Branch, coordinates: str = "gauge") -> Orbit | 
 
     Where no orbit is found between two of the branch, the first of the branch in which it is larger.
     """
-    from scipy.optimize import brentq
 
     def lead(orbit: Orbit) -> float:
         shares = harmonic_shares(orbit, coordinates)
         return float(shares[1] - shares[0])
 
-    leading = next((k for k, orbit in enumerate(branch.orbits) if lead(orbit) >= 0), None)
-    if leading is None:
-        return None
-    after = branch.orbits[leading]
-    if leading == 0:
-        return after
-    before, nearest = branch.orbits[leading - 1], [after]
-
-    def gap(fraction: float) -> float:
-        if fraction in (0.0, 1.0):
-            return lead(after if fraction else before)
-        point = branch.space.point_solver.along(before.point, after.point, fraction)
-        if point is None:
-            raise ArithmeticError("no orbit between two of the branch")
-        nearest.append(Orbit(branch.space, point))
-        return lead(nearest[-1])
-
+    leads = [lead(orbit) for orbit in branch.orbits]
+    leading = next((k for k, value in enumerate(leads) if value >= 0), None)
+    if not leading:
+        return None if leading is None else branch.orbits[0]
+    (before, after), values = branch.orbits[leading - 1 : leading + 1], (leads[leading - 1], leads[leading])
+    ends = before.point, after.point
     with suppress(ArithmeticError):
-        brentq(gap, 0.0, 1.0, xtol=NEAREST_TAKEOVER)
-    return min(nearest, key=lambda orbit: abs(lead(orbit)))
+        return next(zeros_between(branch.space, ends, lambda p: lead(branch.space.solution(p)), values, values), after)
+    return after
