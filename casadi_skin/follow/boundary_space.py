@@ -434,15 +434,20 @@ class BoundarySpace(ParameterSpace):
             states = states + periodic.rotated(theta)
         return np.asarray(states[:, numbered(sites, states.shape[1])])
 
+    def reading(self, point: Point) -> tuple[float, Array, list[float]]:
+        """Time, state and parameters of the model at the start of the interval, of an orbit at phase zero."""
+        values, model, at_start = self.parameters(point), self.model, np.zeros(1)
+        orbit = self.periodic is not None
+        states = self.states_at(point, at_start, None) if orbit else point.problem.sample(point.z, at_start)
+        p = [values[name] for name in model.parameter_names]
+        return self.interval(point)[0], states[0][: model.full_size], p
+
     def energy(self, point: Point) -> float:
         """The conserved quantity at phase zero; raises ValueError where none is declared."""
         model = self._orbit_of().model
         if model.hamiltonian is None:
             raise NoQuantityError(f"energy: {model.name} declares no hamiltonian")
-        values = self.parameters(point)
-        p = [values[name] for name in model.parameter_names]
-        start = self.states_at(point, np.zeros(1), None)[0]
-        return float(model.function("H", ca.densify(model.hamiltonian))(0.0, start, p))
+        return float(model.function("H", ca.densify(model.hamiltonian))(*self.reading(point)))
 
     def floquets(self, points: Sequence[Point], by: str | None = None) -> list[Floquet]:
         """Multipliers of orbits over the full period.

@@ -381,14 +381,15 @@ class Ledger:
 
     def _between(self, before: Solution, after: Solution, leaving: bool) -> Iterator[Solution]:
         """The same; raises TimeLimitError."""
-        first = self._beside(before, after, BESIDE_SPECIAL) if before.point.special or leaving else before
-        last = self._beside(before, after, [1.0 - one for one in BESIDE_SPECIAL]) if after.point.special else after
+        special, ends_special = (self.space.is_critical(one.point.special) for one in (before, after))
+        first = self._beside(before, after, BESIDE_SPECIAL) if special or leaving else before
+        last = self._beside(before, after, [1.0 - one for one in BESIDE_SPECIAL]) if ends_special else after
         if first is None or last is None:
             self._count = None
             self._name(before, after, f"no orbit is found beside the special one: {self.space.point_solver.failure}")
             return
         start, open_at_start = Exponents.from_floquet(first.floquet()).outside
-        if before.point.special and not leaving and self._count is not None:
+        if special and not leaving and self._count is not None:
             self._passed(before, self._count, start, _angle_of(before))
         self._count = start
         known = len(self.unresolved)

@@ -15,18 +15,20 @@ from functools import cached_property
 from itertools import chain, pairwise
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.events import Ledger, at_requested_value
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.search import NotLocatedError
+from casadi_skin.follow.search import Monitor, NotLocatedError, monitored
 from casadi_skin.follow.solution import Orbit, Solution, following_settings
 from casadi_skin.follow.space import FAMILY, SolutionSpace, snapped, target_of
-from casadi_skin.model.arguments import check_options, duration, function_of, truth
+from casadi_skin.model.arguments import by_name, check_options, duration, function_of, short_repr, truth
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.solve.watch import TimeLimitError, one_thread, watched
 from casadi_skin.stability.flows import FlowError
+from casadi_skin.zero import kinds
 from casadi_skin.zero.family import MAX_POINTS, Method
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, Unresolved
 from casadi_skin.zero.problem import EPSILON, Scalar
@@ -210,7 +212,8 @@ class StretchPoints:
     def special(self) -> list[Point]:
         """Special points in order, those at requested values exactly there; raises NotLocatedError."""
         targets, found = self.space.point_solver.settings.at, list[Point]()
-        for point in self.space.special_between(self.before, self.after):
+        special = self.space.special_between(self.before, self.after)
+        for point in chain(special, monitored(self.space, self.before, self.after)):
             if isinstance(point, Unresolved):
                 self.unresolved.append(point)
                 continue
@@ -566,6 +569,7 @@ def follow(
     until: Callable[[Any], bool] | None = None,
     stability: bool = False,
     events: bool = True,
+    monitors: Mapping[str, Any] | None = None,
     progress: Callable[[Any], None] | None = None,
 ) -> Branch:
     """The branch through a solution in the direction of `to`, by pseudo-arclength continuation (Keller 1977).
@@ -584,6 +588,10 @@ def follow(
         until: ends the branch at the first solution for which it is true.
         stability: whether multipliers are computed for each orbit; equilibria have their eigenvalues always.
         events: whether changes of stability are located.
+        monitors: expressions in states and parameters by name, or functions f(t, x, p) of CasADi's symbols: where one
+            vanishes along the branch is a special point of that name, and `branch[name]` has its values. The states are
+            those of an equilibrium, of an orbit at phase zero (see `section` of `find_orbit`), of another solution at
+            the start of its interval.
         progress: called with each solution.
 
     Returns:
@@ -599,7 +607,27 @@ def follow(
     if stability and not space.closes:
         accepted = "for orbits, and for conditions x(end) = S x(start)"
         raise ValueError(f"stability: given for solutions that are no orbits; accepted: {accepted}")
+    space = replace(space, monitors=monitors_of(solution, monitors))
     return run_following(Following(space, stability, events, until=until, time_limit=seconds), progress)
+
+
+def monitors_of(solution: Solution, given: Mapping[str, Any] | None) -> tuple[Monitor, ...]:
+    """Monitors by name, checked; raises ValueError and TypeError for other names and expressions."""
+    from casadi_skin.follow.find import scalar_of
+    from casadi_skin.zero.statement import check_expressions
+
+    model, found = solution.space.model, list[Monitor]()
+    of_kinds = (value for name, value in vars(kinds).items() if name.isupper())
+    taken = {*of_kinds, *model.state_names, *solution.parameters}
+    for name, one in by_name("monitors", given, "expressions").items():
+        if not name.strip() or not name.isprintable() or name in taken:
+            accepted = "names in one line, which no state, parameter or kind of special points has"
+            raise ValueError(f"monitors: given {short_repr(name)}; accepted: {accepted}")
+        expression = scalar_of(f"monitors, {name}", one, model)
+        time = type(model.state).sym("t") if model.time is None else model.time
+        check_expressions([(f"monitors, {name}", expression)], [time, model.full_state, model.parameters])
+        found.append(Monitor(name, model.function("monitor", ca.densify(expression))))
+    return tuple(found)
 
 
 def following_space(

@@ -71,6 +71,8 @@ class Critical:
 def critical(point: SpecialPoint) -> Critical:
     """Normal form at a special point of equilibria or orbits; raises ValueError for another point."""
     solution = point.solution
+    if not solution.space.is_critical(point.kind):
+        raise ValueError(f"{point.kind}: a zero of a monitor, which has no normal form")
     stated = _closed(point)
     if not (solution.is_orbit or stated) or point.kind not in (FOLD, DOUBLING, TORUS):
         return _at_equilibrium(point)

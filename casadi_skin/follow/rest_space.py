@@ -178,20 +178,20 @@ class EquilibriumSpace(ParameterSpace):
         jumps = self.model.jumps
         if not jumps.found:
             return None, ""
-        (x, p), (y, q) = map(self._place, (self.start, point))
+        (_, x, p), (_, y, q) = map(self.reading, (self.start, point))
         words = self.jump(point) or jumps.along(np.zeros(2), np.array([x, y]), np.array([p, q]), STATE | PARAMETER)
         return (End.JUMP if words else None), words
 
     def jump(self, point: Point) -> str:
         """That the equations jump at an equilibrium, with the equation; empty where they do not."""
-        x, p = self._place(point)
+        _, x, p = self.reading(point)
         sizes = np.resize(self.sizes, x.size)  # those of velocities are not known: the positions' stand for them
         return self.model.jumps.beside(x, p, AT_JUMP * np.maximum(np.abs(x), sizes))
 
-    def _place(self, point: Point) -> tuple[Array, Array]:
-        """The state of first order and the parameters of a point."""
+    def reading(self, point: Point) -> tuple[float, Array, Array]:
+        """Time 0, the state of first order and the parameters of a point."""
         y = point.problem.state(point.z)
-        return np.concatenate([y, np.zeros(self.model.full_size - y.size)]), point.problem.parameters(point.z)
+        return 0.0, np.concatenate([y, np.zeros(self.model.full_size - y.size)]), point.problem.parameters(point.z)
 
     # Values ---------------------------------------------------------------------------------------------------------
 

@@ -30,10 +30,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any, Generic, NamedTuple, TypeVar
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,7 +42,7 @@ from casadi_skin.follow.point import LocalCurve, PointSolver
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.kinds import Unresolved
-from casadi_skin.zero.problem import Array, Indices
+from casadi_skin.zero.problem import EPSILON, Array, Indices
 from casadi_skin.zero.settings import Point
 
 # A point of a branch with the quantities whose zeros are events: eigenvalues, or logarithms of multipliers ------------
@@ -702,3 +703,73 @@ def nearest_order(first: ComplexArray, last: ComplexArray) -> Indices:
 def is_real(value: complex, turn: float = FULL_TURN) -> bool:
     """Whether an eigenvalue, or the multiplier of a logarithm, is real."""
     return bool(value.imag == 0.0 or abs(value.imag) == 0.5 * turn)
+
+
+# Monitors: real quantities of users whose zeros are events ------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Monitor:
+    """A real quantity along a branch, as `function` (t, x, p) of a state and parameters; its zeros are named `name`.
+
+    The state is that of an equilibrium, of an orbit at phase zero, of another solution at its start.
+    """
+
+    name: str
+    function: ca.Function
+
+    def value(self, space: Any, point: Point) -> float:
+        """The quantity at a point of a space."""
+        return float(self.function(*space.reading(point)))
+
+    @cached_property
+    def _slope(self) -> ca.Function:
+        t, x, p = self.function.mx_in()
+        return ca.Function("slope", [t, x, p], [ca.gradient(self.function(t, x, p), x)])
+
+    def noise(self, space: Any, point: Point) -> float:
+        """The error of the value by that of the state."""
+        t, x, p = space.reading(point)
+        terms = np.abs(np.array(self._slope(t, x, p)).ravel() * x)
+        return float(np.sum(terms) * max(point.error.profile, EPSILON))
+
+
+class MonitorSearch(Search[Point | Unresolved]):
+    """The search for zeros of the monitors of a space; one at a point itself belongs to the stretch before it."""
+
+    def __init__(self, space: Any, before: Point, after: Point) -> None:
+        super().__init__(space.point_solver, before, after)
+        self.space = space
+
+    def sampled(self, point: Point) -> Sample:
+        own, none = self.own(point), np.empty(0, dtype=complex)
+        ahead = beside_on_tangent(own, TANGENT_DIFFERENCE_STEP)
+        values = [(one.value(self.space, own), one.value(self.space, ahead)) for one in self.space.monitors]
+        leading = tuple((here, (there - here) / TANGENT_DIFFERENCE_STEP) for here, there in values)
+        row = self.metric(point) * point.tangent
+        return Sample(point, row, none, none, none.real, np.zeros_like(point.z), 1.0, leading)
+
+    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point | Unresolved] | None:
+        if not (last or np.all(stretch.settled)):
+            return None
+        (first, *_, g), end, events = stretch.quantities[0], self.own(stretch.last.point), list[Point]()
+        for k in np.flatnonzero((np.sign(first) != np.sign(g)) & (first != 0.0)):
+            monitor = self.space.monitors[k]
+            at_end = replace(end, special=monitor.name, walked=False, requested=False)
+            test = partial(monitor.value, self.space)
+            noise = monitor.noise(self.space, end)
+            event = at_end if g[k] == 0.0 else self.root_of(stretch, test, noise, monitor.name)
+            if event is None:
+                return None
+            events.append(event)
+        return sorted(events, key=self.sigma)
+
+    def unresolved(self, stretch: Stretch) -> Iterator[Unresolved]:
+        space, kinds = self.space, [one.name for one in self.space.monitors]
+        start, end = (space.value(space.parameter, one.point) for one in (stretch.first, stretch.last))
+        yield Unresolved(start, end, "a monitor jumps, or is not resolved", " or ".join(kinds), space.parameter)
+
+
+def monitored(space: Any, before: Point, after: Point) -> list[Point | Unresolved]:
+    """Zeros of the monitors of a space between two points of a branch in order, and parts that are not resolved."""
+    return MonitorSearch(space, before, after).on_stretch() if space.monitors else []

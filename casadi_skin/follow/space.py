@@ -24,6 +24,7 @@ import numpy as np
 
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.point import PointSolver
+from casadi_skin.follow.search import Monitor
 from casadi_skin.solve.ipopt import CORRECTORS
 from casadi_skin.solve.newton import Correction, Corrector, RoundedCorrector
 from casadi_skin.stability.result import Floquet
@@ -92,6 +93,8 @@ class SolutionSpace:
         S_rate: the relative change of S per that of the free parameter.
         parameter, begins, to: name of the continuation parameter, with its values at the start and the end.
         at: values of it at which solutions are wanted.
+        monitors: quantities whose zeros are special points by their names.
+        reading: function of a point: time, state and parameters of the model that monitors are functions of.
         tolerance: relative error allowed in the solutions.
         model: the model that they belong to.
         levels, point_solver: discretisations from coarse to fine, and the solver of points on them.
@@ -107,12 +110,16 @@ class SolutionSpace:
         def __getattr__(self, name: str) -> Any: ...
     else:
         kind, start_is_limit, locates_folds, has_ledger, stability_included = "", False, True, False, False
-        stability_batch, closes, optimises, free, S_rate, at = 1, True, False, (), 1.0, ()
+        stability_batch, closes, optimises, free, S_rate, at, monitors = 1, True, False, (), 1.0, (), ()
 
     @property
     def is_family(self) -> bool:
         """Whether the solutions are a family of orbits that grows from a linear mode: a `Family`."""
         return bool(self.connects == FAMILY)
+
+    def is_critical(self, kind: str) -> bool:
+        """Whether points of a kind are special by their linearisation; zeros of monitors are not."""
+        return bool(kind) and kind not in {monitor.name for monitor in self.monitors}
 
     def continuation(self, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> Continuation:
         """The continuation from its last points, the start among them, and from points reported after these."""
@@ -191,6 +198,7 @@ class ParameterSpace(SolutionSpace):
         first: the start of the branch.
         settings: of the continuation.
         leaves: whether `first` is a special point that the branch leaves along the tangent of `first`.
+        monitors: whose zeros are special points by their names.
     """
 
     _: KW_ONLY
@@ -200,6 +208,7 @@ class ParameterSpace(SolutionSpace):
     first: Point | None = None
     settings: ContinuationSettings | None = None
     leaves: bool = False
+    monitors: tuple[Monitor, ...] = ()
     error: ClassVar[type[ArithmeticError]] = ArithmeticError
 
     @cached_property

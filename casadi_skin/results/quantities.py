@@ -298,6 +298,9 @@ def _model_quantities(branch: Branch) -> list[Quantity]:
         else:
             add(f"{name}_min", f"smallest value of {name}", lambda p, i=i: float(p.extremes[0][i]))  # type: ignore[misc]
             add(f"{name}_max", f"largest value of {name}", lambda p, i=i: float(p.extremes[1][i]))  # type: ignore[misc]
+    for monitor in space.monitors:
+        add(monitor.name, "a monitor: where it vanishes is a special point of its name",
+            lambda p, one=monitor: one.value(space, p.solution.point))  # type: ignore[misc]  # fmt: skip
     if at_rest:
         quantities += AT_REST
     else:

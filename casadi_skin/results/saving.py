@@ -147,6 +147,19 @@ def _(value: Extended, writer: Writer) -> Any:
     return ["extended", writer.value(value.inner), value.nominal[place] if value.nominal else 1.0]
 
 
+@written_once.register
+def _(value: ca.Function, _: Writer) -> Any:
+    """A function of scalars and columns, as a monitor is."""
+    sizes = [value.numel_in(i) for i in range(value.n_in())]
+    return ["function", value.name(), sizes, *to_operations(value)]
+
+
+def _function(_: Reader, __: Any, name: str, sizes: list[int], operations: list[str], entries: Any) -> ca.Function:
+    symbols = [ca.SX.sym("s", size) for size in sizes]
+    columns = from_operations([s for block in symbols for s in ca.vertsplit(block)], operations, entries)
+    return ca.Function(name, symbols, columns)
+
+
 @written_once.register(BoundarySpace)
 @written_once.register(EquilibriumSpace)
 def _of_space(value: Any, writer: Writer) -> Any:
@@ -235,6 +248,7 @@ MADE_OF_WORDS: Mapping[str, Callable[..., Any]] = {  # of the words that they be
     "extended": lambda reader, _, inner, nominal: extended(reader.value(inner), nominal, {}),
     "family": lambda reader, _, request: Family(reader.value(request)),
     "fmu": lambda reader, _, token, noise: checked(token, noise, reader.model),
+    "function": _function,
     "lattice": _lattice,
     "model": lambda _, __, data: loads(data),
     "motion": lambda reader, _, model, values: equations_of_motion(reader.value(model), values),

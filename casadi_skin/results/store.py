@@ -42,6 +42,7 @@ SAVED_CLASSES = {  # that a file may name, by module: "other=own" where the name
     "follow.branch": "Branch",
     "follow.events": "StabilityChange",
     "follow.rest_space": "CurveSpace EquilibriumSpace",
+    "follow.search": "Monitor",
     "follow.solution": "Equilibrium Optimality Optimum Orbit Solution",
     "follow.special_points": "SpecialPoint",
     "lattice.chain": "Chain",
