@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from casadi_skin.lattice.chain import Chain as Chain
     from casadi_skin.lattice.lattice import Bond as Bond
     from casadi_skin.lattice.lattice import Lattice as Lattice
+    from casadi_skin.lattice.lattice import LongLattice as LongLattice
     from casadi_skin.lattice.lattice import Site as Site
     from casadi_skin.lattice.lattice import Uniform as Uniform
-    from casadi_skin.lattice.long_lattice import LongLattice as LongLattice
     from casadi_skin.model.conserved import SymmetryClass as SymmetryClass
     from casadi_skin.model.ode import OdeModel as OdeModel
     from casadi_skin.model.saved import read_model as read_model
@@ -47,8 +47,7 @@ PLACES = {  # modules of public names, each imported when one of its names is fi
     "follow.follow": ("follow_family",),
     "follow.solution": ("Orbit",),
     "lattice.chain": ("Chain",),
-    "lattice.lattice": ("Bond", "Lattice", "Site", "Uniform"),
-    "lattice.long_lattice": ("LongLattice",),
+    "lattice.lattice": ("Bond", "Lattice", "LongLattice", "Site", "Uniform"),
     "model.conserved": ("SymmetryClass",),
     "model.ode": ("OdeModel",),
     "model.saved": ("read_model", "save_model"),

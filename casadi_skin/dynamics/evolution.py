@@ -26,7 +26,7 @@ from casadi_skin.model.expressions import at_instants, instants
 from casadi_skin.model.integrators import IntegrationError, stiff_cvodes
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import NoQuantityError, Result
-from casadi_skin.zero.linear_modes import scale_of_couplings
+from casadi_skin.zero.model_coordinates import scale_of_couplings
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.statement import named_values
 

@@ -29,7 +29,7 @@ from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import ComplexArray
 from casadi_skin.model.arguments import check_name
 from casadi_skin.solve.watch import one_thread
-from casadi_skin.zero.request import family_request
+from casadi_skin.zero.family import family_request
 from casadi_skin.zero.settings import Point
 
 SAMPLES_PER_PERIOD = 512  # a period

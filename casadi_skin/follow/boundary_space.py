@@ -35,16 +35,14 @@ from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
 from casadi_skin.zero import mesh
 from casadi_skin.zero.augmented import Singularity, SingularProblem
 from casadi_skin.zero.butcher import TABLES
-from casadi_skin.zero.closure import Closure, closure_of
 from casadi_skin.zero.family import TWO_PI, Method, numbered
 from casadi_skin.zero.kinds import BOUND, BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, Unresolved
 from casadi_skin.zero.orbit import FIRST_INTERVALS, Periodic, Sizes
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
-from casadi_skin.zero.rest_problem import sizes_of
+from casadi_skin.zero.rest import Statics, sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point, Refinement
-from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
+from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, Closure, closure_of, stated
 from casadi_skin.zero.statement import Statement
-from casadi_skin.zero.statics import Statics
 
 # Bounds on states and free parameters along a branch: where the first of them is met, and which -----------------------
 

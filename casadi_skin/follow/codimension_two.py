@@ -70,9 +70,9 @@ from casadi_skin.zero.kinds import (
     Unresolved,
 )
 from casadi_skin.zero.problem import EPSILON, Array
+from casadi_skin.zero.rest import NullSpace
 from casadi_skin.zero.settings import End, Point
 from casadi_skin.zero.stated_problem import PERIOD
-from casadi_skin.zero.statics import NullSpace
 
 # What a curve of special points may meet ------------------------------------------------------------------------------
 

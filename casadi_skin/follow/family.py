@@ -25,11 +25,9 @@ from casadi_skin.stability.family_stability import FamilyStability
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.collocation import CollocationProblem
-from casadi_skin.zero.cosines import TrigonometricProblem
-from casadi_skin.zero.family import TWO_PI
+from casadi_skin.zero.cosines import PolynomialForm, Recursion, TrigonometricProblem
+from casadi_skin.zero.family import TWO_PI, FamilyRequest
 from casadi_skin.zero.problem import Array, Indices, Problem
-from casadi_skin.zero.recursion import PolynomialForm, Recursion
-from casadi_skin.zero.request import FamilyRequest
 from casadi_skin.zero.settings import Continuation, End, Point
 from casadi_skin.zero.shooting import ShootingProblem
 

@@ -54,11 +54,10 @@ from casadi_skin.zero.orbit import (
     statement_of,
 )
 from casadi_skin.zero.problem import Array, Problem, SingularError
-from casadi_skin.zero.rest_problem import sizes_at, sizes_of
+from casadi_skin.zero.rest import Statics, sizes_at, sizes_of
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
 from casadi_skin.zero.statement import Bounds, Statement
-from casadi_skin.zero.statics import Statics
 
 TOLERANCE_RANGE = (1e-13, 1e-2)
 MOST_STARTS = 1_000_000

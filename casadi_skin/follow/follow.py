@@ -29,10 +29,9 @@ from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.solve.watch import TimeLimitError, one_thread, watched
 from casadi_skin.stability.flows import FlowError
 from casadi_skin.zero import kinds
-from casadi_skin.zero.family import MAX_POINTS, Method
+from casadi_skin.zero.family import MAX_POINTS, FamilyModel, Method, family_request
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, Unresolved
 from casadi_skin.zero.problem import EPSILON, Scalar
-from casadi_skin.zero.request import FamilyModel, family_request
 from casadi_skin.zero.settings import Continuation, End, Point, Target
 
 # Following a branch of any kind: its points, with stability, its changes and bifurcations computed beside them --------

@@ -24,11 +24,10 @@ from casadi_skin.zero.augmented import (
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, TORUS
 from casadi_skin.zero.orbit import Sizes
 from casadi_skin.zero.problem import EPSILON, Array, Scalar, SingularError
-from casadi_skin.zero.rest_problem import AlgebraicProblem
+from casadi_skin.zero.rest import AlgebraicProblem, balanced
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import stated
 from casadi_skin.zero.statement import Statement
-from casadi_skin.zero.statics import balanced
 
 # A special point located to rounding, by Newton's method on the extended system of which it is a regular solution -----
 

@@ -24,13 +24,12 @@ from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import Followed
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero import linearised
-from casadi_skin.zero.closure import Closure
 from casadi_skin.zero.kinds import DOUBLING, FOLD, HOPF, TORUS
 from casadi_skin.zero.linearised import Linearised, Vector
 from casadi_skin.zero.problem import Array
+from casadi_skin.zero.rest import BalancedMatrix, ComplexArray, NullSpace, Statics, balanced, upper_pair
 from casadi_skin.zero.settings import Point
-from casadi_skin.zero.stated_problem import BoundaryProblem
-from casadi_skin.zero.statics import BalancedMatrix, ComplexArray, NullSpace, Statics, balanced, upper_pair
+from casadi_skin.zero.stated_problem import BoundaryProblem, Closure
 
 DECIDED_SIGN_RATIO = 1e-8  # of the terms that a coefficient is the sum of: one that is smaller has no known sign
 PLACES_ALONG_SOLUTION = 65  # at which null vectors are compared

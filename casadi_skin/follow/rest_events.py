@@ -31,9 +31,8 @@ from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import rate
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved
 from casadi_skin.zero.problem import EPSILON, Array, Indices, SingularError
-from casadi_skin.zero.rest_problem import AlgebraicProblem
+from casadi_skin.zero.rest import AlgebraicProblem, BalancedMatrix
 from casadi_skin.zero.settings import ErrorEstimate, Point
-from casadi_skin.zero.statics import BalancedMatrix
 
 LEDGER_PLACES = 1024  # over the range of the parameter
 OF_PROGRAMS = 128  # of a program, whose derivatives are differences and cost as much

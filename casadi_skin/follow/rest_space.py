@@ -26,9 +26,17 @@ from casadi_skin.solve.newton import Correction
 from casadi_skin.zero.augmented import ExtendedSystem
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved
 from casadi_skin.zero.problem import EPSILON, Array, Indices, Scalar, SingularError
-from casadi_skin.zero.rest_problem import AlgebraicProblem, Course, sizes_at
+from casadi_skin.zero.rest import (
+    DERIVATIVE_ROUNDING,
+    AlgebraicProblem,
+    BalancedMatrix,
+    Course,
+    Spectrum,
+    Statics,
+    balanced,
+    sizes_at,
+)
 from casadi_skin.zero.settings import ContinuationSettings, End, Point
-from casadi_skin.zero.statics import DERIVATIVE_ROUNDING, BalancedMatrix, Spectrum, Statics, balanced
 
 # Samples of a branch of equilibria: eigenvalues and their rates, and the curvature of the branch ----------------------
 

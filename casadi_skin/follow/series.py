@@ -25,7 +25,7 @@ from casadi_skin.zero.problem import Array, Problem, Scalar, SingularError
 from casadi_skin.zero.settings import End, Point, Target, known_end
 
 if TYPE_CHECKING:
-    from casadi_skin.zero.recursion import Recursion
+    from casadi_skin.zero.cosines import Recursion
 
 
 # Newton steps from places of a stretch of series: one by one, or all those of a stretch in arrays ---------------------

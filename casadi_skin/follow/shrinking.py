@@ -14,10 +14,9 @@ from casadi_skin.follow.space import Followed
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.kinds import FOLD, HOPF, TORUS
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest_problem import sizes_of
+from casadi_skin.zero.rest import Statics, sizes_of
 from casadi_skin.zero.settings import ErrorEstimate, Point
 from casadi_skin.zero.stated_problem import PERIOD, stated
-from casadi_skin.zero.statics import Statics
 
 ENDING_KINDS = {FOLD: ("generalized hopf",), TORUS: ("hopf-hopf", "zero-hopf")}  # at which curves of orbits end
 HOPF_WAY_FRACTION = 0.5  # of the way of the second parameter: how far Hopf points are followed

@@ -24,10 +24,10 @@ from casadi_skin.zero.collocation import CollocationEquations
 from casadi_skin.zero.cosines import cosine_matrix, quarter_phases
 from casadi_skin.zero.family import LOG10
 from casadi_skin.zero.problem import Array, Indices, Scalar
+from casadi_skin.zero.rest import ComplexArray, Spectrum
 from casadi_skin.zero.settings import ContinuationSettings, Point, Target
 from casadi_skin.zero.stated_problem import BoundaryProblem, stated
 from casadi_skin.zero.statement import Statement
-from casadi_skin.zero.statics import ComplexArray, Spectrum
 
 # The objective of a boundary-value problem at its solution, and how well the optimality conditions hold ---------------
 

@@ -16,7 +16,7 @@ from casadi_skin.lattice.chain import Chain, check_no_parameters
 from casadi_skin.lattice.closed_forms import frequency, standing_wave
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.lattice.declaration import FIXED
-from casadi_skin.lattice.long_lattice import Core, LongLattice, nonlinear_cells
+from casadi_skin.lattice.lattice import Core, LongLattice, nonlinear_cells
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.model.methods import EVERY_SITE, PAYS_FROM, TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel

@@ -1,21 +1,28 @@
-"""Lattices as data: sites of a cell, bonds between them, boundaries; one or two dimensions; dimensionless."""
+"""Lattices as data: sites of a cell, bonds between them, boundaries; one or two dimensions; dimensionless.
+
+Those of very many cells, or infinitely many, have an edge with its linear modes, and a linear tail.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
-from casadi_skin.lattice.chain import declared_chain
-from casadi_skin.lattice.declaration import FIXED, Array, Bond, Declaration, Site, Uniform, Value, listed
-from casadi_skin.lattice.equations import Equations, forcing_period_of
-from casadi_skin.lattice.structure import Structure, structure_of
-from casadi_skin.model.arguments import short_repr
+from casadi_skin.lattice.chain import WithOwnParameters, declared_chain
+from casadi_skin.lattice.declaration import FIXED, PERIODIC, Array, Bond, Declaration, Site, Uniform, Value, listed
+from casadi_skin.lattice.equations import Equations, Structure, forcing_period_of, structure_of
+from casadi_skin.lattice.spectrum import LinearSpectrum
+from casadi_skin.lattice.tail import Place, Tail
+from casadi_skin.model.arguments import check_name, short_repr
 from casadi_skin.model.formula import Number
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.zero.model_coordinates import FIRST, LAST, number_of_mode, symmetrising_scale
 from casadi_skin.zero.statement import named_values
 
 if TYPE_CHECKING:
@@ -143,3 +150,334 @@ class Lattice(OdeModel):
 
     def __repr__(self) -> str:
         return f"Lattice({self.name}, cells = {list(self.declaration.cells)}, {self.declaration.size} sites)"
+
+
+# Long lattices: their edge, and its linear modes ----------------------------------------------------------------------
+
+SAMPLE_CELLS = 6  # cells of a lattice from which the properties of one cell are read
+FEWEST = 8  # cells of a lattice that is long
+ROUND_OFF = 1e-12
+
+
+@dataclass(frozen=True)
+class EdgeMode:
+    """A linear mode at the edge: bound in a gap, or pinned to an edge of a band, where it decays by the gauge alone.
+
+    `angle` is that of the tail which begins at the second cell; `gap` is the number of bands below.
+    """
+
+    gap: int
+    place: Place
+    square: float
+    angle: float
+    pinned: bool
+
+
+@dataclass(frozen=True, eq=False)
+class LongLattice(WithOwnParameters):
+    """A lattice of so many alike cells that all but those at one edge are linear; one direction; dimensionless.
+
+    Attributes:
+        cells: number of cells, 8 or more, or `math.inf`.
+        sites, bonds: of one cell, as of a `Lattice`; one bond, or several between the same two sites, joins
+            neighbouring cells.
+        boundary: "fixed" or "free".
+        parameters: numbers by name.
+        edge: "first" or "last", the end whose breathers are followed; left out, that to which the lattice leans.
+        name: of the model.
+
+    Raises ValueError and TypeError, naming the place, what was given and the accepted values.
+    """
+
+    cells: float
+    sites: Sequence[Site]
+    bonds: Sequence[Bond]
+    boundary: str = FIXED
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    edge: str | None = None
+    name: str = "lattice"
+
+    def __post_init__(self) -> None:
+        whole = isinstance(self.cells, int) and not isinstance(self.cells, bool)
+        endless = isinstance(self.cells, float) and self.cells == math.inf
+        if not (endless or (whole and self.cells >= FEWEST)):
+            accepted = f"a whole number >= {FEWEST}, or inf (with fewer a Lattice)"
+            raise ValueError(f"cells: given {short_repr(self.cells)}; accepted: {accepted}")
+        lattice = self.sample
+        if self.boundary == PERIODIC:
+            raise ValueError(f"boundary: given {PERIODIC}, which has no edge; accepted: fixed, free")
+        if self.edge is not None:
+            check_name("edge", self.edge, (FIRST, LAST))
+        if differing := lattice.declaration.differing:
+            words = f"cells that differ by {', '.join(differing)}"
+            raise ValueError(f"lattice: given {words}; accepted with a linear tail: cells alike")
+        if not lattice.structure.reversible or not lattice.structure.odd:
+            words = "damped or driven" if not lattice.structure.reversible else "not odd: there are even harmonics"
+            raise ValueError(f"lattice: given forces that are {words}; accepted with a linear tail: odd forces alone")
+        _ = self.joined
+
+    @property
+    def labels(self) -> tuple[tuple[str, float], ...]:
+        """Symbols in TeX and values that distinguish lattices, for titles."""
+        return (r"\mathrm{cells}", self.cells), *((rf"\mathrm{{{k}}}", v) for k, v in self.parameters.items())
+
+    def of_cells(self, cells: int) -> Lattice:
+        """The same lattice with so many cells, all of whose sites are positions."""
+        return Lattice(cells, self.sites, self.bonds, self.boundary, self.parameters, self.name)
+
+    @cached_property
+    def sample(self) -> Lattice:
+        """The same lattice with a few cells."""
+        return self.of_cells(SAMPLE_CELLS)
+
+    # Cells in the gauge -----------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _symmetric(self) -> tuple[Array, Array]:
+        """Stiffness of the sample in the gauge, and the logarithms of its factors."""
+        stiffness = self.sample.stiffness()
+        log_scale = symmetrising_scale(stiffness)
+        if log_scale is None:
+            raise ValueError(
+                "lattice: given cells without a gauge; accepted with a linear tail: a lattice that has one"
+            )
+        scale = np.exp(log_scale)
+        return stiffness / scale[:, None] * scale, log_scale
+
+    def _block(self, row: int, column: int) -> Array:
+        p = len(self.sites)
+        return self._symmetric[0][row * p : (row + 1) * p, column * p : (column + 1) * p]
+
+    @cached_property
+    def joined(self) -> tuple[int, int]:
+        """Sites of a cell and of the next between which the cells are joined; raises ValueError for other bonds."""
+        links = np.argwhere(self._block(2, 3) != 0.0)
+        if len(links) != 1 or np.any(self._block(1, 3) != 0.0):
+            words = "of one site of a cell with one of the next"
+            raise ValueError(f"bonds: given cells joined otherwise; accepted with a linear tail: bonds {words} alone")
+        return int(links[0, 0]), int(links[0, 1])
+
+    @property
+    def at_last(self) -> bool:
+        """Whether the edge is the last cell."""
+        return self.lean_to_last >= 0.0 if self.edge is None else self.edge == LAST
+
+    @cached_property
+    def lean_to_last(self) -> float:
+        """Logarithm by which displacements of waves grow from a cell to the next."""
+        logs = self._symmetric[1].reshape(SAMPLE_CELLS, -1)
+        lean = float(np.mean(logs[3] - logs[2]))
+        return lean if abs(lean) > ROUND_OFF else 0.0
+
+    @property
+    def lean(self) -> float:
+        """Logarithm by which displacements of waves fall from cell to cell, away from the edge."""
+        return self.lean_to_last if self.at_last else -self.lean_to_last
+
+    @property
+    def inlet(self) -> int:
+        """Site of a cell that is joined to the cell farther from the edge."""
+        return self.joined[1] if self.at_last else self.joined[0]
+
+    @property
+    def outlet(self) -> int:
+        """Site of a cell that is joined to the cell nearer to the edge."""
+        return self.joined[0] if self.at_last else self.joined[1]
+
+    @cached_property
+    def cell(self) -> Array:
+        """Stiffness of a cell in the gauge, shape (sites, sites)."""
+        return 0.5 * (self._block(2, 2) + self._block(2, 2).T)
+
+    @cached_property
+    def edge_cell(self) -> Array:
+        """Stiffness of the cell at the edge in the gauge."""
+        last = SAMPLE_CELLS - 1 if self.at_last else 0
+        return 0.5 * (self._block(last, last) + self._block(last, last).T)
+
+    @property
+    def bond_sign(self) -> float:
+        """-1 where the bonds between cells push apart: amplitudes then change their sign from cell to cell."""
+        return -float(np.sign(self._block(2, 3)[self.joined]))
+
+    @cached_property
+    def coupling(self) -> float:
+        """Strength of the bonds between cells in the gauge."""
+        return abs(float(self._block(2, 3)[self.joined]))
+
+    def tail(self, core: int) -> Tail:
+        """The tail of all cells but `core` of them at the edge."""
+        strength, far = self.coupling, 0 if self.at_last else SAMPLE_CELLS - 1
+        wall = float(self.cell[self.inlet, self.inlet] - self._block(far, far)[self.inlet, self.inlet]) / strength
+        return Tail(self.cells - core, self.cell, strength, self.inlet, self.outlet, wall)
+
+    # Linear modes -----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def modes(self) -> tuple[EdgeMode, ...]:
+        """Linear modes at the edge, by ascending frequency: bound ones, and where the lattice leans pinned ones."""
+        tail, found = self.tail(1), []
+        for gap in range(len(tail.edges) // 2 + 1):
+            found += list(self._bound(tail, gap))
+            if self.lean > 0.0:
+                found += list(self._pinned(tail, gap))
+        return tuple(sorted((mode for mode in found if mode.square > 0.0), key=lambda mode: mode.square))
+
+    def _missing(self, square: float) -> float:
+        """The angle that the edge cell has at its bond to the tail; falls with lambda."""
+        values, vectors = np.linalg.eigh(self.edge_cell)
+        weights = vectors[self.inlet] ** 2
+        seen = weights > ROUND_OFF
+        with np.errstate(divide="ignore"):
+            response = float(np.sum(weights[seen] / (values[seen] - square)))
+        return float(np.arctan2(1.0, self.coupling * response) - np.pi * np.sum(values[seen] < square))
+
+    def _bound(self, tail: Tail, gap: int) -> list[EdgeMode]:
+        from scipy.optimize import brentq
+
+        below, above = tail.sides(gap)
+        ends = []
+        for edge, direction in ((below, 1.0), (above, -1.0)):
+            width = ROUND_OFF * tail.edges[-1].square
+            square = tail.edges[edge].square + direction * width if edge is not None else None
+            ends.append(square)
+        low = ends[0] if ends[0] is not None else 0.0
+        high = ends[1] if ends[1] is not None else 1e3 * tail.edges[-1].square
+        if not 0.0 <= low < high:
+            return []
+
+        def together(square: float) -> float:
+            return tail.angle(tail.place(square)) - self._missing(square)
+
+        first, last = together(low), together(high)
+        found = []
+        for turns in range(math.ceil(first / np.pi), math.floor(last / np.pi) + 1):
+            square = float(brentq(lambda x, n=turns: together(x) - n * np.pi, low, high, xtol=1e-300, rtol=1e-15))
+            place = tail.place(square)
+            found.append(EdgeMode(gap, place, square, tail.angle(place), False))
+        return found
+
+    def _pinned(self, tail: Tail, gap: int) -> list[EdgeMode]:
+        from scipy.optimize import brentq
+
+        found = []
+        for edge, direction in zip(tail.sides(gap), (-1.0, 1.0), strict=True):
+            if edge is None:
+                continue
+            start = tail.angle(Place(gap, edge, 0.0))
+
+            def together(phi: float) -> float:
+                return phi - self._missing(tail.square(tail.at_angle(gap, phi)))
+
+            here = together(start) / np.pi
+            turns = math.ceil(here) if direction > 0.0 else math.floor(here)
+            end = start + direction * (tail.first_turn(edge) if np.isfinite(tail.cells) else np.pi)
+            if (together(end) / np.pi - turns) * direction <= 0.0:
+                continue
+            low, high = min(start, end), max(start, end)
+            phi = float(brentq(lambda x, n=turns: together(x) - n * np.pi, low, high, xtol=1e-15, rtol=1e-15))
+            place = tail.at_angle(gap, phi)
+            found.append(EdgeMode(gap, place, tail.square(place), phi, True))
+        return found
+
+    def linear_spectrum(self, parameters: Mapping[str, float] | None = None) -> LinearSpectrum:
+        """The ends of the bands; the lattice has too many modes for more."""
+        squares = [edge.square for edge in self.tail(1).edges]
+        ends = squares[0], squares[-1]
+        bands = tuple(zip(squares[::2], squares[1::2], strict=True))
+        return LinearSpectrum(np.empty(0), ends, lambda _: np.empty(0), ends, bands)
+
+    def tunable_model(self) -> OdeModel:
+        """Raises ValueError: there are too many equations."""
+        raise ValueError("[lattice]: given one with a linear tail, whose equations are not written down")
+
+    def mode_number(self, mode: int | str) -> int:
+        """The number of a mode that may be named "first" or "last"; raises ValueError for one that is not there."""
+        if not self.modes:
+            words = "none is bound in a gap, and the lattice does not lean there"
+            raise ValueError(f"mode: the lattice has no mode at this edge ({words}); accepted: a Lattice")
+        return number_of_mode(mode, len(self.modes), " of the modes at the edge")
+
+    family_coordinates: ClassVar[Callable[..., Coordinates]]
+    """Coordinates of the family that grows from a mode at the edge to S = `amplitude_max`; see `follow_family`."""
+
+
+# The number of cells at an edge of a long lattice that are nonlinear, and these by themselves as a model --------------
+
+NEGLIGIBLE_FORCE_RATIO = 1e-16  # of the nonlinear forces: the part that the tail may leave out
+LONGEST_CORE = 2000  # sites
+KEPT_DECAY_RATIO = 0.5  # of the decay of a bound mode's displacements: down to it the core holds all that is nonlinear
+LOOKED_AT_HARMONICS = 4  # that are looked at before anything is solved
+
+
+@dataclass(frozen=True)
+class Core:
+    """The number of unknown cells, and the decay a cell in the gauge for which these are enough."""
+
+    cells: int
+    slowest: float
+
+
+def nonlinear_cells(rate: float, reach: float, most: int) -> int:
+    """Cells outside of which forces are below round-off, counted to somewhat beyond `most`.
+
+    Arguments:
+        rate: logarithm by which the square of displacements falls from cell to cell.
+        reach: size of the nonlinear forces at the edge, relative to the linear ones.
+    """
+    cells = 2
+    while cells <= most and cells * rate < 2.0 * math.log(cells + 1) + math.log(reach / NEGLIGIBLE_FORCE_RATIO):
+        cells += max(1, cells // 64)
+    return cells
+
+
+def core_of(lattice: LongLattice, mode: EdgeMode, amplitude_max: float) -> Core:
+    """The cells outside of which nonlinear forces are below round-off; raises ValueError where there are none."""
+    tail = lattice.tail(1)
+    decay = tail.decay(mode.place) if not mode.pinned else 0.0
+    for k in range(3, 2 * LOOKED_AT_HARMONICS, 2):
+        try:
+            falls = tail.decay(tail.place(k**2 * mode.square)) + lattice.lean
+        except ArithmeticError:
+            falls = 0.0
+        if falls <= 0.0:
+            words = f"{k} times the frequency of the mode, which the tail carries away"
+            raise ValueError(f"mode: given one with {words}; accepted: harmonics that decay, or a Lattice of all sites")
+    reach = max(1.0, amplitude_max * _nonlinearity(lattice, amplitude_max))
+    for slowest in (0.0, KEPT_DECAY_RATIO * (decay + lattice.lean) - lattice.lean) if decay > 0.0 else (0.0,):
+        most = LONGEST_CORE // len(lattice.sites)
+        cells = nonlinear_cells(2.0 * (slowest + lattice.lean), reach, most)
+        if cells <= most:
+            if cells + 2 > lattice.cells:
+                accepted = f"more than {cells + 2} cells, of which so many are nonlinear, or a Lattice"
+                raise ValueError(f"cells: given {lattice.cells}; accepted: {accepted}")
+            return Core(cells, slowest)
+    words = f"one that falls by {max(decay + lattice.lean, 0.0):.3g} a cell"
+    raise ValueError(f"mode: given {words}; accepted: {LONGEST_CORE} nonlinear sites at the edge at most")
+
+
+def _nonlinearity(lattice: LongLattice, amplitude_max: float) -> float:
+    """The nonlinear part of the forces on one site over its displacement and its amplitude squared."""
+    model, a = lattice.sample, math.sqrt(amplitude_max)
+    values = list(named_values(model, {}).values())
+    force = ca.Function("f", [model.state, model.parameters], [model.rhs, ca.jacobian(model.rhs, model.state)])
+    _, J = force(0, values)
+    unit = np.eye(model.size)
+    beside = [np.array(force(a * e, values)[0]).ravel() - a * np.array(J @ e).ravel() for e in unit]
+    largest = np.max(np.abs(beside), initial=0.0, where=np.isfinite(beside))
+    return float(largest / a**3 / np.max(np.abs(np.array(J))))
+
+
+def core_model(lattice: LongLattice, whole: Lattice) -> OdeModel:
+    """The cells at the edge of a lattice by themselves, with the cell beyond them held at rest."""
+    p = len(lattice.sites)
+    n = whole.size - p
+    kept, beyond = (slice(p, None), slice(None, p)) if lattice.at_last else (slice(None, n), slice(n, None))
+
+    held, at_rest = ca.vertcat(whole.state[beyond], ca.SX(whole.velocity)[beyond]), ca.SX.zeros(2 * p)
+    energy = None if whole.hamiltonian is None else ca.substitute(whole.hamiltonian, held, at_rest)
+    return OdeModel(
+        lattice.name, whole.state[kept], ca.substitute(whole.rhs, held, at_rest)[kept], whole.parameters, 2,
+        ca.SX(whole.velocity)[kept], nominal=whole.nominal, hamiltonian=energy, reversal=(1,) * n + (-1,) * n,
+        half_period=(-1,) * (2 * n), checked=False,
+    )  # fmt: skip

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from casadi_skin.lattice.declaration import Array
+from casadi_skin.lattice.equations import logs_of
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.lattice.structure import logs_of
 from casadi_skin.model.result import Result
-from casadi_skin.zero.linear_modes import symmetrising_scale
+from casadi_skin.zero.model_coordinates import symmetrising_scale
 from casadi_skin.zero.statement import named_values
 
 ComplexArray = NDArray[np.complex128]

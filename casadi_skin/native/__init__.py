@@ -12,7 +12,7 @@ how the arguments of its functions and the fields of its structures follow one a
 | decoupling.c | bases that make matrices block diagonal | `stability.tongues.blocks` |
 | elimination.c | cells of a row eliminated from its free end on | `stability.tongues.hill` |
 | equations.c | equations of collocation in odd cosines, from instructions of CasADi | CasADi itself |
-| taylor.c | power series of branches, and those with a linear tail | `zero.recursion`, `lattice.tail_problem` |
+| taylor.c | power series of branches, and those with a linear tail | `zero.cosines`, `lattice.core_with_tail` |
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-/* Power series of a branch of collocation equations Omega^2 D2 x = f(x, p), order by order; see zero/recursion.py.
+/* Power series of a branch of collocation equations Omega^2 D2 x = f(x, p), order by order; see zero/cosines.py.
 
    Series are stored order by order. Terms are coefficient * p^power * product of `degree` states, each added to a row of
    f, or of the normalisation, whose states are those at phase zero. */
@@ -151,7 +151,7 @@ KERNEL(series_right)(series *s, int64_t k)
     return 0;
 }
 
-/* A linear tail that is eliminated, order by order; see lattice/tail_problem.py. */
+/* A linear tail that is eliminated, order by order; see lattice/core_with_tail.py. */
 typedef struct {
     int64_t orders, nodes, size, first, place, touched, own_Omega;
     const int64_t *columns;               /* of the block, `touched` in number, of which `own_Omega` is that of Omega */

@@ -23,8 +23,8 @@ from casadi_skin.lattice.chain import Chain, check_no_parameters
 from casadi_skin.model.arguments import accepted_names, short_repr
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.cosines import cosine_matrix, second_derivative_matrix
+from casadi_skin.zero.family import FamilyRequest
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.request import FamilyRequest
 from casadi_skin.zero.statement import named_values
 
 # Attributes of `Observables` that are no quantities.

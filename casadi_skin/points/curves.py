@@ -24,12 +24,11 @@ from casadi_skin.model.arguments import check_name
 from casadi_skin.points.edges import EdgeCurve, edge_curve, parameters_of
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.augmented import SingularProblem
-from casadi_skin.zero.closure import Closure
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS, Unresolved
 from casadi_skin.zero.linearised import Linearised
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import ContinuationSettings, End, Point
-from casadi_skin.zero.stated_problem import PERIOD
+from casadi_skin.zero.stated_problem import PERIOD, Closure
 
 CURVE_KINDS = (FOLD, DOUBLING, TORUS, BRANCH_POINT)
 UNFOLDING_PUSH = 1e-7  # of a step: a push that grows along a curve of branch points

@@ -35,7 +35,7 @@ from casadi_skin.stability.tongues.find_changes import POWERS_BY_FRACTION
 from casadi_skin.zero.family import Targets
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE, Unresolved
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
-from casadi_skin.zero.rest_problem import Course
+from casadi_skin.zero.rest import Course
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point, Target
 
 # Orbits at edges, and the special points of a family there ------------------------------------------------------------

@@ -20,10 +20,9 @@ from casadi_skin.zero.kinds import DOUBLING
 from casadi_skin.zero.linearised import Linearised
 from casadi_skin.zero.orbit import FIRST_INTERVALS, OrbitRequest, Periodic, Sizes, boundary_method, statement_of
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest_problem import sizes_of
+from casadi_skin.zero.rest import Statics, sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
 from casadi_skin.zero.stated_problem import PERIOD, stated
-from casadi_skin.zero.statics import Statics
 
 ACCEPTED_ORBITS = (
     "orbits over the whole period (symmetric=False), and of models that conserve something branch points alone"

@@ -22,9 +22,8 @@ from casadi_skin.points.lost_symmetry import breaking_space, start_of
 from casadi_skin.zero.family import MAX_POINTS
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, HOPF
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest_problem import AlgebraicProblem, Course, power_of_two, sizes_at
+from casadi_skin.zero.rest import ROUNDED_COMPONENT_RATIO, AlgebraicProblem, Course, Statics, power_of_two, sizes_at
 from casadi_skin.zero.settings import ContinuationSettings, Point
-from casadi_skin.zero.statics import ROUNDED_COMPONENT_RATIO, Statics
 
 PROBE_STEP = 1e-2  # of the unit of length: a step along the branch that leaves, for the direction of its parameter
 SHORT = 1e-4  # of the range of the parameter: a step along the branch that leaves, for its units

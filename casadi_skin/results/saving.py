@@ -18,8 +18,7 @@ from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.lattice.long_lattice import LongLattice
+from casadi_skin.lattice.lattice import Lattice, LongLattice
 from casadi_skin.model.arguments import cut, file_path, short_repr
 from casadi_skin.model.files import replacing
 from casadi_skin.model.ode import OdeModel

@@ -40,7 +40,7 @@ from casadi_skin.results.words import (
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet, LocalisedFloquet
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.statics import Spectrum
+from casadi_skin.zero.rest import Spectrum
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -48,7 +48,7 @@ SAVED_CLASSES = {  # that a file may name, by module: "other=own" where the name
     "lattice.chain": "Chain",
     "lattice.declaration": "Bond Declaration Site Uniform",
     "lattice.linear": "Bands LatticeModes",
-    "lattice.long_lattice": "LongLattice",
+    "lattice.lattice": "LongLattice",
     "model.conserved": "SymmetryClass",
     "optimise.families": "ChainFamily ModelFamily",
     "optimise.family_search": "FamilySearch",
@@ -67,14 +67,12 @@ SAVED_CLASSES = {  # that a file may name, by module: "other=own" where the name
     "stability.tongues.diagram": "Passage Place StabilityDiagram StabilityEdge StableWindow Tongue",
     "stability.tongues.interpolation": "MatrixSeries Piece",
     "zero.augmented": "Singularity",
-    "zero.family": "Method Targets",
     "zero.kinds": "Unresolved",
     "zero.orbit": "Periodic Sizes",
     "zero.problem": "Scalar",
-    "zero.request": "FamilyRequest",
-    "zero.rest_problem": "Course",
+    "zero.family": "FamilyRequest Method Targets",
     "zero.settings": "ContinuationSettings End ErrorEstimate Target",
-    "zero.statics": "Spectrum Statics",
+    "zero.rest": "Course Spectrum Statics",
 }
 NAMES_IN_FILES = {  # in files, by module and own name
     (f"casadi_skin.{module}", word.rpartition("=")[2]): word.partition("=")[0]

@@ -22,8 +22,7 @@ from casadi_skin.runs.scene import CONSERVED, SELECTED, TABLES, LatticeTable, Mo
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
-    from casadi_skin.lattice.lattice import Lattice
-    from casadi_skin.lattice.long_lattice import LongLattice
+    from casadi_skin.lattice.lattice import Lattice, LongLattice
     from casadi_skin.zero.guesses import Guess
     from casadi_skin.zero.statement import BoundaryValueProblem
 
@@ -86,7 +85,7 @@ def lattice_of(table: LatticeTable) -> Lattice | LongLattice:
     cells: Any = table.cells
     if not table.long:
         return Lattice(cells, sites, bonds, table.boundary, values, forcing_period=table.forcing_period)
-    from casadi_skin.lattice.long_lattice import LongLattice
+    from casadi_skin.lattice.lattice import LongLattice
 
     cells = cells[0] if isinstance(cells, tuple) and len(cells) == 1 else cells
     boundary: Any = table.boundary[0] if isinstance(table.boundary, tuple) else table.boundary
@@ -96,7 +95,7 @@ def lattice_of(table: LatticeTable) -> Lattice | LongLattice:
 def _bound_file(scene: Scene, table: ModelTable, scene_path: Path, files: Files) -> Request:
     """The request of a scene whose file makes a model, or states a boundary-value problem; raises SceneError."""
     from casadi_skin.model.saved import loads
-    from casadi_skin.zero.closure import closure_of
+    from casadi_skin.zero.stated_problem import closure_of
     from casadi_skin.zero.statement import BoundaryValueProblem
 
     path, kinds = scene_path.parent / table.file, (OdeModel, BoundaryValueProblem)

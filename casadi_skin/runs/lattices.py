@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from casadi_skin.lattice.declaration import CELL_INDICES
-from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.lattice.lattice import Lattice, LongLattice
 from casadi_skin.lattice.linear import REAL_SQUARE_RTOL, bands, brillouin_zone, lattice_modes, winding_numbers
-from casadi_skin.lattice.long_lattice import LongLattice
 from casadi_skin.results import figures
 from casadi_skin.results.dataset import write_columns
 from casadi_skin.results.figures.bands import band_figure, skin_figure

@@ -15,9 +15,8 @@ from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.runs.rules import check_known, refusal
 from casadi_skin.runs.scene import CONSERVED, Scene
-from casadi_skin.zero.family import Method, Targets
+from casadi_skin.zero.family import FamilyRequest, Method, Targets
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.request import FamilyRequest
 
 if TYPE_CHECKING:
     from casadi_skin.optimise.family_search import FamilySearch

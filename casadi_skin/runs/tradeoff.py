@@ -39,8 +39,7 @@ from casadi_skin.runs.study import Study, letter, run_study
 from casadi_skin.stability.flows import OrbitState
 from casadi_skin.stability.multipliers import floquets
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.zero.family import Method, Targets
-from casadi_skin.zero.request import FamilyRequest, family_request
+from casadi_skin.zero.family import FamilyRequest, Method, Targets, family_request
 
 Result = TypeVar("Result")
 Multipliers = tuple[ComplexArray, float]  # mu of an orbit, and the largest estimated error over max(1, |mu|)

@@ -21,9 +21,8 @@ from casadi_skin.stability.multipliers import floquet_vectors, floquets, vectors
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet, ReversibleFloquet
 from casadi_skin.stability.splitting import SplittingFlow
-from casadi_skin.zero.family import Coordinates
+from casadi_skin.zero.family import Coordinates, FamilyRequest
 from casadi_skin.zero.problem import Array, Buffers, Problem
-from casadi_skin.zero.request import FamilyRequest
 from casadi_skin.zero.settings import Point, Refinement
 
 if TYPE_CHECKING:

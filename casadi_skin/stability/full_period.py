@@ -34,9 +34,8 @@ from casadi_skin.stability.closed_maps import (
 )
 from casadi_skin.stability.result import LARGEST_LOGARITHM, FullPeriodFloquet
 from casadi_skin.zero.butcher import CollocationTable
-from casadi_skin.zero.closure import TURNED_FIELD_RTOL, Closure
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.stated_problem import BoundaryProblem
+from casadi_skin.zero.stated_problem import TURNED_FIELD_RTOL, BoundaryProblem, Closure
 
 # The error of each multiplier, from those of a better solution: what its discretisation, and the orbit's, are off by
 

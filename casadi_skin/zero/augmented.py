@@ -32,14 +32,13 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.model.expressions import Expression
-from casadi_skin.zero.formulation import Formulation
+from casadi_skin.zero.discretisation import Formulation
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, FOLD, TORUS
 from casadi_skin.zero.linearised import Linearised, Vector, null_vectors, velocities
 from casadi_skin.zero.problem import EPSILON, Array, Indices, Problem, SingularError, Solve
-from casadi_skin.zero.rest_problem import AlgebraicProblem, Course
+from casadi_skin.zero.rest import AlgebraicProblem, BalancedMatrix, ComplexArray, Course, NullSpace, Statics, upper_pair
 from casadi_skin.zero.stated_problem import ZERO_SOLUTION_SIZE, BoundaryProblem
 from casadi_skin.zero.statement import Statement
-from casadi_skin.zero.statics import BalancedMatrix, ComplexArray, NullSpace, Statics, upper_pair
 
 # Extended systems whose regular solutions are folds, Hopf points and branch points of equilibria ----------------------
 

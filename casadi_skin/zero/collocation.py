@@ -25,8 +25,7 @@ from casadi_skin.model.conserved import SymmetryClass, pinned_components, unfold
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero import mesh
 from casadi_skin.zero.butcher import CollocationTable
-from casadi_skin.zero.discretisation import Discretisation, missed
-from casadi_skin.zero.formulation import Formulation
+from casadi_skin.zero.discretisation import Discretisation, Formulation, missed
 from casadi_skin.zero.problem import Array, Indices, OrbitProblem, Other, Problem, Solve, sparse_matrix
 
 NO_VALUES: Array = np.zeros(0)

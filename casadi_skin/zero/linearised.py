@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.model.expressions import Expression
-from casadi_skin.zero.formulation import Formulation
+from casadi_skin.zero.discretisation import Formulation
 from casadi_skin.zero.problem import Array, SingularError
 from casadi_skin.zero.stated_problem import BoundaryProblem
 from casadi_skin.zero.statement import Statement

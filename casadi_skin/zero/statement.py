@@ -17,7 +17,7 @@ from casadi_skin.model.arguments import by_name, check_name, number, short_repr
 from casadi_skin.model.expressions import Expression, expression_of, in_scalars, is_comparison, product
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import WithVerbs
-from casadi_skin.zero.formulation import Formulation
+from casadi_skin.zero.discretisation import Formulation
 from casadi_skin.zero.problem import Array
 
 Bounds = Mapping[str, tuple[float, float]]

@@ -23,9 +23,8 @@ from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.solve.ipopt import ArbitratedCorrector
 from casadi_skin.solve.levels import Levels
 from casadi_skin.stability import family_stability
-from casadi_skin.zero.cosines import TrigonometricProblem
-from casadi_skin.zero.recursion import TaylorRecursion
-from casadi_skin.zero.request import family_request
+from casadi_skin.zero.cosines import TaylorRecursion, TrigonometricProblem
+from casadi_skin.zero.family import family_request
 
 pytestmark = pytest.mark.benchmark
 
@@ -156,7 +155,7 @@ LONG_CHAIN = """
 import resource, time
 from casadi_skin import Chain
 from casadi_skin.follow.follow import Following
-from casadi_skin.zero.request import family_request
+from casadi_skin.zero.family import family_request
 from casadi_skin.follow.family import Family
 chain = Chain({sites}, 1.0, 0.25, 1.0)
 tools = Family(family_request(chain, {sites}, 3.0, at=(3.0,), tolerance=1e-9, corrector="{corrector}"))

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from casadi_skin import Chain, OdeModel, follow_family
-from casadi_skin.zero.request import family_request
+from casadi_skin.zero.family import family_request
 
 QUICK = examples(250, database=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 CHAIN: dict[str, Any] = {"sites": 6, "alpha": 1.0, "gamma": 0.25, "g": 1.0}

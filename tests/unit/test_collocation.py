@@ -18,8 +18,8 @@ from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.results.branch_records import PointRecord, known_of, point_record
 from casadi_skin.zero.butcher import gauss_table, radau_table
 from casadi_skin.zero.collocation import CollocationProblem
+from casadi_skin.zero.family import family_request
 from casadi_skin.zero.problem import OrbitProblem
-from casadi_skin.zero.request import family_request
 
 Array = NDArray[np.float64]
 QUARTER, FULL = SymmetryClass.QUARTER, SymmetryClass.FULL

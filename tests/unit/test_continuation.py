@@ -20,7 +20,7 @@ from casadi_skin.follow.point import LocalCurve, PointSolver, predictor
 from casadi_skin.lattice.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.solve.ipopt import ArbitratedCorrector
 from casadi_skin.solve.newton import Correction, HeldState, NewtonCorrector, Status
-from casadi_skin.zero.request import family_request
+from casadi_skin.zero.family import family_request
 from casadi_skin.zero.settings import End, Point
 
 Array = NDArray[np.float64]

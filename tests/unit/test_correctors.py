@@ -18,9 +18,9 @@ from casadi_skin.follow.find import packed, space_of
 from casadi_skin.follow.point import LocalCurve
 from casadi_skin.follow.space import BoundaryError
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.core_with_tail import CoreWithTailProblem
 from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.lattice.tail_parameter import TailParameter
-from casadi_skin.lattice.tail_problem import CoreWithTailProblem
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve import ipopt, watch
 from casadi_skin.solve.bordered import BorderedSolver

@@ -18,8 +18,8 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.native import OPERATIONS
 from casadi_skin.zero.collocation import CollocationProblem
 from casadi_skin.zero.cosines import TrigonometricProblem
+from casadi_skin.zero.family import family_request
 from casadi_skin.zero.problem import Problem
-from casadi_skin.zero.request import family_request
 
 
 def two_oscillators(force: Callable[[ca.SX, ca.SX], ca.SX]) -> OdeModel:

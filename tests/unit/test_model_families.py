@@ -20,7 +20,7 @@ from scipy.special import ellipk, ellipkm1
 from small_models import duffing, fput, lattice, pendulums
 
 from casadi_skin import Branch, Chain, OdeModel, Orbit, find_orbit, follow_family
-from casadi_skin.zero.request import family_request
+from casadi_skin.zero.family import family_request
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -25,9 +25,8 @@ from casadi_skin.model.polynomial import Monomials
 from casadi_skin.solve.bordered import BandFactors, BorderedSolver
 from casadi_skin.stability.flows import JacobianAlong
 from casadi_skin.stability.splitting import SplittingMap
-from casadi_skin.zero.cosines import TrigonometricProblem
-from casadi_skin.zero.recursion import PolynomialForm, TaylorRecursion
-from casadi_skin.zero.request import family_request
+from casadi_skin.zero.cosines import PolynomialForm, TaylorRecursion, TrigonometricProblem
+from casadi_skin.zero.family import family_request
 
 
 def both_ways(model: OdeModel, steps: int, orbits: int) -> list[np.ndarray]:

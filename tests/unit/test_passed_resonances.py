@@ -12,9 +12,9 @@ from casadi_skin import Chain, follow_family
 from casadi_skin.follow.corners import PassedResonance, _counted, passed_resonances, positive_eigenvalues
 from casadi_skin.follow.family import Family
 from casadi_skin.lattice.chain_coordinates import LongChain
-from casadi_skin.lattice.tail_problem import CoreWithTailProblem
+from casadi_skin.lattice.core_with_tail import CoreWithTailProblem
 from casadi_skin.runs.program import main
-from casadi_skin.zero.request import family_request
+from casadi_skin.zero.family import family_request
 
 
 def test_positive_eigenvalues_of_bands_are_those_of_the_matrices() -> None:

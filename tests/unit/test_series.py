@@ -16,10 +16,9 @@ from casadi_skin import Branch, Chain, OdeModel, follow_family
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.point import LocalCurve, PointSolver
 from casadi_skin.solve.bordered import BorderedSolver
-from casadi_skin.zero.cosines import TrigonometricProblem
+from casadi_skin.zero.cosines import PolynomialForm, TaylorRecursion, TrigonometricProblem
+from casadi_skin.zero.family import family_request
 from casadi_skin.zero.problem import SingularError
-from casadi_skin.zero.recursion import PolynomialForm, TaylorRecursion
-from casadi_skin.zero.request import family_request
 from casadi_skin.zero.settings import End, Point
 
 # Families that fold in S and come back, found by search: chain, mode, S beyond the fold.

@@ -26,8 +26,8 @@ from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import Status
+from casadi_skin.zero.family import family_request
 from casadi_skin.zero.problem import SingularError
-from casadi_skin.zero.request import family_request
 from casadi_skin.zero.settings import End
 from casadi_skin.zero.shooting import ShootingError, ShootingProblem
 

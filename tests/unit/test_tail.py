@@ -14,11 +14,11 @@ from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.dynamics.resonances import threshold
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.point import LocalCurve
+from casadi_skin.lattice.core_with_tail import CoreWithTailProblem
 from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
-from casadi_skin.lattice.tail_problem import CoreWithTailProblem
-from casadi_skin.zero.recursion import PolynomialForm
-from casadi_skin.zero.request import family_request
+from casadi_skin.zero.cosines import PolynomialForm
+from casadi_skin.zero.family import family_request
 
 GAP = math.sqrt(1.0 - 0.25**2)  # the coupling s at gamma = 0.25
 AMPLITUDES = (1e-9, 0.2, 1.0, 3.0)

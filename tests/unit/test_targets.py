@@ -14,7 +14,7 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.follow import Following
 from casadi_skin.results.branch_records import EndRecord, known_of, point_record
 from casadi_skin.solve.newton import NewtonCorrector
-from casadi_skin.zero.request import family_request
+from casadi_skin.zero.family import family_request
 from casadi_skin.zero.settings import End
 
 Array = NDArray[np.float64]

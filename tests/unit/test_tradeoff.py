@@ -39,7 +39,7 @@ from casadi_skin.runs.tradeoff import (
     timed,
     work_precision_figure,
 )
-from casadi_skin.zero.request import family_request
+from casadi_skin.zero.family import family_request
 
 FAMILY = family_request(Chain(2, 1.0, 0.25, -1.0), 1, 0.4, at=(0.2, 0.4))
 LONG = family_request(Chain(24, 1.0, 0.25, -1.0), 1, 1.0, at=(1.0,))

@@ -12,7 +12,7 @@ from casadi_skin.follow.family import Family
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.polynomial import lifted
 from casadi_skin.zero.cosines import TrigonometricProblem
-from casadi_skin.zero.request import family_request
+from casadi_skin.zero.family import family_request
 
 # Equations that models have in common --------------------------------------------------------------------------------
 

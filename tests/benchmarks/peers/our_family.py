@@ -11,7 +11,7 @@ from family_case import Array, Family, FamilyCase
 from casadi_skin.follow import family as computed
 from casadi_skin.follow.follow import Following
 from casadi_skin.follow.solution import Orbit
-from casadi_skin.zero.request import FamilyRequest, family_request
+from casadi_skin.zero.family import FamilyRequest, family_request
 from casadi_skin.zero.settings import ContinuationSettings
 
 # Name in the table: keywords of family_request. A new method is one line.
