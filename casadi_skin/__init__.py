@@ -103,8 +103,6 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
     "LongLattice": {"family_coordinates": "lattice.core_with_tail:long_lattice_coordinates"},
     "Map": {
         "_repr_html_": "results.present:html_table",
-        "figure": "runs.map_result:picture",
-        "plot": "runs.map_result:plot",
         "to_dataframe": "results.present:to_dataframe",
     },
 }

@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 
 from casadi_skin.results.journal import read_records
-from casadi_skin.runs.map_grid import MapRecord, TaskRecord
+from casadi_skin.runs.map_result import MapRecord, TaskRecord
 
 TINY = """[chain]
 sites = 2

@@ -23,8 +23,7 @@ from casadi_skin.results.dataset import Dataset, Variable, dataset_of, read_name
 from casadi_skin.results.quantities import places_of
 from casadi_skin.results.saving import read_result
 from casadi_skin.results.tables import event_rows
-from casadi_skin.runs.map_result import map_dataset, read_map
-from casadi_skin.runs.map_store import STATUS_WORDS
+from casadi_skin.runs.map_result import STATUS_WORDS, read_map
 from casadi_skin.runs.parts import mode_of
 
 PAGE_FILE = "explore.html"
@@ -75,7 +74,7 @@ def _of_directory(directory: Path) -> tuple[Contents, str]:
 def _of_file(path: Path) -> tuple[Contents, str]:
     """The contents of a page of a result in one file; raises ValueError for other contents."""
     if zipfile.is_zipfile(path):
-        return _map_contents(path.name, map_dataset(read_map(path).columns, {"title": path.stem}, True)), "map"
+        return _map_contents(path.name, read_map(path).dataset({"title": path.stem}, True)), "map"
     result = read_result(path)
     branches = result.branches if isinstance(result, Diagram) else (result,)
     if not all(isinstance(branch, Branch) and len(branch) for branch in branches):

@@ -1,4 +1,7 @@
-"""Driving a map: batches of cells, each task tried twice, every result in the journal before anything else happens."""
+"""A map of a scene: cells computed by an engine, each task tried twice, its result in the journal before anything else.
+
+An engine is any executor of `concurrent.futures`; where it is lost, workers of this machine go on in its place.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +13,17 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from casadi_skin.model.arguments import file_path, short_repr, truth, whole
 from casadi_skin.model.files import replacing
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.results.dataset import write_netcdf
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.directory import (
     JOURNAL_FILE,
@@ -35,13 +36,10 @@ from casadi_skin.runs.directory import (
     prepare,
     prepare_part,
 )
-from casadi_skin.runs.map_cell import Computer, Job, compute
-from casadi_skin.runs.map_grid import FAILED as FAULT
-from casadi_skin.runs.map_grid import LOST, Cells, Grid, Result, Task, needed, plain, scene_at
-from casadi_skin.runs.map_grid import UNKNOWN_LABEL as UNLABELLED
-from casadi_skin.runs.map_lines import BOUNDARY_FILE, OF_BOUNDARY, boundaries, check_boundary, write_boundary
-from casadi_skin.runs.map_result import CSV, NETCDF, Map, map_dataset, write_pictures, write_table
-from casadi_skin.runs.map_store import DONE, FAILED, MOST_ATTEMPTS, UNKNOWN, Columns, Store, check_quantities
+from casadi_skin.runs.map_cell import LOST, Computer, Result, check_quantities, compute
+from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Cells, Grid, Task, needed, plain, scene_at
+from casadi_skin.runs.map_lines import boundaries, check_boundary
+from casadi_skin.runs.map_result import DONE, FAILED, MOST_ATTEMPTS, UNKNOWN, WATCHED, Map
 from casadi_skin.runs.parts import origin
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.reading import parse_scene, read_text
@@ -56,9 +54,18 @@ ASSUMED_WORKERS = 64  # workers of an executor without a public number of worker
 CONNECT_LIMIT = 10.0  # seconds until a scheduler answers
 MOST_WORKERS = 256
 ASK_SECONDS = 5.0  # seconds between two questions about the workers of a cluster
+LOOK_SECONDS = 1.0  # seconds between two looks at an engine
+SHOW_SECONDS = 0.2  # seconds between two changes of the line of progress
+TELL_SECONDS = 30.0  # seconds between two lines of progress where there is no terminal
+SHORT_CELL_SECONDS = 5.0  # seconds of a first cell, imports among them, below which it is measured again
+SCHEDULER_ADDRESS = re.compile(r"inproc://\S+|(\w+://)?[^\s/]+:\d{1,5}")  # of a scheduler
+Part = tuple[int, int]  # a share and the number of shares, the first being 1
 
 
-@dataclass(frozen=True)
+# Engines --------------------------------------------------------------------------------------------------------------
+
+
+@dataclass
 class Engine:
     """An executor of tasks.
 
@@ -66,23 +73,70 @@ class Engine:
         executor: the executor itself.
         workers: how many tasks it computes at the same time, queried repeatedly.
         lost: reason why it takes no more tasks; empty while it does.
-        close: ends it.
+        end: ends it.
+        take_over: the engine that goes on where this one is lost for a reason.
     """
 
     executor: Executor
     workers: Callable[[], int]
-    lost: Callable[[], str]
-    close: Callable[[], None]
+    lost: Callable[[], str] = lambda: ""
+    end: Callable[[], None] = lambda: None
+    take_over: Callable[[str], Engine] | None = None
 
-    def width(self) -> int:
-        """Number of tasks handed over at the same time."""
-        return max(self.workers(), 1) + TASKS_AHEAD * max(self.workers(), 1)
+    def close(self) -> None:
+        """End the executor, which may be gone already."""
+        with interrupts_deferred(), suppress(Exception):
+            self.end()
+
+    def results(self, computer: bytes, tasks: Iterable[Task], limit: float | None) -> Iterator[tuple[Task, Result]]:
+        """Tasks with their results as they end; a few at a time are handed over.
+
+        Those under way on an engine that is lost have the reason as their result.
+        """
+        left, waiting = iter(tasks), dict[Future[Result], Task]()
+        while True:
+            for task in islice(left, (1 + TASKS_AHEAD) * max(self.workers(), 1) - len(waiting)):
+                waiting[self._submitted(computer, task, limit)] = task
+                if self.lost():
+                    break
+            if not waiting:
+                return
+            ended, _ = wait(waiting, LOOK_SECONDS, FIRST_COMPLETED)
+            reason = self.lost()
+            for future in list(waiting) if reason else ended:
+                yield waiting.pop(future), _outcome(future, reason)
+            if reason and self.take_over is not None:
+                self.close()
+                vars(self).update(vars(self.take_over(reason)))  # from here on it is that engine
+
+    def _submitted(self, computer: bytes, task: Task, limit: float | None) -> Future[Result]:
+        try:
+            return self.executor.submit(compute, computer, task, None if limit is None else limit * len(task.cells))
+        except Exception as error:  # whatever an engine that is lost raises
+            if not self.lost():
+                raise
+            future = Future[Result]()
+            future.set_exception(error)
+            return future
+
+
+def _outcome(future: Future[Result], lost: str) -> Result:
+    """The result of a task, or why the engine has none."""
+    if not future.done():
+        return Result(kind=LOST, reason=lost)
+    try:
+        return future.result()
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # of an engine: cancelled, broken, a worker of it that was killed
+        words = " ".join(str(error).split()) or type(error).__name__
+        return Result(kind=LOST, reason=lost or f"the engine lost it: {words}")
 
 
 def local_engine(workers: int) -> Engine:
     """Worker processes on this machine."""
     pool = Pool(workers)
-    return Engine(pool, lambda: workers, lambda: "", pool.close)
+    return Engine(pool, lambda: workers, end=pool.close)
 
 
 def dask_engine(address: str) -> Engine:
@@ -114,22 +168,15 @@ def dask_engine(address: str) -> Engine:
 
 
 def given_engine(executor: Executor) -> Engine:
-    """An executor of the caller, who ends it; raises TypeError for other objects."""
-    if not isinstance(executor, Executor):
-        raise TypeError(f"executor: given {short_repr(executor)}; accepted: a concurrent.futures.Executor")
+    """An executor of the caller, who ends it."""
     count = getattr(executor, "_max_workers", None)
     workers = count if isinstance(count, int) else ASSUMED_WORKERS
-
-    def lost() -> str:
-        return "the executor is broken" if getattr(executor, "_broken", False) else ""
-
-    return Engine(executor, lambda: workers, lost, lambda: None)
+    return Engine(
+        executor, lambda: workers, lambda: "the executor is broken" if getattr(executor, "_broken", False) else ""
+    )
 
 
-LOOK_SECONDS = 1.0  # seconds between two looks at an engine
-SHOW_SECONDS = 0.2  # seconds between two changes of the line of progress
-TELL_SECONDS = 30.0  # seconds between two lines of progress where there is no terminal
-Part = tuple[int, int]  # a share and the number of shares, the first being 1
+# Driving a map --------------------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -137,148 +184,80 @@ class Drive:
     """A map on its way.
 
     Attributes:
-        grid, store, engine: its cells, their results, the place of their computation.
-        computer: the part that all tasks share, pickled.
+        map: its cells and their results.
+        engine: the place of their computation.
+        computer: what all tasks share, pickled.
         cell_limit: seconds that a cell may take.
         part: the share that is computed here; None of a map that is computed here as a whole.
-        workers: processes of this machine that take over from a lost engine.
     """
 
-    grid: Grid
-    store: Store
+    map: Map
     engine: Engine
     computer: bytes
     progress: Progress
     cell_limit: float | None = None
     part: Part | None = None
-    workers: int = 1
-    computed: int = 0
-    _planned: int = 0
-    _began: float = field(default_factory=time.monotonic)
-    _told: float = field(default_factory=time.monotonic)
-    _shown: float = -math.inf
 
     def run(self) -> bool:
-        """Compute the missing cells; False where the share of another part is still to come."""
-        seen = np.zeros(self.grid.size, dtype=bool)
-        for batch in self._batches():
-            seen[batch] = True
-            self._planned += int(np.sum(~self.store.final(batch))) // (1 if self.part is None else self.part[1])
-            self._compute(self._first(batch), 1)
-            self.store.refresh()
-            if np.any(self.store.attempts[batch] == 0):
-                return False
-            self._compute(self._again(batch, seen), MOST_ATTEMPTS)
+        """Compute the missing cells; False where the share of another part is still to come.
+
+        A batch of cells follows from the results of those before it alone.
+        """
+        found, grid, computed, planned = self.map, self.map.grid, 0, 0
+        seen, began, shown, told = np.zeros(grid.shape, dtype=bool), time.monotonic(), -math.inf, time.monotonic()
+        while (batch := needed(grid, np.where(seen, found.labels(), UNKNOWN_LABEL))).size:
+            seen.flat[batch] = True
+            planned += int(np.sum(~found.final(batch))) // (1 if self.part is None else self.part[1])
+            for attempt, tasks in ((1, self._first(batch)), (MOST_ATTEMPTS, self._again(batch, seen.ravel()))):
+                for task, result in self.engine.results(self.computer, tasks, self.cell_limit):
+                    with interrupts_deferred():
+                        found.add(task, attempt, result)
+                    computed, now = computed + len(task.cells), time.monotonic()
+                    if now - shown >= SHOW_SECONDS:
+                        shown, left = now, max(planned - computed, 0)
+                        words = self._words(left, (now - began) / computed)
+                        self.progress.say(words)
+                        if not self.progress.on_terminal and now - told > TELL_SECONDS:
+                            told = now
+                            self.progress.report(words)
+                found.refresh()
+                if np.any(found.attempts[batch] == 0):
+                    return False
         return True
 
-    def _batches(self) -> Iterator[Cells]:
-        """Cells to compute one batch after the other; a batch follows from the results of those before it alone."""
-        if not self.grid.refined:
-            yield self.grid.coarsest
-            return
-        shown = np.full(self.grid.shape, UNLABELLED, dtype=np.int32)
-        while (batch := needed(self.grid, shown)).size:
-            yield batch
-            shown.flat[batch] = self.store.watch.labels.flat[batch]
+    def _words(self, left: int, seconds: float) -> str:
+        """The place of the map, and an estimate of the remaining time from the seconds that a cell takes."""
+        grid, states = self.map.grid, self.map.states
+        of = f", {left} to go before the next refinement" if grid.refined else f" of {grid.size}"
+        known, failed = int(np.sum(states != UNKNOWN)), int(np.sum(states == FAILED))
+        return f"{known}{of} cells; {failed} failed; about {duration(seconds * left)} left"
 
     def _first(self, batch: Cells) -> Iterator[Task]:
         """Tasks of one's own share that are not computed."""
-        for number, task in enumerate(self.grid.tasks(batch)):
+        for number, task in enumerate(self.map.grid.tasks(batch)):
             mine = self.part is None or number % self.part[1] == self.part[0] - 1
-            if mine and self.store.attempts[task.cells[0]] == 0:
+            if mine and self.map.attempts[task.cells[0]] == 0:
                 yield task
 
-    def _again(self, batch: Cells, seen: NDArray[np.bool_]) -> Iterator[Task]:
+    def _again(self, batch: Cells, seen: Any) -> Iterator[Task]:
         """Tasks that failed once; one with a reason starts from the nearest neighbour's solution, where there is one.
 
         Neighbours are cells that were computed at their first attempt, so that all engines and resumed maps agree.
         """
-        done = np.flatnonzero(seen & (self.store.states == DONE) & (self.store.attempts == 1))
-        places = self.grid.places(done)
-        for task in self.grid.tasks(batch):
+        found, grid = self.map, self.map.grid
+        done = np.flatnonzero(seen & (found.states == DONE) & (found.attempts == 1))
+        places = grid.places(done)
+        for task in grid.tasks(batch):
             cell = task.cells[0]
-            if self.store.states[cell] != FAILED or self.store.attempts[cell] >= MOST_ATTEMPTS:
+            if found.states[cell] != FAILED or found.attempts[cell] >= MOST_ATTEMPTS:
                 continue
-            if self.store.record(cell).kind == FAULT and done.size:
-                distances = np.abs(places - self.grid.places(np.array([cell]))).sum(axis=1)
+            if done.size and not found.may_recover(cell):
+                distances = np.abs(places - grid.places(np.array([cell]))).sum(axis=1)
                 near = int(done[np.argmin(distances)])
-                row = self.store.row(near)
-                if row is not None and row.state:
-                    task = msgspec.structs.replace(task, start=row.state, period=row.period, neighbour=near)
+                state, period = found.start(near)
+                if state:
+                    task = msgspec.structs.replace(task, start=state, period=period, neighbour=near)
             yield task
-
-    # Handing over -----------------------------------------------------------------------------------------------------
-
-    def _compute(self, tasks: Iterable[Task], attempt: int) -> None:
-        """Compute tasks, handed over a few at a time; where the engine is lost, workers of this machine take over."""
-        left, waiting = iter(tasks), dict[Future[Result], Task]()
-        while True:
-            for task in islice(left, max(self.engine.width() - len(waiting), 0)):
-                future = self._submitted(task)
-                if future is None:
-                    self._keep(task, Result(kind=LOST, reason=self.engine.lost() or "no engine took it"), attempt)
-                    self._take_over(waiting, attempt)
-                else:
-                    waiting[future] = task
-            if not waiting:
-                return
-            ended, _ = wait(waiting, LOOK_SECONDS, FIRST_COMPLETED)
-            for future in ended:
-                self._keep(waiting.pop(future), _outcome(future, self.engine), attempt)
-            if self.engine.lost():
-                self._take_over(waiting, attempt)
-            self._show()
-
-    def _submitted(self, task: Task) -> Future[Result] | None:
-        limit = None if self.cell_limit is None else self.cell_limit * len(task.cells)
-        try:
-            return self.engine.executor.submit(compute, self.computer, task, limit)
-        except Exception:  # whatever an engine that is lost raises
-            if not self.engine.lost():
-                raise
-            return None
-
-    def _take_over(self, waiting: dict[Future[Result], Task], attempt: int) -> None:
-        """Record the tasks under way on a lost engine, and go on with workers of this machine."""
-        reason = self.engine.lost() or "the engine is lost"
-        for task in waiting.values():
-            self._keep(task, Result(kind=LOST, reason=reason), attempt)
-        waiting.clear()
-        self.progress.report(f"{reason}; {self.workers} worker(s) of this machine go on")
-        _closed(self.engine)
-        self.engine = local_engine(self.workers)
-
-    def _keep(self, task: Task, result: Result, attempt: int) -> None:
-        with interrupts_deferred():
-            self.store.add(task, attempt, result)
-        self.computed += len(task.cells)
-
-    def _show(self) -> None:
-        """The place of the map, and an estimate of the remaining time."""
-        now = time.monotonic()
-        if now - self._shown < SHOW_SECONDS:
-            return
-        self._shown, failed = now, int(np.sum(self.store.states == FAILED))
-        left = max(self._planned - self.computed, 0)
-        seconds = (now - self._began) / max(self.computed, 1)
-        known = int(np.sum(self.store.states != UNKNOWN))
-        of = f" of {self.grid.coarsest.size}" if not self.grid.refined else f", {left} to go before the next refinement"
-        words = f"{known}{of} cells; {failed} failed; about {duration(seconds * left)} left"
-        self.progress.say(words)
-        if not self.progress.on_terminal and now - self._told > TELL_SECONDS:
-            self._told = now
-            self.progress.report(words)
-
-
-def _outcome(future: Future[Result], engine: Engine) -> Result:
-    """The result of a task, or why the engine has none."""
-    try:
-        return future.result()
-    except BaseException as error:  # of an engine: cancelled, broken, a worker of it that was killed
-        if isinstance(error, KeyboardInterrupt):
-            raise
-        words = " ".join(str(error).split()) or type(error).__name__
-        return Result(kind=LOST, reason=engine.lost() or f"the engine lost it: {words}")
 
 
 def duration(seconds: float) -> str:
@@ -289,65 +268,16 @@ def duration(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.2g} s"
 
 
-# The plan of a map: the number of cells, the cost of one (measured now) and of all ------------------------------------
-
-SHORT_CELL_SECONDS = 5.0  # seconds of a first cell, imports among them, below which it is measured again
-
-
-def map_lines(scene: Scene, request: Request, path: Path) -> list[tuple[str, str]]:
-    """Pairs (subject, text) that describe the map of a scene; raises SceneError for one that cannot be meant."""
-    grid, table = Grid.of(scene), scene.map
-    check_quantities(request, grid)
-    check_boundary(scene, grid)
-    assert table is not None
-    cells = grid.coarsest
-    family = grid.family(int(cells[len(cells) // 2]))
-    (middle,), tasks = grid.tasks(family), len(cells) // len(family)
-    computer = Computer(Job(plain(scene), str(path.resolve()), table.growth))
-    result = computer.compute(middle)
-    if result.seconds < SHORT_CELL_SECONDS:
-        result = computer.compute(middle)
-    sizes = " x ".join(f"{len(range(0, len(axis.values), axis.stride))} {axis.name}" for axis in grid.axes)
-    families = f", orbits of {tasks} families" if grid.amplitude is not None else ""
-    finest = (
-        f"; refined where {', '.join(table.watch or ('stable', 'end'))} change, to {grid.size}" if grid.refined else ""
-    )
-    lines = [
-        ("map", ", ".join(_axis_words(grid, i) for i in range(len(grid.axes)))),
-        ("cells", f"{sizes} = {cells.size}{families}{finest}"),
-    ]
-    one, all_of_them = result.seconds / len(middle.cells), result.seconds * tasks
-    failed = f"; it failed: {result.reason}" if result.kind else ""
-    words = (
-        f"{duration(one)} for one (measured on {grid.name(middle.cells[0])}{failed}); {duration(all_of_them)} for all"
-    )
-    more = ", more where cells are refined" if grid.refined else ""
-    limit = f"; at most {duration(table.cell_limit)} a cell" if table.cell_limit is not None else ""
-    unused = [f"[{name}]" for name in ("spectrum", "dynamics", "export") if getattr(scene, name) is not None]
-    if unused:
-        lines.append(("not in cells", f"{', '.join(unused)}, films and pictures of single cells"))
-    return [*lines, ("cost of cells", f"{words} with one worker{more}{limit}")]
-
-
-def _axis_words(grid: Grid, place: int) -> str:
-    axis = grid.axes[place]
-    first, last = axis.values[0], axis.values[-1]
-    if not axis.numeric:
-        shown = [str(value) for value in axis.values]
-        return f"{axis.name} = {', '.join(shown if len(shown) < 8 else [*shown[:3], '...', shown[-1]])}"
-    return f"{axis.name} from {first:g} to {last:g}{' in equal ratios' if axis.log else ''}"
-
-
 # A map of a scene from beginning to end: checked, computed by an engine, written --------------------------------------
 
-SCHEDULER_ADDRESS = re.compile(r"inproc://\S+|(\w+://)?[^\s/]+:\d{1,5}")  # of a scheduler
 
-
-@dataclass(frozen=True)
-class Ways:
-    """Choices for the computation of a map: where, and which part.
+@dataclass(eq=False)
+class MapRun:
+    """A map that is to be computed.
 
     Attributes:
+        path: of the scene.
+        directory: of the results.
         workers: processes on this machine.
         scheduler: address of a dask scheduler in their place.
         executor: an executor of the caller in their place.
@@ -357,6 +287,8 @@ class Ways:
         pictures: whether pictures are drawn.
     """
 
+    path: Path
+    directory: Path
     workers: int = 1
     scheduler: str | None = None
     executor: Executor | None = None
@@ -365,37 +297,52 @@ class Ways:
     existing: Existing = Existing.REFUSE
     pictures: bool = True
 
+    def __post_init__(self) -> None:
+        """Read the scene and bind it to its model; raises SceneError, and for options as `_check_options`."""
+        self._check_options()
+        self.text = read_text(self.path)
+        self.scene = parse_scene(self.text, str(self.path))
+        try:
+            self.grid = Grid.of(self.scene)
+            self.request = bind(self.scene, self.path)
+            check_quantities(self.request, self.grid)
+            check_boundary(self.scene, self.grid)
+            named = [pair for pair in self.grid.settings(0) if pair[0][:2] == ("model", "parameters")]
+            if named:  # names of the model's parameters
+                bind(scene_at(plain(self.scene), named), self.path)
+        except SceneError as error:
+            raise SceneError(f"{self.path}: {error}") from None
+
+    def _check_options(self) -> None:
+        """Raises ValueError and TypeError for options that are not accepted, or not together."""
+        whole("workers", self.workers, 1, MOST_WORKERS)
+        if not isinstance(self.executor, Executor | None):
+            raise TypeError(f"executor: given {short_repr(self.executor)}; accepted: a concurrent.futures.Executor")
+        if self.scheduler is not None:
+            words = f"scheduler: given {short_repr(self.scheduler)}; accepted: an address, such as tcp://host:8786"
+            if not isinstance(self.scheduler, str):
+                raise TypeError(words)
+            if not SCHEDULER_ADDRESS.fullmatch(self.scheduler):
+                raise ValueError(words)
+            if self.executor is not None:
+                raise ValueError("executor: given beside scheduler; accepted: one of them")
+        if self.part is not None:
+            pair: Any = self.part if isinstance(self.part, tuple | list) and len(self.part) == 2 else ()
+            whole_numbers = pair and all(isinstance(n, int) and not isinstance(n, bool) for n in pair)
+            if not (whole_numbers and 1 <= pair[0] <= pair[1] <= 32767):
+                words = f"part: given {short_repr(self.part)}; accepted: K/N with 1 <= K <= N <= 32767"
+                raise ValueError(words)
+            if self.collect:
+                raise ValueError("collect: given beside part; accepted: one of them")
+        if self.shared and self.existing is Existing.OVERWRITE:
+            word = "collect" if self.collect else "part"
+            words = f"overwrite: given beside {word}, whose directory holds other shares; accepted: one of them"
+            raise ValueError(words)
+
     @property
     def shared(self) -> bool:
         """Whether other processes may compute other shares in the directory at the same time."""
         return self.part is not None or self.collect
-
-
-@dataclass(frozen=True, eq=False)
-class Mapped:
-    """A scene that is to be mapped, bound to its model."""
-
-    scene: Scene
-    text: str
-    path: Path
-    request: Request
-    grid: Grid
-
-    @classmethod
-    def of(cls, text: str, path: Path) -> Mapped:
-        """The map in the text of a scene; raises SceneError that begins with its path."""
-        scene = parse_scene(text, str(path))
-        try:
-            grid = Grid.of(scene)
-            request = bind(scene, path)
-            check_quantities(request, grid)
-            check_boundary(scene, grid)
-            named = [pair for pair in grid.settings(0) if pair[0][:2] == ("model", "parameters")]
-            if named:  # names of the model's parameters
-                bind(scene_at(plain(scene), named), path)
-        except SceneError as error:
-            raise SceneError(f"{path}: {error}") from None
-        return cls(scene, text, path, request, grid)
 
     @property
     def table(self) -> MapTable:
@@ -405,8 +352,76 @@ class Mapped:
 
     @property
     def computer(self) -> Computer:
-        """Data shared by all tasks."""
-        return Computer(Job(plain(self.scene), str(self.path.resolve()), self.table.growth))
+        """What computes tasks, in workers."""
+        return Computer(plain(self.scene), str(self.path.resolve()), self.table.growth)
+
+    def execute(self, progress: Progress) -> Map:
+        """Compute the missing cells and write the results; see `run_map`."""
+        if self.collect and not (self.directory / SCENE_FILE).is_file():
+            words = "holds no map to collect; accepted: the directory of a map that was begun"
+            raise DirectoryError(f"{self.directory}: {words}")
+        own = JOURNAL_FILE if self.part is None else "journal_{}_of_{}.msgpack".format(*self.part)
+        with ExitStack() as held:
+            held.enter_context(in_use(self.directory, progress.report, self.shared))
+            if self.part is not None:
+                held.enter_context(in_use(self.directory, progress.report, part=str(self.part[0])))
+            engine = None if self.collect else self._engine(progress)
+            if engine is not None:
+                held.callback(engine.close)
+            self._prepare()
+            given = self.directory, self.grid, self.scene, None if self.collect else own, progress.report
+            found = held.enter_context(Map(*given))
+            if self.existing is Existing.RESUME:
+                found.forget_outside(mine=self.part is not None)
+            found.waits = True
+            try:
+                if engine is not None:
+                    data, limit = pickle.dumps(self.computer), self.table.cell_limit
+                    found.waits = not Drive(found, engine, data, progress, limit, self.part).run()
+            finally:
+                with interrupts_deferred():  # all files are written before an interruption ends the map
+                    if engine is not None:
+                        engine.close()
+                    self._write(found, progress)
+            return found
+
+    def _engine(self, progress: Progress) -> Engine:
+        def take_over(reason: str) -> Engine:
+            progress.report(f"{reason}; {self.workers} worker(s) of this machine go on")
+            return local_engine(self.workers)
+
+        if self.executor is None and self.scheduler is None:
+            return local_engine(self.workers)
+        engine = given_engine(self.executor) if self.executor is not None else dask_engine(str(self.scheduler))
+        return replace(engine, take_over=take_over)
+
+    def _prepare(self) -> None:
+        request = self.request
+        if request.path is not None and (self.shared or self.existing is Existing.RESUME):
+            check_same_source(self.directory, request.path, request.source)
+        if self.shared:
+            prepare_part(self.directory, self.scene, self.text)
+        else:
+            prepare(self.directory, self.scene, self.text, self.existing)
+        if request.path is not None:
+            with replacing(self.directory / f"{SCENE_MODEL}{request.path.suffix}") as temporary:
+                temporary.write_text(request.source, encoding="utf-8")
+
+    def _write(self, found: Map, progress: Progress) -> None:
+        """Write tables and pictures, except for a share while others are still to come."""
+        found.refresh()
+        complete = found.complete
+        found.waits = found.waits and not complete
+        if not found.known or (found.waits and self.part is not None):
+            return
+        if self.table.boundary and complete:
+            progress.say("following the boundary")
+            with one_thread():
+                found.write_boundary(boundaries(self.scene, self.path, found, progress.report))
+        progress.say("writing tables and pictures")
+        varied = {axis.name for axis in self.grid.axes}
+        attributes = {name: v for name, v in origin(self.request, self.text).items() if name not in varied}
+        found.write(attributes, self.scene.model is None, self.pictures)
 
 
 def run_map(
@@ -452,116 +467,50 @@ def run_map(
                         ("quiet", quiet)):  # fmt: skip
         truth(name, value)
     existing = Existing.RESUME if resume else Existing.OVERWRITE if overwrite else Existing.REFUSE
-    ways = Ways(workers, scheduler, executor, part, collect, existing, pictures)
-    check_ways(ways)
-    mapped = Mapped.of(read_text(path), path)
+    mapping = MapRun(path, directory, workers, scheduler, executor, part, collect, existing, pictures)
     with Progress(quiet) as progress:
-        return compute_map(mapped, directory, ways, progress)
+        return mapping.execute(progress)
 
 
-def check_ways(ways: Ways) -> None:
-    """Raises ValueError and TypeError for choices that are not accepted, or not together."""
-    whole("workers", ways.workers, 1, MOST_WORKERS)
-    if ways.executor is not None:
-        given_engine(ways.executor)
-    if ways.scheduler is not None:
-        words = f"scheduler: given {short_repr(ways.scheduler)}; accepted: an address, such as tcp://host:8786"
-        if not isinstance(ways.scheduler, str):
-            raise TypeError(words)
-        if not SCHEDULER_ADDRESS.fullmatch(ways.scheduler):
-            raise ValueError(words)
-    given = [name for name in ("scheduler", "executor") if getattr(ways, name) is not None]
-    if len(given) > 1:
-        raise ValueError("executor: given beside scheduler; accepted: one of them")
-    if ways.part is not None:
-        pair = ways.part if isinstance(ways.part, tuple | list) and len(ways.part) == 2 else None
-        numbers = pair is not None and all(isinstance(n, int) and not isinstance(n, bool) for n in pair)
-        if pair is None or not numbers or not 1 <= pair[0] <= pair[1] <= 32767:
-            raise ValueError(f"part: given {short_repr(ways.part)}; accepted: K/N with 1 <= K <= N <= 32767")
-        if ways.collect:
-            raise ValueError("collect: given beside part; accepted: one of them")
-    if ways.shared and ways.existing is Existing.OVERWRITE:
-        word = "collect" if ways.collect else "part"
-        raise ValueError(f"overwrite: given beside {word}, whose directory holds other shares; accepted: one of them")
+# The plan of a map: the number of cells, the cost of one (measured now) and of all ------------------------------------
 
 
-def compute_map(mapped: Mapped, directory: Path, ways: Ways, progress: Progress) -> Map:
-    """Compute the missing cells of a map and write the results; see `run_map`."""
-    if ways.collect and not (directory / SCENE_FILE).is_file():
-        raise DirectoryError(f"{directory}: holds no map to collect; accepted: the directory of a map that was begun")
-    own = JOURNAL_FILE if ways.part is None else "journal_{}_of_{}.msgpack".format(*ways.part)
-    with ExitStack() as held:
-        held.enter_context(in_use(directory, progress.report, ways.shared))
-        if ways.part is not None:
-            held.enter_context(in_use(directory, progress.report, part=str(ways.part[0])))
-        engine = None if ways.collect else _engine(ways)
-        if engine is not None:
-            held.callback(_closed, engine)
-        _prepare(mapped, directory, ways)
-        arguments = directory, mapped.grid, mapped.scene, None if ways.collect else own, progress.report
-        store = held.enter_context(Store(*arguments))
-        if ways.existing is Existing.RESUME:
-            store.forget_outside(mine=ways.part is not None)
-        waits = True
-        try:
-            if engine is not None:
-                data, limit = pickle.dumps(mapped.computer), mapped.table.cell_limit
-                drive = Drive(mapped.grid, store, engine, data, progress, limit, ways.part, ways.workers)
-                try:
-                    waits = not drive.run()
-                finally:
-                    _closed(drive.engine)
-        finally:
-            with interrupts_deferred():  # all files are written before an interruption ends the map
-                found = _written(mapped, store, waits, ways, progress)
-        return found
+def map_lines(scene: Scene, request: Request, path: Path) -> list[tuple[str, str]]:
+    """Pairs (subject, text) that describe the map of a scene; raises SceneError for one that cannot be meant."""
+    grid, table = Grid.of(scene), scene.map
+    check_quantities(request, grid)
+    check_boundary(scene, grid)
+    assert table is not None
+    cells = grid.coarsest
+    families = grid.families(cells)
+    (middle,) = grid.tasks(cells[families == families[len(cells) // 2]])
+    tasks, computer = len(cells) // len(middle.cells), Computer(plain(scene), str(path.resolve()), table.growth)
+    result = computer(middle)
+    if result.seconds < SHORT_CELL_SECONDS:
+        result = computer(middle)
+    sizes = " x ".join(f"{len(range(0, len(axis.values), axis.stride))} {axis.name}" for axis in grid.axes)
+    of_families = f", orbits of {tasks} families" if grid.amplitude is not None else ""
+    watched = ", ".join(table.watch or WATCHED)
+    finest = f"; refined where {watched} change, to {grid.size}" if grid.refined else ""
+    unused = [f"[{name}]" for name in ("spectrum", "dynamics", "export") if getattr(scene, name) is not None]
+    failed = f"; it failed: {result.reason}" if result.kind else ""
+    one = f"{duration(result.seconds / len(middle.cells))} for one"
+    words = f"{one} (measured on {grid.name(middle.cells[0])}{failed}); {duration(result.seconds * tasks)} for all"
+    more = ", more where cells are refined" if grid.refined else ""
+    limit = f"; at most {duration(table.cell_limit)} a cell" if table.cell_limit is not None else ""
+    left_out = [("not in cells", f"{', '.join(unused)}, films and pictures of single cells")] if unused else []
+    return [
+        ("map", ", ".join(_axis_words(grid, i) for i in range(len(grid.axes)))),
+        ("cells", f"{sizes} = {cells.size}{of_families}{finest}"),
+        *left_out,
+        ("cost of cells", f"{words} with one worker{more}{limit}"),
+    ]
 
 
-def _prepare(mapped: Mapped, directory: Path, ways: Ways) -> None:
-    request = mapped.request
-    if request.path is not None and (ways.shared or ways.existing is Existing.RESUME):
-        check_same_source(directory, request.path, request.source)
-    if ways.shared:
-        prepare_part(directory, mapped.scene, mapped.text)
-    else:
-        prepare(directory, mapped.scene, mapped.text, ways.existing)
-    if request.path is not None:
-        with replacing(directory / f"{SCENE_MODEL}{request.path.suffix}") as temporary:
-            temporary.write_text(request.source, encoding="utf-8")
-
-
-def _engine(ways: Ways) -> Engine:
-    if ways.executor is not None:
-        return given_engine(ways.executor)
-    return local_engine(ways.workers) if ways.scheduler is None else dask_engine(ways.scheduler)
-
-
-def _closed(engine: Engine) -> None:
-    with interrupts_deferred(), suppress(Exception):  # of an engine that is gone already
-        engine.close()
-
-
-def _written(mapped: Mapped, store: Store, waits: bool, ways: Ways, progress: Progress) -> Map:
-    """The map with its tables and pictures written, except for a share while others are still to come."""
-    store.refresh()
-    complete = store.complete
-    columns = Columns(store, mapped.table.quantities)
-    found = Map(store.directory, columns, complete, waits and not complete)
-    if not np.any(store.states != UNKNOWN) or (found.waits and ways.part is not None):
-        return found
-    if mapped.table.boundary and complete:
-        progress.say("following the boundary")
-        with one_thread():
-            lines = boundaries(
-                mapped.scene, mapped.path, plain(mapped.scene), Columns(store, OF_BOUNDARY), progress.report
-            )
-        write_boundary(lines, mapped.grid, store.directory / BOUNDARY_FILE)
-        found = replace(found, boundary=lines)
-    progress.say("writing tables and pictures")
-    write_table(columns, store.directory / CSV)
-    varied = {axis.name for axis in mapped.grid.axes}
-    attributes = {name: v for name, v in origin(mapped.request, mapped.text).items() if name not in varied}
-    write_netcdf(store.directory / NETCDF, map_dataset(columns, attributes, mapped.scene.model is None))
-    if ways.pictures:
-        write_pictures(found)
-    return found
+def _axis_words(grid: Grid, place: int) -> str:
+    axis = grid.axes[place]
+    first, last = axis.values[0], axis.values[-1]
+    if not axis.numeric:
+        shown = [str(value) for value in axis.values]
+        return f"{axis.name} = {', '.join(shown if len(shown) < 8 else [*shown[:3], '...', shown[-1]])}"
+    return f"{axis.name} from {first:g} to {last:g}{' in equal ratios' if axis.log else ''}"

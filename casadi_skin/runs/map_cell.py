@@ -1,13 +1,18 @@
-"""Work of a worker on a task: the scene of its cells is made, bound and computed; nothing is written."""
+"""Work of a worker on a task: the scene of its cells is made, bound and computed; nothing is written.
+
+The result of a cell is a row of quantities: those of the table of quantities at its last solution, its special points,
+and how it ended; the names that the cells of a scene may have are known before one is computed.
+"""
 
 from __future__ import annotations
 
 import math
 import os
+import re
 import sys
 import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -19,59 +24,133 @@ import numpy as np
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
+from casadi_skin.optimise.names import FREE, NAMED
 from casadi_skin.optimise.search import SearchResult
 from casadi_skin.results.branch_records import BranchRecord
-from casadi_skin.results.quantities import Place, columns_of, csv_row
+from casadi_skin.results.quantities import (
+    FAMILY_ERRORS,
+    FAMILY_PROOFS,
+    FAMILY_QUANTITIES,
+    FAMILY_STABILITY,
+    FIXED,
+    FIXED_AT_REST,
+    Place,
+    columns_of,
+    csv_row,
+)
 from casadi_skin.runs.binding import Files, bind
 from casadi_skin.runs.branches import Branches
-from casadi_skin.runs.map_grid import DIED, FAILED, LATE, Result, Row, Tables, Task, Value, scene_at
-from casadi_skin.runs.map_store import LEFT_OUT, plain_kind
+from casadi_skin.runs.map_grid import Grid, Tables, Task, scene_at
 from casadi_skin.runs.parts import mode_of
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
+from casadi_skin.runs.rules import SceneError, check_known
 from casadi_skin.runs.scene import Scene
 from casadi_skin.solve.processes import WorkerEndedError, in_worker
 from casadi_skin.solve.watch import one_thread
+from casadi_skin.zero.kinds import BRANCH_POINT, CUSP, DOUBLING, FOLD, HOPF, TAKENS, TORUS, ZERO_HOPF
 
-# The result of a cell as a row of named quantities: its solution, its special points, and its end ---------------------
+Value = float | int | str
+Named = Iterator[tuple[str, Any, str]]  # names, values and meanings of quantities
+FAILED, DIED, LATE, LOST = "failed", "died", "late", "lost"  # kinds of faults; a computation reports the first itself
+OUTSIDE_FAULTS = (DIED, LATE, LOST)  # those that another run may not meet
 
 
-class Meanings(dict[str, str]):
-    """Meanings of quantities by name, filled as rows are made."""
+class Row(msgspec.Struct, frozen=True):
+    """Quantities of a cell by name, unknown ones left out.
 
-    def named(self, pairs: Iterator[tuple[str, Any, str]], suffix: str = "") -> dict[str, Value]:
-        """Values by name, those that are not finite left out; their meanings are kept."""
-        found: dict[str, Value] = {}
-        for name, value, meaning in pairs:
-            self.setdefault(name + suffix, meaning)
-            if isinstance(value, str):
-                found[name + suffix] = value
-            elif math.isfinite(value):
-                found[name + suffix] = int(value) if isinstance(value, int | np.integer | np.bool_) else float(value)
-        return found
+    Attributes:
+        values: by name.
+        fault: why the cell has no solution; empty where it has one.
+        state, period: of a solution at which a second start of a neighbour may begin.
+    """
+
+    values: dict[str, Value]
+    fault: str = ""
+    state: tuple[float, ...] = ()
+    period: float = 0.0
+
+
+class Result(msgspec.Struct, frozen=True):
+    """Result of a task: a row for each of its cells, or the reason and kind of its failure."""
+
+    rows: tuple[Row, ...] = ()
+    kind: str = ""
+    reason: str = ""
+    seconds: float = 0.0
+    meanings: dict[str, str] = {}
+
+
+# Quantities of cells, and their names before a cell is computed -------------------------------------------------------
+
+KINDS = (FOLD, HOPF, BRANCH_POINT, DOUBLING, TORUS, CUSP, TAKENS, ZERO_HOPF, "generalized hopf", "hopf-hopf")
+OF_ALL = ("points", "end", "end_reason")
+STABILITY = ("first_instability", "first_instability_error", "first_tongue", "unresolved", "changes")
+LEFT_OUT = ("point", "requested", "special", "fold")  # marks of a place along a branch
+FAMILY_SUFFIX = re.compile(r"_(j?\d+)$")  # of a family or a branch among several
+ERROR_MEANING = "its estimated absolute error"
+
+
+def known_names(request: Request) -> tuple[str, ...]:
+    """Names of quantities without the suffix that distinguishes several branches."""
+    scene, ode = request.scene, request.ode
+    if scene.search is not None:
+        return ("objective", "optima", "end", "end_reason", "Omega", *FREE, *NAMED)
+    if scene.family is not None:
+        tables = (FAMILY_QUANTITIES, FAMILY_STABILITY, FAMILY_ERRORS, FAMILY_PROOFS)
+        names = [quantity.name for table in tables for quantity in table]
+        return (*names, "regime", "threshold", *STABILITY, *OF_ALL)
+    special = [name for kind in KINDS for name in _special_names(kind)]
+    extremes = [f"{name}_{end}" for name in ode.state_names for end in ("min", "max")]
+    energy = ["energy"] if scene.orbit is not None and ode.hamiltonian is not None else []
+    fixed = (*(FIXED_AT_REST if scene.equilibrium is not None else FIXED), *energy)
+    states = request.equations.state_names
+    found = dict.fromkeys((*request.parameters, *states, *extremes, *fixed, *STABILITY, *special, *OF_ALL))
+    return tuple(name for name in found if name not in LEFT_OUT)
+
+
+def check_quantities(request: Request, grid: Grid) -> None:
+    """Raises SceneError for a quantity that [map] names and that no cell can have."""
+    table = request.scene.map
+    known = [name for name in known_names(request) if name not in [axis.name for axis in grid.axes]]
+    for key in ("quantities", "watch"):
+        for name in getattr(table, key) or ():
+            if FAMILY_SUFFIX.sub("", name) not in known:
+                check_known(f"[map] {key}", name, known)
+    if table is not None and table.growth and "first_instability" not in known:
+        raise SceneError("[map] growth: given without a quantity first_instability; accepted: beside a [family]")
 
 
 def rows_of(
-    branches: Sequence[Branch], fault: str, amplitudes: Sequence[float], growth: float, meanings: Meanings
-) -> list[Row]:
+    branches: Sequence[Branch], fault: str, amplitudes: Sequence[float], growth: float, meanings: dict[str, str]
+) -> Iterator[Row]:
     """Rows of a cell's branches: one at their ends, or one for each amplitude of its families.
 
-    `fault` is the reason of a failure beside the branches.
+    `fault` is the reason of a failure beside the branches; `meanings` of quantities by name are added to.
     """
-    rows = []
+    several = sum(branch.space.is_family for branch in branches) > 1
     for S in amplitudes or (None,):
-        values: dict[str, Value] = {}
-        faults = [fault] if fault else []
+        values, faults = dict[str, Value](), [fault]
         for number, branch in enumerate(branches):
-            several = sum(b.space.is_family for b in branches) > 1
             suffix = f"_j{mode_of(branch)}" if several else f"_{number + 1}" if number else ""
             solution, reason = _solution(branch, S)
-            faults += [reason] if reason else []
+            faults.append(reason)
             if solution is not None:
-                values |= meanings.named(_of_solution(branch, solution), suffix)
-            values |= meanings.named(_of_branch(branch, growth), suffix)
-        rows.append(Row(values, "; ".join(faults), *_start(branches)))
-    return rows
+                values |= _kept(_of_solution(branch, solution), meanings, suffix)
+            values |= _kept(_of_branch(branch, growth), meanings, suffix)
+        yield Row(values, "; ".join(filter(None, faults)), *_start(branches))
+
+
+def _kept(quantities: Named, meanings: dict[str, str], suffix: str = "") -> dict[str, Value]:
+    """Values by name, those that are not finite left out."""
+    found: dict[str, Value] = {}
+    for name, value, meaning in quantities:
+        meanings.setdefault(name + suffix, meaning)
+        if isinstance(value, str):
+            found[name + suffix] = value
+        elif math.isfinite(value):
+            found[name + suffix] = int(value) if isinstance(value, int | np.integer | np.bool_) else float(value)
+    return found
 
 
 def _solution(branch: Branch, S: float | None) -> tuple[Solution | None, str]:
@@ -87,17 +166,13 @@ def _solution(branch: Branch, S: float | None) -> tuple[Solution | None, str]:
     return found, "" if found is not None else branch.reason
 
 
-def _of_solution(branch: Branch, solution: Solution) -> Iterator[tuple[str, Any, str]]:
+def _of_solution(branch: Branch, solution: Solution) -> Named:
     quantities = [q for q in columns_of(branch) if q.name not in LEFT_OUT]
-    mode = mode_of(branch) if branch.space.is_family else 0
-    row = csv_row(quantities, Place(solution, 0, mode))
-    meanings = {q.name: q.meaning for q in quantities}
-    for name, value in row.items():
-        if value != "":
-            yield name, value, meanings[name]
+    row = csv_row(quantities, Place(solution, 0, mode_of(branch) if branch.space.is_family else 0))
+    return ((q.name, row[q.name], q.meaning) for q in quantities if row[q.name] != "")
 
 
-def _of_branch(branch: Branch, growth: float) -> Iterator[tuple[str, Any, str]]:
+def _of_branch(branch: Branch, growth: float) -> Named:
     """Special points of a branch, and how it ended."""
     if len(branch) > 1:
         yield from _instabilities(branch, growth)
@@ -105,62 +180,62 @@ def _of_branch(branch: Branch, growth: float) -> Iterator[tuple[str, Any, str]]:
         yield "points", len(branch), "points of the branch"
     if branch.threshold is not None:
         yield "threshold", branch.threshold, "S at which the end breather of the infinite chain is born"
-    yield "end", _end(branch), "why the branch ended, in a word"
+    end = "stopped" if branch.stopped else "missed" if branch.end is None else branch.end.name.lower()
+    yield "end", end, "why the branch ended, in a word"
     yield "end_reason", branch.reason, "why the branch ended"
 
 
-def _end(branch: Branch) -> str:
-    return "stopped" if branch.stopped else "missed" if branch.end is None else branch.end.name.lower()
-
-
-CHANGES_MEANING = "changes of stability along the branch; where stretches are unresolved, at least so many"
-
-
-def _instabilities(branch: Branch, growth: float) -> Iterator[tuple[str, Any, str]]:
-    if branch.stability_diagram is not None:
-        first = branch.stability_diagram.first_instability(growth)
-        deep = f", by a growth of {growth:g} or more" if growth else ""
-        if first is not None:
-            yield "first_instability", first.start.S, f"S at which the family first becomes unstable{deep}"
-            yield "first_instability_error", first.start.S_error, "its estimated absolute error"
+def _instabilities(branch: Branch, growth: float) -> Named:
+    """The first instability, of a family with the tongue or the localised multiplier, and the count of changes."""
+    diagram, S, error, tongue = branch.diagram_of_changes, math.nan, math.nan, ""
+    if diagram is not None and branch.stability_diagram is None:
+        if (edge := diagram.first_loss) is not None:
+            S, error, tongue = edge.S, edge.S_error, edge.kind
+    elif diagram is not None:
+        if (first := diagram.first_instability(growth)) is not None:
             modes = "" if first.modes is None else f", modes {first.modes[0]} + {first.modes[1]}, order {first.order}"
-            yield "first_tongue", f"{first.kind}{modes}", "kind of the first instability, and the modes that meet there"
-        yield "unresolved", len(branch.unresolved), "stretches on which changes of stability may be missing"
-        yield "changes", len(branch.changes), CHANGES_MEANING
-    elif branch.localised_diagram is not None:
-        lost = branch.localised_diagram.first_loss
-        if lost is not None:
-            yield "first_instability", lost.S, "S at which the family first becomes unstable"
-            yield "first_instability_error", lost.S_error, "its estimated absolute error"
-            yield "first_tongue", lost.kind, "kind of the first instability, and the modes that meet there"
-        yield "unresolved", len(branch.unresolved), "stretches on which changes of stability may be missing"
-        yield "changes", len(branch.changes), CHANGES_MEANING
+            S, error, tongue = first.start.S, first.start.S_error, first.kind + modes
     elif branch.with_events and not branch.space.stability_included:
-        change = next((c for c in branch.located if not c.stable_after), None)
-        where, error = (math.nan, math.nan) if change is None else (change.value, change.error)
-        yield "first_instability", where, f"{branch.parameter} at which stability is first lost along the branch"
-        yield "first_instability_error", error, "its estimated absolute error"
-        yield "changes", len(branch.located), CHANGES_MEANING
+        if (change := next((c for c in branch.located if not c.stable_after), None)) is not None:
+            S, error = change.value, change.error
+    else:
+        return
+    deep = f", by a growth of {growth:g} or more" if growth and branch.stability_diagram is not None else ""
+    where = f"{branch.parameter} at which stability is first lost along the branch"
+    meaning = where if diagram is None else f"S at which the family first becomes unstable{deep}"
+    yield "first_instability", S, meaning
+    yield "first_instability_error", error, ERROR_MEANING
+    if tongue:
+        yield "first_tongue", tongue, "kind of the first instability, and the modes that meet there"
+    if diagram is not None:
+        yield "unresolved", len(branch.unresolved), "stretches on which changes of stability may be missing"
+    words = "changes of stability along the branch; where stretches are unresolved, at least so many"
+    yield "changes", len(branch.changes), words
 
 
-def _special(branch: Branch) -> Iterator[tuple[str, Any, str]]:
+def _special_names(kind: str) -> tuple[str, str, str]:
+    """Names of the number of special points of a kind, of the first one, and of its error."""
+    name = kind.replace(" ", "_").replace("-", "_")
+    return f"{name}_count", f"first_{name}", f"first_{name}_error"
+
+
+def _special(branch: Branch) -> Named:
     """The first special point of each kind, and how many there are."""
     if branch.space.is_family:
         return
-    points = branch.special_points
+    points, parameter = branch.special_points, branch.parameter
     if branch.diagram_of_changes is None:
         yield "unresolved", len(branch.unresolved), "stretches on which special points may be missing"
     for kind in dict.fromkeys(point.kind for point in points):
-        mine, name = [point for point in points if point.kind == kind], plain_kind(kind)
-        first, parameter = mine[0], branch.parameter
-        yield f"{name}_count", len(mine), f"special points of the kind {kind} on the branch"
-        yield f"first_{name}", first.parameters[parameter], f"{parameter} at the first {kind} of the branch"
-        yield f"first_{name}_error", first.error, "its estimated absolute error"
+        mine, (count, first, error) = [point for point in points if point.kind == kind], _special_names(kind)
+        yield count, len(mine), f"special points of the kind {kind} on the branch"
+        yield first, mine[0].parameters[parameter], f"{parameter} at the first {kind} of the branch"
+        yield error, mine[0].error, ERROR_MEANING
 
 
-def _start(branches: Sequence[Branch]) -> tuple[tuple[float, ...], float]:
+def _start(branches: Iterable[Branch]) -> tuple[tuple[float, ...], float]:
     """State and period of the first solution of a branch that is no family: where a neighbour may start."""
-    first = branches[0] if branches else None
+    first = next(iter(branches), None)
     if first is None or not len(first) or first.space.is_family:
         return (), 0.0
     solution = first.solutions[0]
@@ -168,31 +243,20 @@ def _start(branches: Sequence[Branch]) -> tuple[tuple[float, ...], float]:
     return tuple(state.tolist()), solution.period if solution.is_orbit else 0.0
 
 
-def row_of_search(result: SearchResult, meanings: Meanings) -> Row:
-    """The row of a search: its best optimum, and how it ended."""
-
-    def pairs() -> Iterator[tuple[str, Any, str]]:
-        if result.found:
-            best = result.best
-            yield "objective", best.objective, "the objective at the best optimum"
-            numbers: Mapping[str, float] = best.parameters
-            for name, value in numbers.items():
-                yield name, value, f"{name} of the best optimum"
-            yield "Omega", best.Omega, "frequency of the best optimum"
-        yield "optima", len(result.optima), "distinct optima found"
-        yield "end", result.status.name.lower(), "how the search ended, in a word"
-        yield "end_reason", result.reason, "how the search ended"
-
-    return Row(meanings.named(pairs()), "" if result.found else result.reason)
+def _of_search(result: SearchResult) -> Named:
+    """Quantities of a search: its best optimum, and how it ended."""
+    if result.found:
+        best = result.best
+        yield "objective", best.objective, "the objective at the best optimum"
+        for name, value in best.parameters.items():
+            yield name, value, f"{name} of the best optimum"
+        yield "Omega", best.Omega, "frequency of the best optimum"
+    yield "optima", len(result.optima), "distinct optima found"
+    yield "end", result.status.name.lower(), "how the search ended, in a word"
+    yield "end_reason", result.reason, "how the search ended"
 
 
-class Job(msgspec.Struct, frozen=True):
-    """Data shared by all tasks of a map: the scene as plain values, the path of its file, and a growth that counts."""
-
-    tables: Tables
-    path: str
-    growth: float = 0.0
-
+# Computing ------------------------------------------------------------------------------------------------------------
 
 LOADED_MODULES = (  # before the first cell, whose time is limited
     "casadi_skin.follow.series",
@@ -206,68 +270,67 @@ LOADED_MODULES = (  # before the first cell, whose time is limited
 
 @dataclass
 class Computer:
-    """Computes tasks of one job; a model's file is run once, so that its functions serve all cells."""
+    """Computes tasks of one map; a model's file is run once, so that its functions serve all cells.
 
-    job: Job
+    Attributes:
+        tables: the scene as plain values.
+        path: of its file.
+        growth: of an instability that counts.
+    """
+
+    tables: Tables
+    path: str
+    growth: float = 0.0
     _files: Files = field(default_factory=dict)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _computer_of_worker, (self.job,)
+        return _computer_of_worker, (self.tables, self.path, self.growth)
 
     def __call__(self, task: Task, *_: object) -> Result:
-        """The rows of a task, in a worker."""
-        return self.compute(task)
-
-    def compute(self, task: Task) -> Result:
         """The rows of a task; a failure is kept in words."""
         started = time.perf_counter()
         try:
             with one_thread(), warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 rows, meanings = self._rows(task)
-            return Result(tuple(rows), seconds=time.perf_counter() - started, meanings=dict(meanings))
+            return Result(tuple(rows), seconds=time.perf_counter() - started, meanings=meanings)
         except (ArithmeticError, ValueError, TypeError, OSError) as error:
             reason = " ".join(str(error).split())
         except Exception as error:  # whatever a cell does, the map goes on
             reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
         return Result(kind=FAILED, reason=reason, seconds=time.perf_counter() - started)
 
-    def _rows(self, task: Task) -> tuple[list[Row], Meanings]:
-        scene = scene_at(self.job.tables, task.settings, task.amplitudes)
-        request, meanings = self._request(started_at(scene, task)), Meanings()
+    def _rows(self, task: Task) -> tuple[list[Row], dict[str, str]]:
+        scene, meanings = scene_at(self.tables, task.settings, task.amplitudes), dict[str, str]()
+        request = bind(started_at(scene, task), Path(self.path), self._files)
         if scene.search is not None:
             from casadi_skin.runs.tasks import Search
 
-            return [row_of_search(Search(request).searched(), meanings)], meanings
+            result = Search(request).searched()
+            return [Row(_kept(_of_search(result), meanings), "" if result.found else result.reason)], meanings
         branches, fault = followed(request)
-        return rows_of(branches, fault, task.amplitudes, self.job.growth, meanings), meanings
-
-    def _request(self, scene: Scene) -> Request:
-        """The request of a scene; cells share the model that a file gives, with its functions."""
-        return bind(scene, Path(self.job.path), self._files)
+        return list(rows_of(branches, fault, task.amplitudes, self.growth, meanings)), meanings
 
 
 def started_at(scene: Scene, task: Task) -> Scene:
     """The scene, with the state of a neighbour's solution as the start of its own where the task has one."""
-    if not task.start:
-        return scene
     put = msgspec.structs.replace
-    if scene.equilibrium is not None:
+    if task.start and scene.equilibrium is not None:
         return put(scene, equilibrium=put(scene.equilibrium, start=task.start, transient=None))
-    if scene.orbit is not None:
+    if task.start and scene.orbit is not None:
         period = task.period if scene.orbit.cycles == 1 and task.period else None
         return put(scene, orbit=put(scene.orbit, start=task.start, transient=None, period=period))
     return scene
 
 
-def _computer_of_worker(job: Job) -> Computer:
+def _computer_of_worker(*arguments: Any) -> Computer:
     """The computer in a worker, where nobody reads what a model prints."""
     nowhere = open(os.devnull, "w")  # noqa: SIM115  as long as the process
     os.dup2(nowhere.fileno(), 1)
     sys.stdout = sys.stderr = nowhere
     for name in LOADED_MODULES:
         import_module(name)
-    return Computer(job)
+    return Computer(*arguments)
 
 
 def compute(computer: bytes, task: Task, limit: float | None) -> Result:

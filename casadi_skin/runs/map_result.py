@@ -1,16 +1,25 @@
-"""A map as computed: values of quantities over its axes, read from its journals on demand; its files and pictures."""
+"""A map: the finished cells in its journals, quantities over its axes as columns on the disk, its files and pictures.
+
+One journal of a map that one process drives, one for each part of a batch array; all are read, one's own is written.
+Columns are on the disk as well: tables and pictures of any number of cells need no more memory.
+"""
 
 from __future__ import annotations
 
+import csv
+import math
 import re
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from fnmatch import fnmatch
-from itertools import product
+from functools import partial
+from hashlib import sha256
+from itertools import islice, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,28 +27,28 @@ from casadi_skin.fmu.unzip import Archive
 from casadi_skin.model.arguments import check_name, cut, file_path, short_repr
 from casadi_skin.model.files import TemporaryFolder, replacing
 from casadi_skin.model.result import WithVerbs
-from casadi_skin.results.dataset import LARGEST_WHOLE_NUMBER, Dataset, Variable, to_xarray, write_csv
+from casadi_skin.results import present
+from casadi_skin.results.dataset import (
+    LARGEST_WHOLE_NUMBER,
+    Dataset,
+    Variable,
+    on_disk,
+    to_xarray,
+    write_csv,
+    write_netcdf,
+)
 from casadi_skin.results.figures.map import MapAxis, Panel, draw_maps, map_figure, panel_title
 from casadi_skin.results.figures.style import save
-from casadi_skin.results.words import Columns as TableColumns
-from casadi_skin.results.words import Shown, listed, show
-from casadi_skin.runs.directory import SCENE_FILE
-from casadi_skin.runs.map_grid import Axis, Grid, Lines
-from casadi_skin.runs.map_lines import BOUNDARY_FILE, read_boundary
-from casadi_skin.runs.map_store import (
-    DONE,
-    ENDED,
-    FAILED,
-    JOURNAL_PATTERN,
-    REASON,
-    STATUS_WORDS,
-    UNKNOWN,
-    Columns,
-    Store,
-)
+from casadi_skin.results.journal import Journal, mapped, record_at, scan
+from casadi_skin.results.quantities import Cell
+from casadi_skin.results.words import Columns, Shown, listed, show
+from casadi_skin.runs.directory import SCENE_FILE, DirectoryError
+from casadi_skin.runs.map_cell import OUTSIDE_FAULTS, Result, Row, Value
+from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Cells, Grid, Labels, Task, needed
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.reading import parse_scene, read_text
 from casadi_skin.runs.rules import SceneError
+from casadi_skin.runs.scene import Scene
 
 if TYPE_CHECKING:
     import pandas
@@ -47,60 +56,272 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+
+class TaskRecord(msgspec.Struct, frozen=True, tag="task"):
+    """A finished task in the journal, with the number of the attempt, and the cell whose solution it started from."""
+
+    cells: tuple[int, ...]
+    attempt: int
+    seconds: float
+    rows: tuple[Row, ...] = ()
+    kind: str = ""
+    reason: str = ""
+    neighbour: int = -1
+
+
+class MapHead(msgspec.Struct, frozen=True, tag="map"):
+    """The first record of a journal: a digest of the scene whose map it is of."""
+
+    digest: bytes
+
+
+class MeaningsRecord(msgspec.Struct, frozen=True, tag="meanings"):
+    """Meanings of quantities by name, in the order in which they came."""
+
+    meanings: dict[str, str]
+
+
+MapRecord = TaskRecord | MeaningsRecord | MapHead
+RECORD_DECODER = msgspec.msgpack.Decoder(MapRecord)
+CSV_FILE, NETCDF_FILE, BOUNDARY_FILE, JOURNAL_PATTERN = "map.csv", "map.nc", "boundary.csv", "journal*.msgpack"
 MAP_PARTS = (SCENE_FILE, JOURNAL_PATTERN, BOUNDARY_FILE)  # of a map in one file, which is read as its directory is
 FILE_DATE = (1980, 1, 1, 0, 0, 0)  # so that the bytes depend on the map alone
+UNKNOWN, DONE, ENDED, FAILED = 0, 1, 2, 3  # states of a cell
+STATUS_WORDS = ("not computed", "done", "ended early", "failed")  # by state
+MOST_ATTEMPTS = 2  # at a cell
+REASON, STARTED_FROM = "reason", "started_from"
+OF_BOUNDARY = ("stable", "first_instability", "first_tongue")  # quantities that locate a boundary of stability
+WATCHED = ("stable", "end")  # quantities where whose changes a map is refined unless it names others
+NOT_DRAWN = ("points", "at_round_off", "residual", "profile_error", "S_error", "intervals")
+CHAIN_MEANINGS = {"sites": "number of sites", "N": "number of sites", "alpha": "on-site stiffness",
+                  "gamma": "nonreciprocity", "g": "cubic on-site coefficient", "S": "total amplitude: sum of y_n^2 at "
+                  "t = 0", "mode": "linear mode by ascending frequency"}  # fmt: skip
+Lines = Mapping[tuple[int, ...], tuple[NDArray[np.float64], ...]]  # of a boundary, by the places of other axes
 
 
-@dataclass(frozen=True, eq=False)
+def digest(scene: Scene) -> bytes:
+    """Digest of a scene in its journal: the same for the same cells with the same results."""
+    requested = msgspec.to_builtins(msgspec.structs.replace(scene, title=""))
+    del requested["time_limit"]
+    return sha256(msgspec.json.encode(requested, order="sorted")).digest()
+
+
 class Map(WithVerbs):
-    """Quantities of a scene over its parameters.
+    """Quantities of a scene over its parameters; a context manager while its journal is written.
 
     Attributes:
         directory: where its journals, tables and pictures are.
-        columns: its quantities, on the disk.
-        complete: whether every cell is computed, or was tried twice.
+        grid: its cells.
+        states: of cells, shape (cells,): UNKNOWN, DONE, ENDED where its branch ended early, or FAILED.
+        attempts: at cells, shape (cells,).
+        numbers: quantities by name, NaN where there is none; shape (cells,).
+        texts: quantities by name, places among the different texts, the first of which is empty; shape (cells,).
+        meanings: of quantities by name.
+        seconds, finished: time that tasks took, and number of cells that they gave, in all journals.
         waits: whether shares of a batch array are not there yet.
         boundary: lines of changes of stability in the plane of the ranges, shape (points, 2) each, by the places of
             the other axes.
         folder: the temporary folder of a map that was read from one file; None of one in its directory.
     """
 
-    directory: Path
-    columns: Columns
-    complete: bool
-    waits: bool = False
-    boundary: Lines = field(default_factory=dict)
+    waits = False
     folder: TemporaryFolder | None = None
 
+    def __init__(
+        self, directory: Path, grid: Grid, scene: Scene, own: str | None, report: Callable[[str], None]
+    ) -> None:
+        """Read the journals of a directory; `own` is the name of the one that is written, None where none is."""
+        self.directory, self.grid = directory, grid
+        self.boundary: Lines = {}
+        self._wanted = None if scene.map is None else scene.map.quantities
+        watched = (None if scene.map is None else scene.map.watch) or WATCHED
+        self._levels = watched if isinstance(watched, Mapping) else dict.fromkeys(watched, ())
+        wanted = self._wanted
+        self._kept = None if wanted is None else {*wanted, *OF_BOUNDARY, *(self._levels if grid.refined else ())}
+        self._digest, size = digest(scene), grid.size
+        self.states, self.attempts = np.zeros(size, dtype=np.int8), np.zeros(size, dtype=np.int8)
+        self._places, self._sources = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int16)
+        self._outside, self._axes = np.zeros(size, dtype=bool), {axis.name for axis in grid.axes}
+        self.numbers, self.texts = dict[str, NDArray[np.float64]](), {REASON: on_disk(np.int32, (size,))}
+        self._words, self._texts = {"": 0}, [""]
+        self._first, self._counts = dict[str, tuple[int, int]](), set[str]()
+        self.meanings, self.seconds, self.finished = dict[str, str](), 0.0, 0
+        self._ends = dict[Path, int]()  # how far each journal is read
+        self._journal: Journal[MapRecord] | None = None
+        if own is not None:
+            self._ends[directory / own] = 0
+            self._journal = Journal(directory / own, RECORD_DECODER, partial(self._index, 0))
+            if self._journal.fault:
+                report(f"{directory / own}: {self._journal.fault}; what follows it is dropped and computed again")
+            if self._journal.end == 0:
+                self._append(MapHead(self._digest))
+        for path, fault in self.refresh().items():
+            report(f"{path}: {fault}; what follows it is not read")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._journal is not None:
+            self._journal.__exit__()
+
+    # Records of tasks -------------------------------------------------------------------------------------------------
+
+    def refresh(self) -> dict[Path, str]:
+        """Read new records of other parts; returns where they end before the end of a journal, and why."""
+        faults = dict[Path, str]()
+        for path in sorted(self.directory.glob(JOURNAL_PATTERN)):
+            self._ends.setdefault(path, 0)
+        for number, path in enumerate(self._ends):
+            if self._journal is None or number > 0:
+                with mapped(path) as data:  # one that is being written may end in a part of a record
+                    self._ends[path], fault = scan(data, RECORD_DECODER, partial(self._index, number), self._ends[path])
+                if fault:
+                    faults[path] = fault
+        return faults
+
+    def add(self, task: Task, attempt: int, result: Result) -> None:
+        """Keep the result of a task; raises OSError where it cannot be written."""
+        new = {name: words for name, words in result.meanings.items() if name not in self.meanings}
+        if new:
+            self._append(MeaningsRecord(new))
+        given = result.seconds, result.rows, result.kind, result.reason, task.neighbour
+        self._append(TaskRecord(task.cells, attempt, *given))
+
+    def _append(self, record: MapRecord) -> None:
+        assert self._journal is not None
+        place = self._journal.end
+        self._journal.append(record)
+        self._index(0, place, record)
+
+    def _index(self, source: int, place: int, record: MapRecord) -> None:
+        if place == 0 and not (isinstance(record, MapHead) and record.digest == self._digest):
+            words = "accepted: that of this scene, or --overwrite"
+            raise DirectoryError(f"{list(self._ends)[source]}: is the journal of another scene; {words}")
+        if isinstance(record, MeaningsRecord):
+            self.meanings = {**record.meanings, **self.meanings}
+        if not isinstance(record, TaskRecord) or not all(0 <= cell < self.grid.size for cell in record.cells):
+            return
+        cells = np.array(record.cells, dtype=np.int64)
+        self.seconds, self.finished = self.seconds + record.seconds, self.finished + cells.size
+        if record.kind and np.any((self.states[cells] == DONE) | (self.states[cells] == ENDED)):
+            return  # another part has computed them
+        self._places[cells], self._sources[cells] = place, source
+        self.attempts[cells] = record.attempt
+        self._outside[cells] = record.kind in OUTSIDE_FAULTS
+        for i, cell in enumerate(record.cells):
+            row = Row({}, record.reason) if record.kind else record.rows[i]
+            self.states[cell] = FAILED if record.kind else ENDED if row.fault else DONE
+            self._put(cell, row, record.neighbour)
+
+    def _put(self, cell: int, row: Row, neighbour: int) -> None:
+        """Put the row of a cell into the columns."""
+        self.texts[REASON][cell] = self._word(row.fault)
+        for place, (name, value) in enumerate(row.values.items()):
+            if name not in self._axes and (self._kept is None or name in self._kept):
+                self._first[name] = min(self._first.get(name, (cell, place)), (cell, place))
+                self._column(name, value)[cell] = self._word(value) if isinstance(value, str) else value
+        if neighbour >= 0 and row.values:
+            self._first[STARTED_FROM] = (self.grid.size, 0)
+            self._column(STARTED_FROM, "")[cell] = self._word(self.grid.name(neighbour))
+
+    def _column(self, name: str, value: Value) -> NDArray[Any]:
+        """The column of a quantity, made with its first value."""
+        if isinstance(value, str):
+            if name not in self.texts:
+                self.texts[name] = on_disk(np.int32, (self.grid.size,))
+            return self.texts[name]
+        if name not in self.numbers:
+            self.numbers[name] = on_disk(np.float64, (self.grid.size,))
+            self.numbers[name][:] = np.nan
+            self._counts |= {name} if isinstance(value, int) else set()
+        return self.numbers[name]
+
+    def _word(self, text: str) -> int:
+        if text not in self._words:
+            self._words[text] = len(self._texts)
+            self._texts.append(text)
+        return self._words[text]
+
+    def forget_outside(self, mine: bool = False) -> None:
+        """Take cells that failed for reasons outside of their computation as not computed; of a share its own alone."""
+        chosen = self._outside & (self._sources == 0) if mine else self._outside
+        self.states[chosen] = self.attempts[chosen] = self.texts[REASON][chosen] = UNKNOWN
+        self._outside[chosen] = False
+
+    def start(self, cell: int) -> tuple[tuple[float, ...], float]:
+        """State and period of the solution of a computed cell, at which that of a neighbour may start."""
+        with mapped(list(self._ends)[self._sources[cell]]) as data:
+            record, _ = record_at(data, int(self._places[cell]), RECORD_DECODER)
+        assert isinstance(record, TaskRecord)
+        row = record.rows[record.cells.index(cell)]
+        return row.state, row.period
+
+    # What is known of cells -------------------------------------------------------------------------------------------
+
+    def final(self, cells: Cells | slice = slice(None)) -> NDArray[np.bool_]:
+        """Whether nothing is left to do at each of the cells."""
+        states, tried = self.states[cells], self.attempts[cells] >= MOST_ATTEMPTS
+        return np.asarray((states == DONE) | (states == ENDED) | ((states == FAILED) & tried))
+
+    def may_recover(self, cell: int) -> bool:
+        """Whether a cell failed for a reason outside of its computation, which another attempt may not meet."""
+        return bool(self._outside[cell])
+
     @property
-    def store(self) -> Store:
-        """The records of its cells."""
-        return self.columns.store
+    def complete(self) -> bool:
+        """Whether every cell is computed, or was tried twice."""
+        return not needed(self.grid, self.labels()).size
+
+    def labels(self) -> Labels:
+        """Labels of cells: the same where a map that is refined shows the same behaviour, and UNKNOWN_LABEL."""
+        labels, known = np.full(self.grid.size, UNKNOWN_LABEL, dtype=np.int32), np.flatnonzero(self.final())
+        labels[known] = 0
+        if self.grid.refined and known.size:
+            watched = [self._watched(name, levels, known) for name, levels in self._levels.items()]
+            behaviour = np.stack([self.states[known].astype(float), *watched], axis=-1)
+            labels[known] = np.unique(behaviour, axis=0, return_inverse=True)[1].ravel()
+        return labels.reshape(self.grid.shape)
+
+    def _watched(self, name: str, levels: Sequence[float], cells: Cells) -> NDArray[np.float64]:
+        """A word or a whole number itself, a number by the levels that it is above; -inf where there is none."""
+        if name not in self.numbers:
+            return self.texts[name][cells].astype(float) if name in self.texts else np.zeros(cells.size)
+        values = self.numbers[name][cells]
+        found = values if name in self._counts and not levels else np.sum([values > at for at in levels or ()], axis=0)
+        return np.where(np.isnan(values), -np.inf, found)
 
     @property
     def axes(self) -> Mapping[str, NDArray[Any]]:
         """Values along each axis by name."""
-        return {axis.name: np.array(axis.values) for axis in self.store.grid.axes}
+        return {axis.name: np.array(axis.values) for axis in self.grid.axes}
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Number of values along each axis."""
-        return self.store.grid.shape
+        return self.grid.shape
 
     @property
     def status(self) -> NDArray[np.int8]:
         """0 of a cell that is not computed, 1 done, 2 where a branch ended early, 3 failed; shape as the axes."""
-        return self.store.states.reshape(self.shape)
+        return self.states.reshape(self.shape)
+
+    @property
+    def known(self) -> list[int]:
+        """Flat numbers of the cells that are computed."""
+        return np.flatnonzero(self.states != UNKNOWN).tolist()
 
     def failures(self, most: int | None = None) -> list[tuple[str, str]]:
         """Cells that failed or ended early, in words, each with its reason; no more than `most` of them."""
-        cells = np.flatnonzero(self.store.states >= ENDED)[:most].tolist()
-        return [(self.store.grid.name(cell), self.columns.text(REASON, cell)) for cell in cells]
+        cells = np.flatnonzero(self.states >= ENDED)[:most].tolist()
+        return [(self.grid.name(cell), self.text(REASON, cell)) for cell in cells]
 
     @property
     def names(self) -> list[str]:
-        """Names of the quantities."""
-        return self.columns.names
+        """Names of the quantities, in the order in which cells have them."""
+        wanted = self._wanted
+        known = [n for n in self._first if wanted is None or n in wanted or n == STARTED_FROM]
+        return sorted(known, key=self._first.__getitem__)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Values of a quantity by name, shape as the axes: NaN or an empty text where there is none.
@@ -108,19 +329,41 @@ class Map(WithVerbs):
         Raises ValueError, with the nearest known name, for an unknown one.
         """
         check_name("quantity", name, self.names)
-        return np.array(self.columns[name])
+        return np.array(self.values(name))
+
+    def values(self, name: str) -> NDArray[Any]:
+        """Values of a quantity, or reasons why cells failed, as they are on the disk; shape as the axes."""
+        if name in self.numbers:
+            return self.numbers[name].reshape(self.shape)
+        texts = np.array(self._texts, dtype=object)[self.texts[name]]
+        return np.asarray(texts.reshape(self.shape))
+
+    def text(self, name: str, cell: int) -> str:
+        """The text of a cell; empty where there is none."""
+        return self._texts[int(self.texts[name][cell])]
+
+    def cells(self, name: str, cells: Sequence[int]) -> Iterator[Cell]:
+        """Values of a quantity at cells as a table has them: nothing for NaN, a whole number where all of them are."""
+        if name not in self.numbers:
+            return (self.text(name, cell) for cell in cells)
+        values = self.numbers[name]
+        known = values[np.isfinite(values)]
+        whole = bool(np.all(known == np.round(known)) and np.all(np.abs(known) < LARGEST_WHOLE_NUMBER))
+        found = (float(values[cell]) for cell in cells)
+        return ("" if math.isnan(value) else int(value) if whole else value for value in found)
+
+    # A map as a result ------------------------------------------------------------------------------------------------
 
     def summary(self) -> str:
         """The numbers of cells in words."""
-        states = self.store.states
-        counts = [(DONE, "done"), (ENDED, "ended early"), (FAILED, "failed")]
-        words = [f"{np.sum(states == s)} {word}" for s, word in counts if np.any(states == s)]
-        mean = self.store.seconds / max(self.store.finished, 1)
-        refined = f" of {self.store.grid.size} at the finest" if self.store.grid.refined else ""
-        return f"{int(np.sum(states != UNKNOWN))} cells{refined}: {', '.join(words) or 'none'}; {mean:.3g} s a cell"
+        states = self.states
+        words = [f"{np.sum(states == s)} {STATUS_WORDS[s]}" for s in (DONE, ENDED, FAILED) if np.any(states == s)]
+        mean, refined = self.seconds / max(self.finished, 1), self.grid.refined
+        of = f" of {self.grid.size} at the finest" if refined else ""
+        return f"{int(np.sum(states != UNKNOWN))} cells{of}: {', '.join(words) or 'none'}; {mean:.3g} s a cell"
 
     def __repr__(self) -> str:
-        sizes = " x ".join(f"{len(axis.values)} {axis.name}" for axis in self.store.grid.axes)
+        sizes = " x ".join(f"{len(axis.values)} {axis.name}" for axis in self.grid.axes)
         return f"<Map: {sizes}; {self.summary()}>"
 
     def save(self, path: str | Path) -> Path:
@@ -138,111 +381,203 @@ class Map(WithVerbs):
                 archive.writestr(entry, part.read_bytes())
         return target
 
-    figure: ClassVar[Callable[..., Figure]]
-    """The picture of a quantity with all its panels: `casadi_skin.runs.map_result.picture`."""
-    plot: ClassVar[Callable[..., Axes]]
-    """Draw a quantity over the ranges of the map into matplotlib axes: `casadi_skin.runs.map_result.plot`."""
     to_dataframe: ClassVar[Callable[..., pandas.DataFrame]]
     """A pandas DataFrame with a row a computed cell, as in map.csv: `casadi_skin.results.present.to_dataframe`."""
 
     def to_xarray(self) -> xarray.Dataset:
         """The map as an xarray Dataset, as in map.nc; raises ImportError, naming the extra, without xarray."""
-        dimensions = tuple(axis.name for axis in self.store.grid.axes)
-        axes = [Variable(name, (name,), values, name) for name, values in self.axes.items()]
-        status = Variable("status", dimensions, self.status, "what is known of a cell")
-        return to_xarray(Dataset([*axes, status, *_quantities(self.columns, dimensions)]), dimensions)
+        names = [axis.name for axis in self.grid.axes]
+        return to_xarray(Dataset(list(self._variables(names, {}))), names)
+
+    def figure(self, name: str) -> Figure:
+        """The picture of a quantity of a map: a panel for each combination of values of axes that are lists.
+
+        Raises ValueError for an unknown quantity, or a text.
+        """
+        others, drawn, panel = self._panels(name)
+        panels = [panel(chosen) for chosen in product(*(range(len(axis.values)) for axis in others))]
+        return map_figure(name, self.meanings.get(name, name), drawn, panels)
+
+    def plot(self, name: str, axes: Axes | None = None, at: Mapping[str, Any] | None = None) -> Axes:
+        """Draw a quantity over the ranges of the map into matplotlib axes.
+
+        Arguments:
+            name: the quantity.
+            axes: where it is drawn; new ones of pyplot by default.
+            at: values of the axes that are lists, by name; one of a single value may be left out.
+
+        Returns:
+            The axes.
+
+        Raises:
+            ValueError: there is no such quantity, it is a text, or there is no such value of an axis.
+        """
+        return present.plot(self, axes, name=name, at=dict(at or {}))
+
+    # Files: map.csv, map.nc, boundary.csv, and a picture a quantity ---------------------------------------------------
+
+    def write(self, attributes: Mapping[str, Any], dimensionless: bool, pictures: bool) -> None:
+        """Write map.csv, a row a cell that is known, axes first; map.nc; and a picture a quantity, map_NAME."""
+        known, given = self.known, (*self.names, REASON)
+        names = [*(axis.name for axis in self.grid.axes), "status", *given]
+        values = zip(*(self.cells(name, known) for name in given), strict=True)
+        rows = (
+            dict(zip(names, (*self.grid.values(cell), STATUS_WORDS[self.states[cell]], *row), strict=True))
+            for cell, row in zip(known, values, strict=True)
+        )
+        write_csv(self.directory / CSV_FILE, names, rows)
+        write_netcdf(self.directory / NETCDF_FILE, self.dataset(attributes, dimensionless))
+        for name in self.drawn_names if pictures else ():
+            safe = "".join(char if char.isalnum() or char in "-_" else "_" for char in name)
+            save(self.figure(name), self.directory / f"map_{safe}")
+
+    def dataset(self, attributes: Mapping[str, Any], dimensionless: bool) -> Dataset:
+        """The variables of map.nc: dimensions named by the parameters, quantities over them.
+
+        Numbers of a model of the user's have whatever unit the model has.
+        """
+        names = list[str]()
+        for axis in self.grid.axes:
+            name = re.sub(r"\W+", "_", axis.name)
+            while name in names:
+                name = f"{name}_"
+            names.append(name)
+        variables = list(self._variables(names, {"units": "1"} if dimensionless else {}))
+        taken, unique = {f"{v.name}_length" for v in variables if v.values.dtype.kind in "USO"}, list[Variable]()
+        for place, variable in enumerate(variables):
+            name = variable.name
+            while place >= len(names) and (name in taken or name in names):
+                name = f"{name}_of_cell"
+            taken.add(name)
+            unique.append(replace(variable, name=name))
+        return Dataset(unique, attributes)
+
+    def _variables(self, names: Sequence[str], units: Mapping[str, str]) -> Iterator[Variable]:
+        """Axes under these names, and quantities over them: NaN and empty texts where there is none."""
+        for axis, name in zip(self.grid.axes, names, strict=True):
+            values, meaning = np.array(axis.values), f"the parameter {', '.join('.'.join(path) for path in axis.paths)}"
+            if not any(
+                "parameters" in path for path in axis.paths
+            ):  # declared by the user, with a meaning of their own
+                meaning = CHAIN_MEANINGS.get(axis.name, meaning)
+            if not axis.worded and not np.all(np.abs(values.astype(float)) < LARGEST_WHOLE_NUMBER):
+                values = values.astype(float)
+            yield Variable(name, (name,), values, meaning, attributes={} if axis.worded else units)
+        over, words = tuple(names), " ".join(word.replace(" ", "_") for word in STATUS_WORDS)
+        flags = {"flag_values": np.arange(len(STATUS_WORDS), dtype="i4"), "flag_meanings": words}
+        yield Variable(
+            "status", over, self.states.reshape(self.grid.shape), "what is known of a cell", attributes=flags
+        )
+        for name in self.names:
+            number = name in self.numbers
+            yield Variable(
+                name, over, self.values(name), self.meanings.get(name, name), number, units if number else {}
+            )
+        yield Variable(REASON, over, self.values(REASON), "why a cell failed, or ended early")
+
+    def write_boundary(self, lines: Lines) -> None:
+        """Keep the lines of the boundary, in boundary.csv as well: their points in their order."""
+        axes, self.boundary = self.grid.axes, lines
+        others = [axis for axis in axes if not axis.numeric]
+        names = [*(axis.name for axis in others), "line", *(axis.name for axis in axes if axis.numeric)]
+        rows = (
+            dict(zip(names, [*(a.values[k] for a, k in zip(others, chosen, strict=True)), n, *point], strict=True))
+            for chosen, curves in lines.items()
+            for n, curve in enumerate(curves, start=1)
+            for point in curve.tolist()
+        )
+        write_csv(self.directory / BOUNDARY_FILE, names, rows)
+
+    # Pictures: a quantity each, over the axes that are ranges; other axes have a panel a value ------------------------
+
+    @property
+    def drawn_names(self) -> list[str]:
+        """Quantities with a picture: numbers that change over the map, but for error bars."""
+        names, known = list[str](), self.states != UNKNOWN
+        for name in self.names:
+            if name in self.numbers and not name.endswith("_error") and name not in NOT_DRAWN:
+                values = self.numbers[name][known]
+                finite = values[np.isfinite(values)]
+                if finite.size < values.size or float(np.ptp(finite)) > 0.0:
+                    names.append(name)
+        return names
+
+    @property
+    def _along(self) -> list[int]:
+        """Axes that are drawn: the ranges; where there is none the longest list of numbers."""
+        axes = self.grid.axes
+        ranges = [i for i, axis in enumerate(axes) if axis.numeric]
+        lists = [i for i, axis in enumerate(axes) if not axis.worded]
+        return ranges or sorted(lists, key=lambda i: -len(axes[i].values))[:1] or [0]
+
+    def _panels(self, name: str) -> tuple[list[Axis], list[MapAxis], Callable[[Sequence[int]], Panel]]:
+        """Axes that are not drawn, those that are, and the panel of a quantity at places along the first."""
+        check_name("quantity", name, [n for n in self.names if n in self.numbers])
+        axes, along = self.grid.axes, self._along
+        others = [i for i in range(len(axes)) if i not in along]
+
+        def panel(chosen: Sequence[int]) -> Panel:
+            places = dict(zip(others, chosen, strict=True))
+            index = tuple(places.get(i, slice(None)) for i in range(len(axes)))
+            values, states = self[name].astype(float)[index], self.status[index]
+            names = [part for i in others for part in axes[i].names]
+            at = [value for i, k in places.items() for _, value in axes[i].settings(k)]
+            shown = filled(np.where(np.isfinite(values), values, np.nan), states, [axes[i].stride for i in along])
+            lines = self.boundary.get(tuple(chosen), ())
+            return Panel(panel_title(names, at), shown, states >= ENDED, states != UNKNOWN, lines)
+
+        drawn = [MapAxis(axes[i].name, axes[i].numbers, axes[i].log) for i in along]
+        return [axes[i] for i in others], drawn, panel
+
+    def draw(self, places: Axes, name: str, at: Mapping[str, Any]) -> None:
+        """Draw a quantity into axes, at values of the axes that are lists; see `plot`."""
+        others, drawn, panel = self._panels(name)
+        for key in at:
+            check_name("at", key, [axis.name for axis in others])
+        draw_maps([places], name, drawn, [panel([_place_of(axis, at) for axis in others])])
+
+
+def _place_of(axis: Axis, given: Mapping[str, Any]) -> int:
+    """The value of a list that is drawn: the requested one, or the only one; raises ValueError for no value."""
+    if axis.name not in given and len(axis.values) == 1:
+        return 0
+    value = given.get(axis.name)
+    if axis.name not in given or value not in axis.values:
+        words = f"given {short_repr(value)}" if axis.name in given else "missing"
+        raise ValueError(f"at: {axis.name}: {words}; accepted: {cut(', '.join(map(repr, axis.values)))}")
+    return axis.values.index(value)
+
+
+def filled(values: NDArray[np.float64], states: NDArray[np.int8], strides: list[int]) -> NDArray[np.float64]:
+    """Values with those of the nearest computed cell where a refined map computed none."""
+    if max(strides) == 1 or not np.any(states == UNKNOWN):
+        return values
+    from scipy.ndimage import distance_transform_edt
+
+    _, nearest = distance_transform_edt(states == UNKNOWN, sampling=[1.0 / s for s in strides], return_indices=True)
+    return np.asarray(values[tuple(nearest)])
 
 
 @show.register
 def _(found: Map) -> Shown:
-    axes, names = found.store.grid.axes, drawn_names(found)
+    axes = found.grid.axes
     rows = [(axis.name, f"{len(axis.values)} values") for axis in axes]
     rows += [("cells", found.summary()), ("quantities", listed(found.names))]
+    first = {axis.name: axis.values[0] for i, axis in enumerate(axes) if i not in found._along}
 
-    def draw(places: Axes) -> None:
-        if not names:
+    def draw(places: Axes, name: str = "", at: Mapping[str, Any] = first) -> None:
+        if not name and not found.drawn_names:
             raise ValueError("plot: no quantity changes over the map")
-        along = _along(axes)
-        plot(found, names[0], places, {axis.name: axis.values[0] for i, axis in enumerate(axes) if i not in along})
+        found.draw(places, name or found.drawn_names[0], at)
 
-    def columns() -> TableColumns:
-        cells = np.flatnonzero(found.store.states != UNKNOWN)
-        places = found.store.grid.places(cells).T
+    def columns() -> Columns:
+        known = found.known
+        places = found.grid.places(np.array(known, dtype=np.int64)).T
         table = {axis.name: np.array(axis.values)[at] for axis, at in zip(axes, places, strict=True)}
-        table |= {"status": [STATUS_WORDS[state] for state in found.store.states[cells]]}
-        return table | {name: found.columns[name].ravel()[cells] for name in (*found.names, REASON)}
+        table |= {"status": [STATUS_WORDS[state] for state in found.states[known]]}
+        return table | {name: found.values(name).ravel()[known] for name in (*found.names, REASON)}
 
     return Shown("Map", rows, draw, "quantities over the axes of a map", columns)
-
-
-# Files of a map: map.csv, map.nc and a picture a quantity, made from the journals -------------------------------------
-
-CSV, NETCDF = "map.csv", "map.nc"
-CHAIN_MEANINGS = {"sites": "number of sites", "N": "number of sites", "alpha": "on-site stiffness",
-                  "gamma": "nonreciprocity", "g": "cubic on-site coefficient", "S": "total amplitude: sum of y_n^2 at "
-                  "t = 0", "mode": "linear mode by ascending frequency"}  # fmt: skip
-
-
-def write_table(columns: Columns, path: Path) -> None:
-    """map.csv: a row a cell that is known, axes first."""
-    grid, states = columns.store.grid, columns.store.states
-    names = [*(axis.name for axis in grid.axes), "status", *columns.names, REASON]
-    known = np.flatnonzero(states != UNKNOWN).tolist()
-    values = zip(*(columns.cells(name, known) for name in (*columns.names, REASON)), strict=True)
-    rows = (
-        dict(zip(names, (*grid.values(cell), STATUS_WORDS[states[cell]], *row), strict=True))
-        for cell, row in zip(known, values, strict=True)
-    )
-    write_csv(path, names, rows)
-
-
-def map_dataset(columns: Columns, attributes: Mapping[str, Any], dimensionless: bool) -> Dataset:
-    """The variables of map.nc: dimensions named by the parameters, quantities over them.
-
-    Numbers of a model of the user's have whatever unit the model has.
-    """
-    axes, names, units = columns.store.grid.axes, list[str](), {"units": "1"} if dimensionless else {}
-    for axis in axes:
-        name = re.sub(r"\W+", "_", axis.name)
-        while name in names:
-            name = f"{name}_"
-        names.append(name)
-    variables = [_axis_variable(axis, name, units) for axis, name in zip(axes, names, strict=True)]
-    words = " ".join(word.replace(" ", "_") for word in STATUS_WORDS)
-    flags = {"flag_values": np.arange(len(STATUS_WORDS), dtype="i4"), "flag_meanings": words}
-    status = columns.store.states.reshape(columns.store.grid.shape)
-    variables += [Variable("status", tuple(names), status, "what is known of a cell", attributes=flags)]
-    variables += _quantities(columns, tuple(names), units)
-    taken, unique = {f"{v.name}_length" for v in variables if v.values.dtype.kind in "USO"}, list[Variable]()
-    for place, variable in enumerate(variables):
-        name = variable.name
-        while place >= len(axes) and (name in taken or name in names):
-            name = f"{name}_of_cell"
-        taken.add(name)
-        unique.append(replace(variable, name=name))
-    return Dataset(unique, attributes)
-
-
-def _axis_variable(axis: Axis, dimension: str, units: Mapping[str, str]) -> Variable:
-    values, words = np.array(axis.values), ", ".join(".".join(path) for path in axis.paths)
-    meaning = f"the parameter {words}"
-    if not any("parameters" in path for path in axis.paths):  # declared by the user, with a meaning of their own
-        meaning = CHAIN_MEANINGS.get(axis.name, meaning)
-    if values.dtype.kind in "US":
-        return Variable(dimension, (dimension,), values, meaning)
-    if not np.all(np.abs(values.astype(float)) < LARGEST_WHOLE_NUMBER):
-        values = values.astype(float)
-    return Variable(dimension, (dimension,), values, meaning, attributes=units)
-
-
-def _quantities(columns: Columns, dimensions: tuple[str, ...], units: Mapping[str, str] = {}) -> list[Variable]:
-    """Variables over the cells: numbers with NaN and texts with nothing where there is none, reasons last."""
-    found = []
-    for name in columns.names:
-        meaning = columns.store.meanings.get(name, "the cell whose solution the second start began at")
-        number = name in columns.numbers
-        found.append(Variable(name, dimensions, columns[name], meaning, number, units if number else {}))
-    return [*found, Variable(REASON, dimensions, columns[REASON], "why a cell failed, or ended early")]
 
 
 # A map read back from its directory: the journals are the truth, tables and pictures are not needed -------------------
@@ -270,12 +605,13 @@ def read_map(directory: str | Path) -> Map:
     archive, folder = Archive(source, "a map in one file"), TemporaryFolder("casadi_skin_map_")
     try:
         archive.write(folder.path, _is_part)
-        return replace(_in_directory(folder.path, source), folder=folder)
-    except ValueError as error:
+        found = _in_directory(folder.path, source)
+        found.folder = folder
+        return found
+    except BaseException as error:
         folder.remove()
-        raise ValueError(str(error).replace(str(folder.path), str(source))) from None
-    except BaseException:
-        folder.remove()
+        if isinstance(error, ValueError):
+            raise ValueError(str(error).replace(str(folder.path), str(source))) from None
         raise
     finally:
         archive.close()
@@ -296,130 +632,24 @@ def _in_directory(directory: Path, shown: Path) -> Map:
         grid = Grid.of(scene)
     except SceneError as error:
         raise ValueError(f"{shown}: {error}; {ACCEPTED_MAPS}") from None
-    with Progress() as progress, Store(directory, grid, scene, None, progress.report) as store:
-        columns = Columns(store, scene.map.quantities)
+    found = Map(directory, grid, scene, None, Progress().report)
     try:
-        boundary = read_boundary(grid, directory / BOUNDARY_FILE)
+        found.boundary = read_boundary(grid, directory / BOUNDARY_FILE)
     except (ValueError, KeyError, IndexError) as error:
         accepted = "accepted: the file that the map wrote"
         raise ValueError(f"{shown / BOUNDARY_FILE}: cannot be read ({error}); {accepted}") from None
-    return Map(directory, columns, store.complete, boundary=boundary)
+    return found
 
 
-# Pictures of a map: a quantity each, over the axes that are ranges; other axes have a panel a value -------------------
-
-NOT_DRAWN = ("points", "at_round_off", "residual", "profile_error", "S_error", "intervals")
-
-
-def drawn_names(found: Map) -> list[str]:
-    """Quantities with a picture: numbers that change over the map, but for error bars."""
-    names, known = list[str](), found.store.states != UNKNOWN
-    for name in (n for n in found.names if n in found.columns.numbers):
-        values = found.columns.numbers[name][known]
-        finite = values[np.isfinite(values)]
-        changes = finite.size < values.size or float(np.ptp(finite)) > 0.0
-        if changes and not name.endswith("_error") and name not in NOT_DRAWN:
-            names.append(name)
-    return names
-
-
-def write_pictures(found: Map) -> None:
-    """Draw each quantity as map_NAME."""
-    for name in drawn_names(found):
-        safe = "".join(char if char.isalnum() or char in "-_" else "_" for char in name)
-        save(picture(found, name), found.directory / f"map_{safe}")
-
-
-def picture(found: Map, name: str) -> Figure:
-    """The picture of a quantity of a map: a panel for each combination of values of axes that are lists.
-
-    Raises ValueError for an unknown quantity, or a text.
-    """
-    axes, drawn, panel = _panels(found, name)
-    others = [range(len(axis.values)) for axis in axes]
-    panels = [panel(chosen) for chosen in product(*others)]
-    return map_figure(name, found.store.meanings.get(name, name), drawn, panels)
-
-
-def plot(found: Map, name: str, axes: Axes | None = None, at: Mapping[str, Any] | None = None) -> Axes:
-    """Draw a quantity over the ranges of the map into matplotlib axes.
-
-    Arguments:
-        found: the map.
-        name: the quantity.
-        axes: where it is drawn; new ones of pyplot by default.
-        at: values of the axes that are lists, by name; one of a single value may be left out.
-
-    Returns:
-        The axes.
-
-    Raises:
-        ValueError: there is no such quantity, it is a text, or there is no such value of an axis.
-    """
-    from matplotlib.axes import Axes
-
-    others, drawn, panel = _panels(found, name)
-    given = dict(at or {})
-    for key in given:
-        check_name("at", key, [axis.name for axis in others])
-    chosen = [_place_of(axis, given) for axis in others]
-    if axes is None:
-        from matplotlib import pyplot
-
-        axes = pyplot.subplots(layout="constrained")[1]
-    if not isinstance(axes, Axes):
-        raise TypeError(f"axes: given {short_repr(axes)}; accepted: axes of matplotlib, or None")
-    draw_maps([axes], name, drawn, [panel(chosen)])
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend()
-    return axes
-
-
-def _panels(found: Map, name: str) -> tuple[list[Axis], list[MapAxis], Callable[[Sequence[int]], Panel]]:
-    """Axes that are not drawn, those that are, and the panel of a quantity at places along the first."""
-    check_name("quantity", name, [n for n in found.names if n in found.columns.numbers])
-    axes = found.store.grid.axes
-    along = _along(axes)
-    others = [i for i in range(len(axes)) if i not in along]
-
-    def panel(chosen: Sequence[int]) -> Panel:
-        places = dict(zip(others, chosen, strict=True))
-        index = tuple(places.get(i, slice(None)) for i in range(len(axes)))
-        values, states = found[name].astype(float)[index], found.status[index]
-        values = np.where(np.isfinite(values), values, np.nan)
-        names = [part for i in others for part in axes[i].names]
-        at = [value for i, k in places.items() for _, value in axes[i].settings(k)]
-        shown = filled(values, states, [axes[i].stride for i in along])
-        lines = found.boundary.get(tuple(chosen), ())
-        return Panel(panel_title(names, at), shown, states >= ENDED, states != UNKNOWN, lines)
-
-    drawn = [MapAxis(axes[i].name, axes[i].numbers, axes[i].log) for i in along]
-    return [axes[i] for i in others], drawn, panel
-
-
-def _place_of(axis: Axis, given: Mapping[str, Any]) -> int:
-    """The value of a list that is drawn: the requested one, or the only one; raises ValueError for no value."""
-    if axis.name not in given and len(axis.values) == 1:
-        return 0
-    value = given.get(axis.name)
-    if axis.name not in given or value not in axis.values:
-        words = f"given {short_repr(value)}" if axis.name in given else "missing"
-        raise ValueError(f"at: {axis.name}: {words}; accepted: {cut(', '.join(map(repr, axis.values)))}")
-    return axis.values.index(value)
-
-
-def _along(axes: tuple[Axis, ...]) -> list[int]:
-    """Axes that are drawn: the ranges; where there is none the longest list of numbers."""
-    ranges = [i for i, axis in enumerate(axes) if axis.numeric]
-    lists = [i for i, axis in enumerate(axes) if not axis.worded]
-    return ranges or sorted(lists, key=lambda i: -len(axes[i].values))[:1] or [0]
-
-
-def filled(values: NDArray[np.float64], states: NDArray[np.int8], strides: list[int]) -> NDArray[np.float64]:
-    """Values with those of the nearest computed cell where a refined map computed none."""
-    if max(strides) == 1 or not np.any(states == UNKNOWN):
-        return values
-    from scipy.ndimage import distance_transform_edt
-
-    _, nearest = distance_transform_edt(states == UNKNOWN, sampling=[1.0 / s for s in strides], return_indices=True)
-    return np.asarray(values[tuple(nearest)])
+def read_boundary(grid: Grid, path: Path) -> Lines:
+    """The lines that `write_boundary` wrote; none where there is no file."""
+    if not path.is_file():
+        return {}
+    places = [{str(value): k for k, value in enumerate(axis.values)} for axis in grid.axes if not axis.numeric]
+    found = dict[tuple[int, ...], dict[str, list[list[float]]]]()
+    with path.open(encoding="utf-8", newline="") as file:
+        for row in csv.reader(islice(file, 1, None)):
+            words, line, point = row[: len(places)], row[len(places)], row[len(places) + 1 :]
+            chosen = tuple(place[word] for place, word in zip(places, words, strict=True))
+            found.setdefault(chosen, {}).setdefault(line, []).append([float(value) for value in point])
+    return {chosen: tuple(np.array(curve) for curve in curves.values()) for chosen, curves in found.items()}

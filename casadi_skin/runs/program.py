@@ -273,28 +273,28 @@ def map_(arguments: argparse.Namespace) -> int:
 
     Example: casadi-skin map examples/stability_chart.toml --workers 2
     """
-    scene, text = _scene(arguments)
+    scene, _ = _scene(arguments)
     if scene.map is None:
         raise InputError(f"{arguments.scene}: [map]: missing; accepted: a table of parameters with ranges or lists")
     part = _part(arguments.part)
     _name_program(scene, arguments)
     from casadi_skin.model.interrupts import TimeLimit, time_limited
-    from casadi_skin.runs.map import Mapped, Ways, check_ways, compute_map
+    from casadi_skin.runs.map import MapRun
     from casadi_skin.runs.progress import Progress
 
     directory, existing = _place(arguments)
-    ways = Ways(
-        arguments.workers, arguments.scheduler, None, part, arguments.collect, existing, not arguments.no_pictures
-    )
+    options = arguments.workers, arguments.scheduler, None, part, arguments.collect, existing
     try:
-        check_ways(ways)
-    except (ValueError, TypeError) as error:
+        mapping = MapRun(arguments.scene, directory, *options, not arguments.no_pictures)
+    except InputError:
+        raise
+    except ValueError as error:
         raise InputError(f"map: --{error}") from None
-    mapped, limit = Mapped.of(text, arguments.scene), TimeLimit(scene.time_limit)
+    limit = TimeLimit(scene.time_limit)
     with Progress(arguments.quiet) as progress:
         try:
             with time_limited(limit):
-                found = compute_map(mapped, directory, ways, progress)
+                found = mapping.execute(progress)
         except ImportError as error:
             raise InputError(f"map: --scheduler: {error}") from None
         except KeyboardInterrupt:

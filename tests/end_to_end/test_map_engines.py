@@ -74,9 +74,8 @@ def test_what_dies_hangs_or_fails_is_told_tried_twice_and_left(tmp_path: Path) -
     assert sorted(attempts) == [
         (0, 1, ""), (1, 1, "late"), (1, 2, "late"), (2, 1, "died"), (2, 2, "died"), (3, 1, "failed"), (3, 2, "failed"),
     ]  # fmt: skip
-    with found.store:
-        found.store.forget_outside()  # as a map that is resumed does
-        assert found.store.states.tolist() == [1, 0, 0, 3]
+    found.forget_outside()  # as a map that is resumed does
+    assert found.states.tolist() == [1, 0, 0, 3]
 
 
 def test_workers_and_a_parent_that_are_killed_lose_no_finished_cell(

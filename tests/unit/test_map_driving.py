@@ -17,10 +17,10 @@ from maps import EQUILIBRIUM as REST
 from maps import TINY, of_models
 
 from casadi_skin.runs import map as driving
-from casadi_skin.runs.map import Drive, Engine, Mapped
-from casadi_skin.runs.map_cell import Computer, Job
-from casadi_skin.runs.map_grid import FAILED, LATE, Grid, Result, Row, Task, plain
-from casadi_skin.runs.map_store import Store
+from casadi_skin.runs.map import Drive, Engine, MapRun
+from casadi_skin.runs.map_cell import FAILED, LATE, Computer, Result, Row
+from casadi_skin.runs.map_grid import Grid, Task, plain
+from casadi_skin.runs.map_result import Map
 from casadi_skin.runs.program import main
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.reading import parse_scene
@@ -58,13 +58,13 @@ class Said(Progress):
         self.words.append(words)
 
 
-def stored(folder: Path, scene: Scene, own: str | None = "journal.msgpack") -> Store:
-    return Store(folder, Grid.of(scene), scene, own, print)
+def stored(folder: Path, scene: Scene, own: str | None = "journal.msgpack") -> Map:
+    return Map(folder, Grid.of(scene), scene, own, print)
 
 
-def driven(store: Store, engine: Now, progress: Progress | None = None, **options: Any) -> bool:
+def driven(store: Map, engine: Now, progress: Progress | None = None, **options: Any) -> bool:
     where = Engine(engine, lambda: 2, lambda: "", lambda: None)
-    return Drive(store.grid, store, where, b"", progress or Progress(quiet=True), **options).run()
+    return Drive(store, where, b"", progress or Progress(quiet=True), **options).run()
 
 
 def row(cell: int, **values: float) -> Row:
@@ -163,14 +163,15 @@ def test_what_is_left_is_estimated_from_what_cells_took(tmp_path: Path, monkeypa
     monkeypatch.setattr(driving.time, "monotonic", lambda: clock[0])
     said = Said()
     with stored(tmp_path, parse_scene(EQUILIBRIUM)) as store:
-        assert driven(store, Now(result), said, _began=0.0)
-    assert said.words[0] == "8 of 10 cells; 0 failed; about 3.3 min left"  # 8 are handed over together
-    assert said.words[-1] == "10 of 10 cells; 0 failed; about 0 s left"
+        assert driven(store, Now(result), said)
+    assert said.words[0] == "1 of 10 cells; 0 failed; about 2.0 h left"  # 8 are handed over together
+    assert said.words[-1] == "9 of 10 cells; 0 failed; about 111 s left"  # and the last one at the same time
 
 
 def test_the_growth_that_counts_goes_to_the_cells(tmp_path: Path) -> None:
     text = TINY.replace("[accuracy]", "[stability]\n[accuracy]") + "growth = 0.25\n"
-    assert Mapped.of(text, tmp_path / "scene.toml").computer.job.growth == 0.25
+    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+    assert MapRun(tmp_path / "scene.toml", tmp_path).computer.growth == 0.25
 
 
 @pytest.mark.parametrize(
@@ -208,7 +209,7 @@ def test_a_worker_that_ended_between_two_tasks_is_started_again(tmp_path: Path) 
     path = of_models(tmp_path, ["good"])
     scene = parse_scene(path.read_text(encoding="utf-8"))
     grid, worker = Grid.of(scene), Worker()
-    computer, task = pickle.dumps(Computer(Job(plain(scene), str(path)))), next(grid.tasks(grid.coarsest))
+    computer, task = pickle.dumps(Computer(plain(scene), str(path))), next(grid.tasks(grid.coarsest))
     results = []
     for _ in range(2):
         results.append(worker.compute(computer, task))

@@ -22,21 +22,11 @@ from casadi_skin import Chain, follow_family, read_map, run_map
 from casadi_skin.results.figures.map import COLOUR_MAP, MapAxis, Panel, map_figure
 from casadi_skin.runs.axes import ranges_of, values_of
 from casadi_skin.runs.binding import bind
-from casadi_skin.runs.map_cell import Computer, Job
-from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Grid, Result, Row, needed, plain, scene_at
-from casadi_skin.runs.map_lines import (
-    OF_BOUNDARY,
-    Entry,
-    boundaries,
-    check_boundary,
-    checked,
-    lowest,
-    read_boundary,
-    write_boundary,
-)
-from casadi_skin.runs.map_result import Map
-from casadi_skin.runs.map_store import FAMILY_SUFFIX, Columns, Store, known_names
-from casadi_skin.runs.map_store import UNKNOWN as NOT_COMPUTED
+from casadi_skin.runs.map_cell import FAMILY_SUFFIX, Computer, Result, Row, known_names
+from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Grid, needed, plain, scene_at
+from casadi_skin.runs.map_lines import Entry, boundaries, check_boundary, checked, lowest
+from casadi_skin.runs.map_result import UNKNOWN as NOT_COMPUTED
+from casadi_skin.runs.map_result import Map, read_boundary
 from casadi_skin.runs.program import main
 from casadi_skin.runs.reading import parse_scene
 from casadi_skin.runs.rules import SceneError
@@ -204,11 +194,11 @@ def in_one_file(found: Map, folder: Path) -> None:
 def test_a_journal_of_another_scene_or_with_damage_is_not_taken_for_results(tmp_path: Path) -> None:
     """Cells of another scene, a flipped bit and a cut: none is taken silently, and what is whole is kept."""
 
-    def begun(name: str, text: str) -> tuple[Path, Callable[[], Store]]:
+    def begun(name: str, text: str) -> tuple[Path, Callable[[], Map]]:
         (tmp_path / name).mkdir()
         scene = parse_scene(text)
         (tmp_path / name / "scene.toml").write_text(text, encoding="utf-8")
-        return tmp_path / name / "journal.msgpack", lambda: Store(
+        return tmp_path / name / "journal.msgpack", lambda: Map(
             tmp_path / name, Grid.of(scene), scene, "journal.msgpack", told.append
         )
 
@@ -256,10 +246,11 @@ def test_a_map_that_is_none_is_not_read(tmp_path: Path) -> None:
 
 def test_lines_of_a_boundary_are_read_as_they_were_written(tmp_path: Path) -> None:
     """Bit for bit, beside an axis with commas in its name and its values."""
-    grid = Grid.of(parse_scene(LATTICE.replace("S = [0.01, 0.05]", "S = { from = 0.01, to = 0.05, points = 2 }")))
+    scene = parse_scene(LATTICE.replace("S = [0.01, 0.05]", "S = { from = 0.01, to = 0.05, points = 2 }"))
+    grid = Grid.of(scene)
     rng = np.random.default_rng(1)
     lines = {(0,): (rng.random((3, 2)), rng.random((1, 2))), (1,): (1e-300 * rng.random((2, 2)),)}
-    write_boundary(lines, grid, tmp_path / "boundary.csv")
+    Map(tmp_path, grid, scene, None, print).write_boundary(lines)
     assert [len(row) for row in read_rows(tmp_path / "boundary.csv")] == [4] * 6
     read = read_boundary(grid, tmp_path / "boundary.csv")
     assert {k: [c.tolist() for c in v] for k, v in read.items()} == {
@@ -312,7 +303,7 @@ def test_names_of_quantities_are_known_before_a_cell_is_computed(text: str, tmp_
     path = write(tmp_path, text)
     scene = parse_scene(text)
     grid = Grid.of(scene)
-    result = Computer(Job(plain(scene), str(path))).compute(next(grid.tasks(grid.coarsest)))
+    result = Computer(plain(scene), str(path))(next(grid.tasks(grid.coarsest)))
     assert result.rows, result.reason
     known = known_names(bind(scene, path))
     assert [name for name in result.rows[0].values if FAMILY_SUFFIX.sub("", name) not in known] == []
@@ -322,7 +313,7 @@ MANY = """
 import sys, threading, time
 from concurrent.futures import Executor, Future
 from pathlib import Path
-from casadi_skin.runs.map_grid import Result, Row
+from casadi_skin.runs.map_cell import Result, Row
 from casadi_skin.runs.map import run_map
 from casadi_skin.results.journal import os
 
@@ -435,10 +426,9 @@ def test_a_boundary_of_families_is_the_edge_of_a_tongue_between_them_too(tmp_pat
     found = run_map(path, tmp_path / "out", pictures=False, quiet=True)
     (line,) = found.boundary[()]
     assert (line[:, 0].min(), line[:, 0].max()) == (0.42, 0.46)
-    columns = Columns(found.columns.store, OF_BOUNDARY)
-    columns.store.states[columns.store.states.size // 2 :] = NOT_COMPUTED  # of gamma = 0.46
+    found.states[found.states.size // 2 :] = NOT_COMPUTED  # of gamma = 0.46
     scene = parse_scene(text, str(path))
-    (point,) = boundaries(scene, path, plain(scene), columns, reports.append)[()]
+    (point,) = boundaries(scene, path, found, reports.append)[()]
     assert (len(point), reports) == (1, [])
     for gamma, S in (*line[:: len(line) // 2], *point):
         branch = follow_family(Chain(4, 0.5, gamma, -1.0), 1, 0.9, stability=True, tolerance=1e-8)
@@ -553,7 +543,7 @@ def test_values_go_where_they_belong_in_the_scene_of_a_cell() -> None:
 def test_panels_name_the_parameters_that_change_together_one_by_one(tmp_path: Path) -> None:
     scene = parse_scene(LATTICE.replace("[1.0, 1], [-1.0, 4]", '[1.0, "first"], [-1.0, "last"]'))
     (tmp_path / "scene.toml").write_text(LATTICE.replace("[1.0, 1], [-1.0, 4]", '[1.0, "first"], [-1.0, "last"]'))
-    with Store(tmp_path, Grid.of(scene), scene, "journal.msgpack", print) as store:
+    with Map(tmp_path, Grid.of(scene), scene, "journal.msgpack", print) as store:
         for task in store.grid.tasks(store.grid.coarsest):
             store.add(task, 1, Result(tuple(Row({"Omega": float(cell)}) for cell in task.cells), seconds=1.0))
     figure = read_map(tmp_path).figure("Omega")
