@@ -233,6 +233,7 @@ def _of_continuation(request: Request) -> Rules:
         yield "continuation curve", beyond and f"to = {to!r} for gamma", "numbers between -1 and 1"
     if family:
         return
+    check_state("[continuation] monitors", table.monitors or {}, request.equations.state_names)
     start, to, back = values[table.parameter], table.to, table.back_to
     yield "continuation to", to == start and f"{to!r}, where the branch starts", "another number"
     beyond = limits and table.parameter == "gamma" and abs(to) > 1

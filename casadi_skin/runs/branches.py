@@ -12,7 +12,7 @@ import msgspec
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.follow import Following, Walk, following_space
+from casadi_skin.follow.follow import Following, Walk, following_space, monitors_of
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.model.interrupts import interrupts_deferred
@@ -142,18 +142,14 @@ class Branches:
         with watched(report=self.progress.say):
             first = first_solution(self.request, simulated)
         if table is not None:
-            yield (
-                "branch",
-                following_space(
-                    first,
-                    table.parameter,
-                    table.to,
-                    at=table.at,
-                    max_points=table.max_points,
-                    max_step=table.max_step,
-                    back_to=table.back_to,
-                ),
-            )
+            space = following_space(
+                first, table.parameter, table.to, at=table.at, max_points=table.max_points, max_step=table.max_step,
+                back_to=table.back_to,
+            )  # fmt: skip
+            model, values = first.space.model, table.monitors or {}
+            states = {name: model.full_state[model.state_names.index(name)] for name in values}
+            monitors = monitors_of(first, {f"{name} = {v:g}": states[name] - v for name, v in values.items()})
+            yield "branch", replace(space, monitors=monitors)
             if scene.has_diagram:
                 from casadi_skin.runs.further import further_spaces
 

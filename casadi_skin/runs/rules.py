@@ -278,7 +278,7 @@ def _of_branches(s: Seen) -> Rules:
         yield "continuation parameter", table.parameter != AMPLITUDE, '"S" beside [family]'
         alone = not table.switch and not curve and "beside [family] without switch or curve"
         yield "continuation", alone, "with one of them, or both"
-        for name in ("at", "back_to", "depth"):
+        for name in ("at", "back_to", "depth", "monitors"):
             yield f"continuation {name}", "beside [family]", BESIDE_SOLUTION
         unknown_changes = not s.stability.events and "beside [family] without [stability] events"
         yield "continuation", unknown_changes, "with [stability], events = true"

@@ -41,6 +41,19 @@ def write(tmp_path: Path, name: str, rest: str) -> Path:
     return scene
 
 
+@pytest.mark.usefixtures("blank")
+def test_values_of_states_are_special_points_of_a_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """On the branch x^3 - x = p of the cubic."""
+    branch = '[equilibrium]\nstart = { x = -1.3 }\n[continuation]\nparameter = "p"\nto = 1.0\nmonitors = '
+    scene = write(tmp_path, "cubic", branch + "{ x = 0.5 }\n")
+    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
+    (point,) = (one for one in rows(tmp_path / "out" / "special_points.csv") if one["kind"] == "x = 0.5")
+    assert float(point["p"]) == pytest.approx(0.5**3 - 0.5, abs=1e-9)
+    assert "x = 0.5" in rows(tmp_path / "out" / "branch.csv")[0]
+    assert main(["check", str(write(tmp_path, "cubic", branch + "{ z = 0.5 }\n"))]) == 2
+    assert '[continuation] monitors: given "z"; accepted: x, y' in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_the_example_of_carbon_monoxide(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Values published in MatCont's manual for the catalytic oscillator, to the digits printed there."""
