@@ -33,11 +33,7 @@ Files = dict[tuple[Path, str | None], tuple[str, dict[str, Any], Any]]  # text, 
 def bound(scene: Scene, path: Path) -> Request:
     """The request of a scene; raises SceneError that begins with its file."""
     try:
-        request = bind(scene, path)
-        with faults_at("[search] "):
-            if scene.search is not None:
-                request.searched  # noqa: B018  made, and so checked
-        return request
+        return bind(scene, path)
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
 
@@ -53,8 +49,9 @@ def bind(scene: Scene, scene_path: Path, files: Files | None = None) -> Request:
     elif scene.lattice is not None:
         with faults_at("[lattice] "):
             model: Any = lattice_of(scene.lattice)
-        named_values = zip(model.parameter_names, model.nominal or (), strict=True)
-        request = Request(scene, model, dict(model.parameters if scene.lattice.long else named_values))
+        long = scene.lattice.long
+        values = model.parameters if long else zip(model.parameter_names, model.nominal or (), strict=True)
+        request = Request(scene, model, dict(values))
     else:
         assert scene.chain is not None  # one of the three is there
         chain = asdict(scene.chain)
@@ -63,6 +60,9 @@ def bind(scene: Scene, scene_path: Path, files: Files | None = None) -> Request:
         check_rules(scene, rules(request))
     if scene.spectrum is not None:
         check_spectrum(request)
+    if scene.search is not None:
+        with faults_at("[search] "):
+            request.searched  # noqa: B018  made, and so checked
     return request
 
 

@@ -2,53 +2,43 @@
 
 from __future__ import annotations
 
-import csv
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from apart import modules_of_a_run, undrawn
+from scenes import Runs, chain, family, table
 
-from casadi_skin.runs.program import main
 from casadi_skin.runs.scene import DynamicsTable
 from casadi_skin.runs.tasks import sample_times
 
 pytestmark = pytest.mark.usefixtures("blank")
 
-CHAIN = "[chain]\nsites = {sites}\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
-FAMILY = "[family]\nmode = {mode}\namplitude_max = 0.5\n"
-KICK = "[dynamics]\nmode = 1\nS = 0.2\nduration = 10.0\nsite = 6\nsize = 0.01\n"
 
-
-def write_scene(path: Path, dynamics: str, sites: int = 6, mode: str = "1") -> Path:
-    path.write_text(CHAIN.format(sites=sites) + FAMILY.format(mode=mode) + dynamics, encoding="utf-8")
-    return path
-
-
-def table(path: Path) -> tuple[list[str], np.ndarray]:
-    with path.open(encoding="utf-8", newline="") as file:
-        header, *lines = csv.reader(file)
-    return header, np.array(lines, dtype=float)
+def kick(**keys: Any) -> str:
+    given = {"mode": 1, "S": 0.2, "duration": 10.0, "site": 6, "size": 0.01}
+    return table("dynamics", **given | keys)
 
 
 @pytest.mark.usefixtures("pictures")
-def test_run_writes_table_netcdf_and_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_writes_table_netcdf_and_picture(run: Runs) -> None:
     xarray = pytest.importorskip("xarray")
-    out = tmp_path / "out"
-    scene = write_scene(tmp_path / "kick.toml", KICK + 'samples = 51\nmethod = "dop853"\n', mode="[2, 1]")
-    assert main(["run", str(scene), "--out", str(out)]) == 0
-    assert "dynamics: dop853 in gauge coordinates, tolerance 1e-11: t = 10 reached" in capsys.readouterr().out
-    assert {"dynamics.csv", "dynamics.nc", "dynamics.png"} <= {path.name for path in out.iterdir()}
-    header, values = table(out / "dynamics.csv")
+    families = chain() + family([2, 1], 0.5)
+    printed = run(families + kick(samples=51, method="dop853")).out
+    assert "dynamics: dop853 in gauge coordinates, tolerance 1e-11: t = 10 reached" in printed
+    assert {"dynamics.csv", "dynamics.nc", "dynamics.png"} <= run.files
+    header = list(run.rows("dynamics")[0])
     assert header == ["t", "energy", *(f"y_{n}" for n in range(1, 7))]
+    values = np.transpose(run.columns("dynamics", *header))
     np.testing.assert_allclose(values[:, 0], np.linspace(0.0, 10.0, 51), atol=1e-15)
     assert np.ptp(values[:, 1]) < 1e-9 * values[0, 1]
     profile = values[0, 2:] - [0, 0, 0, 0, 0, 0.01]
     assert profile @ profile == pytest.approx(0.2, rel=1e-7)
     assert np.all(profile > 0)  # of mode 1, not of mode 2, whose profile has a node
-    with xarray.open_dataset(out / "dynamics.nc", engine="scipy") as data:
+    with xarray.open_dataset(run.out / "dynamics.nc", engine="scipy") as data:
         np.testing.assert_array_equal(data.displacements.values, values[:, 2:])
         np.testing.assert_array_equal(data.energy.values, values[:, 1])
         np.testing.assert_array_equal(data.t.values, values[:, 0])
@@ -57,27 +47,22 @@ def test_run_writes_table_netcdf_and_picture(tmp_path: Path, capsys: pytest.Capt
         np.testing.assert_allclose(data.velocities.values[1:-1], numerical, atol=0.02)
         assert (data.attrs["method"], data.attrs["orbit_mode"], data.attrs["orbit_S"]) == ("dop853", 1, 0.2)
         assert "size = 0.01" in data.attrs["scene"]
-    assert main(["run", str(scene), "--out", str(out), "--resume"]) == 0
-    assert "complete run already" in capsys.readouterr().out
-    assert main(["run", str(write_scene(scene, "")), "--out", str(out), "--overwrite"]) == 0
-    assert not any(path.name.startswith("dynamics") for path in out.iterdir())
+    assert "complete run already" in run("", "--resume").out
+    run(families, "--overwrite")
+    assert not any(name.startswith("dynamics") for name in run.files)
 
 
-def test_an_escape_keeps_what_was_computed_and_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "out"
-    dynamics = KICK.replace("size = 0.01", "size = 3.0").replace("10.0", "50.0")
-    scene = write_scene(tmp_path / "far.toml", dynamics)
+def test_an_escape_keeps_what_was_computed_and_says_why(run: Runs) -> None:
+    scene = chain() + family(1, 0.5) + kick(size=3.0, duration=50.0)
     for flags in ([], ["--resume"]):
-        assert main(["run", str(scene), "--out", str(out), *flags]) == 1
-        told = capsys.readouterr().err
-        assert told.startswith(f"{scene}: [dynamics]: cvodes: the state was followed to t = ")
+        told = run(scene, *flags, status=1).err
+        assert told.startswith(f"{run.scene}: [dynamics]: cvodes: the state was followed to t = ")
         assert "leaves the well" in told
         assert told.count("\n") == 1
-        _, values = table(out / "dynamics.csv")
+        (values,) = run.columns("dynamics", "y_6")
         assert 1 < len(values) < 401
         assert np.all(np.isfinite(values))
-        assert (out / "family.nc").exists()
-        assert (out / "journal.msgpack").exists()
+        assert {"family.nc", "journal.msgpack"} <= run.files
 
 
 @pytest.mark.slow
@@ -92,8 +77,9 @@ def test_an_escape_keeps_what_was_computed_and_says_why(tmp_path: Path, capsys: 
     ],
 )
 def test_an_interruption_is_heard_at_once(tmp_path: Path, method: str, number: signal.Signals) -> None:
-    out = tmp_path / "out"
-    scene = write_scene(tmp_path / "long.toml", f'[dynamics]\nS = 0.2\nperiods = 1000000\nmethod = "{method}"\n')
+    scene, out = tmp_path / "long.toml", tmp_path / "out"
+    motion = table("dynamics", S=0.2, periods=1e6, method=method)
+    scene.write_text(chain() + family(1, 0.5) + motion, encoding="utf-8")
     process = undrawn("run", scene, "--out", out)
     while not (out / "frequency.png").exists():  # the last file of the family
         assert process.poll() is None, process.communicate()
@@ -111,7 +97,9 @@ def test_an_interruption_is_heard_at_once(tmp_path: Path, method: str, number: s
 
 @pytest.mark.slow
 def test_without_a_table_nothing_of_it_is_imported(tmp_path: Path) -> None:
-    loaded = modules_of_a_run(write_scene(tmp_path / "plain.toml", ""), tmp_path / "out")
+    scene = tmp_path / "plain.toml"
+    scene.write_text(chain() + family(1, 0.5), encoding="utf-8")
+    loaded = modules_of_a_run(scene, tmp_path / "out")
     assert not loaded & {"casadi_skin.dynamics", "casadi_skin.runs.tasks", "casadi_skin.results.figures.evolutions"}
     assert not [name for name in loaded if "export" in name and name.startswith("casadi_skin")]
     assert not (tmp_path / "out" / "dynamics.csv").exists()
@@ -135,19 +123,13 @@ def test_default_samples_of_long_runs_fall_on_all_phases(periods: float) -> None
 @pytest.mark.parametrize(
     ("kind", "energy"), [("mode = 2", None), ("site = 3\nmoving = true", 0.125), ("seed = 1", None)]
 )
-def test_motion_that_starts_near_rest_needs_no_orbit(
-    kind: str, energy: float | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_motion_that_starts_near_rest_needs_no_orbit(kind: str, energy: float | None, run: Runs) -> None:
     """The energy of a kick is v^2/2 in the weights of the gauge; modes of small size go on at their frequency."""
-    scene, out = tmp_path / "scene.toml", tmp_path / "out"
     size = 1e-3 if energy is None else 0.5
-    text = CHAIN.format(sites=6) + f"[dynamics]\n{kind}\nsize = {size}\nduration = 10.0\nsamples = 41\n"
-    scene.write_text(text + "[figures]\nformats = []\n", encoding="utf-8")
-    assert main(["check", str(scene)]) == 0
-    assert "from rest, to t = 10; 41 times" in capsys.readouterr().out
-    assert main(["run", str(scene), "--out", str(out)]) == 0
-    assert "t = 10 reached" in capsys.readouterr().out
-    _, values = table(out / "dynamics.csv")
+    scene = chain() + f"[dynamics]\n{kind}\nsize = {size}\nduration = 10.0\nsamples = 41\n[figures]\nformats = []\n"
+    assert "from rest, to t = 10; 41 times" in run(scene, command="check").out
+    assert "t = 10 reached" in run(scene).out
+    values = np.transpose(run.columns("dynamics", *run.rows("dynamics")[0]))
     if energy is not None:
         assert not values[0, 2:].any()
         assert values[:, 1] == pytest.approx(energy * (1.25 / 0.75) ** 3, rel=1e-9)  # the last of six has weight 1
@@ -156,27 +138,4 @@ def test_motion_that_starts_near_rest_needs_no_orbit(
     if kind == "mode = 2":
         omega = np.sqrt(3.0 - 2.0 * np.sqrt(1 - 0.25**2) * np.cos(2 * np.pi / 7))
         assert values[:, 2:] == pytest.approx(np.cos(omega * values[:, :1]) * values[0, 2:], abs=1e-8)
-    assert main(["run", str(scene), "--out", str(out), "--resume"]) == 0
-    assert "complete run already" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ("mode = 7", "[dynamics] mode: given 7; accepted: 1..6"),
-        (
-            "vector = [1.0]",
-            "[dynamics] vector: given a list of 1; accepted: 6 displacements, or these and 6 velocities",
-        ),
-        ("mode = 1\nmoving = 1", "[dynamics] moving: given 1 (a whole number); accepted: true or false"),
-    ],
-)
-def test_starts_that_the_model_does_not_have(
-    changed: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scene = tmp_path / "scene.toml"
-    text = CHAIN.format(sites=6) + f"[dynamics]\n{changed}\nsize = 0.1\nduration = 10.0\n"
-    scene.write_text(text, encoding="utf-8")
-    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 2
-    assert message in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+    assert "complete run already" in run("", "--resume").out

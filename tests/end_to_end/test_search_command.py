@@ -7,126 +7,63 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from outputs import read_rows
+from outputs import EXAMPLES, read_rows
+from scenes import Runs, chain, table
 from scipy.io import netcdf_file
 
 from casadi_skin.runs.program import main
 
 pytestmark = pytest.mark.usefixtures("blank")
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
-SCENE = """[chain]
-sites = 6
-alpha = 1.0
-gamma = 0.3
-g = 1.0
-[search]
-objective = "participation"
-free = ["gamma"]
-bounds = { gamma = [0.1, 0.6] }
-starts = 3
-"""
 
-
-def write(path: Path, **changes: str) -> Path:
-    lines = SCENE.splitlines()
-    for key, value in changes.items():
-        lines = [line for line in lines if not line.startswith(f"{key} =")] + ([f"{key} = {value}"] if value else [])
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
+def search(**keys: Any) -> str:
+    given = {"objective": "participation", "free": ["gamma"], "bounds": {"gamma": [0.1, 0.6]}, "starts": 3}
+    return chain(6, gamma=0.3, g=1.0) + table("search", **given | keys)
 
 
 @pytest.mark.usefixtures("pictures")
-def test_run_writes_optima_starts_and_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "out"
-    assert main(["run", str(write(tmp_path / "s.toml")), "--out", str(out)]) == 0
-    printed = capsys.readouterr().out
-    assert "the best optimum sits on a bound: gamma <= 0.6; 3 of 3 starts led to it" in printed
-    (best,) = read_rows(out / "search.csv")
+def test_run_writes_optima_starts_and_a_picture(run: Runs) -> None:
+    assert "the best optimum sits on a bound: gamma <= 0.6; 3 of 3 starts led to it" in run(search()).out
+    (best,) = run.rows("search")
     assert float(best["gamma"]) == pytest.approx(0.6, abs=1e-6)
     assert best["on_family"] == "1"
     assert abs(float(best["Omega_difference"])) < 1e-9
-    assert [row["ending"] for row in read_rows(out / "starts.csv")] == ["converged"] * 3
-    with netcdf_file(out / "search.nc", mmap=False) as file:
+    assert [row["ending"] for row in run.rows("starts")] == ["converged"] * 3
+    with netcdf_file(run.out / "search.nc", mmap=False) as file:
         profile = file.variables["profile"].data[0].astype(float)
     assert np.sum(profile**2) ** 2 / np.sum(profile**4) == pytest.approx(float(best["objective"]), rel=1e-9)
-    assert {p.name for p in out.iterdir()} == {
-        "scene.toml", "search.csv", "starts.csv", "search.nc", "search.png"
-    }  # fmt: skip
-    assert main(["run", str(tmp_path / "s.toml"), "--out", str(out), "--resume"]) == 0
-    assert "complete run already" in capsys.readouterr().out
-    assert main(["run", str(tmp_path / "s.toml"), "--out", str(out)]) == 2
-    assert main(["run", str(tmp_path / "s.toml"), "--out", str(out), "--overwrite"]) == 0
+    assert run.files == {"scene.toml", "search.csv", "starts.csv", "search.nc", "search.png"}
+    assert "complete run already" in run("", "--resume").out
+    run(status=2)
+    run("", "--overwrite")
 
 
-def test_the_plan_of_a_search(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene = write(tmp_path / "s.toml", constraints='[{ quantity = "Omega_slope", lower = 0.0 }]')
-    assert main(["check", str(scene)]) == 0
-    printed = capsys.readouterr().out
-    assert "smallest participation on the family j = 6, S = 1" in printed
-    assert "0.1 <= gamma <= 0.6" in printed
-    assert "those of its tangent" in printed
-    assert main(["check", str(write(tmp_path / "s.toml"))]) == 0
-    assert "those of its tangent" not in capsys.readouterr().out
+def test_the_plan_of_a_search(run: Runs) -> None:
+    printed = run(search(constraints=[{"quantity": "Omega_slope", "lower": 0.0}]), command="check").out
+    for words in ("smallest participation on the family j = 6, S = 1", "0.1 <= gamma <= 0.6", "those of its tangent"):
+        assert words in printed
+    assert "those of its tangent" not in run(search(), command="check").out
 
 
 @pytest.mark.slow
-def test_an_infeasible_search_has_status_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene = write(tmp_path / "s.toml", constraints='[{ quantity = "Omega", lower = 5.0 }]')
-    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 1
-    told = capsys.readouterr()
+def test_an_infeasible_search_has_status_1(run: Runs) -> None:
+    told = run(search(constraints=[{"quantity": "Omega", "lower": 5.0}]), status=1)
     assert len(told.err.splitlines()) == 1
     assert "no start met the constraints; Omega is off by" in told.err
     assert "nearest: from start" in told.out
-    assert (tmp_path / "out" / "starts.csv").exists()
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"objective": '"participaton"'}, 'did you mean "participation"?'),
-        ({"free": '["gama"]'}, 'did you mean "gamma"?'),
-        ({"bounds": "{ gama = [0.1, 0.6] }"}, 'did you mean "gamma"?'),
-        ({"bounds": "{ gamma = [0.6, 0.1] }"}, "lower <= upper"),
-        ({"bounds": "{ gamma = [-0.6, 0.1] }"}, "one side of 0"),
-        ({"bounds": "{ gamma = [0.1] }"}, "[search] bounds"),
-        ({"constraints": '[{ quantity = "Omega" }]'}, "neither equal nor a bound"),
-        ({"constraints": '[{ quantity = "Omega", equal = 1.0, lower = 1.0 }]'}, "equal beside a bound"),
-        ({"constraints": '[{ quantity = "Omga", equal = 1.0 }]'}, 'did you mean "Omega"?'),
-        ({"mode": "9"}, "whole numbers from 1 to 6"),
-        ({"starts": "0"}, "[search] starts"),
-        ({"objectiv": '"S"'}, "did you mean 'objective'?"),
-        ({"S": "1" + "0" * 400}, "[search] S"),
-        ({"bounds": "{ gamma = [0.1, 1" + "0" * 400 + "] }"}, "[search] bounds"),
-    ],
-)
-def test_what_cannot_be_meant_is_refused_in_one_line(
-    changes: dict[str, str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scene = write(tmp_path / "s.toml", **changes)
-    for command in (["check", str(scene)], ["run", str(scene), "--out", str(tmp_path / "out")]):
-        assert main(command) == 2
-        error = capsys.readouterr().err
-        assert words in error
-        assert len(error.splitlines()) == 1
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_search_stands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene = tmp_path / "s.toml"
-    scene.write_text(SCENE + "[family]\nmode = 1\namplitude_max = 1.0\n", encoding="utf-8")
-    assert main(["check", str(scene)]) == 2
-    assert "beside [family]" in capsys.readouterr().err
+    assert "starts.csv" in run.files
 
 
 @pytest.mark.usefixtures("interruptible")
 @pytest.mark.slow
-@pytest.mark.parametrize("workers", ["1", "2"])
-def test_an_interrupted_search_keeps_its_best_and_resumes(workers: str, tmp_path: Path) -> None:
-    scene, out = write(tmp_path / "s.toml", starts="60", workers=workers), tmp_path / "out"
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_interrupted_search_keeps_its_best_and_resumes(workers: int, tmp_path: Path) -> None:
+    scene, out = tmp_path / "s.toml", tmp_path / "out"
+    scene.write_text(search(starts=60, workers=workers), encoding="utf-8")
     command = [sys.executable, "-m", "casadi_skin.runs.program", "run", str(scene), "--out", str(out)]
     journal = out / "journal.msgpack"
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -148,9 +85,8 @@ def test_an_interrupted_search_keeps_its_best_and_resumes(workers: str, tmp_path
 
 
 @pytest.mark.slow
-def test_the_example_scene(tmp_path: Path) -> None:
-    scene = EXAMPLES / "search_hardest_breather.toml"
-    assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
-    best = read_rows(tmp_path / "out" / "search.csv")[0]
+def test_the_example_scene(run: Runs) -> None:
+    run(EXAMPLES / "search_hardest_breather.toml")
+    best = run.rows("search")[0]
     assert float(best["gamma"]) == pytest.approx(0.663154498, abs=1e-7)
     assert float(best["S"]) == pytest.approx(0.961039022, abs=1e-8)
