@@ -46,10 +46,6 @@ class Optimality:
     active: tuple[str, ...]
     curved: bool
 
-    def holds_states(self, names: Sequence[str]) -> bool:
-        """Whether bounds on any of the states named are active."""
-        return any(words.split()[0] in names for words in self.active)
-
 
 @dataclass(frozen=True)
 class Optimum:

@@ -48,34 +48,29 @@ class BoundaryNlp(Nlp):
     """
 
     def __init__(
-        self,
-        problem: BoundaryProblem,
-        accuracy: float,
-        held: Sequence[Condition] = (),
-        free: Mapping[str, float] | None = None,
-        maximise: bool = False,
-    ) -> None:
-        self.problem, self.statement = problem, problem.statement
+        self, space: BoundarySpace, problem: BoundaryProblem, held: Sequence[Condition] = (),
+        free: Mapping[str, float] | None = None, maximise: bool = False,
+    ) -> None:  # fmt: skip
+        self.space, self.problem, self.statement = space, problem, problem.statement
+        self._stated, self._free = (held, free, maximise), tuple(free or ())
         z, residual, jacobian = problem.symbols
-        rows = _held_rows(problem, z, held)
-        made = [ca.vertcat(residual, rows), ca.vertcat(jacobian, ca.jacobian(rows, z)), _objective(problem, z)]
+        value, rows = _objective_and_conditions(problem, z, held)
+        made = [ca.vertcat(residual, rows), ca.vertcat(jacobian, ca.jacobian(rows, z)), value]
         lengths = [problem.constants_symbol], [ca.MX(ca.DM(problem.constants))]
         residual, jacobian, value = ca.graph_substitute(made, *lengths)
-        tolerance = float(np.clip(1e-2 * accuracy, 1e-11, 1e-6))
+        tolerance = float(np.clip(1e-2 * space.tolerance, 1e-11, 1e-6))
         super().__init__(
-            z,
-            value,
-            residual,
-            self._limits(held),
-            jacobian=jacobian,
-            maximise=maximise,
+            z, value, residual, self._limits(held), jacobian=jacobian, maximise=maximise,
             exact=not programs_in(self.statement.model.vector_field),  # their second derivatives would be differences
             options={**IPOPT_OPTIONS, "ipopt.tol": tolerance, "ipopt.constr_viol_tol": tolerance},
-        )
+        )  # fmt: skip
         self.scalars = {name: problem.states + k for k, name in enumerate(self.statement.free)}
-        self._free = tuple(free or ())
         if free:
             self.place = z[[self.scalars[name] for name in free]] / ca.DM(list(free.values()))
+
+    def on(self, problem: BoundaryProblem) -> BoundaryNlp:
+        """The same programme on another mesh."""
+        return BoundaryNlp(self.space, problem, *self._stated)
 
     def _limits(self, held: Sequence[Condition]) -> Limits:
         """Bounds of states and free parameters; u is held at 0."""
@@ -186,32 +181,31 @@ def solve(statement: Statement, guess: Guess, **options: Any) -> solutions.Solut
     if any(limit is not None for limit in limits_of(options)):
         raise ValueError("time_limit: given with an objective or bounds; accepted: without, as is progress")
     space = space_of(statement, guess, options)
-    found = refined(space, *_first(space, guess))
+    found = refined(*_first(space, guess))
     return solutions.Solution(space, found.point, optimum=found.optimum)
 
 
-def refined(space: BoundarySpace, nlp: BoundaryNlp, solution: Solution, flat: bool = False, **more: Any) -> Refined:
-    """An optimum on meshes that are refined until it no longer changes; `more` are arguments of their programmes.
+def refined(nlp: BoundaryNlp, solution: Solution, flat: bool = False) -> Refined:
+    """An optimum on meshes that are refined until it no longer changes.
 
     Where a `flat` objective is allowed, which has the same value at neighbours, one refinement is enough. Raises
     BoundaryError where no mesh on offer is fine enough, or finer ones do not converge.
     """
-    name, errors = nlp.statement.model.name, list[float]()
+    levels, tolerance, errors = nlp.space.levels, nlp.space.tolerance, list[float]()
+    name, states = nlp.statement.model.name, nlp.statement.model.state_names
     while True:
-        above: Any = space.levels.finer(nlp.problem, solution.x)
-        if above is None or space.levels.finer(above) is None:
+        above: Any = levels.finer(nlp.problem, solution.x)
+        if above is None or levels.finer(above) is None:
             raise BoundaryError(f"{name}: more than {nlp.problem.resolution} intervals are needed")
-        start, finer = nlp.problem.prolong(solution.x, above), BoundaryNlp(stated(above), space.tolerance, **more)
+        start, finer = nlp.problem.prolong(solution.x, above), nlp.on(stated(above))
         better = finer.solved(start, warm=True)
         moved = better.x - start
         scalars, profile = above.frequency_step(better.x, moved), above.profile_change(better.x, moved)
         error = ErrorEstimate(ERROR_SAFETY * scalars, ERROR_SAFETY * profile)
         conditions, moved_by = optimality(finer, better), ERROR_SAFETY * abs(better.objective - solution.objective)
-        found = Refined(finer, better, conditions, error, moved_by)
-        holds = found.optimum.optimality.holds_states(nlp.statement.model.state_names)
-        enough = (holds and above.resolution >= ENOUGH_INTERVALS) or (flat and conditions.curvature < FLAT_CURVATURE)
-        if enough or error.relative(1.0) <= space.tolerance:
-            return found
+        enough = above.resolution >= ENOUGH_INTERVALS and any(w.split()[0] in states for w in conditions.active)
+        if enough or (flat and conditions.curvature < FLAT_CURVATURE) or error.relative(1.0) <= tolerance:
+            return Refined(finer, better, conditions, error, moved_by)
         errors.append(error.relative(1.0))
         if len(errors) > MOST_FAILED_HALVINGS and errors[-1] > 0.5 * errors[-1 - MOST_FAILED_HALVINGS]:
             words = f"finer meshes, up to {above.resolution} intervals, leave a change of {errors[-1]:.1e}"
@@ -225,7 +219,7 @@ def _first(space: BoundarySpace, guess: Guess) -> tuple[BoundaryNlp, Solution]:
     first = int(space.method.intervals or 1)
     for resolution in [r for r in space.levels.resolutions if r >= first][:FIRST_MESHES]:
         problem = stated(space.levels.problem(resolution))
-        start, nlp = packed(problem, guess), BoundaryNlp(problem, space.tolerance)
+        start, nlp = packed(problem, guess), BoundaryNlp(space, problem)
         try:
             solution = nlp.solved(start)
         except BoundaryError as error:
@@ -238,26 +232,17 @@ def _first(space: BoundarySpace, guess: Guess) -> tuple[BoundaryNlp, Solution]:
     raise failure
 
 
-def _held_rows(problem: BoundaryProblem, z: ca.MX, held: Sequence[Condition]) -> ca.MX:
-    """The expressions of conditions in the unknowns, a column."""
-    if not held:
-        return ca.MX(0, 1)
-    statement, n = problem.statement, problem.formulation.states
-    expressions = ca.vertcat(*(h.quantity for h in held))
-    at_ends = ca.Function("held", [*statement.model.ends, statement.model.parameters], [expressions])
-    values = ca.reshape(z[: problem.states], n, problem.columns)
-    return at_ends(values[:, 0], values[:, -1], statement.parameters_at(z[problem.states :]))
-
-
-def _objective(problem: BoundaryProblem, z: ca.MX) -> ca.MX:
-    """The objective, in ends and parameters, plus an integral."""
-    statement, n = problem.statement, problem.formulation.states
-    model, total = statement.model, ca.MX(0)
+def _objective_and_conditions(problem: BoundaryProblem, z: ca.MX, held: Sequence[Condition]) -> tuple[ca.MX, ca.MX]:
+    """The objective, in ends and parameters plus an integral, and the expressions of conditions, a column."""
+    statement, model, n = problem.statement, problem.statement.model, problem.formulation.states
     values, scalars = ca.reshape(z[: problem.states], n, problem.columns), z[problem.states :]
     p = statement.parameters_at(scalars)
-    if statement.objective is not None:
-        at_ends = ca.Function("objective", [*model.ends, model.parameters], [statement.objective])
-        total += at_ends(values[:, 0], values[:, -1], p)
+    kind, objective = type(model.state), statement.objective
+    expressions = [kind(0) if objective is None else objective, ca.vertcat(kind(0, 1), *(h.quantity for h in held))]
+    at_ends = ca.Function("at_ends", [*model.ends, model.parameters], expressions)
+    total, rows = ca.MX(0), ca.MX(0, 1)
+    if held or objective is not None:
+        total, rows = at_ends(values[:, 0], values[:, -1], p)
     if statement.running is not None:
         start, end = statement.ends_at(p)
         stages = problem.stages.tolist()
@@ -265,4 +250,4 @@ def _objective(problem: BoundaryProblem, z: ca.MX) -> ca.MX:
         along = statement.along("running", statement.running).map(len(stages))
         weights = ca.vec(ca.kron(problem.constants_symbol, ca.DM(problem.table.extended[-1])))
         total += (end - start) * (along(places, values[:, stages], ca.repmat(p, 1, len(stages))) @ weights)
-    return total
+    return total, rows

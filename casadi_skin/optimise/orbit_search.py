@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.find import accuracy_of, find_orbit, guessed_period, scalar_of
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.follow.space import BoundaryError
@@ -187,10 +186,9 @@ class OrbitSearch(SearchProblem):
         return find_orbit(self.model, (t, states), period, parameters=values, **options)
 
     def nlp_at(self, start: Start) -> tuple[BoundaryNlp, Array]:
-        stated = self._stated(self.plain(start.free, self.t, self.states))
-        return stated.nlp, stated.x
+        return self._stated(self.plain(start.free, self.t, self.states))
 
-    def _stated(self, plain: Orbit) -> _Stated:
+    def _stated(self, plain: Orbit) -> tuple[BoundaryNlp, Array]:
         """The programme on the mesh of a plain orbit, with that orbit as a point of it."""
         statement = self._statement(plain)
         space = replace(plain.space, statement=statement, sizes=Sizes.of(statement, plain.states))
@@ -200,9 +198,8 @@ class OrbitSearch(SearchProblem):
         scales = {name: s if math.isfinite(s) else max(1.0, abs(self.parameters[name])) for name, s in scales.items()}
         if not self.model.forced:
             scales[PERIOD] = float(self.t[-1]) / self._part
-        more: dict[str, Any] = {"held": conditions, "free": scales, "maximise": self.maximise}
         x = np.concatenate([plain.point.z[:-1], [plain.parameters[name] for name in self.free], [0.0]])
-        return _Stated(space, BoundaryNlp(problem, space.tolerance, **more), x, more)
+        return BoundaryNlp(space, problem, conditions, scales, self.maximise), x
 
     def _statement(self, plain: Orbit) -> Statement:
         """The plain orbit's problem with free parameters, bounds and the objective."""
@@ -237,10 +234,9 @@ class OrbitSearch(SearchProblem):
         states = solution.x[: n * outcome.times.size].reshape(-1, n)
         try:
             near = self.plain(outcome.free, outcome.times, states)
-            stated = self._stated(near)
-            first = stated.nlp.solved(stated.x, warm=True)
-            best = refined(stated.space, stated.nlp, first, flat=True, **stated.more)
-            orbit = Orbit(stated.space, best.point, optimum=best.optimum)
+            nlp, x = self._stated(near)
+            best = refined(nlp, nlp.solved(x, warm=True), flat=True)
+            orbit = Orbit(nlp.space, best.point, optimum=best.optimum)
             plain = self.plain([orbit.parameters[name] for name in self.free], orbit.t, orbit.states, orbit.intervals)
         except BoundaryError:
             return None
@@ -263,16 +259,6 @@ class OrbitSearch(SearchProblem):
         at_zero = zip((name for name in names if name not in SPECIAL_QUANTITIES), map(float, values), strict=True)
         own = {name: value for name, value in at_zero if not name.startswith(OWN_NAME_PREFIX)}
         return {PERIOD: orbit.period, "Omega": 2.0 * math.pi / orbit.period} | own | parameters
-
-
-@dataclass(frozen=True, eq=False)
-class _Stated:
-    """An NLP, the space of its solutions, a point of it, and the parts that NLPs on other meshes share."""
-
-    space: BoundarySpace
-    nlp: BoundaryNlp
-    x: Array
-    more: Mapping[str, Any]
 
 
 def _quantities(model: OdeModel) -> tuple[str, ...]:
