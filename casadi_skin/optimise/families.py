@@ -178,15 +178,16 @@ class Observables:
 # The family of one mode, with parameters free -------------------------------------------------------------------------
 
 
-class Family:
+@dataclass(frozen=True)
+class ModelFamily:
     """One mode's family of a model of second order: its equations at any values of its parameters, and its members.
 
-    `values` are those of all parameters.
+    Modes are by ascending linear frequency from 1; `values` are those of all parameters.
     """
 
     model: Any
-    mode: int
-    values: Mapping[str, float]
+    mode: int = 1
+    values: Mapping[str, float] = field(default_factory=dict, hash=False)
     method: ClassVar[Mapping[str, Any]] = {"corrector": "newton"}  # of `follow_family`, for members
 
     @property
@@ -204,7 +205,7 @@ class Family:
         """Parameters that may be free."""
         return {name: FreeNumber(value, -math.inf, math.inf, (name,)) for name, value in self.values.items()}
 
-    def limited(self, bounds: Mapping[str, tuple[float, float]]) -> Family:
+    def limited(self, bounds: Mapping[str, tuple[float, float]]) -> ModelFamily:
         """The family for parameters within bounds; raises ValueError for bounds that cannot be."""
         return self
 
@@ -260,11 +261,10 @@ STEEPEST_GAMMA = 0.99  # |gamma| where no bound is given: beyond it the band is 
 
 
 @dataclass(frozen=True)
-class ChainFamily(Family):
+class ChainFamily(ModelFamily):
     """One mode's family of a chain; `mirrored` says that modes lean to the first site (gamma <= 0)."""
 
     model: Chain
-    mode: int
     mirrored: bool = False
     method: ClassVar[Mapping[str, Any]] = {"tail": "full"}
 
@@ -360,18 +360,6 @@ def chain_family(chain: Chain, mode: int | str | None, parameters: Mapping[str, 
     if chain.g == 0:
         raise ValueError("g: given 0; accepted: not 0 (every orbit would be a linear mode)")
     return ChainFamily(chain, chain.mode_number(mode if mode is not None else "last" if chain.g > 0 else "first"))
-
-
-@dataclass(frozen=True, eq=False)
-class ModelFamily(Family):
-    """One mode's family of a model, by ascending linear frequency from 1."""
-
-    model: OdeModel
-    mode: int = 1
-    values: Mapping[str, float] = field(default_factory=dict)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return ModelFamily, (self.model, self.mode, dict(self.values))
 
 
 def model_family(model: OdeModel, mode: int | str | None, parameters: Mapping[str, float] | None) -> ModelFamily:

@@ -14,7 +14,7 @@ import numpy as np
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.model.arguments import accepted_names, number, short_repr
 from casadi_skin.model.expressions import is_comparison, real_array
-from casadi_skin.optimise.families import Family, FreeNumber, Observables
+from casadi_skin.optimise.families import FreeNumber, ModelFamily, Observables
 from casadi_skin.optimise.nlp import FLAT_CURVATURE, Limits, Nlp, Solution, optimality
 from casadi_skin.optimise.optimum import CosineOrbit, Optimum, PlainCheck
 from casadi_skin.optimise.search_problem import (
@@ -51,7 +51,7 @@ class FamilySearch(SearchProblem):
     those on which starts are solved.
     """
 
-    family: Family
+    family: ModelFamily
     amplitudes: tuple[float, ...]
     several: bool
     objective: Quantity
@@ -66,10 +66,12 @@ class FamilySearch(SearchProblem):
     @classmethod
     def of(
         cls,
-        family: Family,
+        chain_or_model: Any,
         *,
-        S: object,
-        objective: Quantity,
+        objective: Quantity | None = None,
+        mode: int | str | None = None,
+        S: object = 1.0,
+        parameters: Mapping[str, float] | None = None,
         free: Sequence[str],
         bounds: Mapping[str, Any] | None = None,
         constraints: Sequence[Any] = (),
@@ -77,6 +79,11 @@ class FamilySearch(SearchProblem):
         tolerance: float = 1e-8,
     ) -> Self:
         """From the arguments of `search_orbit`; raises ValueError and TypeError for values that are not accepted."""
+        if objective is None:
+            raise ValueError("objective: given none; accepted: the name of a quantity, or a function of observables")
+        if not hasattr(chain_or_model, "searched_family"):
+            raise TypeError(f"chain_or_model: given {short_repr(chain_or_model)}; accepted: a Chain or an OdeModel")
+        family: ModelFamily = chain_or_model.searched_family(mode, parameters)
         several = isinstance(S, list | tuple | np.ndarray)
         amplitudes = tuple(real_array("S", S).ravel().tolist()) if several else (number("S", S, "a finite number > 0"),)
         if not amplitudes or min(amplitudes) <= 0:
@@ -201,7 +208,7 @@ class FamilySearch(SearchProblem):
         return ("S", "Omega", *self.family.columns)
 
     def members(self, free: Sequence[float] | Array, amplitudes: Sequence[float] | None = None) -> list[Orbit] | None:
-        """The orbits of the family at these free numbers, see `Family.members`; raises ArithmeticError."""
+        """The orbits of the family at these free numbers, see `ModelFamily.members`; raises ArithmeticError."""
         values = self.values(free)
         S = values.pop("S", None)
         wanted = self.amplitudes if S is None else (S,)

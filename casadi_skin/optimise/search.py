@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.model.arguments import check_options, short_repr, truth, whole
+from casadi_skin.model.arguments import check_options, truth, whole
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import Result
 from casadi_skin.optimise.family_search import FamilySearch
@@ -343,29 +343,12 @@ def search_orbit(
     return search(problem, first, deflate=deflate, progress=progress, workers=workers, executor=executor)
 
 
-def stated_search(chain_or_model: Any, **stated: Any) -> SearchProblem:
+def stated_search(chain_or_model: Any, *, guess: Any = None, **stated: Any) -> OrbitSearch | FamilySearch:
     """The search of `search_orbit`'s arguments, checked but not run; raises ValueError and TypeError."""
-    if isinstance(chain_or_model, OdeModel) and stated.get("guess") is not None:
-        return OrbitSearch.of(chain_or_model, **stated)
-    stated.pop("guess", None)
-    return stated_family_search(chain_or_model, **stated)
-
-
-def stated_family_search(
-    chain_or_model: Any,
-    *,
-    mode: int | str | None = None,
-    S: object = 1.0,
-    parameters: Mapping[str, float] | None = None,
-    **stated: Any,
-) -> FamilySearch:
-    """The same among the orbits of one mode's family."""
+    if isinstance(chain_or_model, OdeModel) and guess is not None:
+        return OrbitSearch.of(chain_or_model, guess=guess, **stated)
     check_options("search_orbit", stated, search_orbit, FamilySearch.of)
-    if stated.get("objective") is None:
-        raise ValueError("objective: given none; accepted: the name of a quantity, or a function of observables")
-    if not hasattr(chain_or_model, "searched_family"):
-        raise TypeError(f"chain_or_model: given {short_repr(chain_or_model)}; accepted: a Chain or an OdeModel")
-    return FamilySearch.of(chain_or_model.searched_family(mode, parameters), S=S, **stated)
+    return FamilySearch.of(chain_or_model, **stated)
 
 
 # The Pareto front of two quantities: points where neither improves unless the other worsens ---------------------------

@@ -110,14 +110,14 @@ class Request:
     @cached_property
     def searched(self) -> FamilySearch:
         """What [search] asks for; raises ValueError or TypeError for values that are not accepted."""
-        from casadi_skin.optimise.search import stated_family_search
+        from casadi_skin.optimise.family_search import FamilySearch
 
         table: Any = self.scene.search
         constraints = [
             (held.quantity, *((held.equal, held.equal) if held.equal is not None else (held.lower, held.upper)))
             for held in table.constraints
         ]
-        return stated_family_search(
+        return FamilySearch.of(
             self.model, mode=table.mode, parameters=self.model_parameters, S=table.S, objective=table.objective,
             free=table.free, bounds=table.bounds, constraints=constraints, maximise=table.maximise,
             tolerance=self.tolerance,

@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 
 from casadi_skin import Chain, follow_family, search_orbit
 from casadi_skin.lattice.closed_forms import duffing_frequency
-from casadi_skin.optimise.families import Observables, chain_family
+from casadi_skin.optimise.families import Observables
 from casadi_skin.optimise.family_search import FamilyNlp, FamilySearch
 from casadi_skin.optimise.names import NAMED
 from casadi_skin.optimise.nlp import optimality
@@ -26,7 +26,7 @@ SHORT = Chain(sites=6, alpha=1.0, gamma=0.3, g=1.0)
 
 def stated(chain: Chain = SHORT, **changes: Any) -> FamilySearch:
     given: dict[str, Any] = {"S": 1.0, "objective": "Omega", "free": ("gamma",), "tolerance": 1e-9}
-    return FamilySearch.of(chain_family(chain, None), **(given | changes))
+    return FamilySearch.of(chain, **(given | changes))
 
 
 def first_point(problem: FamilySearch, harmonics: int) -> tuple[FamilyNlp, np.ndarray]:
