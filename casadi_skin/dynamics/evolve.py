@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -40,6 +41,7 @@ from casadi_skin.zero.problem import Array
 
 LONGEST_FOLD = 4096  # steps in one call, so that an interruption is noticed
 MOST_RETRIES = 6
+FIRST_STEPS = 50  # that the first step is fitted to
 
 
 def symplectic(
@@ -52,26 +54,18 @@ def symplectic(
     and is not gone on from, so that the map that is iterated stays one and the same. Raises IntegrationError where the
     state is not finite, or no step meets the tolerance.
     """
-    splitting, scale = _Splitting(model, parameters), size_of(start)
+    splitting = _Splitting(model, parameters)
     if step is not None:
         return finite_trajectory("symplectic", splitting.run(start, t, step), t)
     first = min(1.0 / fastest_frequency(model, parameters, start, t[-1]), float(t[-1]))
-    step = splitting.fitting_step(start, first, 0.3 * tolerance)
+    beginning = np.linspace(0.0, min(FIRST_STEPS * first, float(t[-1])), FIRST_STEPS + 1)[1:]
+    step = splitting.fitted(start, beginning, first, 0.3 * tolerance)[0].step  # in a hundredth of the time, mostly
     everywhere = np.union1d(t, np.linspace(0.0, t[-1], 101)[1:])
-    for _ in range(MOST_RETRIES):
-        result = splitting.run(start, everywhere, step)
-        errors = splitting.step_errors(np.vstack([start, result.states]), step, scale)
-        count = max(0, int(np.argmax(np.append(errors, np.inf) > tolerance)) - 1)  # without the start
-        reached = everywhere[count - 1] if count else 0.0
-        states = result.states[np.searchsorted(everywhere, t[t <= reached])]
-        found = Trajectory(states, result.evaluations, step)
-        if count == everywhere.size:
-            return found
-        if count == len(result.states):
-            raise IntegrationError("symplectic", NOT_FINITE, found, t)
-        step *= splitting.shrink(tolerance, float(errors.max()))
-    reason = f"one step of {found.step:.2g} is off by up to {errors.max():.1e}; requested: {tolerance:.1e}"
-    raise IntegrationError("symplectic", reason, found, t)
+    found, reached, reason = splitting.fitted(start, everywhere, step or first, tolerance)
+    wanted = replace(found, states=found.states[:reached][np.isin(everywhere[:reached], t)])
+    if reason:
+        raise IntegrationError("symplectic", reason, wanted, t)
+    return wanted
 
 
 class _Splitting:
@@ -134,23 +128,21 @@ class _Splitting:
             relative = np.abs(difference).max(axis=1) / np.maximum(np.abs(states).max(axis=1), scale)
         return np.asarray(np.nan_to_num(relative, nan=np.inf))
 
-    @staticmethod
-    def shrink(tolerance: float, error: float) -> float:
-        """Factor of the step that brings its error below the tolerance."""
-        return float(max(0.1, 0.95 * (tolerance / error) ** (1.0 / (SPLITTING_ORDER + 1))))
+    def fitted(self, start: Array, t: Array, step: float, tolerance: float) -> tuple[Trajectory, int, str]:
+        """A run whose steps are within the tolerance of two half steps at all times, and shorter than given if need be.
 
-    def fitting_step(self, start: Array, step: float, tolerance: float) -> float:
-        """A step that meets the tolerance over the first 50 steps from the start."""
+        Returns it with the number of times up to which they are, and why these are not all; empty where they are.
+        """
+        scale, reason = size_of(start), ""
         for _ in range(MOST_RETRIES):
-            column, states = self._columns(start[None], np.array([step])), [start]
-            for _ in range(50):
-                column, _ = self._advance(column, 1)
-                states.append(column[: self.size, 0])
-            error = float(self.step_errors(np.array(states), step, size_of(start)).max())
-            if error <= tolerance:
-                break
-            step *= self.shrink(tolerance, error)
-        return step
+            found = self.run(start, t, step)
+            errors = self.step_errors(np.vstack([start, found.states]), step, scale)
+            reached = max(0, int(np.argmax(np.append(errors, np.inf) > tolerance)) - 1)  # without the start
+            if reached == t.size or reached == len(found.states):
+                return found, reached, "" if reached == t.size else NOT_FINITE
+            reason = f"one step of {step:.2g} is off by up to {errors.max():.1e}; requested: {tolerance:.1e}"
+            step *= float(max(0.1, 0.95 * (tolerance / float(errors.max())) ** (1.0 / (SPLITTING_ORDER + 1))))
+        return found, reached, reason
 
 
 # A model followed from a state at time 0 ------------------------------------------------------------------------------
