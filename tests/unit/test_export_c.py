@@ -113,24 +113,6 @@ def test_flow_of_the_chain_is_symplectic_and_that_of_the_physical_equations(libr
     np.testing.assert_allclose(Phi.T @ J @ Phi, J, atol=1e-12)
 
 
-def test_multipliers_against_lapack(library: Library) -> None:
-    """Of random matrices: B^T C has real and complex eigenvalues, and lambda follows from the quadratic equation."""
-    for seed in range(5):
-        Phi = np.random.default_rng(seed).normal(size=(48, 48))
-        real, imaginary, largest, trivial = np.zeros(24), np.zeros(24), np.zeros(1), np.zeros(1)
-        work = library.work("MULTIPLIERS_WORK")
-        assert library.call("multipliers", Phi, 1e-10, real, imaginary, largest, trivial, work) == 0
-        matrix = Phi.T
-        mu = np.linalg.eigvals(matrix[:24, 24:].T @ matrix[24:, :24])
-        found = real + 1j * imaginary
-        assert np.abs(found[:, None] - mu).min(axis=0).max() < 1e-11 * np.abs(mu).max()
-        assert np.abs(found[:, None] - mu).min(axis=1).max() < 1e-11 * np.abs(mu).max()
-        rest = np.delete(mu, np.argmin(np.abs(mu + 1)))
-        lambdas = np.abs(np.concatenate([np.roots([1, -2 - 4 * m, 1]) for m in rest])) ** 2
-        np.testing.assert_allclose(largest[0], lambdas.max(), rtol=1e-10)
-        np.testing.assert_allclose(trivial[0], np.abs(mu + 1).min(), rtol=1e-9)
-
-
 def test_general_models_of_first_order(tmp_path: Path) -> None:
     model = forced_oscillator()
     assert printed(compiled(export_c(model, tmp_path / "c")))
@@ -426,25 +408,6 @@ def test_directories_that_are_refused(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["empty", "held", "nowhere"]
 
 
-def test_an_empty_directory_is_filled_where_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The one in which the program runs, and one behind a link; an interruption leaves nothing in it."""
-    for name in ("here", "behind"):
-        (tmp_path / name).mkdir()
-    (tmp_path / "link").symlink_to(tmp_path / "behind")
-    monkeypatch.chdir(tmp_path / "here")
-    with monkeypatch.context() as patch:
-        patch.setattr("pathlib.Path.write_text", Mock(side_effect=KeyboardInterrupt))
-        with pytest.raises(KeyboardInterrupt):
-            export_c(SOFT, ".", ["rhs"])
-    assert list(Path.cwd().iterdir()) == []
-    export_c(SOFT, ".", ["rhs"])
-    export_c(SOFT, tmp_path / "link", ["rhs"])
-    names = {"CMakeLists.txt", "README.md", "chain.c", "chain.h", "license.txt", "main.c"}
-    assert {path.name for path in Path.cwd().iterdir()} == names
-    assert {path.name for path in (tmp_path / "behind").iterdir()} == names
-    assert (tmp_path / "link").is_symlink()
-
-
 def test_what_is_no_c_is_refused_by_name(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     x, X = ca.SX.sym("x"), ca.MX.sym("x")
     cvodes = ca.integrator("motion", "cvodes", {"x": x, "ode": -x}, 0.0, 1.0)
@@ -515,3 +478,22 @@ int main(void)
     return failed;
 }
 """
+
+
+def test_an_empty_directory_is_filled_where_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The one in which the program runs, and one behind a link; an interruption leaves nothing in it."""
+    for name in ("here", "behind"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "behind")
+    monkeypatch.chdir(tmp_path / "here")
+    with monkeypatch.context() as patch:
+        patch.setattr("pathlib.Path.write_text", Mock(side_effect=KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            export_c(SOFT, ".", ["rhs"])
+    assert list(Path.cwd().iterdir()) == []
+    export_c(SOFT, ".", ["rhs"])
+    export_c(SOFT, tmp_path / "link", ["rhs"])
+    names = {"CMakeLists.txt", "README.md", "chain.c", "chain.h", "license.txt", "main.c"}
+    assert {path.name for path in Path.cwd().iterdir()} == names
+    assert {path.name for path in (tmp_path / "behind").iterdir()} == names
+    assert (tmp_path / "link").is_symlink()

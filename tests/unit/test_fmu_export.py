@@ -346,26 +346,6 @@ def test_solution_that_runs_away_is_discarded_and_the_state_kept(chain_fmu: Path
         assert fmu.get("time")[0] == 0.2
 
 
-def test_coefficients_of_the_solver_meet_the_conditions_of_order_eight() -> None:
-    header = resources.files("casadi_skin.fmu").joinpath("sources", "dop853.h").read_text(encoding="utf-8")
-
-    def table(name: str) -> Array:
-        return np.array([float(word) for word in header.split(f" {name}[")[1].split("{")[1].split("}")[0].split(",")])
-
-    c, b, rows = table("NODES"), table("WEIGHTS"), table("STAGE_WEIGHTS")
-    A = np.zeros((12, 12))
-    A[np.tril_indices(12, -1)] = rows
-    np.testing.assert_allclose(A.sum(axis=1), c, atol=2e-15)
-    for k in range(8):  # trees with one node above the root, and two of each order with another level
-        assert b @ c**k == pytest.approx(1 / (k + 1), abs=2e-15)
-    for k in range(1, 7):
-        assert b @ A @ c**k == pytest.approx(1 / ((k + 1) * (k + 2)), abs=2e-14)
-        assert (b * c ** (6 - k)) @ A @ c**k == pytest.approx(1 / ((k + 1) * 8), abs=2e-14)
-    assert b @ A @ A @ c**5 == pytest.approx(1 / (6 * 7 * 8), abs=2e-14)
-    for name in ("ERROR_5", "ERROR_3"):
-        assert abs(table(name).sum()) < 2e-15
-
-
 # The sources ----------------------------------------------------------------------------------------------------------
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
@@ -404,21 +384,6 @@ def test_driver_in_c_runs_clean_under_sanitizers(tmp_path: Path, model: str) -> 
     done = subprocess.run([str(program)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout == "6 messages\n"
-
-
-@pytest.mark.slow
-def test_sources_alone_are_compiled_by_another_tool(tmp_path: Path) -> None:
-    from fmpy.build import build_platform_binary
-
-    path = export_fmu(CHAIN, tmp_path / "chain.fmu", start=START, binary=False, stop_time=5.0)
-    assert fmpy.supported_platforms(str(path)) == ["c-code"]
-    folder = tmp_path / "unpacked"
-    fmpy.extract(str(path), unzipdir=str(folder))
-    (tmp_path / "build").mkdir()
-    build_platform_binary(folder, tmp_path / "build", generator="Unix Makefiles")
-    result = fmpy.simulate_fmu(str(folder), fmi_type="CoSimulation", output_interval=1.0)
-    truth = evolve(CHAIN, START, None, result["time"], method="dop853", tolerance=1e-13)
-    np.testing.assert_allclose(result["y_3"], truth.displacements[:, 2], atol=1e-8)
 
 
 # Refusals -------------------------------------------------------------------------------------------------------------
@@ -470,3 +435,23 @@ def test_a_chain_of_one_way_has_no_energy(gamma: float, tmp_path: Path) -> None:
 def test_license_inside_is_that_of_the_project() -> None:
     inside = resources.files("casadi_skin.fmu").joinpath("sources", "license.txt").read_text(encoding="utf-8")
     assert inside == (Path(__file__).parents[2] / "LICENSE").read_text(encoding="utf-8")
+
+
+def test_coefficients_of_the_solver_meet_the_conditions_of_order_eight() -> None:
+    header = resources.files("casadi_skin.fmu").joinpath("sources", "dop853.h").read_text(encoding="utf-8")
+
+    def table(name: str) -> Array:
+        return np.array([float(word) for word in header.split(f" {name}[")[1].split("{")[1].split("}")[0].split(",")])
+
+    c, b, rows = table("NODES"), table("WEIGHTS"), table("STAGE_WEIGHTS")
+    A = np.zeros((12, 12))
+    A[np.tril_indices(12, -1)] = rows
+    np.testing.assert_allclose(A.sum(axis=1), c, atol=2e-15)
+    for k in range(8):  # trees with one node above the root, and two of each order with another level
+        assert b @ c**k == pytest.approx(1 / (k + 1), abs=2e-15)
+    for k in range(1, 7):
+        assert b @ A @ c**k == pytest.approx(1 / ((k + 1) * (k + 2)), abs=2e-14)
+        assert (b * c ** (6 - k)) @ A @ c**k == pytest.approx(1 / ((k + 1) * 8), abs=2e-14)
+    assert b @ A @ A @ c**5 == pytest.approx(1 / (6 * 7 * 8), abs=2e-14)
+    for name in ("ERROR_5", "ERROR_3"):
+        assert abs(table(name).sum()) < 2e-15

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import gc
 import pickle
 import re
@@ -26,7 +25,6 @@ from casadi_skin import (
     Chain,
     OdeModel,
     find_orbit,
-    follow_family,
     import_fmu,
     save_model,
 )
@@ -214,28 +212,6 @@ def test_limit_cycle_of_a_foreign_fmu(foreign: Path) -> None:
     np.testing.assert_allclose(orbit.floquet("cvodes").multipliers, orbit.floquet().multipliers, atol=1e-7)
     further = orbit.follow("mu", 2.0, at=[2.0]).at(2.0)
     assert float(further.period) == pytest.approx(7.62987447, abs=1e-7)  # type: ignore[attr-defined]
-
-
-@pytest.mark.slow
-def test_family_through_the_binary_is_that_of_the_expressions(tmp_path: Path) -> None:
-    chain, values = Chain(8, 1.0, 0.25, -1.0), [0.2, 0.5, 1.0, 1.5, 2.0]
-    model = import_fmu(export_fmu(chain, tmp_path / "chain.fmu"), parameters=PARAMETERS)
-    model = dataclasses.replace(model, reversal=(1,) * 8 + (-1,) * 8, half_period=(-1,) * 16)
-    omega, shape = chain.linear_frequency(1), chain.right_eigenvector(1)
-    shape = shape / np.linalg.norm(shape)
-
-    def mode(t: float) -> Array:
-        return np.sqrt(values[0]) * np.concatenate([np.cos(omega * t) * shape, -omega * np.sin(omega * t) * shape])
-
-    family = follow_family(chain, mode=1, amplitude_max=2.0, at=values, tolerance=1e-11)
-    guess: object = mode
-    for S in values:
-        select = ca.sumsqr(model.state[:8]) - S
-        orbit = find_orbit(model, guess, 2 * np.pi / omega, select=select, symmetric=True, tolerance=1e-10)
-        known = family.at(S=S)
-        assert 2 * np.pi / orbit.period == pytest.approx(known.Omega, abs=1e-9)
-        np.testing.assert_allclose(np.array(orbit.evaluate(0.0)).ravel()[:8], known.profile, atol=1e-9)
-        guess = orbit
 
 
 @pytest.mark.slow

@@ -21,7 +21,6 @@ from casadi_skin.optimise.search import search as run_search
 from casadi_skin.optimise.search_problem import Ending, Outcome
 from casadi_skin.results.branch_records import data_of, value_of
 from casadi_skin.results.tables import write_search
-from casadi_skin.solve.processes import SearchProgress
 
 Q, V, OMEGA, T = (ca.SX.sym(name) for name in ("q", "v", "omega", "t"))
 FIELD = ca.vertcat(V, -Q - Q**3 - 0.2 * V + 0.1 * ca.cos(OMEGA * T))
@@ -40,12 +39,9 @@ def search(**changes: Any) -> SearchResult:
     return search_orbit(DUFFING, **(ASKED | {"starts": 3} | changes))
 
 
-TOLD: list[SearchProgress] = []  # of the search for the largest response
-
-
 @pytest.fixture(scope="module")
 def largest() -> SearchResult:
-    return search(progress=TOLD.append)
+    return search()
 
 
 def test_the_largest_response_is_that_of_a_search_over_plain_orbits(largest: SearchResult) -> None:
@@ -76,13 +72,6 @@ def test_a_search_that_no_orbit_can_meet_tells_why() -> None:
     assert "no start met the constraints; the equation of " in result.reason
     with pytest.raises(ValueError, match="search: no optimum"):
         _ = result.best
-
-
-def test_progress_tells_of_every_start(largest: SearchResult) -> None:
-    assert len(largest.outcomes) == 3
-    assert [p.done for p in TOLD] == sorted(p.done for p in TOLD)
-    assert {(p.start, p.done) for p in TOLD} == {(1, 0), (1, 1), (2, 1), (2, 2), (3, 2), (3, 3)}
-    assert str(TOLD[-1]).startswith("3 of 3 starts done; start 3, iteration")
 
 
 def test_names_say_the_same_as_expressions(largest: SearchResult) -> None:
