@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -20,16 +18,14 @@ from scipy.io import netcdf_file
 
 from casadi_skin import Chain, follow_family, read_map, run_map
 from casadi_skin.results.figures.map import COLOUR_MAP, MapAxis, Panel, map_figure
-from casadi_skin.runs.axes import ranges_of, values_of
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.map_cell import FAMILY_SUFFIX, Computer, Result, Row, known_names
 from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Grid, needed, plain, scene_at
-from casadi_skin.runs.map_lines import Entry, boundaries, check_boundary, checked, lowest
+from casadi_skin.runs.map_lines import Entry, boundaries, checked, lowest
 from casadi_skin.runs.map_result import UNKNOWN as NOT_COMPUTED
-from casadi_skin.runs.map_result import Map, read_boundary
+from casadi_skin.runs.map_result import Map
 from casadi_skin.runs.program import main
 from casadi_skin.runs.reading import parse_scene
-from casadi_skin.runs.rules import SceneError
 
 BASE, _, AXES = TINY.partition("[map]\n")
 REFUSED = {
@@ -58,62 +54,53 @@ REFUSED = {
     "gamma = [0.1]\nwatch = []": "[map] watch: ",
     "gamma = [0.1]\nS = [0.1, 0.1]": "[map] S: given 0.1 as item 2 again; accepted: each value once",
     "": "[map]: no axis; accepted: a parameter of the scene with a table { from, to, points }, or a list of values",
+    "boundary = true\n" + AXES: "[map] boundary: given without S or [stability]; accepted: beside [family] a",
+}
+SEVERAL = (
+    BASE.replace("mode = 1", "mode = [1, 2]") + "[stability]\n[map]\nboundary = true\n" + AXES.partition("mode")[0]
+)
+TEXTS = {f"{BASE}[map]\n{given}\n": words for given, words in REFUSED.items()} | {
+    SEVERAL: "[map] boundary: given with several families in a cell; accepted: one, or an axis mode"
 }
 
 
-@pytest.mark.parametrize("given", REFUSED)
-def test_a_bad_map_is_refused_in_one_line(given: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene, out = write(tmp_path, f"{BASE}[map]\n{given}\n"), tmp_path / "out"
+@pytest.mark.parametrize("text", TEXTS)
+def test_a_bad_map_is_refused_in_one_line(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, out = write(tmp_path, text), tmp_path / "out"
     assert main(["map", str(scene), "--out", str(out)]) == 2
     told = capsys.readouterr().err
-    assert told.startswith(f"casadi-skin: {scene}: {REFUSED[given]}"), told
+    assert told.startswith(f"casadi-skin: {scene}: {TEXTS[text]}"), told
     assert told.count("\n") == 1
     assert not out.exists()
-
-
-def test_a_boundary_is_of_one_family_a_cell() -> None:
-    text = (
-        BASE.replace("mode = 1", "mode = [1, 2]") + "[stability]\n[map]\nboundary = true\n" + AXES.partition("mode")[0]
-    )
-    for more, told in (("", "several families"), ("mode = [1, 2]\n", "")):
-        scene = parse_scene(text + more)
-        with pytest.raises(SceneError, match=told) if told else nullcontext():
-            check_boundary(scene, Grid.of(scene))
 
 
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--part", "1/3", "--overwrite"], "map: --overwrite: given beside part, whose directory holds other shares;"),
-        (
-            ["--scheduler", "nonsense"],
-            "map: --scheduler: given 'nonsense'; accepted: an address, such as tcp://host:8786",
-        ),
-        (["--part", "4/3"], "map: --part: given 4/3; accepted: K/N with 1 <= K <= N, such as 3/20"),
-        (["--part", "x"], "map: --part: given x; accepted: K/N with 1 <= K <= N, such as 3/20"),
-        (["--workers", "0"], "map: --workers: given 0; accepted: a whole number from 1 to 256"),
+        ("--part 1/3 --overwrite", "map: --overwrite: given beside part, whose directory holds other shares;"),
+        ("--scheduler nonsense", "map: --scheduler: given 'nonsense'; accepted: an address, such as tcp://host:8786"),
+        ("--part 4/3", "map: --part: given 4/3; accepted: K/N with 1 <= K <= N, such as 3/20"),
+        ("--part x", "map: --part: given x; accepted: K/N with 1 <= K <= N, such as 3/20"),
+        ("--workers 0", "map: --workers: given 0; accepted: a whole number from 1 to 256"),
     ],
 )
-def test_bad_words_are_refused(words: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["map", str(write(tmp_path, TINY)), *words]) == 2
+def test_bad_words_are_refused(words: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["map", str(write(tmp_path, TINY)), *words.split()]) == 2
     printed = capsys.readouterr().err
     assert printed.startswith(f"casadi-skin: {told}")
     assert printed.count("\n") == 1
 
 
-def test_values_of_a_refined_axis_hold_those_of_the_coarse_one() -> None:
-    def axis(words: str) -> tuple[tuple[float, ...], int]:
-        scene = parse_scene(f"{BASE}[map]\ngamma = {{ {words} }}")
-        assert scene.map is not None
-        return values_of(ranges_of(scene.map)["gamma"])
+def test_values_of_a_refined_axis_hold_those_of_the_coarse_one(tmp_path: Path) -> None:
+    def axis(words: str) -> np.ndarray:
+        (tmp_path / "scene.toml").write_text(f"{BASE}[map]\ngamma = {{ {words} }}", encoding="utf-8")
+        return read_map(tmp_path).axes["gamma"]
 
-    coarse, one = axis("from = 0.1, to = 0.7, points = 4")
-    fine, stride = axis("from = 0.1, to = 0.7, points = 4, resolution = 0.06")
-    assert (one, stride) == (1, 4)
-    assert fine[::4] == coarse
-    ratios = np.array(axis("from = 0.01, to = 0.8, points = 5, log = true")[0])
+    coarse = axis("from = 0.1, to = 0.7, points = 4")
+    assert axis("from = 0.1, to = 0.7, points = 4, resolution = 0.06")[::4].tolist() == coarse.tolist()
+    ratios = axis("from = 0.01, to = 0.8, points = 5, log = true")
     assert ratios[1:] / ratios[:-1] == pytest.approx(80**0.25)
-    assert axis("from = 0, to = 1, points = 2")[0] == (0, 1)
+    assert axis("from = 0, to = 1, points = 2").dtype.kind == "i"
 
 
 @pytest.mark.parametrize("radius", [0.05, 0.3, 0.49])
@@ -129,28 +116,28 @@ def test_a_boundary_is_sharp_for_a_tenth_of_the_cells(radius: float) -> None:
         labels.flat[cells] = truth.flat[cells]
     known = labels != UNKNOWN_LABEL
     assert np.mean(known) < 0.1
-    for axis in (0, 1):
-        differ = np.diff(truth, axis=axis) != 0
-        assert np.all(np.compress(np.ones(256, bool), known[:-1] if axis == 0 else known[:, :-1], axis=axis)[differ])
-        assert np.all((known[1:] if axis == 0 else known[:, 1:])[differ])
+    for inside, computed in ((truth, known), (truth.T, known.T)):
+        differ = np.diff(inside, axis=0) != 0
+        assert np.all(computed[:-1][differ])
+        assert np.all(computed[1:][differ])
 
 
 def test_a_map_is_that_of_its_families(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene, out = write(tmp_path, TINY.replace("points = 3", "points = 2").replace("[1, 2]", "[2]")), tmp_path / "out"
-    assert main(["map", str(scene), "--out", str(out), "--no-pictures"]) == 0
-    rows = read_rows(out / "map.csv")
-    assert len(rows) == 4
+    words = ["map", str(scene), "--out", str(out), "--no-pictures"]
+    assert main(words) == 0
     branch = follow_family(Chain(2, 1.0, 0.3, -1.0), 2, 0.1, at=(0.05,), tolerance=1e-4)
     truth = [branch.at(S=S).Omega for S in (0.05, 0.1)]
+    rows = read_rows(out / "map.csv")
+    assert len(rows) == 4
     assert [float(row["Omega"]) for row in rows if float(row["gamma"]) == 0.3] == truth
     with netcdf_file(out / "map.nc", mmap=False) as found:
         variable = found.variables["Omega"]
-        assert variable.dimensions == ("gamma", "S", "mode")
-        assert (variable.long_name, variable.units) == (b"frequency", b"1")
+        assert (variable.dimensions, variable.long_name, variable.units) == (("gamma", "S", "mode"), b"frequency", b"1")
         assert variable[1, :, 0].tolist() == truth
-    assert main(["map", str(scene), "--out", str(out)]) == 2
+    assert main(words) == 2
     capsys.readouterr()
-    assert main(["map", str(scene), "--out", str(out), "--resume", "--json", "--no-pictures"]) == 0
+    assert main([*words, "--resume", "--json"]) == 0
     assert len(tasks(out / "journal.msgpack")) == 2
     printed = json.loads(capsys.readouterr().out)
     assert (printed["complete"], printed["reasons"]) == (True, [])
@@ -191,40 +178,35 @@ def in_one_file(found: Map, folder: Path) -> None:
         found.save(folder)
 
 
+def kept(folder: Path, text: str, told: list[str]) -> Map:
+    """A map whose cells have their numbers for Omega, where its journal has none yet."""
+    folder.mkdir(exist_ok=True)
+    (folder / "scene.toml").write_text(text, encoding="utf-8")
+    scene = parse_scene(text)
+    with Map(folder, Grid.of(scene), scene, "journal.msgpack", told.append) as found:
+        for task in found.grid.tasks(found.grid.coarsest) if not found.known and not told else ():
+            found.add(task, 1, Result(tuple(Row({"Omega": float(cell)}) for cell in task.cells), seconds=1.0))
+    return found
+
+
 def test_a_journal_of_another_scene_or_with_damage_is_not_taken_for_results(tmp_path: Path) -> None:
     """Cells of another scene, a flipped bit and a cut: none is taken silently, and what is whole is kept."""
-
-    def begun(name: str, text: str) -> tuple[Path, Callable[[], Map]]:
-        (tmp_path / name).mkdir()
-        scene = parse_scene(text)
-        (tmp_path / name / "scene.toml").write_text(text, encoding="utf-8")
-        return tmp_path / name / "journal.msgpack", lambda: Map(
-            tmp_path / name, Grid.of(scene), scene, "journal.msgpack", told.append
-        )
-
     told: list[str] = []
-    journal, opened = begun("one", TINY)
-    with opened() as store:
-        for number, task in enumerate(store.grid.tasks(store.grid.coarsest)):
-            rows = tuple(Row({"Omega": float(cell)}) for cell in task.cells)
-            store.add(task, 1, Result(rows, seconds=float(number)))
-    other, _ = begun("other", TINY.replace("gamma = 0.25", "gamma = 0.24"))
-    other.write_bytes(journal.read_bytes())
+    assert kept(tmp_path / "one", TINY, told).complete
+    journal = tmp_path / "one" / "journal.msgpack"
+    whole = journal.read_bytes()
+    for name, text in (("other", TINY.replace("0.25", "0.24")), ("titled", f'title = "another"\n{TINY}')):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "scene.toml").write_text(text, encoding="utf-8")
+        (tmp_path / name / "journal.msgpack").write_bytes(whole)
     with pytest.raises(ValueError, match=r"journal.msgpack: is the journal of another scene; accepted:"):
         read_map(tmp_path / "other")
-    titled, _ = begun("titled", f'title = "another"\n{TINY}')
-    titled.write_bytes(journal.read_bytes())
     assert read_map(tmp_path / "titled").complete
-    whole = journal.read_bytes()
-    damaged = bytearray(whole)
-    damaged[len(whole) // 2] ^= 1
-    for data, reason in (
-        (bytes(damaged), "a damaged record"),
-        (whole[:-1], "a record that is cut off"),
-    ):
+    flipped = whole[: len(whole) // 2] + bytes([whole[len(whole) // 2] ^ 1]) + whole[len(whole) // 2 + 1 :]
+    for data, reason in ((flipped, "a damaged record"), (whole[:-1], "a record that is cut off")):
         journal.write_bytes(data)
-        with opened() as store:
-            assert 0 < np.sum(store.states == 1) < store.grid.size
+        found = kept(tmp_path / "one", TINY, told)
+        assert 0 < np.sum(found.status == 1) < found.status.size
         (words,) = told
         assert words.startswith(f"{journal}: {reason} at byte ")
         assert words.endswith("; what follows it is dropped and computed again")
@@ -242,20 +224,6 @@ def test_a_map_that_is_none_is_not_read(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(TINY, encoding="utf-8")
     read = read_map(tmp_path)  # one that was begun, without a cell
     assert (read.complete, read.names, np.any(read.status)) == (False, [], False)
-
-
-def test_lines_of_a_boundary_are_read_as_they_were_written(tmp_path: Path) -> None:
-    """Bit for bit, beside an axis with commas in its name and its values."""
-    scene = parse_scene(LATTICE.replace("S = [0.01, 0.05]", "S = { from = 0.01, to = 0.05, points = 2 }"))
-    grid = Grid.of(scene)
-    rng = np.random.default_rng(1)
-    lines = {(0,): (rng.random((3, 2)), rng.random((1, 2))), (1,): (1e-300 * rng.random((2, 2)),)}
-    Map(tmp_path, grid, scene, None, print).write_boundary(lines)
-    assert [len(row) for row in read_rows(tmp_path / "boundary.csv")] == [4] * 6
-    read = read_boundary(grid, tmp_path / "boundary.csv")
-    assert {k: [c.tolist() for c in v] for k, v in read.items()} == {
-        k: [c.tolist() for c in v] for k, v in lines.items()
-    }
 
 
 @pytest.mark.slow
@@ -277,7 +245,6 @@ def test_a_plan_tells_cells_and_cost_and_xarray_opens_the_map(
     assert drawn(tmp_path / "out" / "map_Omega.png")
 
 
-FAMILY = BASE + "[stability]\n[map]\nmode = [1]\n"
 ORBIT = """[chain]
 sites = 1
 alpha = 1.0
@@ -294,14 +261,18 @@ alpha = [1.0]
 SEARCH = BASE.replace("[family]\nmode = 1\namplitude_max = 0.1\n", "") + (
     '[search]\nobjective = "Omega"\nfree = ["S"]\nbounds = { S = [0.1, 0.2] }\nstarts = 1\n[map]\nalpha = [1.0]\n'
 )
-STEADY = EQUILIBRIUM + '[continuation]\nparameter = "p"\nto = 1.0\n[map]\np = [0.2]\n'
+OF_EACH = {
+    "family": BASE + "[stability]\n[map]\nmode = [1]\n",
+    "orbit": ORBIT,
+    "search": SEARCH,
+    "equilibrium": EQUILIBRIUM + '[continuation]\nparameter = "p"\nto = 1.0\n[map]\np = [0.2]\n',
+}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("text", [FAMILY, ORBIT, SEARCH, STEADY], ids=["family", "orbit", "search", "equilibrium"])
-def test_names_of_quantities_are_known_before_a_cell_is_computed(text: str, tmp_path: Path) -> None:
-    path = write(tmp_path, text)
-    scene = parse_scene(text)
+@pytest.mark.parametrize("kind", OF_EACH)
+def test_names_of_quantities_are_known_before_a_cell_is_computed(kind: str, tmp_path: Path) -> None:
+    path, scene = write(tmp_path, OF_EACH[kind]), parse_scene(OF_EACH[kind])
     grid = Grid.of(scene)
     result = Computer(plain(scene), str(path))(next(grid.tasks(grid.coarsest)))
     assert result.rows, result.reason
@@ -320,14 +291,11 @@ from casadi_skin.results.journal import os
 words = {f"quantity_{k}": float(k) for k in range(30)}
 meanings, peak = dict.fromkeys(words, "a number"), 0
 
-def compute(job, task, limit):
-    rows = tuple(Row({**words, "end": "reached", "Omega": float(cell)}) for cell in task.cells)
-    return Result(rows, seconds=1.0, meanings=meanings)
-
 class Now(Executor):
-    def submit(self, function, *given, **named):
+    def submit(self, function, job, task, limit):
+        rows = tuple(Row({**words, "end": "reached", "Omega": float(cell)}) for cell in task.cells)
         future = Future()
-        future.set_result(compute(*given))
+        future.set_result(Result(rows, seconds=1.0, meanings=meanings))
         return future
 
 def own():  # KiB of this process alone, which no file backs
@@ -364,19 +332,25 @@ def test_many_cells_need_no_memory_for_their_results(tmp_path: Path) -> None:
     assert grown < 0.4 * journal
 
 
-LOGARITHM = EQUILIBRIUM.replace("0.1", "1.2") + "[map]\np = { from = 0.0, to = 2.0, points = 5 }\n"
+IMPORTS = "import casadi as ca\nfrom casadi_skin import OdeModel\n"
+SQUARE = "p = {{ from = {0}, to = 1.0, points = {1} }}\nq = {{ from = {0}, to = 1.0, points = {1} }}\nboundary = true\n"
+
+
+def of_model(folder: Path, text: str, model: str) -> Path:
+    """A scene beside a model, the lines of a program that names it `good`."""
+    scene = write(folder, text)
+    (folder / "models.py").write_text(IMPORTS + model, encoding="utf-8")
+    return scene
 
 
 @pytest.mark.slow
 def test_a_cell_that_fails_starts_again_from_its_neighbour(tmp_path: Path) -> None:
     """x' = -log(x - p) rests at 1 + p; 1.2 is outside of its domain from p = 1.2 on, and 2 from p = 2 on."""
-    scene = write(tmp_path, LOGARITHM)
-    (tmp_path / "models.py").write_text(
-        "import casadi as ca\nfrom casadi_skin import OdeModel\nx, p = ca.SX.sym('x'), ca.SX.sym('p')\n"
-        "good = OdeModel('logarithm', x, -ca.log(x - p), p, nominal=(0.0,))\n",
-        encoding="utf-8",
-    )
-    found = run_map(scene, tmp_path / "out", pictures=False, quiet=True)
+    text = EQUILIBRIUM.replace("0.1", "1.2") + "[map]\np = { from = 0.0, to = 2.0, points = 5 }\n"
+    logarithm = """x, p = ca.SX.sym('x'), ca.SX.sym('p')
+good = OdeModel('logarithm', x, -ca.log(x - p), p, nominal=(0.0,))
+"""
+    found = run_map(of_model(tmp_path, text, logarithm), tmp_path / "out", pictures=False, quiet=True)
     assert found.status.tolist() == [1, 1, 1, 1, 3]
     assert found["x"][:4] == pytest.approx([1.0, 1.5, 2.0, 2.5], abs=1e-12)
     assert found["started_from"].tolist() == ["", "", "", "p = 1.0", ""]
@@ -386,19 +360,13 @@ def test_a_cell_that_fails_starts_again_from_its_neighbour(tmp_path: Path) -> No
 @pytest.mark.slow
 def test_a_boundary_is_followed_in_both_parameters(tmp_path: Path) -> None:
     """x' = -y + r x and so on lose stability at r = p^2 + q^2 - 1/2 = 0: a circle of Hopf points."""
-    text = EQUILIBRIUM.replace("[0.1]", "[0.01, 0.0]") + (
-        "[map]\np = { from = -1.0, to = 1.0, points = 4, resolution = 0.2 }\n"
-        "q = { from = -1.0, to = 1.0, points = 4, resolution = 0.2 }\nboundary = true\n"
-    )
-    scene = write(tmp_path, text)
-    (tmp_path / "models.py").write_text(
-        "import casadi as ca\nfrom casadi_skin import OdeModel\nx, y, p, q = (ca.SX.sym(n) for n in 'xypq')\n"
-        "r, s = p * p + q * q - 0.5, x * x + y * y\n"
-        "good = OdeModel('circle', ca.vertcat(x, y), ca.vertcat(r * x - y - x * s, x + r * y - y * s),\n"
-        "                 ca.vertcat(p, q), nominal=(0.3, 0.2))\n",
-        encoding="utf-8",
-    )
-    found = run_map(scene, tmp_path / "out", quiet=True)
+    text = EQUILIBRIUM.replace("[0.1]", "[0.01, 0.0]") + "[map]\n" + SQUARE.format(-1.0, "4, resolution = 0.2")
+    circle = """x, y, p, q = (ca.SX.sym(n) for n in 'xypq')
+r, s = p * p + q * q - 0.5, x * x + y * y
+rates = ca.vertcat(r * x - y - x * s, x + r * y - y * s)
+good = OdeModel('circle', ca.vertcat(x, y), rates, ca.vertcat(p, q), nominal=(0.3, 0.2))
+"""
+    found = run_map(of_model(tmp_path, text, circle), tmp_path / "out", quiet=True)
     (line,) = found.boundary[()]
     assert np.abs((line**2).sum(axis=1) - 0.5).max() < 1e-9
     angles = np.sort(np.arctan2(line[:, 1], line[:, 0]))
@@ -409,6 +377,24 @@ def test_a_boundary_is_followed_in_both_parameters(tmp_path: Path) -> None:
     known = (found.status == 1) & (np.abs(rate) > 1e-9)
     assert np.all(found["stable"][known] == (rate < 0)[known])
     assert drawn(tmp_path / "out" / "map_stable.png")
+
+
+@pytest.mark.slow
+def test_a_boundary_of_orbits_is_followed_in_both_parameters(tmp_path: Path) -> None:
+    """A circular orbit beside which two more states grow from p^2 + q^2 = 1/2 on: a quarter of a circle of tori."""
+    text = EQUILIBRIUM.replace("[equilibrium]\nstart = [0.1]", "[orbit]\nstart = [1.0, 0.0, 0.0, 0.0]\nperiod = 6.28")
+    text += "[stability]\n[accuracy]\ntolerance = 1e-6\n[map]\n" + SQUARE.format(0.0, 2)
+    transverse = """x, y, u, v, p, q = (ca.SX.sym(name) for name in "xyuvpq")
+r, s = 1.0 - x * x - y * y, p * p + q * q - 0.5 - u * u - v * v
+rates = ca.vertcat(r * x - y, x + r * y, s * u - 0.3 * v, 0.3 * u + s * v)
+good = OdeModel("two", ca.vertcat(x, y, u, v), rates, ca.vertcat(p, q), nominal=(0.3, 0.2))
+"""
+    found = run_map(of_model(tmp_path, text, transverse), tmp_path / "out", pictures=False, quiet=True)
+    assert found["stable"].tolist() == [[1, 0], [0, 0]]
+    (line,) = found.boundary[()]
+    assert np.abs((line**2).sum(axis=1) - 0.5).max() < 1e-6
+    assert (line.min(axis=0) <= 0.0).all()
+    assert np.diff(np.sort(np.arctan2(line[:, 1], line[:, 0]))).max() < 0.5
 
 
 @pytest.mark.slow
@@ -426,16 +412,15 @@ def test_a_boundary_of_families_is_the_edge_of_a_tongue_between_them_too(tmp_pat
     found = run_map(path, tmp_path / "out", pictures=False, quiet=True)
     (line,) = found.boundary[()]
     assert (line[:, 0].min(), line[:, 0].max()) == (0.42, 0.46)
+    assert read_map(tmp_path / "out").boundary[()][0].tolist() == line.tolist()
     found.states[found.states.size // 2 :] = NOT_COMPUTED  # of gamma = 0.46
-    scene = parse_scene(text, str(path))
-    (point,) = boundaries(scene, path, found, reports.append)[()]
+    (point,) = boundaries(parse_scene(text), path, found, reports.append)[()]
     assert (len(point), reports) == (1, [])
     for gamma, S in (*line[:: len(line) // 2], *point):
         branch = follow_family(Chain(4, 0.5, gamma, -1.0), 1, 0.9, stability=True, tolerance=1e-8)
         first = branch.first_instability()
         assert first is not None
         assert abs(first.S - S) < 1e-8
-    assert read_map(tmp_path / "out").boundary[()][0].tolist() == line.tolist()
 
 
 def test_an_edge_has_to_meet_its_families_and_ends_where_another_one_is_lower() -> None:
@@ -450,42 +435,6 @@ def test_an_edge_has_to_meet_its_families_and_ends_where_another_one_is_lower() 
     assert (low[:, 0].max(), other[:, 0].min()) == (0.4, 0.5)
 
 
-TRANSVERSE = """import casadi as ca
-from casadi_skin import OdeModel
-x, y, u, v, p, q = (ca.SX.sym(name) for name in "xyuvpq")
-r, s = 1.0 - x * x - y * y, p * p + q * q - 0.5 - u * u - v * v
-rates = ca.vertcat(r * x - y, x + r * y, s * u - 0.3 * v, 0.3 * u + s * v)
-good = OdeModel("two", ca.vertcat(x, y, u, v), rates, ca.vertcat(p, q), nominal=(0.3, 0.2))
-"""
-CYCLES = (
-    EQUILIBRIUM.partition("[equilibrium]")[0]
-    + """[orbit]
-start = [1.0, 0.0, 0.0, 0.0]
-period = 6.28
-[stability]
-[accuracy]
-tolerance = 1e-6
-[map]
-p = { from = 0.0, to = 1.0, points = 2 }
-q = { from = 0.0, to = 1.0, points = 2 }
-boundary = true
-"""
-)
-
-
-@pytest.mark.slow
-def test_a_boundary_of_orbits_is_followed_in_both_parameters(tmp_path: Path) -> None:
-    """A circular orbit beside which two more states grow from p^2 + q^2 = 1/2 on: a quarter of a circle of tori."""
-    scene = write(tmp_path, CYCLES)
-    (tmp_path / "models.py").write_text(TRANSVERSE, encoding="utf-8")
-    found = run_map(scene, tmp_path / "out", pictures=False, quiet=True)
-    assert found["stable"].tolist() == [[1, 0], [0, 0]]
-    (line,) = found.boundary[()]
-    assert np.abs((line**2).sum(axis=1) - 0.5).max() < 1e-6
-    assert (line.min(axis=0) <= 0.0).all()
-    assert np.diff(np.sort(np.arctan2(line[:, 1], line[:, 0]))).max() < 0.5
-
-
 def test_colours_survive_grey_and_failed_cells_are_crossed_out() -> None:
     from matplotlib import colormaps
 
@@ -494,9 +443,7 @@ def test_colours_survive_grey_and_failed_cells_are_crossed_out() -> None:
     values, failed = np.arange(12.0).reshape(4, 3), np.zeros((4, 3), dtype=bool)
     values[1, 2], failed[1, 2] = np.nan, True
     axes = [MapAxis("a", np.arange(4.0)), MapAxis("b", np.array([1.0, 10.0, 100.0]), True)]
-    figure = map_figure("name", "title", axes, [Panel("", values, failed, np.ones((4, 3), dtype=bool))])
-    panel = figure.axes[0]
-    assert isinstance(panel.collections[0], QuadMesh)
+    panel = map_figure("name", "title", axes, [Panel("", values, failed, np.ones((4, 3), dtype=bool))]).axes[0]
     (cross,) = [line for line in panel.lines if line.get_marker() == "x"]
     assert (cross.get_xdata(), cross.get_ydata()) == ([1.0], [100.0])
     assert len(panel.collections) > 1  # contour lines
@@ -527,43 +474,40 @@ def test_values_go_where_they_belong_in_the_scene_of_a_cell() -> None:
     """Seeds of a lattice, parameters that move together, and S of a family, whose cells are one task."""
     scene = parse_scene(LATTICE)
     grid = Grid.of(scene)
-    tasks_of_grid = list(grid.tasks(grid.coarsest))
-    assert [task.cells for task in tasks_of_grid] == [(0, 1), (2, 3), (4, 5), (6, 7), (8, 9), (10, 11)]
-    last = tasks_of_grid[-1]
-    cell = scene_at(plain(scene), last.settings, last.amplitudes)
-    assert cell.lattice is not None
-    assert cell.family is not None
-    assert msgspec.to_builtins(cell.lattice.parameters["alpha"])["seed"] == 3
-    assert (cell.lattice.parameters["g"], cell.family.mode) == (-1.0, 4)
-    assert (cell.family.at, cell.family.amplitude_max) == ((0.01, 0.05), 0.05)
-    assert cell.lattice.site == scene.lattice.site if scene.lattice is not None else False
+    *others, last = grid.tasks(grid.coarsest)
+    assert [task.cells for task in (*others, last)] == [(0, 1), (2, 3), (4, 5), (6, 7), (8, 9), (10, 11)]
+    cell = msgspec.to_builtins(scene_at(plain(scene), last.settings, last.amplitudes))
+    parameters, family = cell["lattice"]["parameters"], cell["family"]
+    assert (parameters["alpha"]["seed"], parameters["g"], family["mode"]) == (3, -1.0, 4)
+    assert (list(family["at"]), family["amplitude_max"]) == ([0.01, 0.05], 0.05)
     assert grid.name(11) == "seed = 3, g, mode = (-1.0, 4), S = 0.05"
 
 
 def test_panels_name_the_parameters_that_change_together_one_by_one(tmp_path: Path) -> None:
-    scene = parse_scene(LATTICE.replace("[1.0, 1], [-1.0, 4]", '[1.0, "first"], [-1.0, "last"]'))
-    (tmp_path / "scene.toml").write_text(LATTICE.replace("[1.0, 1], [-1.0, 4]", '[1.0, "first"], [-1.0, "last"]'))
-    with Map(tmp_path, Grid.of(scene), scene, "journal.msgpack", print) as store:
-        for task in store.grid.tasks(store.grid.coarsest):
-            store.add(task, 1, Result(tuple(Row({"Omega": float(cell)}) for cell in task.cells), seconds=1.0))
-    figure = read_map(tmp_path).figure("Omega")
-    titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
+    kept(tmp_path, LATTICE.replace("[1.0, 1], [-1.0, 4]", '[1.0, "first"], [-1.0, "last"]'), [])
+    titles = [axes.get_title() for axes in read_map(tmp_path).figure("Omega").axes if axes.get_title()]
     assert any("g = −1, mode = last" in title for title in titles)
     assert len(titles) == 4
 
 
+def test_lines_of_a_boundary_are_read_as_they_were_written(tmp_path: Path) -> None:
+    """Bit for bit, beside an axis with commas in its name and its values."""
+    found = kept(tmp_path, LATTICE.replace("S = [0.01, 0.05]", "S = { from = 0.01, to = 0.05, points = 2 }"), [])
+    rng = np.random.default_rng(1)
+    lines = {(0,): (rng.random((3, 2)), rng.random((1, 2))), (1,): (1e-300 * rng.random((2, 2)),)}
+    found.write_boundary(lines)
+    assert [len(row) for row in read_rows(tmp_path / "boundary.csv")] == [4] * 6
+    read = {chosen: [curve.tolist() for curve in curves] for chosen, curves in read_map(tmp_path).boundary.items()}
+    assert read == {chosen: [curve.tolist() for curve in curves] for chosen, curves in lines.items()}
+
+
 def test_a_parameter_of_the_user_has_no_meaning_of_the_chain(tmp_path: Path) -> None:
     """`gamma` is the nonreciprocity of a chain alone, in the names of a map's axes."""
-    lattice = LATTICE.split("[map]")[0].replace(
-        "alpha = { low = 0.9, high = 1.1, seed = 1 }", "alpha = 1.0, gamma = 0.1"
+    of_user = LATTICE.replace("{ low = 0.9, high = 1.1, seed = 1 }", "1.0, gamma = 0.1").replace(
+        "*y +", "*y + gamma*y +"
     )
-    of_user = lattice.replace("alpha*y +", "alpha*y + gamma*y +") + "[map]\ngamma = [0.1, 0.2]\n"
-    of_chain = TINY.split("[map]")[0] + "[map]\ngamma = [0.1, 0.2]\n"
-    for name, text, words in (
-        ("user", of_user, b"the parameter lattice.parameters.gamma"),
-        ("chain", of_chain, b"nonreciprocity"),
-    ):
-        (tmp_path / f"{name}.toml").write_text(text)
-        run_map(tmp_path / f"{name}.toml", tmp_path / name, pictures=False, quiet=True)
-        with netcdf_file(tmp_path / name / "map.nc", mmap=False) as file:
+    for text, words in ((of_user, b"the parameter lattice.parameters.gamma"), (TINY, b"nonreciprocity")):
+        folder = tmp_path / words.decode()
+        kept(folder, text.partition("[map]")[0] + "[map]\ngamma = [0.1, 0.2]\n", []).write({}, True, False)
+        with netcdf_file(folder / "map.nc", mmap=False) as file:
             assert file.variables["gamma"].long_name == words
