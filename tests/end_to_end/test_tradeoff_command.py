@@ -9,7 +9,7 @@ from outputs import read_rows
 
 from casadi_skin.runs import tradeoff
 from casadi_skin.runs.program import main
-from casadi_skin.runs.tradeoff import Kind, Measured
+from casadi_skin.runs.tradeoff import FLOW, Setting
 
 TINY = """
 [chain]
@@ -83,9 +83,9 @@ def test_a_few_settings_and_what_an_interruption_leaves(
 
     def few(*asked: object) -> list[object]:
         some = every(*asked)  # type: ignore[arg-type]
-        return [*some[:5], *[s for s in some if s.kind is Kind.FLOW][:1]]
+        return [*some[:5], *[s for s in some if s.kind == FLOW][:1]]
 
-    def interrupted(*arguments: object) -> Measured:
+    def interrupted(*arguments: object) -> Setting:
         nonlocal count
         count += arguments[-1] != 0  # not of the warming up
         if count == 5:
