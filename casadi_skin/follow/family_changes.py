@@ -268,7 +268,7 @@ class OrbitSampler:
         return Samples(
             transitions=np.stack([transition.matrix for transition in transitions]),
             errors=errors,
-            directions=self._directions(section, states),
+            directions=self.family.accelerations(states),
             S=np.array([self._amplitude(state.parameter) for state in states]),
             Omega=np.array([state.Omega for state in states]),
         )
@@ -276,24 +276,6 @@ class OrbitSampler:
     def _length(self, problem: Problem, z: Array, change: Array) -> float:
         """Length of a change of an orbit, in the metric."""
         return float(np.sqrt(np.sum(self.point_solver.metric(problem, z) * change**2)))
-
-    def _directions(self, section: _Section, states: Sequence[OrbitState]) -> Array | None:
-        """Vectors that span the trivial direction: q'' at phase zero, or the rate of positions there along the branch.
-
-        With positions the square root of S times q, and S ~ p^rate, these change like (2/rate) p dq + q dp.
-        """
-        accelerations = self.family.accelerations
-        if accelerations is None or self.symplectic:
-            return None if accelerations is None else accelerations(states)
-        problem, last = section.problem, np.append(np.zeros(section.problem.size - 1), 1.0)
-        at_rest, found = np.zeros(1), []
-        for state in states:
-            _, nonzeros = problem.evaluate(state.z)
-            slope = self.levels.solver(problem).factor(state.z, nonzeros, section.row)(last)
-            q, change = problem.sample(state.z, at_rest)[0], problem.sample(slope, at_rest)[0]
-            k = problem.parameter_index
-            found.append(2.0 / self.family.coordinates.S_rate * state.z[k] * change + slope[k] * q)
-        return self.family.across(np.array(found))
 
     def amplitude(self, coordinate: float) -> float:
         """S near a coordinate, between the points of the branch."""

@@ -29,9 +29,8 @@ from casadi_skin.solve.levels import ExactLevels
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability.family_stability import orbit_state
 from casadi_skin.stability.flows import FlowError
-from casadi_skin.stability.multipliers import orthogonal_complements, reduced_matrices
+from casadi_skin.stability.multipliers import POWERS_BY_FRACTION, orthogonal_complements, reduced_matrices
 from casadi_skin.stability.tongues.diagram import Place, StabilityDiagram, StabilityEdge
-from casadi_skin.stability.tongues.find_changes import POWERS_BY_FRACTION
 from casadi_skin.zero.family import Targets
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE, Unresolved
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
@@ -197,18 +196,10 @@ def matrices_of(family: Family, point: Point) -> tuple[Array, Array, Array]:
     """
     whole, everywhere = family.whole, family.on_all_positions(point)
     transition = whole.flow.transition(everywhere.problem, everywhere.z)
-    symplectic = whole.coordinates.symplectic
-    if symplectic:
-        directions = whole.accelerations([orbit_state(everywhere)])
-    else:  # the rate along the family of positions at phase zero, see `branch_sampler`
-        problem, k = everywhere.problem, everywhere.problem.parameter_index
-        q, change = (problem.sample(v, np.zeros(1))[0] for v in (everywhere.z, everywhere.tangent))
-        S_rate = whole.coordinates.S_rate
-        directions = whole.across((2.0 / S_rate * everywhere.z[k] * change + everywhere.tangent[k] * q)[None])
+    directions = whole.accelerations([orbit_state(everywhere)])
     matrix, error = transition.matrix[None], flow_error(transition)[None]
-    values, changes = reduced_matrices(matrix, error, directions, symplectic)
-    frame = np.eye(values.shape[-1]) if directions is None else orthogonal_complements(directions)[0]
-    return values[0], changes[0], frame
+    values, changes = reduced_matrices(matrix, error, directions, whole.coordinates.symplectic)
+    return values[0], changes[0], orthogonal_complements(directions)[0]
 
 
 # Edges followed in a parameter of the model with S free: one equation in both -------------------------------

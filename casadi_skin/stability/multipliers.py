@@ -15,7 +15,7 @@ the same: -C'^T, with C' the lower left block of Phi^-1, takes the place of C.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +30,10 @@ from casadi_skin.stability.reduction import (
     half_cosine_errors,
     half_cosines,
     stacked,
+    with_reversed_blocks,
 )
 from casadi_skin.stability.result import ContinuousSpectrum, LocalisedFloquet, ReversibleFloquet
-from casadi_skin.zero.problem import Array
+from casadi_skin.zero.problem import Array, Indices
 
 Booleans = NDArray[np.bool_]
 LARGE_EIGENVALUE_COUNT = 128  # eigenvalues from which on only those that are close are coupled
@@ -97,11 +98,7 @@ ROUND_OFF = 4e-16  # of a transition matrix, relative to its norm, as it shows i
 NORM_PER_MU = 30.0  # norm of a flow's error over its part in mu: measured, 7 to 1000 for nine of ten random orbits
 COARSEST_ERROR = 1e-2  # error of a transition matrix above which its estimate means little
 MOST_RETRIES = 2
-
-
-def power_of(transition: Transition) -> int:
-    """The power of lambda(M) that multipliers over the period are."""
-    return {0.25: 2, 0.5: 1}[transition.fraction]
+POWERS_BY_FRACTION = {0.25: 2, 0.5: 1}  # of lambda(M) that give multipliers, by that of the period for Phi
 
 
 @dataclass(frozen=True)
@@ -137,9 +134,8 @@ def floquets(
     in positions and velocities. Raises FlowError.
     """
 
-    def solve(found: Sequence[Transition], places: NDArray[np.int64]) -> _Solved:
-        those = found if symplectic else [with_reversed_block(transition) for transition in found]
-        return _solve(those, starts[places], better[places])
+    def solve(found: Sequence[Transition], places: Indices) -> _Solved:
+        return _solve(found, starts[places], better[places], symplectic)
 
     starts, better = np.split(accelerations([*orbits, *(orbit.better or orbit for orbit in orbits)]), 2)
     transitions = flow.transitions(orbits, min(NORM_PER_MU * tolerance, COARSEST_ERROR))
@@ -164,24 +160,33 @@ def floquets(
     return results
 
 
-def _solve(transitions: Sequence[Transition], accelerations: Array | None, better: Array | None) -> _Solved:
+def _solve(
+    transitions: Sequence[Transition], accelerations: Array | None, better: Array | None, symplectic: bool = True
+) -> _Solved:
     """With the trivial direction that accelerations give taken out; of all mu, with no trivial one, where without."""
-    power = power_of(transitions[0])
-    matrices = stacked([t.matrix for t in transitions])
-    similar, deviations = half_cosines(matrices), np.zeros(len(transitions))
+    power, matrices = POWERS_BY_FRACTION[transitions[0].fraction], stacked([t.matrix for t in transitions])
+    truncations = stacked([np.zeros_like(t.matrix) if t.truncation is None else t.truncation for t in transitions])
+    pairs = [
+        stacked(side)
+        for side in zip(*((t.matrix, t.matrix) if t.pair is None else t.pair for t in transitions), strict=True)
+    ]
+    if not symplectic:
+        matrices, truncations = with_reversed_blocks(matrices, truncations)
+        pairs = [with_reversed_blocks(side, np.zeros_like(side))[0] for side in pairs]
     own, others = (None if each is None else Reflections.of(each) for each in (accelerations, better))
-    reduced = similar
-    if own is not None:
+    similar, deviations = half_cosines(matrices), np.zeros(len(transitions))
+    reduced, parts = similar, [half_cosine_errors(matrices, truncations), *map(half_cosines, pairs)]
+    if own is not None and others is not None:
         similar = own.similar(similar)
         # (0, a_0) is a left eigenvector: the first row is (trivial, 0, ..., 0) but for the errors of flow and orbit.
         similar[:, 0, 0] -= -1.0 if power == 2 else 0.0
         deviations, reduced = np.max(np.abs(similar[:, 0]), axis=1), similar[:, 1:, 1:]
+        parts = [each.similar(part)[:, 1:, 1:] for each, part in zip((own, own, others), parts, strict=True)]
+    parts = [parts[0], ORBIT_SAFETY * (parts[2] - parts[1])]
     mu, errors = np.zeros(reduced.shape[:2], dtype=complex), np.zeros(reduced.shape[:2])
     flow_errors, systems = np.zeros(len(transitions)), Eigensystems(mu, reduced, reduced)
     if mu.size:
-        parts = [flow_part_of(transitions, matrices, own), orbit_part_of(transitions, own, others)]
-        norms = frobenius_norms(parts[0]) + frobenius_norms(parts[1])
-        round_off = round_off_of(transitions, matrices)
+        norms, round_off = frobenius_norms(parts[0]) + frobenius_norms(parts[1]), _round_off(transitions, matrices)
         for those, systems in Eigensystems.groups(reduced):
             of_those = [part[those] for part in parts], norms[those], round_off[those]
             mu[those] = systems.values
@@ -191,52 +196,13 @@ def _solve(transitions: Sequence[Transition], accelerations: Array | None, bette
     return _Solved([ReversibleFloquet(*row, power) for row in rows], flow_errors, own, systems, similar)
 
 
-def with_reversed_block(transition: Transition) -> Transition:
-    """A transition of a flow that is reversible alone, with -C'^T in the place of C, C' of its inverse."""
-    inverse = np.asarray(np.linalg.inv(transition.matrix), dtype=float)
-
-    def replaced(matrix: Array, inverted: Array) -> Array:
-        n, total = matrix.shape[0] // 2, matrix.copy()
-        total[n:, :n] = -inverted[n:, :n].T
-        return total
-
-    truncation, pair = transition.truncation, transition.pair
-    if truncation is not None:
-        truncation = replaced(truncation, -inverse @ truncation @ inverse)
-    if pair is not None:
-        along, better = (np.asarray(np.linalg.inv(matrix), dtype=float) for matrix in pair)
-        pair = (replaced(pair[0], along), replaced(pair[1], better))
-    return replace(transition, matrix=replaced(transition.matrix, inverse), truncation=truncation, pair=pair)
-
-
-def flow_part_of(transitions: Sequence[Transition], matrices: Array, reflections: Reflections | None) -> Array:
-    """Part of the reduced matrices, or of B^T C without reflections, that is due to the truncation of the flow."""
-    truncations = [np.zeros_like(t.matrix) if t.truncation is None else t.truncation for t in transitions]
-    errors = half_cosine_errors(matrices, stacked(truncations))
-    return errors if reflections is None else reflections.similar(errors)[:, 1:, 1:]
-
-
-def orbit_part_of(
-    transitions: Sequence[Transition], reflections: Reflections | None, better_reflections: Reflections | None
-) -> Array:
-    """Differences of the reduced matrices along the better orbits and along the orbits, with a safety factor."""
-    pairs = [(t.matrix, t.matrix) if t.pair is None else t.pair for t in transitions]
-    along, better = (half_cosines(stacked(side)) for side in zip(*pairs, strict=True))
-    if reflections is None or better_reflections is None:
-        return np.asarray(ORBIT_SAFETY * (better - along))
-    difference = better_reflections.similar(better) - reflections.similar(along)
-    return np.asarray(ORBIT_SAFETY * difference[:, 1:, 1:])
-
-
-def round_off_of(transitions: Sequence[Transition], matrices: Array) -> Array:
+def _round_off(transitions: Sequence[Transition], matrices: Array) -> Array:
     """Norm of the errors of B^T C from round-off, and from a flow without a matrix of its errors; shape (orbits,)."""
     _, B, C, _ = blocks_of(matrices)
-    norms = frobenius_norms(B) + frobenius_norms(C)
     unknown = ROUND_OFF * frobenius_norms(matrices)
-    for i, transition in enumerate(transitions):
-        if transition.truncation is None:
-            unknown[i] = transition.error
-    return np.asarray(unknown * norms)
+    without = [i for i, transition in enumerate(transitions) if transition.truncation is None]
+    unknown[without] = [transitions[i].error for i in without]
+    return np.asarray(unknown * (frobenius_norms(B) + frobenius_norms(C)))
 
 
 def trivial_pair(transition: Transition, acceleration: Array) -> tuple[Array, Array]:
@@ -245,7 +211,7 @@ def trivial_pair(transition: Transition, acceleration: Array) -> tuple[Array, Ar
     The second is the right eigenvector of B^T C for the trivial mu: bordered with the left one, the matrix is regular.
     """
     _, B, C, _ = transition.blocks()
-    n, trivial = acceleration.size, -1.0 if power_of(transition) == 2 else 0.0
+    n, trivial = acceleration.size, -1.0 if POWERS_BY_FRACTION[transition.fraction] == 2 else 0.0
     left = acceleration / np.linalg.norm(acceleration)
     bordered = np.block([[B.T @ C - trivial * np.eye(n), left[:, None]], [left[None, :], np.zeros((1, 1))]])
     family = np.linalg.lstsq(bordered, np.append(np.zeros(n), 1.0), rcond=None)[0][:n]
@@ -295,7 +261,9 @@ def vectors_of_map(transition: Transition, multipliers: ComplexArray, scale: Arr
     reversal = np.diag(np.repeat([1.0, -1.0], n))
     half = reversal @ np.linalg.inv(transition.matrix) @ reversal @ transition.matrix
     values, vectors = np.linalg.eig(half.astype(complex))
-    _, order = linear_sum_assignment(np.abs(multipliers[:, None] - values[None, :] ** power_of(transition)))
+    _, order = linear_sum_assignment(
+        np.abs(multipliers[:, None] - values[None, :] ** POWERS_BY_FRACTION[transition.fraction])
+    )
     vectors = np.concatenate([scale, scale])[:, None] * vectors[:, order]
     return np.asarray(vectors / np.max(np.abs(vectors), axis=0))
 
@@ -308,41 +276,32 @@ def reduced_matrices(
 ) -> tuple[Array, Array]:
     """(K, P, Q), or K alone, without the trivial direction, and matrices like their errors; (points, 3 or 1, m, m).
 
+    K = B^T C, P = A^T C and Q = B^T D, with the first-order changes that errors make.
+
     Arguments:
         transitions: Phi, shape (points, 2n, 2n).
         errors: matrices like their errors, of one shape with them.
-        directions: the trivial ones, shape (points, n), None where there is none.
+        directions: q'' at phase zero, shape (points, n); None where no direction is trivial.
         symplectic: whether Phi is.
     """
-    make = _symplectic_matrices if symplectic else _reversible_matrices
-    values, changes = make(transitions, errors)
+    if not symplectic:
+        transitions, errors = with_reversed_blocks(transitions, errors)
+    values, changes = half_cosines(transitions)[:, None], half_cosine_errors(transitions, errors)[:, None]
+    if symplectic:
+        (A, B, C, D), (dA, dB, dC, dD) = (
+            [block.swapaxes(1, 2) if i < 2 else block for i, block in enumerate(blocks_of(each))]
+            for each in (transitions, errors)
+        )
+        forms = np.stack([A @ C, B @ D], axis=1), np.stack([dA @ C + A @ dC, dB @ D + B @ dD], axis=1)
+        values, changes = (
+            np.concatenate([each, 0.5 * (form + form.swapaxes(2, 3))], axis=1)
+            for each, form in zip((values, changes), forms, strict=True)
+        )
     if directions is None:
         return values, changes
     frame = orthogonal_complements(directions)[:, None]
     across = frame.swapaxes(2, 3)
     return np.asarray(across @ values @ frame), np.asarray(across @ changes @ frame)
-
-
-def _symplectic_matrices(transitions: Array, errors: Array) -> tuple[Array, Array]:
-    """K = B^T C, P = A^T C, Q = B^T D, and their first-order changes."""
-    (A, B, C, D), (dA, dB, dC, dD) = blocks_of(transitions), blocks_of(errors)
-    At, Bt, dAt, dBt = (block.swapaxes(1, 2) for block in (A, B, dA, dB))
-    values = [half_cosines(transitions), _symmetric(At @ C), _symmetric(Bt @ D)]
-    by_P, by_Q = dAt @ C + At @ dC, dBt @ D + Bt @ dD
-    changes = [half_cosine_errors(transitions, errors), _symmetric(by_P), _symmetric(by_Q)]
-    return np.stack(values, axis=1), np.stack(changes, axis=1)
-
-
-def _reversible_matrices(transitions: Array, errors: Array) -> tuple[Array, Array]:
-    """K = -B' C with B' the upper right block of the inverse of Phi, and its first-order change."""
-    inverse = np.asarray(np.linalg.inv(transitions), dtype=float)
-    B, dB = blocks_of(inverse)[1], -blocks_of(inverse @ errors @ inverse)[1]
-    C, dC = blocks_of(transitions)[2], blocks_of(errors)[2]
-    return (-B @ C)[:, None], (-dB @ C - B @ dC)[:, None]
-
-
-def _symmetric(matrices: Array) -> Array:
-    return np.asarray(0.5 * (matrices + matrices.swapaxes(-1, -2)))
 
 
 def orthogonal_complements(directions: Array) -> Array:
@@ -391,7 +350,7 @@ def localised_floquet(
     Returns:
         The multipliers, with errors of flow, orbit, rounding and cut.
     """
-    solved, n = _solve([transition], *(a[None] for a in accelerations)), accelerations[0].size
+    solved, n = _solve([transition], accelerations[0][None], accelerations[1][None]), accelerations[0].size
     (found,) = solved.results
     power, trivial = found.power, -1.0 if found.power == 2 else 0.0
     bound = found.trivial_deviation <= tolerance

@@ -71,6 +71,18 @@ def half_cosine_errors(transitions: Array, errors: Array) -> Array:
     return _transposed_product(dB, C) + _transposed_product(B, dC)
 
 
+def with_reversed_blocks(transitions: Array, errors: Array) -> tuple[Array, Array]:
+    """Phi of flows that are reversible alone with -C'^T in the place of C, C' of its inverse; and its errors likewise.
+
+    That is Phi itself where it is symplectic.
+    """
+    n, inverse = transitions.shape[-1] // 2, np.asarray(np.linalg.inv(transitions), dtype=float)
+    found = transitions.copy(), errors.copy()
+    for each, inverted in zip(found, (inverse, -inverse @ errors @ inverse), strict=True):
+        each[:, n:, :n] = -inverted[:, n:, :n].swapaxes(1, 2)
+    return found
+
+
 def _transposed_product(left: Array, right: Array) -> Array:
     """left^T right of blocks (points, n, n); those of long chains, zero far from the diagonal, by columns."""
     n = left.shape[1]

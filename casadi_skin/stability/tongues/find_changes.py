@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from casadi_skin.stability.multipliers import POWERS_BY_FRACTION
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues.assembly import SAME_MU, Group, edges_of, groups_of, place_at, tongues_of
 from casadi_skin.stability.tongues.crossings import NOT_LOOKED_AT, find_crossings
@@ -36,7 +37,6 @@ EXPECTED_INTERVALS = 16  # of a piece of the branch, as expected
 PIECES_WORK = 1e7  # m^3 over the intervals of pieces that are looked at together
 WORK_SHARE = 0.05  # of the work that is left, at most, for such pieces
 ONE_PLACE = 1e-9  # of the branch: meetings without instability that are no farther apart are one
-POWERS_BY_FRACTION = {0.25: 2, 0.5: 1}  # of lambda(M) that give multipliers, by that of the period for Phi
 CLEARLY_OUTSIDE_ERRORS = 4.0  # errors of a mu that it is outside by, to be in the account
 LEAST_DISTANCE = 1e-9  # of such a distance: rounding of two mu that nearly meet
 SAME_PLACE = 1e-13  # of a coordinate: rounding of sums

@@ -48,8 +48,7 @@ class Samples:
     """Samples of a branch at several coordinates.
 
     `transitions` are Phi, shape (points, 2n, 2n), and `errors` matrices like their errors but for the sign.
-    `directions` span the trivial direction, shape (points, n): q'' at phase zero for a symplectic Phi; for one that is
-    only reversible the positions at phase zero of the direction along the family; None in a model without it.
+    `directions` are q'' at phase zero, which give the trivial mu, shape (points, n); None in a model without it.
     """
 
     transitions: Array
