@@ -247,12 +247,6 @@ class JacobianAlong:
             self._moving.add(states, parameters, result)
         return result
 
-    def dense(self, nonzeros: Array) -> Array:
-        """J as full matrices, shape (..., non-zeros) -> (..., size, size)."""
-        matrices = np.zeros((*nonzeros.shape[:-1], self.size, self.size))
-        matrices[..., self.rows(), self.indices] = nonzeros
-        return matrices
-
     @cached_property
     def half_bandwidth(self) -> int:
         """Largest distance of a non-zero from the diagonal."""
@@ -277,8 +271,8 @@ class JacobianAlong:
 
 ROUND_OFF = 2e-14
 EXTRAPOLATION_SAFETY = 2.0  # the difference that another extrapolation makes is asymptotically the error itself
+LOWER_LEVEL_HEADROOM = 3.0  # of the tolerance over the error expected, before fewer steps are tried
 BATCH_ENTRIES = 20_000  # entries of a batch of transition matrices: they stay in the cache of a core
-TOLERANCE_HEADROOM = 3.0  # of the tolerance over the error expected, before fewer steps are tried
 
 
 class StepMap(Protocol):
@@ -301,13 +295,6 @@ def extrapolation(steps: tuple[int, ...], orders: tuple[int, ...]) -> Array:
     weights = np.linalg.solve(np.array(rows), np.eye(len(steps))[0])
     weights.flags.writeable = False  # kept and shared
     return weights
-
-
-@cache
-def _remainder(steps: tuple[int, ...], orders: tuple[int, ...]) -> float:
-    """What extrapolation over those numbers of steps leaves of an error of the last order in 1/steps."""
-    weights = extrapolation(steps, orders[:-1])
-    return abs(float(np.sum(weights / np.array(steps, dtype=float) ** orders[-1])))
 
 
 class SteppedFlow(FlowMap):
@@ -367,50 +354,50 @@ class SteppedFlow(FlowMap):
             again = self._adapted([orbits[i] for i in fewer], tolerance, self.step_numbers.index(most))
             for i, found in zip(fewer, again, strict=True):
                 results[i] = found
-        if alike and results:
-            level = self.step_numbers.index(results[0].steps)
-            self._level = self._lower(level, max(found.error for found in results), tolerance)
+        if alike and results:  # a level lower where that may do for the next ones
+            level, error = self.step_numbers.index(results[0].steps), max(found.error for found in results)
+            higher = (self.step_numbers[level] / self.step_numbers[level - 1]) ** self.orders[-1]
+            self._level = max(level - (LOWER_LEVEL_HEADROOM * higher * error <= tolerance), len(self.orders))
         return results
 
     def _adapted(self, orbits: Sequence[OrbitState], tolerance: float, level: int) -> list[Transition]:
-        """Begins with the `level`, with more steps for those that need more: how many, an orbit's own errors decide.
+        """From the `level` on, one by one, to that which is fine enough for each orbit, by its own errors.
 
         The digits of an orbit then depend neither on the others given with it nor on those before.
         """
-        done: dict[int, Transition] = {}
-        start = min(level, len(self.step_numbers) - 1)
-        waiting: list[tuple[int, NDArray[np.int64], dict[int, Array]]] = [(start, np.arange(len(orbits)), {})]
-        while waiting:
-            level, places, maps = waiting.pop()
-            those = [orbits[i] for i in places.tolist()]
-            levels = range(level - len(self.orders), level + 1)
-            missing = [r for r in levels if r not in maps]
-            maps |= dict(zip(missing, self.matrices([self.step_numbers[r] for r in missing], those), strict=True))
-            matrices, errors = self._extrapolated(level, maps)
+        done, unmet = dict[int, Transition](), ""
+        places, maps = np.arange(len(orbits)), dict[int, Array]()
+        while places.size:
+            if level == len(self.step_numbers):
+                raise FlowError(unmet)
+            those, steps = [orbits[i] for i in places.tolist()], self.step_numbers[: level + 1]
+            missing = [number for number in steps[-len(self.orders) - 1 :] if number not in maps]
+            maps |= dict(zip(missing, self.matrices(missing, those), strict=True))
+            matrices, errors = self._extrapolated(steps, maps)
             with np.errstate(over="ignore", invalid="ignore"):
                 truncation, round_off = frobenius_norms(errors), ROUND_OFF * frobenius_norms(matrices)
             met = truncation <= np.maximum(tolerance, round_off)
-            pairs = self._pairs(those, met, self.step_numbers[levels[0]], maps[levels[0]])
+            coarsest = steps[-len(self.orders) - 1]
+            pairs = self._pairs(those, met, coarsest, maps[coarsest])
             for k in np.flatnonzero(met).tolist():
                 total = float(truncation[k] + round_off[k])
                 known = matrices[k], self.fraction, total, errors[k], pairs.get(k)
-                done[int(places[k])] = Transition(*known, self.step_numbers[level])
+                done[int(places[k])] = Transition(*known, steps[-1])
             if not met.all():
                 worst = int(np.argmax(np.where(met, -np.inf, truncation)))
-                place = _place(those[worst], errors[worst], self.model.size)
-                higher = np.full(len(those), level)
-                higher[~met] = [self._higher(level, t, tolerance, place) for t in truncation[~met].tolist()]
-                for above in np.unique(higher[~met]).tolist():
-                    group = higher == above
-                    waiting.append((above, places[group], {r: m[group] for r, m in maps.items()}))
+                unmet = (
+                    f"the {self.method} leaves {truncation[worst]:.1e} with {steps[-1]} steps; requested: "
+                    f"{tolerance:.1e}; worst {_place(those[worst], errors[worst], self.model.size)}; try a larger "
+                    "tolerance or another flow (splitting, cvodes)"
+                )
+            places, maps, level = places[~met], {n: each[~met] for n, each in maps.items()}, level + 1
         return [done[i] for i in range(len(orbits))]
 
-    def _extrapolated(self, level: int, maps: Mapping[int, Array]) -> tuple[Array, Array]:
-        """Extrapolated matrices, and matrices like their errors."""
-        levels = range(level - len(self.orders), level + 1)
-        steps = tuple(self.step_numbers[r] for r in levels)
+    def _extrapolated(self, steps: tuple[int, ...], maps: Mapping[int, Array]) -> tuple[Array, Array]:
+        """Extrapolated matrices from those in the last numbers of steps, and matrices like their errors."""
+        steps = steps[-len(self.orders) - 1 :]
         few, all_ = extrapolation(steps[1:], self.orders[:-1]), extrapolation(steps, self.orders)
-        found = [maps[r] for r in levels]
+        found = [maps[number] for number in steps]
         return _combined(found[1:], few), _combined(found, EXTRAPOLATION_SAFETY * (all_ - np.append(0.0, few)))
 
     def _pairs(
@@ -422,33 +409,6 @@ class SteppedFlow(FlowMap):
             return {}
         (found,) = self.matrices([steps], list(better.values()))
         return {k: (maps[k], matrix) for k, matrix in zip(better, found, strict=True)}
-
-    def _leading(self, level: int) -> float:
-        """The error of a level per the method's error of the order that remains, in a step over all the time."""
-        return _remainder(self.step_numbers[level - len(self.orders) + 1 : level + 1], self.orders)
-
-    def _lower(self, level: int, truncation: float, tolerance: float) -> int:
-        """The level to start from next time: one lower where that would have done for one orbit.
-
-        An orbit for which it does not do costs little: its maps are used again on the next level.
-        """
-        if level == len(self.orders):
-            return level
-        expected = truncation * self._leading(level - 1) / self._leading(level)
-        return level - 1 if TOLERANCE_HEADROOM * expected <= tolerance else level
-
-    def _higher(self, level: int, truncation: float, tolerance: float, place: str) -> int:
-        """The level that should do where one did not; raises FlowError at the end of the step_numbers."""
-        steps = self.step_numbers[level]
-        if level + 1 == len(self.step_numbers):
-            raise FlowError(
-                f"the {self.method} leaves {truncation:.1e} with {steps} steps; requested: {tolerance:.1e}; worst "
-                f"{place}; try a larger tolerance or another flow (splitting, cvodes)"
-            )
-        if not np.isfinite(truncation):
-            return level + 1
-        allowed, above = self._leading(level) * tolerance / truncation, range(level + 1, len(self.step_numbers))
-        return next((r for r in above if self._leading(r) <= allowed), level + 1)
 
 
 def _combined(maps: Sequence[Array], weights: Array) -> Array:
