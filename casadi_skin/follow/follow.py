@@ -617,7 +617,7 @@ def monitors_of(solution: Solution, given: Mapping[str, Any] | None) -> tuple[Mo
 
     model, found = solution.space.model, list[Monitor]()
     of_kinds = (value for name, value in vars(kinds).items() if name.isupper())
-    taken = {*of_kinds, *model.state_names, *solution.parameters}
+    taken = {*of_kinds, *getattr(model, "state_names", ()), *solution.parameters}  # lattices name none
     for name, one in by_name("monitors", given, "expressions").items():
         if not name.strip() or not name.isprintable() or name in taken:
             accepted = "names in one line, which no state, parameter or kind of special points has"
