@@ -136,7 +136,7 @@ class ArclengthContinuation:
             found = turned(self.point_solver, departure.side, there)
             if found is not None:
                 return self._before(departure, found)
-        point = self.point_solver.near(problem, correction, tangent, row)
+        point = self.point_solver.refined(problem, correction, row, tangent=tangent)
         if point is None:
             self.end = End.RESOLUTION
             return None

@@ -184,7 +184,7 @@ def point_before(point_solver: PointSolver, found: Corner) -> Point | None:
     """The point before a corner, with the step to go on with; None where none is as near. Raises SingularError."""
     problem, z, tangent = found.before.problem, found.before.z, found.before.tangent
     row = point_solver.metric(problem, z) * tangent
-    point = point_solver.near(problem, Correction(z, Status.CONVERGED, 0), tangent, row)
+    point = point_solver.refined(problem, Correction(z, Status.CONVERGED, 0), row, tangent=tangent)
     if point is None:
         return None
     z, tangent = point.z, point.tangent

@@ -484,10 +484,10 @@ class EdgeOrbits:
         here, following = self.points[before], self.points[before + 1]
         if coordinate == before:
             return Layout(here.Omega, self._bands)
-        correction, _ = solver.corrected_along(here, following, coordinate - before)
-        if correction is None:
+        point = solver.unrefined_along(here, following, coordinate - before)
+        if point is None:
             raise self._not_found(before)
-        return Layout(following.problem.frequency(correction.z), self._bands)
+        return Layout(point.Omega, self._bands)
 
     def amplitude(self, coordinate: float) -> float:
         """S between two points, without an orbit."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import fields, replace
 from typing import Any, Protocol, runtime_checkable
 
@@ -34,7 +34,6 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.levels import Levels, converged_mesh
 from casadi_skin.solve.newton import (
     Correction,
-    Corrector,
     NewtonCorrector,
     equilibrium_words,
     not_finite,
@@ -53,7 +52,7 @@ from casadi_skin.zero.orbit import (
     boundary_method,
     statement_of,
 )
-from casadi_skin.zero.problem import Array, Problem, SingularError
+from casadi_skin.zero.problem import Array, SingularError
 from casadi_skin.zero.rest import Statics, sizes_at, sizes_of
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
@@ -175,10 +174,16 @@ def _statics(model: Any, parameters: Mapping[str, float] | None) -> Statics:
 
 
 def _check(tolerance: float, corrector: str) -> None:
-    low, high = TOLERANCE_RANGE
-    if not low <= number("tolerance", tolerance) <= high:
-        raise ValueError(f"tolerance: given {tolerance!r}; accepted: {low:g} to {high:g}")
+    _tolerance(tolerance, TOLERANCE_RANGE)
     check_name("corrector", corrector, methods.CORRECTORS)
+
+
+def _tolerance(given: float, accepted: tuple[float, float]) -> float:
+    """A tolerance in a range; raises ValueError and TypeError for others."""
+    low, high = accepted
+    if not low <= number("tolerance", given) <= high:
+        raise ValueError(f"tolerance: given {given!r}; accepted: {low:g} to {high:g}")
+    return float(given)
 
 
 def positions_of(model: OdeModel, guess: Any, label: str = "guess") -> Array:
@@ -204,37 +209,31 @@ def positions_of(model: OdeModel, guess: Any, label: str = "guess") -> Array:
 
 def _near(space: EquilibriumSpace, start: Array, second: bool = True) -> Equilibrium:
     """The equilibrium near a state, by the corrector and, where that fails, by the other one."""
-    problem, failures = space.problem, list[str]()
+    problem, model, failure = space.problem, space.model, ""
     z, row = np.append(start / space.sizes, 0.0), problem.parameter_row()
     others = [name for name in methods.CORRECTORS if name != space.corrector] if second else []
     for name in (space.corrector, *others):
-        correct = space.levels.corrector(problem) if name == space.corrector else None
-        correction: Correction = (correct or corrector_of(name, space.tolerance, problem)).correct(z, row, 0.0)
-        if correction.converged and np.all(np.isfinite(correction.z)):
-            point = space.refined(problem, correction)
-            words = space.jump(point)
+        own = name == space.corrector
+        corrector = space.levels.corrector(problem) if own else corrector_of(name, space.tolerance, problem)
+        correction = corrector.correct(z, row, 0.0)
+        finite = bool(np.all(np.isfinite(correction.z)))
+        if correction.converged and finite:
+            found = Equilibrium(space, space.refined(problem, correction))
+            words = space.jump(found.point)
             if words:
-                raise JumpError(space.model.name, f"{words}, at the equilibrium")
-            found = Equilibrium(space, point)
-            return found if not second else _in_own_units(found)
-        worst = problem.worst(correction.z if np.all(np.isfinite(correction.z)) else z)
-        failures.append(f"{name}: {correction.status.value}; {worst}")
-    full = np.concatenate([start, np.zeros(space.model.full_size - start.size)])
-    reach = np.maximum(np.abs(full), np.resize(space.sizes, full.size))
-    p = problem.parameters(z)
-    words, jumps = _not_finite(space.model, full, p) or failures[0], space.model.jumps.beside(full, p, reach)
+                raise JumpError(model.name, f"{words}, at the equilibrium")
+            return _in_own_units(found) if second else found
+        worst = problem.worst(correction.z if finite else z)
+        failure = failure or f"{name}: {correction.status.value}; {worst}"
+    full, p = np.concatenate([start, np.zeros(model.full_size - start.size)]), problem.parameters(z)
+    rates = np.array(model.vector_field(0.0, full, p)).ravel()
+    if not np.all(np.isfinite(rates)):
+        name = model.state_names[int(np.argmax(~np.isfinite(rates)))]
+        at = ", ".join(f"{k} = {x:.6g}" for k, x in zip(model.state_names, full, strict=True))
+        failure = f"not finite at the equation of {name}, where {at} at the guess"
+    jumps = model.jumps.beside(full, p, np.maximum(np.abs(full), np.resize(space.sizes, full.size)))
     more = f"; beside the guess {jumps}" if jumps else ""
-    raise EquilibriumError(f"{space.model.name}: no equilibrium near the guess: {words}{more}")
-
-
-def _not_finite(model: OdeModel, state: Array, parameters: Array) -> str:
-    """The equation that is not finite at a guess; empty where all are."""
-    rates = np.array(model.vector_field(0.0, state, parameters)).ravel()
-    if np.all(np.isfinite(rates)):
-        return ""
-    name = model.state_names[int(np.argmax(~np.isfinite(rates)))]
-    at = ", ".join(f"{k} = {x:.6g}" for k, x in zip(model.state_names, state, strict=True))
-    return f"not finite at the equation of {name}, where {at} at the guess"
+    raise EquilibriumError(f"{model.name}: no equilibrium near the guess: {failure}{more}")
 
 
 def _in_own_units(found: Equilibrium) -> Equilibrium:
@@ -551,74 +550,50 @@ EASIER_PARAMETER_FACTORS = (10.0, 0.1)  # of a parameter, and their squares, at 
 MOST_PARAMETERS = 3  # that are tried
 MOST_POINTS = 60  # of a continuation
 
-First = Callable[[BoundarySpace, Guess], Point]
 
+def other_ways(space: BoundarySpace, guess: Guess) -> tuple[Solution | None, str]:
+    """The solution near a guess by another way with its description, or None with the ways that failed, in words."""
+    statement, tried = space.statement, list[str]()
+    newton = replace(space, method=replace(space.method, corrector="newton"))
 
-def other_ways(space: BoundarySpace, guess: Guess, first: First) -> tuple[Solution | None, str]:
-    """A solution by another way with its description, or None with the ways that failed, in words.
+    def near(guess: Guess, **values: float) -> Solution | None:
+        """The solution near a guess at other values of parameters, sought quickly."""
+        there = replace(newton, statement=statement.with_parameters(**values)) if values else newton
+        with suppress(BoundaryError):
+            return Solution(there, first_point(there, guess, QUICK_TRIES))
+        return None
 
-    Arguments:
-        space: of the solution that is sought.
-        guess: where it was sought.
-        first: makes the first point of a space near a guess, quickly; raises BoundaryError.
-    """
-    tried = []
-    by_newton = replace(space, method=replace(space.method, corrector="newton"))
+    def followed(easier: Solution, name: str, value: float) -> Solution | None:
+        """The solution that the branch from an easier one comes to, unless it turns back before."""
+        with suppress(BoundaryError):
+            branch = easier.follow(name, value, max_points=MOST_POINTS, until=lambda one: bool(one.point.special))
+            reached = branch.solutions[-1]
+            return near(reached) if reached.parameters[name] == value else None
+        return None
+
     if space.method.corrector != "newton":
         tried.append("Newton's method")
-        found = _found(by_newton, guess, first)
+        found = near(guess)
         if found is not None:
             return replace(found, found_by=tried[-1]), tried[-1]
-    for name, value in _parameters(space):
+    fixed = {name: value for name, value in statement.values.items() if name not in statement.free and value}
+    fixed = fixed if len(fixed) <= MOST_PARAMETERS else {}
+    for name, value in fixed.items():
         starts = []
         for factor in EASIER_PARAMETER_FACTORS:
             for easier_value in (factor * value, factor**2 * value):
                 starts.append(f"{easier_value:g}")
-                easier = _found(_at(by_newton, name, easier_value), guess, first)
+                easier = near(guess, **{name: easier_value})
                 if easier is None:
                     continue
-                reached = _followed(easier, name, value)
-                found = None if reached is None else _found(by_newton, reached, first)
+                found = followed(easier, name, value)
                 if found is not None:
                     words = f"{name} followed from {easier_value:g} to {value:g}"
                     return replace(found, found_by=words), words
                 break  # the branch does not come here: nor does it from farther off
         tried.append(f"{name} followed from {', '.join(starts)}")
-    names = " or ".join(name for name, _ in _parameters(space))
-    hint = f"; not tried: {names} by arclength past folds, with follow from a solution at another value"
-    return None, "; ".join(tried) + (hint if names else "")
-
-
-def _parameters(space: BoundarySpace) -> Iterator[tuple[str, float]]:
-    """Parameters that may be followed to their values."""
-    statement = space.statement
-    fixed = [(name, value) for name, value in statement.values.items() if name not in statement.free and value]
-    yield from fixed if len(fixed) <= MOST_PARAMETERS else ()
-
-
-def _at(space: BoundarySpace, name: str, value: float) -> BoundarySpace:
-    return replace(space, statement=space.statement.with_parameters(**{name: value}))
-
-
-def _found(space: BoundarySpace, guess: Guess, first: First) -> Solution | None:
-    try:
-        return Solution(space, first(space, guess))
-    except BoundaryError:
-        return None
-
-
-def _followed(easier: Solution, name: str, value: float) -> Solution | None:
-    try:
-        branch = easier.follow(name, value, max_points=MOST_POINTS, until=_turns)
-    except BoundaryError:
-        return None
-    reached: Solution = branch.solutions[-1]
-    return reached if reached.parameters[name] == value else None
-
-
-def _turns(solution: Solution) -> bool:
-    """Whether the branch turns back here: it does not come to the value."""
-    return bool(solution.point.special)
+    hint = f"; not tried: {' or '.join(fixed)} by arclength past folds, with follow from a solution at another value"
+    return None, "; ".join(tried) + (hint if fixed else "")
 
 
 # Solving a stated boundary-value problem: a mesh that adapts until the estimated error meets the tolerance ------------
@@ -639,10 +614,7 @@ def accuracy_of(options: Mapping[str, Any]) -> tuple[float, Method]:
     """Tolerance and methods; raises ValueError for options that are unknown or out of range."""
     for name in options:
         check_name("options", name, FIRST_SOLUTION_OPTIONS)
-    low, high = FIRST_TOLERANCE_RANGE
-    tolerance = number("tolerance", options.get("tolerance", 1e-8))
-    if not low <= tolerance <= high:
-        raise ValueError(f"tolerance: given {tolerance!r}; accepted: {low:g} to {high:g}")
+    tolerance = _tolerance(options.get("tolerance", 1e-8), FIRST_TOLERANCE_RANGE)
     return tolerance, boundary_method({k: v for k, v in options.items() if k in METHODS and v is not None})
 
 
@@ -708,7 +680,7 @@ def solution_near(space: BoundarySpace, guess: Guess) -> Solution:
             raise JumpError(space.model.name, f"{jumps}, along the guess, near which no solution was found") from error
         if not isinstance(error, NotReachedError) or PERIOD in space.statement.values:  # an orbit's guess is a cycle
             raise
-        found, words = other_ways(space, guess, lambda other, near: first_point(other, near, QUICK_TRIES))
+        found, words = other_ways(space, guess)
         if found is None:
             raise BoundaryError(f"{error}; tried as well: {words}" if words else str(error)) from error
         return found
@@ -719,37 +691,31 @@ def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) ->
 
     `tries` is the largest number of resolutions.
     """
-    statement, point_solver = space.statement, space.point_solver
-    resolutions = [r for r in point_solver.levels.resolutions if r >= int(space.method.intervals or 1)][
-        :RESOLUTIONS_TRIED
-    ]
-    failures = []
-    undetermined = ""
-    for problem, z in itertools.islice(_first_problems(statement, point_solver.levels, resolutions, guess), tries):
-        correction = _corrected(point_solver.levels.corrector(problem), z, problem)
-        if (
-            not correction.converged and problem.resolution in JUMP_RESOLUTIONS
-        ):  # Ipopt's scaling suffers from steep jumps
-            correction = _corrected(NewtonCorrector(problem), z, problem)
+    levels, failures, undetermined = space.point_solver.levels, list[str](), ""
+    least = int(space.method.intervals or 1)
+    resolutions = [r for r in levels.resolutions if r >= least][:RESOLUTIONS_TRIED]
+    for problem, z in itertools.islice(_first_problems(space.statement, levels, resolutions, guess), tries):
+        row, steep = problem.parameter_row(), problem.resolution in JUMP_RESOLUTIONS
+        correction = levels.corrector(problem).correct(z, row, 0.0)
+        if not correction.converged and steep:  # Ipopt's scaling suffers from steep jumps
+            correction = NewtonCorrector(problem).correct(z, row, 0.0)
         backwards = problem.backwards(correction.z) if correction.converged else ""
         if backwards:
             failures.append(backwards)
-            continue
-        if correction.converged:
-            correction = _sized(point_solver.levels, problem, correction, not np.any(z[: problem.states]))
-            resolved = converged_mesh(point_solver.levels, problem, correction)
+        elif correction.converged:
+            correction = _sized(levels, problem, correction, not np.any(z[: problem.states]))
             try:
-                return space.refined(*(resolved or (problem, correction)))
+                return space.refined(*(converged_mesh(levels, problem, correction) or (problem, correction)))
             except BoundaryError as error:
-                if problem.resolution not in JUMP_RESOLUTIONS:
+                if not steep:
                     raise
                 failures.append(str(error))
-                continue
-        undetermined = rank_deficiency(problem, correction.z, everywhere=True)
-        words = (f"{correction.status.value}; {problem.worst(correction.z)}", undetermined)
-        failures.append(not_finite(problem, z) or "; there ".join(filter(None, words)))
+        else:
+            undetermined = rank_deficiency(problem, correction.z, everywhere=True)
+            words = (f"{correction.status.value}; {problem.worst(correction.z)}", undetermined)
+            failures.append(not_finite(problem, z) or "; there ".join(filter(None, words)))
     kind = BoundaryError if undetermined else NotReachedError
-    raise kind(f"{statement.model.name}: no solution near the guess: {failures[0]}")
+    raise kind(f"{space.statement.model.name}: no solution near the guess: {failures[0]}")
 
 
 def _sized(levels: Levels, problem: BoundaryProblem, correction: Correction, unmeasured: bool) -> Correction:
@@ -806,7 +772,3 @@ def packed(problem: BoundaryProblem, guess: Guess) -> Array:
     states = sampled(statement, guess, start + problem._fractions() * (end - start))
     scalars = [statement.values[name] for name in statement.free]
     return np.concatenate([states.ravel(), scalars, [0.0]])
-
-
-def _corrected(corrector: Corrector, z: Array, problem: Problem) -> Correction:
-    return corrector.correct(z, problem.parameter_row(), 0.0)

@@ -455,7 +455,7 @@ class Walk:
             or float(row @ t) <= 0.0
         ):
             return False
-        found = solver.corrected_along(before, after, min(sigma / length, 1.0))[0]
+        found = solver.unrefined_along(before, after, min(sigma / length, 1.0))
         return found is not None and solver.distance(problem, z, found.z) <= CLOSED_BRANCH_DISTANCE * length
 
     # Requested values -------------------------------------------------------------------------------------------------

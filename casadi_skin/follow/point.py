@@ -18,7 +18,7 @@ from numpy.polynomial.polynomial import polyval
 
 from casadi_skin.solve.bordered import BorderedSolver, Steps
 from casadi_skin.solve.levels import Levels, Measured, step_error
-from casadi_skin.solve.newton import Correction
+from casadi_skin.solve.newton import Correction, Status
 from casadi_skin.zero.problem import Array, OrbitProblem, Problem, Scalar, SingularError, Solve
 from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point, Target
 
@@ -342,23 +342,27 @@ class PointSolver:
         return None
 
     def refined(
-        self,
-        problem: Problem,
-        correction: Correction,
-        row: Array,
-        held: Scalar | None = None,
-        known: tuple[Point, float] | None = None,
-    ) -> Point | None:
+        self, problem: Problem, correction: Correction, row: Array, held: Scalar | None = None,
+        tangent: Array | None = None, measured: Measured | None = None, confirm: bool = True,
+    ) -> Point | None:  # fmt: skip
         """The point on the coarsest level from `problem` up that meets the tolerance; None at the top of the levels.
 
-        `held` names what `row` holds, None where it is a row of its own. Where most of the error is what the corrector
-        left over, a Newton step and the corrector once more take it away; what stays after that, or what a finer level
-        does not lessen, is round-off, and the point is kept with its estimate. `known` is the correction's point and
-        relative error, where these have been found. Raises SingularError.
+        Where most of the error is what the corrector left over, a Newton step and the corrector once more take it away;
+        what stays after that, or what a finer level does not lessen, is round-off, and the point is kept with its
+        estimate. Raises SingularError.
+
+        Arguments:
+            problem, correction: the corrected point.
+            row: that closed the equations there.
+            held: what `row` holds; None where it is a row of its own.
+            tangent: the unit tangent there where it is known, which saves a factorisation.
+            measured: likewise its error.
+            confirm: whether the corrector confirms the point (see `confirmed`).
         """
+        known = None if tangent is None else self._measured(problem, correction, tangent, held, measured)
         climbed = self._climbed(problem, correction, row, held, known)
-        if climbed is None:
-            return None
+        if climbed is None or not confirm:
+            return climbed
         (point,) = self.confirmed([(climbed, held)])
         if isinstance(point, SingularError):
             raise point
@@ -448,26 +452,6 @@ class PointSolver:
                 raise SingularError(f"{correction.status.value} {correction.message}".strip())
             problem, z, iterations, known = target, correction.z, iterations + correction.iterations, None
 
-    def near(
-        self, problem: Problem, correction: Correction, tangent: Array, row: Array, held: Scalar | None = None
-    ) -> Point | None:
-        """As `refined`, with the tangent known: a point that meets the tolerance costs one factorisation less."""
-        known = self._measured(problem, correction, tangent, held)
-        return self.refined(problem, correction, row, held, known)
-
-    def unconfirmed(
-        self,
-        problem: Problem,
-        correction: Correction,
-        tangent: Array,
-        row: Array,
-        held: Scalar | None = None,
-        measured: Measured | None = None,
-    ) -> Point | None:
-        """As `near`, before the corrector's last word (see `confirmed`), and with its error where that is known."""
-        known = self._measured(problem, correction, tangent, held, measured)
-        return self._climbed(problem, correction, row, held, known)
-
     def _is_finished(self, point: Point, relative: float) -> bool:
         """Whether nothing is to be done about an error."""
         return point.at_round_off or relative <= self.settings.tolerance
@@ -537,7 +521,7 @@ class PointSolver:
 
     def along(self, current: Point, following: Point, fraction: float) -> Point | None:
         """A corrected point at a fraction of the way between two points of the branch, or None."""
-        correction, row = self._corrected_along(current, following, fraction)
+        correction, row = self.on_curve(following.problem, self.curve(current, following)[0], fraction)
         try:
             point = None if correction is None else self.refined(following.problem, correction, row)
         except SingularError as error:
@@ -545,34 +529,30 @@ class PointSolver:
             return None
         return None if point is None else replace(point, walked=False)
 
-    def coarse_along(self, current: Point, following: Point, fraction: float) -> Point | None:
-        """As `along`, on the level of the second point whatever its error: crossing branches amplify rounding."""
-        correction, tangent = self.corrected_along(current, following, fraction)
-        if correction is None or tangent is None:
+    def unrefined_along(self, current: Point, following: Point, fraction: float) -> Point | None:
+        """As `along`, on the level of the second point whatever its error, which is not estimated."""
+        problem = following.problem
+        correction, row = self.on_curve(problem, self.curve(current, following)[0], fraction)
+        if correction is None:
             return None
         try:
-            point = self._measured(following.problem, correction, tangent, None)[0]
+            tangent = self.tangent(problem, correction.z, self.factor(problem, correction.z, row))
+        except SingularError as error:
+            self.failure = str(error)
+            return None
+        return replace(following, z=correction.z, tangent=tangent, better=None, special="", walked=False)
+
+    def coarse_along(self, current: Point, following: Point, fraction: float) -> Point | None:
+        """As `unrefined_along`, with its error: crossing branches amplify rounding."""
+        point = self.unrefined_along(current, following, fraction)
+        if point is None:
+            return None
+        try:
+            correction = Correction(point.z, Status.CONVERGED, 0)
+            point = self._measured(point.problem, correction, point.tangent, None)[0]
         except SingularError:
             return None
         return replace(point, walked=False, at_round_off=True)
-
-    def corrected_along(
-        self, current: Point, following: Point, fraction: float
-    ) -> tuple[Correction | None, Array | None]:
-        """The correction and the tangent at a fraction of the way, on the level of the second point alone, or None."""
-        correction, row = self._corrected_along(current, following, fraction)
-        if correction is None:
-            return None, None
-        try:
-            problem = following.problem
-            return correction, self.tangent(problem, correction.z, self.factor(problem, correction.z, row))
-        except SingularError as error:
-            self.failure = str(error)
-            return correction, None
-
-    def _corrected_along(self, current: Point, following: Point, fraction: float) -> tuple[Correction | None, Array]:
-        """The correction at a fraction of the way between two points on the level of the second, and its row."""
-        return self.on_curve(following.problem, self.curve(current, following)[0], fraction)
 
     def on_curve(self, problem: Problem, curve: LocalCurve, fraction: float) -> tuple[Correction | None, Array]:
         """The correction of the point at a fraction of a curve, or None, and the row that closes the equations."""

@@ -383,7 +383,7 @@ class Search(ABC, Generic[Event]):
 
     def along(self, before: Point, after: Point, fraction: float) -> Point | None:
         """The point at a fraction of the way between two points; None where it is not found."""
-        return searched_along(self.solver, before, after, fraction)
+        return self.solver.unrefined_along(before, after, fraction)
 
     def sample(self, point: Point) -> Sample:
         """The sample at a point, computed once."""
@@ -506,14 +506,6 @@ class Place(NamedTuple):
     fraction: float
     point: Point
     value: float
-
-
-def searched_along(solver: PointSolver, before: Point, after: Point, fraction: float) -> Point | None:
-    """The point at a fraction of the way between two in the unknowns of the second, whatever its error, or None."""
-    correction, tangent = solver.corrected_along(before, after, fraction)
-    if correction is None or tangent is None:
-        return None
-    return replace(after, z=correction.z, tangent=tangent, better=None, special="", walked=False)
 
 
 def zero_between(

@@ -458,7 +458,8 @@ class SeriesContinuation:
                 index, wanted = target.unknown(problem)
                 correction.z[index] = wanted  # equal but for round-off of the held row
             there = Side(problem, correction.z, found.tangent, found.orientation)
-            return self.point_solver.unconfirmed(problem, correction, found.tangent, found.row, held, measured), there
+            known = found.tangent, measured, False
+            return self.point_solver.refined(problem, correction, found.row, held, *known), there
         except SingularError as error:
             self._trouble = str(error)
             return None, None

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, ClassVar
 
@@ -29,7 +29,6 @@ from casadi_skin.follow.search import (
     Search,
     Stretch,
     beside_on_tangent,
-    searched_along,
     zero_between,
 )
 from casadi_skin.follow.solution import Solution
@@ -57,7 +56,7 @@ def turning(point_solver: PointSolver, before: Point, after: Point) -> list[tupl
     if still or (np.all(rates * rates[0] > 0.0) and np.min(sizes) >= STEADY_RATE_RATIO * np.max(sizes)):
         return []
     if rate(before) == 0.0:
-        before = searched_along(point_solver, before, after, BESIDE_STILL) or before
+        before = point_solver.unrefined_along(before, after, BESIDE_STILL) or before
     search = _Turns(point_solver, before, after)
     return [part for part in search.on_stretch() if not isinstance(part, Unresolved)]
 
@@ -231,7 +230,7 @@ def fold_between(point_solver: PointSolver, before: Point, after: Point) -> Poin
     It is located on one level of resolution: the errors of orbits at a held parameter, by which others are
     refined, are of no use beside a fold.
     """
-    along = partial(searched_along, point_solver)
+    along = point_solver.unrefined_along
     root = zero_between(point_solver, before, after, rate, FOLD, FOLD_TOLERANCE, along)[0].fraction
     point = point_solver.along(before, after, root) or point_solver.coarse_along(before, after, root)
     if point is None:
