@@ -15,7 +15,7 @@ from casadi_skin.follow.branch_points import ONE_PLACE, branch_points_between
 from casadi_skin.follow.location import Located, locate_rest, special_orbit
 from casadi_skin.follow.period_limit import joined_words, unbounded
 from casadi_skin.follow.rest_space import EquilibriumSpace
-from casadi_skin.follow.search import TEST_ZERO_XTOL, NotLocatedError
+from casadi_skin.follow.search import MonitorSearch
 from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.space import ORBITS, SOLUTIONS, BoundaryError, FamilyError, ParameterSpace
 from casadi_skin.follow.special_points import fold_between, turning
@@ -49,7 +49,6 @@ from casadi_skin.zero.statement import Statement
 PLACES_WITHIN_COLUMN = 8  # places between two columns of a mesh at which a state is looked at
 # Into the neighbours of the largest value: places then differ by 1e-5 of theirs, values by the square.
 EXTREMUM_ZOOMS = 4
-BOUND_PREDICTION_PLACES = np.linspace(0.0, 1.0, 17)[1:]  # of a stretch, at which it is predicted whether a bound is met
 BOUND_MET_RTOL = 1e-12  # of the size of a quantity: a bound that is as near is met
 
 
@@ -126,42 +125,19 @@ def _largest(
 
 
 def met_between(space: BoundarySpace, before: Point, after: Point) -> Point | None:
-    """The first point between two at which a bound is met; None where none is. Raises NotLocatedError.
+    """The first point between two at which a bound is met; None where none is.
 
     A state that a condition holds at a bound is there all along, but for the error of the solution.
     """
-    from scipy.optimize import brentq
-
     if not space.statement.bounds:
         return None
-    solver = space.point_solver
-    known: dict[float, Point] = {0.0: before, 1.0: after}
 
-    def values(fraction: float) -> Array:
-        if fraction not in known:
-            point = solver.along(before, after, fraction)
-            if point is None:
-                raise NotLocatedError(f"a bound is met at a point that cannot be located: {solver.failure}")
-            known[fraction] = point
-        return slack + [one.value for one in margins(space, known[fraction])]
+    def values(point: Point) -> Array:
+        return np.array([one.value for one in margins(space, point)])
 
-    def value(number: int, fraction: float) -> float:
-        return float(values(fraction)[number])
-
-    slack = np.zeros(len(margins(space, before)))
-    slack = np.where(values(0.0) > space.tolerance, 0.0, space.tolerance)
-    curve, length = solver.curve(before, after)
-    for place in BOUND_PREDICTION_PLACES:
-        predicted = after if place == 1.0 else replace(after, z=curve.at(place * length))
-        passed = slack + [one.value for one in margins(space, predicted)] < 0.0
-        passed &= values(place) < 0.0 if np.any(passed) else passed
-        if np.any(passed):
-            numbers = np.flatnonzero(passed).tolist()
-            roots = [brentq(partial(value, number), 0.0, place, xtol=TEST_ZERO_XTOL) for number in numbers]
-            first = float(min(roots))
-            values(first)
-            return replace(known[first], special=BOUND, walked=False, requested=False)
-    return None
+    held = np.where(values(before) <= space.tolerance, space.tolerance, 0.0)
+    search = MonitorSearch(space, before, after, [BOUND] * held.size, lambda point: np.asarray(values(point) + held))
+    return next((point for point in search.on_stretch() if isinstance(point, Point)), None)
 
 
 # The Hopf point at which a branch of orbits ends, as they shrink to an equilibrium ------------------------------------

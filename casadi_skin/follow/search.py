@@ -727,17 +727,26 @@ class Monitor:
 
 
 class MonitorSearch(Search[Point | Unresolved]):
-    """The search for zeros of the monitors of a space; one at a point itself belongs to the stretch before it."""
+    """The search for zeros of real quantities; one at a point itself belongs to the stretch before it.
 
-    def __init__(self, space: Any, before: Point, after: Point) -> None:
+    Attributes:
+        space: of the points.
+        names: of the quantities, one each.
+        values: function of a point: the quantities.
+        noise: likewise, their errors; None of quantities without.
+    """
+
+    def __init__(
+        self, space: Any, before: Point, after: Point, names: Sequence[str], values: Callable[[Point], Array],
+        noise: Callable[[Point], Array] | None = None,
+    ) -> None:  # fmt: skip
         super().__init__(space.point_solver, before, after)
-        self.space = space
+        self.space, self.names, self.values, self.noise = space, names, values, noise
 
     def sampled(self, point: Point) -> Sample:
         own, none = self.own(point), np.empty(0, dtype=complex)
-        ahead = beside_on_tangent(own, TANGENT_DIFFERENCE_STEP)
-        values = [(one.value(self.space, own), one.value(self.space, ahead)) for one in self.space.monitors]
-        leading = tuple((here, (there - here) / TANGENT_DIFFERENCE_STEP) for here, there in values)
+        here, there = (self.values(one) for one in (own, beside_on_tangent(own, TANGENT_DIFFERENCE_STEP)))
+        leading = tuple(zip(here.tolist(), ((there - here) / TANGENT_DIFFERENCE_STEP).tolist(), strict=True))
         row = self.metric(point) * point.tangent
         return Sample(point, row, none, none, none.real, np.zeros_like(point.z), 1.0, leading)
 
@@ -745,23 +754,31 @@ class MonitorSearch(Search[Point | Unresolved]):
         if not (last or np.all(stretch.settled)):
             return None
         (first, *_, g), end, events = stretch.quantities[0], self.own(stretch.last.point), list[Point]()
-        for k in np.flatnonzero((np.sign(first) != np.sign(g)) & (first != 0.0)):
-            monitor = self.space.monitors[k]
-            at_end = replace(end, special=monitor.name, walked=False, requested=False)
-            test = partial(monitor.value, self.space)
-            noise = monitor.noise(self.space, end)
-            event = at_end if g[k] == 0.0 else self.root_of(stretch, test, noise, monitor.name)
+        for k in np.flatnonzero((np.sign(first) != np.sign(g)) & (first != 0.0)).tolist():
+            at_end = replace(end, special=self.names[k], walked=False, requested=False)
+            test, noise = partial(self._value, k), 0.0 if self.noise is None else float(self.noise(end)[k])
+            event = at_end if g[k] == 0.0 else self.root_of(stretch, test, noise, self.names[k])
             if event is None:
                 return None
             events.append(event)
         return sorted(events, key=self.sigma)
 
+    def _value(self, k: int, point: Point) -> float:
+        return float(self.values(point)[k])
+
     def unresolved(self, stretch: Stretch) -> Iterator[Unresolved]:
-        space, kinds = self.space, [one.name for one in self.space.monitors]
+        space, kinds = self.space, " or ".join(dict.fromkeys(self.names))
         start, end = (space.value(space.parameter, one.point) for one in (stretch.first, stretch.last))
-        yield Unresolved(start, end, "a monitor jumps, or is not resolved", " or ".join(kinds), space.parameter)
+        yield Unresolved(start, end, "the quantity jumps, or is not resolved", kinds, space.parameter)
 
 
 def monitored(space: Any, before: Point, after: Point) -> list[Point | Unresolved]:
     """Zeros of the monitors of a space between two points of a branch in order, and parts that are not resolved."""
-    return MonitorSearch(space, before, after).on_stretch() if space.monitors else []
+    monitors = space.monitors
+    if not monitors:
+        return []
+    values, noise = (
+        lambda point, of=of: np.array([of(one, space, point) for one in monitors])
+        for of in (Monitor.value, Monitor.noise)
+    )
+    return MonitorSearch(space, before, after, [one.name for one in monitors], values, noise).on_stretch()
