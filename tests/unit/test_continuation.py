@@ -16,10 +16,10 @@ from casadi_skin import Branch, Chain, Orbit, SymmetryClass, follow_family
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.follow import Following
-from casadi_skin.follow.point import LocalCurve, PointSolver, predictor
+from casadi_skin.follow.point import LocalCurve, PointSolver
 from casadi_skin.lattice.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.solve.ipopt import ArbitratedCorrector
-from casadi_skin.solve.newton import Correction, HeldState, NewtonCorrector, Status
+from casadi_skin.solve.newton import Correction, HeldState, Status
 from casadi_skin.zero.family import family_request
 from casadi_skin.zero.settings import End, Point
 
@@ -68,7 +68,7 @@ def worst_relative_error(branch: Branch) -> float:
 
 
 @pytest.mark.parametrize("tolerance", [1e-6, pytest.param(1e-11, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("g", "amplitude_max"), [(1.0, 50.0), (0.5, 3.0), (-1.0, 2.5), (-2.0, 1.2)])
+@pytest.mark.parametrize(("g", "amplitude_max"), [(1.0, 50.0), (0.5, 3.0), (-1.0, 2.99), (-2.0, 1.2)])
 @pytest.mark.parametrize("method", ["trigonometric", pytest.param("gauss", marks=pytest.mark.slow)])
 def test_one_site_has_the_exact_frequency_along_the_whole_family(
     g: float, amplitude_max: float, tolerance: float, method: str
@@ -119,23 +119,6 @@ def test_end_breathers_have_the_reference_frequencies(
         assert abs(orbit.Omega - Omega) <= orbit.Omega_error + ROUND_OFF
 
 
-@pytest.mark.parametrize(
-    ("tolerance", "method"),
-    [
-        (1e-4, "trigonometric"),
-        (1e-8, "trigonometric"),
-        pytest.param(1e-4, "gauss", marks=pytest.mark.slow),
-        pytest.param(1e-8, "gauss", marks=pytest.mark.slow),
-    ],
-)
-def test_the_tolerance_holds_at_the_reference_values(tolerance: float, method: str) -> None:
-    branch = followed(Chain(24, 1.0, 0.25, -1.0), 1, 3.0, tolerance, tuple(SOFTENING_END), method)
-    for S, Omega in SOFTENING_END.items():
-        orbit = branch.at(S)
-        assert abs(orbit.Omega - Omega) <= orbit.Omega_error + ROUND_OFF
-        assert orbit.Omega_error <= tolerance * Omega
-
-
 def test_a_long_chain_stays_on_its_family_where_others_lie_close() -> None:
     """With steps in S alone Omega(3) = 1.0314, on another family, and every solve reports success."""
     branch = followed(Chain(200, 1.0, 0.25, -1.0), 1, 3.0, 1e-10, (0.2,))
@@ -171,13 +154,6 @@ def test_the_guard_alone_keeps_a_walk_of_far_too_long_steps_on_its_family() -> N
     walk, points = walked_with(chain, 1, 2.5, **eager, guard_distance=8.0, guard_angle=180.0)
     assert walk.end is End.REACHED
     assert abs(points[-1].Omega - right) > 0.1
-
-
-@pytest.mark.parametrize(("mode", "g"), [pytest.param(1, -1.0, marks=pytest.mark.slow), (60, 1.0)])
-def test_the_length_of_the_chain_hardly_matters_to_a_localised_orbit(mode: int, g: float) -> None:
-    expected = SOFTENING_END if g < 0 else HARDENING_END
-    branch = followed(Chain(60, 1.0, 0.25, g), mode, 3.0, 1e-10)
-    assert branch.at(3.0).Omega == pytest.approx(expected[3.0], abs=1e-10)
 
 
 # Points asked for ---------------------------------------------------------------------------------------------------
@@ -289,14 +265,6 @@ def test_a_family_that_cannot_reach_the_amplitude_says_so(tolerance: float) -> N
     assert branch.at(2.5).Omega == pytest.approx(exact, rel=max(tolerance, 1e-6))
 
 
-@pytest.mark.parametrize("guard", ["guard_distance", "guard_angle"])
-def test_a_walk_whose_guard_lets_nothing_pass_ends_by_name(guard: str) -> None:
-    walk, points = walked_with(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, **{guard: -1.0})
-    assert points == []
-    assert walk.end is End.NO_STEP
-    assert walk.rejected > 10
-
-
 @pytest.mark.parametrize("walker", ["series", "arclength"])
 def test_resolutions_and_points_that_do_not_suffice_end_the_walk_by_name(walker: str) -> None:
     """Two resolutions only: what a stronger nonlinearity needs is not there."""
@@ -380,13 +348,6 @@ def test_requested_points_are_given_at_every_passage() -> None:
     assert len(set(found)) == 3
 
 
-def test_frequencies_at_the_passages_of_a_fold_do_not_depend_on_the_walk() -> None:
-    chain, mode, _ = FOLDED[1]
-    one, other = followed(chain, mode, 10.0, 1e-10), followed(chain, mode, 8.0, 1e-10)
-    for which in range(3):
-        assert one.at(6.05, which).Omega == pytest.approx(other.at(6.05, which).Omega, rel=1e-9)
-
-
 def test_the_walk_ends_at_its_end_when_a_fold_lies_just_beyond() -> None:
     """The fold is at S = 6.1224905; the walk is to stop a little before it, the first time it gets there."""
     chain, mode, _ = FOLDED[1]
@@ -465,35 +426,12 @@ def test_the_estimated_error_covers_the_true_one_at_points_walked(tolerance: flo
         assert abs(orbit.Omega - exact.Omega) <= orbit.Omega_error + exact.Omega_error + 2 * ROUND_OFF
 
 
-@pytest.mark.parametrize("tolerance", [1e-4, 1e-6])
-def test_the_tolerance_holds_where_the_frequency_falls_steeply(tolerance: float) -> None:
-    assert worst_relative_error(followed(Chain(1, 1.0, 0.0, -1.0), 1, 2.99, tolerance)) <= tolerance
-
-
 # Local curve --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("end", [0.7, -1.3])
-def test_a_cubic_is_reproduced_exactly_whatever_the_length_of_the_tangents(seed: int, end: float) -> None:
-    """Five components, the first of which is sigma itself, by the row e_0; and a line."""
-    c = np.random.default_rng(seed).normal(size=(4, 5))
-    c[:, 0] = [0.3, 1.0, 0.0, 0.0]
-    slope = np.polynomial.polynomial.polyder(c)
-    at = lambda sigma: np.polynomial.polynomial.polyval(sigma, c)  # noqa: E731
-    by = lambda sigma: np.polynomial.polynomial.polyval(sigma, slope)  # noqa: E731
-    curve = LocalCurve.through(at(0.0), 3.7 * by(0.0), at(end), 0.2 * by(end), np.eye(5)[0])
-    line = LocalCurve.line(at(0.0), by(0.0))
-    for sigma in (0.0, 0.3 * end, end, 1.9 * end, -0.5 * end):
-        np.testing.assert_allclose(curve.at(sigma), at(sigma), atol=1e-13)
-        np.testing.assert_allclose(curve.slope(sigma), by(sigma), atol=2e-13)
-        np.testing.assert_allclose(line.at(sigma), at(0.0) + sigma * by(0.0), atol=1e-15)
-    assert LocalCurve.line(np.array([1.0, 2.0]), np.array([0.5, -1.0])).crossings(0, [1.25], 1.0) == [(0.5, 1.25)]
 
 
 ROOTS: list[tuple[float, ...]] = [
     (), (0.2,), (0.2, 0.7), (0.1, 0.5, 0.9), (0.3, 0.31), (-0.2, 0.4), (0.4, 1.4), (-0.5, 0.25, 2.0), (-1.0,),
-    (0.2, 0.7, 1.0),
+    (0.2, 0.7, 1.0), (0.1, 0.104, 0.9),
 ]  # fmt: skip
 
 
@@ -508,23 +446,6 @@ def test_every_crossing_is_found_and_no_other(roots: tuple[float, ...], value: f
     found = [sigma for sigma, _ in curve.crossings(1, [value])]
     assert found == pytest.approx([r for r in roots if 0 < r <= 1.1], abs=1e-8 if value > 100 else 1e-12)
     assert found == sorted(found)
-
-
-@pytest.mark.parametrize("wanted", [0.3, 0.6, 1.0])
-def test_a_corrector_that_fails_at_a_requested_point_leaves_it_named(
-    wanted: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The walk goes on, and the branch says which amplitude is missing."""
-    true_correct = NewtonCorrector.correct
-
-    def correct(self: NewtonCorrector, guess: Array, row: Array, value: float) -> Correction:
-        correction = true_correct(self, guess, row, value)
-        return replace(correction, z=2 * correction.z) if abs(value) == wanted else correction
-
-    monkeypatch.setattr(NewtonCorrector, "correct", correct)
-    options = {"corrector": "newton", "walker": "arclength"}
-    branch = follow_family(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, at=[0.3, 0.6], **options)
-    check_missed(branch, wanted)
 
 
 @pytest.mark.parametrize("wanted", [0.3, 0.6, 1.0])
@@ -550,26 +471,3 @@ def check_missed(branch: Branch, wanted: float) -> None:
     assert branch.missed == (wanted,)
     assert f"S = {wanted:g}" in branch.reason
     assert [o.S for o in branch.orbits if o.point.requested] == [S for S in (0.3, 0.6) if wanted != S]
-
-
-def test_a_prediction_from_four_points_is_exact_to_degree_seven() -> None:
-    """Checked on the graph of a polynomial; with fewer points the degree falls by two a point."""
-    graph = np.polynomial.Polynomial([0.3, -1.0, 0.5, 0.2, -0.4, 0.1, 0.3, -0.2])
-
-    def point(x: float) -> tuple[np.ndarray, np.ndarray]:
-        return np.array([x, graph(x)]), 1.7 * np.array([1.0, graph.deriv()(x)])  # tangents of any length
-
-    row = np.array([1.0, 0.0])
-    before = [point(x) for x in (-0.2, -0.5, -0.6)]
-    np.testing.assert_allclose(predictor(*point(0.0), before, row)(0.4), point(0.4)[0], atol=1e-12)
-    misses = [abs(predictor(*point(0.0), before[:n], row)(0.1)[1] - graph(0.1)) for n in range(4)]
-    assert misses[0] > 5 * misses[1]
-    assert misses[1] > misses[2] > 1e6 * misses[3]
-
-
-def test_a_prediction_leaves_out_points_that_lie_behind_a_turn() -> None:
-    z, t, row = np.array([0.0, 0.0]), np.array([1.0, 0.0]), np.array([1.0, 0.0])
-    good = (np.array([-0.1, 0.01]), np.array([1.0, -0.2]))
-    behind = (np.array([-0.05, 1.0]), np.array([-1.0, 0.0]))
-    with_all, with_good = (predictor(z, t, before, row) for before in ([good, behind], [good]))
-    np.testing.assert_array_equal(with_all(0.1), with_good(0.1))

@@ -87,20 +87,6 @@ def test_the_equations_hold_to_the_order_of_the_series(
     assert orders[-1] == pytest.approx(8.0, abs=0.5 if model.name == "web" else 0.25)
 
 
-def test_crossings_of_a_polynomial_that_turns() -> None:
-    """(tau - 0.1)(tau - 0.104)(tau - 0.9): two crossings closer than the samples."""
-    gap = np.polynomial.polynomial.polyfromroots([0.1, 0.104, 0.9])
-    stretch = LocalCurve(gap[:, None], 1.0)
-    assert [tau for tau, _ in stretch.crossings(0, [0.0])] == pytest.approx([0.1, 0.104, 0.9], abs=1e-12)
-    assert [tau for tau, _ in LocalCurve(gap[:, None], 0.5).crossings(0, [0.0])] == pytest.approx(
-        [0.1, 0.104], abs=1e-12
-    )
-    assert stretch.crossings(0, [5.0]) == []
-    values = [value for _, value in stretch.crossings(0, [-1e-3, 0.0, 1e-3])]
-    assert values.count(0.0) == 3
-    assert (values.count(-1e-3), values.count(1e-3)) == (3, 1)
-
-
 # The walk -----------------------------------------------------------------------------------------------------------
 
 
@@ -163,8 +149,3 @@ def test_few_stretches_cover_the_family_and_leave_the_corrector_nothing_to_do() 
     assert np.max(np.diff(branch.S)) <= 3.0 / 30.0 * 1.01
     assert branch.S[-1] == 3.0
     assert 35 < len(branch) < 80
-
-
-def test_other_transcriptions_have_no_series() -> None:
-    with pytest.raises(ValueError, match=r'walker: given "series"; accepted with gauss: arclength'):
-        tools_of(Chain(3, 1.0, 0.3, 1.0), 1, 3.0, transcription="gauss")
