@@ -602,7 +602,8 @@ def follow(
     """
     _check_choices(stability, events, until, progress)
     seconds = duration("time_limit", time_limit)
-    space = following_space(solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to)
+    options = {"at": at, "max_points": max_points, "max_step": max_step, "back_to": back_to}
+    space = following_space(solution, parameter, to, **options)
     if stability and not space.closes:
         accepted = "for orbits, and for conditions x(end) = S x(start)"
         raise ValueError(f"stability: given for solutions that are no orbits; accepted: {accepted}")
@@ -629,22 +630,18 @@ def monitors_of(solution: Solution, given: Mapping[str, Any] | None) -> tuple[Mo
     return tuple(found)
 
 
-def following_space(
-    solution: Solution, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float,
-    back_to: float | None = None,
-) -> Any:  # fmt: skip
-    """The space of the branch through a solution in a parameter; raises ValueError as `follow` does."""
+def following_space(solution: Solution, parameter: str, to: float, **options: Any) -> Any:
+    """The space of the branch through a solution in a parameter; options and errors are those of `follow`."""
     if solution.space.connects == FAMILY:
         from casadi_skin.follow.find import restated
 
         solution = restated(solution, parameter)
     if solution.space.optimises:
         raise ValueError("follow: given a solution with an objective; accepted: one without")
-    settings = following_settings(
-        solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
-    )
+    settings = following_settings(solution, parameter, to, **options)
     _check_regular(solution, parameter)
-    return solution.space.following(solution, parameter, float(to), tuple(float(np.float64(v)) for v in at), settings)
+    at = tuple(float(np.float64(value)) for value in options["at"])
+    return solution.space.following(solution, parameter, float(to), at, settings)
 
 
 def _check_regular(solution: Solution, parameter: str) -> None:

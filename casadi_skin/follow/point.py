@@ -613,12 +613,10 @@ def with_small_components(point_solver: PointSolver, point: Point) -> tuple[Arra
     guess = point.z.copy()
     guess[small] = 0.0
     row = point_solver.metric(problem, point.z) * point.tangent
-    residual, nonzeros = problem.evaluate(guess)
     try:
-        solve = point_solver.levels.solver(problem).factor(guess, nonzeros, row)
+        steps = newton_steps(problem, guess[None], np.array([row @ (guess - point.z)]), row[None])
     except SingularError:
         return point.z, SMALL_COMPONENT_RATIO
-    step = solve(np.append(residual, row @ (guess - point.z)))
     z = point.z.copy()
-    z[small] = -step[small]
+    z[small] = -steps.newton[0, small]
     return z, SMALLEST_COMPONENT_RATIO

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, cast
@@ -281,17 +281,8 @@ class CurveSpace(EquilibriumSpace):
         return EQUILIBRIUM_CURVES[self.kind].ends.get(point.special), ""
 
 
-def curve_space(
-    point: SpecialPoint,
-    parameter: str,
-    to: float,
-    *,
-    at: Sequence[float],
-    max_points: int,
-    max_step: float,
-    back_to: float | None = None,
-) -> CurveSpace:
-    """The space of the curve of a special point of equilibria in a second parameter.
+def curve_space(point: SpecialPoint, parameter: str, to: float, **options: Any) -> CurveSpace:
+    """The space of the curve of a special point of equilibria in a second parameter; options are those of `curve`.
 
     Raises ValueError for arguments out of range and points of another kind, EquilibriumError where the curve cannot be
     started, or a branch point does not stay one.
@@ -300,10 +291,8 @@ def curve_space(
     if not solution.is_equilibrium or point.kind not in EXTENDED_SYSTEMS or solution.space.free:
         raise ValueError(f"curve: given a {point.kind}; accepted: a fold, Hopf point or branch point of equilibria")
     check_second(point, parameter)
-    settings = following_settings(
-        solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
-    )
-    return replace(_started(point, parameter, float(to), tuple(float(value) for value in at)), settings=settings)
+    settings = following_settings(solution, parameter, to, **options)
+    return replace(_started(point, parameter, float(to), tuple(map(float, options["at"]))), settings=settings)
 
 
 def _started(point: SpecialPoint, parameter: str, to: float, at: tuple[float, ...]) -> CurveSpace:

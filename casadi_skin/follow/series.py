@@ -33,46 +33,6 @@ if TYPE_CHECKING:
 FAINT_STATE_RATIO = 1e-7  # of the largest state: its square is round-off
 
 
-@dataclass(frozen=True)
-class Guesses:
-    """Places of a stretch, (places, unknowns) each, with what is held there, and the metric.
-
-    In the series small components, as those in the tail of a breather, have the absolute precision of large ones. They
-    are left out of the guess, so that the step solves for them and finds them accurate relative to themselves. They are
-    small in the output too: amplitudes that grow into a tail in the gauge are no reason to leave out the edge.
-    """
-
-    z: Array
-    weights: Array
-    rows: Array
-    values: Array
-    targets: Sequence[Target | None]
-
-    @classmethod
-    def of(
-        cls,
-        point_solver: PointSolver,
-        problem: Problem,
-        stretch: LocalCurve,
-        taus: Sequence[float],
-        targets: Sequence[Target | None],
-    ) -> Guesses:
-        """Those at places `taus` of a stretch: at a target its value is held, else the place along the tangent."""
-        z, slopes = stretch.at_each(np.array(taus))
-        weights = point_solver.metrics(problem, z)
-        rows = weights * slopes / np.sqrt(np.sum(weights * slopes**2, axis=1))[:, None]
-        values = np.einsum("ij,ij->i", rows, z)
-        for i, target in enumerate(targets):
-            if target is not None:
-                index, wanted = target.unknown(problem)
-                rows[i] = problem.row_of(target.held) * float(np.sign(slopes[i, index]))
-                values[i] = wanted * rows[i, index]
-        states = z[:, : problem.states]  # a view
-        faint, scale = _is_faint(states), problem.output_scale
-        states[faint if scale is None else faint & _is_faint(scale * states)] = 0.0
-        return cls(z, weights, rows, values, targets)
-
-
 def _is_faint(states: Array) -> NDArray[np.bool_]:
     sizes = np.abs(states)
     return np.asarray(sizes < FAINT_STATE_RATIO * np.max(sizes, axis=1)[:, None])
@@ -92,25 +52,6 @@ class Polished:
     row: Array
     value: float
     measured: Measured | None = None
-
-
-def polished(point_solver: PointSolver, problem: Problem, guesses: Guesses) -> list[Polished]:
-    """The places after a Newton step, of several with their errors; raises SingularError."""
-    defects = np.einsum("ij,ij->i", guesses.rows, guesses.z) - guesses.values
-    steps = newton_steps(problem, guesses.z, defects, guesses.rows)
-    z = guesses.z - steps.newton
-    lengths = np.sqrt(np.sum(guesses.weights * steps.newton**2, axis=1))
-    tangents = steps.along / np.sqrt(np.sum(guesses.weights * steps.along**2, axis=1))[:, None]
-    for one, target in zip(z, guesses.targets, strict=True):
-        if target is not None:
-            index, wanted = target.unknown(problem)
-            one[index] = wanted  # equal but for round-off of the held row
-    known: Sequence[Measured | None] = [None] * len(z)
-    if len(z) > 1:
-        held = [None if target is None else target.held for target in guesses.targets]
-        known = point_solver.levels.all_refined(problem, z, tangents, held) or known
-    columns = z, tangents, steps.orientation.tolist(), lengths.tolist(), guesses.rows, guesses.values.tolist(), known
-    return [Polished(*place) for place in zip(*columns, strict=True)]
 
 
 TURNING_SAMPLES = 9  # of a stretch, at which the turning of the tangent is measured
@@ -339,7 +280,7 @@ class SeriesContinuation:
         self._ready = {}
         if len(stops) > 1 and problem.size <= STACKED_UNKNOWNS and BorderedSolver.of(problem).takes_several:
             with suppress(ArithmeticError, RuntimeError):  # at a place that the walk may not come to, or it comes again
-                ready = polished(self.point_solver, problem, self._guesses(problem, stretch, stops))
+                ready = self._polished(problem, stretch, stops)
                 self._ready = dict(zip(stops, ready, strict=True))
         for stop in stops:
             reach = max(base.step * (stop.tau - last), self.settings.min_step)  # nearer than that is round-off
@@ -446,7 +387,7 @@ class SeriesContinuation:
         try:
             found = self._ready.get(stop)
             if found is None:
-                (found,) = polished(self.point_solver, problem, self._guesses(problem, stretch, [stop]))
+                (found,) = self._polished(problem, stretch, [stop])
             correction: Correction | None = Correction(found.z, Status.CONVERGED, 0)
             measured = found.measured
             if not found.step <= SHORT_STEP_FACTOR * self._precision(problem):
@@ -464,7 +405,34 @@ class SeriesContinuation:
             self._trouble = str(error)
             return None, None
 
-    def _guesses(self, problem: Problem, stretch: LocalCurve, stops: Sequence[_Stop]) -> Guesses:
-        """The places of stops on a stretch."""
-        taus, targets = [stop.tau for stop in stops], [stop.target for stop in stops]
-        return Guesses.of(self.point_solver, problem, stretch, taus, targets)
+    def _polished(self, problem: Problem, stretch: LocalCurve, stops: Sequence[_Stop]) -> list[Polished]:
+        """The places of stops after a Newton step, of several with their errors; raises SingularError.
+
+        At a target its value is held, elsewhere the place along the tangent. In the series small components, as those
+        in the tail of a breather, have the absolute precision of large ones. They are left out of the guess, so that
+        the step solves for them and finds them accurate relative to themselves. They are small in the output too:
+        amplitudes that grow into a tail in the gauge are no reason to leave out the edge.
+        """
+        z, slopes = stretch.at_each(np.array([stop.tau for stop in stops]))
+        held = [None if stop.target is None else stop.target.held for stop in stops]
+        weights = self.point_solver.metrics(problem, z)
+        rows = weights * slopes / np.sqrt(np.sum(weights * slopes**2, axis=1))[:, None]
+        values = np.einsum("ij,ij->i", rows, z)
+        wanted = [(i, *stop.target.unknown(problem)) for i, stop in enumerate(stops) if stop.target is not None]
+        for i, index, value in wanted:
+            rows[i] = problem.row_of(held[i]) * float(np.sign(slopes[i, index]))  # type: ignore[arg-type]
+            values[i] = value * rows[i, index]
+        states = z[:, : problem.states]  # a view
+        faint, scale = _is_faint(states), problem.output_scale
+        states[faint if scale is None else faint & _is_faint(scale * states)] = 0.0
+        steps = newton_steps(problem, z, np.einsum("ij,ij->i", rows, z) - values, rows)
+        z = z - steps.newton
+        for i, index, value in wanted:
+            z[i, index] = value  # equal but for round-off of the held row
+        lengths = np.sqrt(np.sum(weights * steps.newton**2, axis=1))
+        tangents = steps.along / np.sqrt(np.sum(weights * steps.along**2, axis=1))[:, None]
+        known: Sequence[Measured | None] = [None] * len(z)
+        if len(z) > 1:
+            known = self.point_solver.levels.all_refined(problem, z, tangents, held) or known
+        columns = z, tangents, steps.orientation.tolist(), lengths.tolist(), rows, values.tolist(), known
+        return [Polished(*place) for place in zip(*columns, strict=True)]
