@@ -135,25 +135,12 @@ class OdeModel(Equations, WithVerbs):
         """The same model with positions and velocities as one state of first order."""
         if self.order == 1:
             return self
-        return OdeModel(
-            name=self.name,
-            state=self.full_state,
-            rhs=self.full_rhs,
-            parameters=self.parameters,
-            reversal=self.reversal,
-            half_period=self.half_period,
-            normalisation=self.normalisation,
-            hamiltonian=self.hamiltonian,
-            conserved=self.conserved,
-            symmetries=self.symmetries,
-            time=self.time,
-            forcing_period=self.forcing_period,
-            outputs=self.outputs,
-            nominal=self.nominal,
-            state_labels=self.state_labels,
-            parameter_labels=self.parameter_labels,
-            checked=False,  # these are the same declarations
-        )
+        return self._changed(state=self.full_state, rhs=self.full_rhs, order=1, velocity=None, output_scale=None)
+
+    def _changed(self, **changes: Any) -> OdeModel:
+        """The equations and declarations with other fields, not checked again."""
+        own = {entry.name: getattr(self, entry.name) for entry in fields(OdeModel)}
+        return OdeModel(**own | changes | {"checked": False})
 
     def check_symmetries(self, trials: int = 5, seed: int = 0) -> None:
         """Evaluate the declared symmetries and the conserved quantity at random points.
@@ -164,8 +151,7 @@ class OdeModel(Equations, WithVerbs):
 
     def with_nominal(self, nominal: tuple[float, ...]) -> OdeModel:
         """The equations and declarations with other usual values of the parameters, not checked again."""
-        own = {entry.name: getattr(self, entry.name) for entry in fields(OdeModel)}
-        return OdeModel(**own | {"nominal": nominal, "checked": False})
+        return self._changed(nominal=nominal)
 
     def __reduce__(self) -> str | tuple[Any, ...]:
         """Pickled as `save_model` writes it, subclasses too, so that processes can share it."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -17,11 +18,10 @@ from casadi_skin.model.operations import NAMES, interpret
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-_Terms = dict[tuple[int, ...], Any]  # coefficient of each product of variables, named by ascending indices
-_Parts = dict[int, ca.SX]  # homogeneous part by degree
-_Element = TypeVar("_Element")
+_Polynomial = dict[Any, Any]  # coefficient of each key: a product of variables by ascending indices, or a degree
 
 MAX_TERMS = 64  # of a product that is multiplied out: with more, the polynomial is cheaper left as it is
+MAX_POWER = 16  # that is multiplied out
 
 
 class NotPolynomialError(ValueError):
@@ -51,9 +51,11 @@ def polynomial_terms(expression: ca.SX, state: ca.SX, parameter: ca.SX) -> tuple
 
     Raises NotPolynomialError naming the operation that is none.
     """
-    components = _expand(expression, state, parameter)
     groups: dict[tuple[int, int], list[tuple[int, float, tuple[int, ...]]]] = defaultdict(list)
     last = state.numel()
+    components = _Ring((), _product, float, MAX_TERMS).polynomials(
+        expression, [state, parameter], lambda k: {(k,): 1.0}
+    )
     for row, terms in enumerate(components):
         for variables, coefficient in terms.items():
             states = tuple(v for v in variables if v < last)
@@ -85,7 +87,7 @@ def exact_terms(
     """
     last = variables.numel()
 
-    def variable(k: int) -> _Terms:
+    def variable(k: int) -> _Polynomial:
         if k < last:
             return {(k,): Fraction(1)}
         value = values[k - last]
@@ -93,11 +95,7 @@ def exact_terms(
             raise NotPolynomialError(f"{fixed[k - last].name()} is in the expression, which is no fraction")
         return {(): Fraction(value)} if value else {}
 
-    ring: _Ring[_Terms] = _Ring(
-        _sum, _product, lambda value: {(): Fraction(value)}, lambda a: a.get((), 0) if set(a) <= {()} else None, _add
-    )
-    expanded = _evaluate(expression, [variables, fixed], ring, variable)
-    return [{v: c for v, c in terms.items() if c != 0} for terms in expanded]
+    return list(_Ring((), _product, Fraction, MAX_TERMS).polynomials(expression, [variables, fixed], variable))
 
 
 def constants(expression: ca.SX, inputs: list[ca.SX]) -> set[float]:
@@ -120,135 +118,102 @@ def homogeneous_parts(expression: ca.SX, state: ca.SX) -> dict[int, ca.SX]:
     Raises:
         NotPolynomialError: an operation is not one of a polynomial; the message names it.
     """
-
-    def add(a: _Parts, b: _Parts, factor: float) -> _Parts:
-        total = dict(a)
-        for d, part in b.items():
-            scaled = part if factor == 1.0 else factor * part
-            total[d] = total[d] + scaled if d in total else scaled
-        return total
-
-    def multiply(a: _Parts, b: _Parts) -> _Parts:
-        total: _Parts = {}
-        for i, left in a.items():
-            for j, right in b.items():
-                product = left * right
-                total[i + j] = total[i + j] + product if i + j in total else product
-        return total
-
-    def constant(a: _Parts) -> float | None:
-        if set(a) <= {0}:
-            value = a.get(0, ca.SX(0))
-            return float(value) if value.is_constant() else None
-        return None
-
-    def of_constant(value: float) -> _Parts:
-        return {0: ca.SX(value)} if value else {}
-
-    ring = _Ring(add, multiply, of_constant, constant)
-    entries = _evaluate(expression, [state], ring, lambda k: {1: state[k]})
+    entries = list(_Ring(0, int.__add__, ca.SX).polynomials(expression, [state], lambda k: {1: state[k]}))
     degrees = sorted({degree for entry in entries for degree in entry})
     parts = {d: ca.vertcat(*(entry.get(d, ca.SX(0)) for entry in entries)) for d in degrees}
     return {d: part for d, part in parts.items() if not part.is_zero()}
 
 
-# Polynomials by their terms -------------------------------------------------------------------------------------------
+# The operations of an expression on polynomials -----------------------------------------------------------------------
 
 
-def _expand(expression: ca.SX, state: ca.SX, parameter: ca.SX) -> list[_Terms]:
-    """Terms of each component of a column."""
-    ring: _Ring[_Terms] = _Ring(
-        _sum, _product, lambda value: {(): value}, lambda a: a.get((), 0.0) if set(a) <= {()} else None, _add
-    )
-    expanded = _evaluate(expression, [state, parameter], ring, lambda k: {(k,): 1.0})
-    return [{v: c for v, c in terms.items() if c != 0.0} for terms in expanded]
-
-
-def _sum(a: _Terms, b: _Terms, factor: Any) -> _Terms:
-    total = dict(a)
-    _add(total, b, factor)
-    return total
-
-
-def _add(total: _Terms, terms: _Terms, factor: Any) -> None:
-    for variables, coefficient in list(terms.items()):
-        total[variables] = total.get(variables, 0) + factor * coefficient
-
-
-def _product(a: _Terms, b: _Terms) -> _Terms:
-    total: _Terms = {}
-    for left, c in a.items():
-        for right, d in b.items():
-            variables = tuple(sorted(left + right))
-            total[variables] = total.get(variables, 0) + c * d
-    if len(total) > MAX_TERMS:
-        raise NotPolynomialError(f"a product has more than {MAX_TERMS} terms when multiplied out")
-    return total
-
-
-# The instructions of an expression in any ring ------------------------------------------------------------------------
+def _product(left: tuple[int, ...], right: tuple[int, ...]) -> tuple[int, ...]:
+    """The product of two products of variables."""
+    return tuple(sorted(left + right))
 
 
 @dataclass(frozen=True)
-class _Ring(Generic[_Element]):
-    """Arithmetic of polynomials in some form: a + factor b, a b, a constant, and the value of one that is constant.
+class _Ring:
+    """Arithmetic of polynomials as coefficients by keys.
 
-    Factors and values are floats, or fractions where nothing may be rounded.
+    Attributes:
+        unit: the key of constants.
+        joined: the key of the product of what two keys stand for.
+        number: makes a coefficient of a number: a float, a fraction where nothing may be rounded, an expression.
+        most: number of coefficients of a product.
     """
 
-    add: Callable[[_Element, _Element, Any], _Element]
-    multiply: Callable[[_Element, _Element], _Element]
-    of_constant: Callable[[Any], _Element]
-    constant: Callable[[_Element], Any]
-    add_in_place: Callable[[_Element, _Element, Any], None] | None = None
+    unit: Any
+    joined: Callable[[Any, Any], Any]
+    number: Callable[[Any], Any]
+    most: int = sys.maxsize
+
+    def polynomials(
+        self, expression: ca.SX, inputs: list[ca.SX], variable: Callable[[int], _Polynomial]
+    ) -> Iterator[_Polynomial]:
+        """The components of a column without coefficients 0; variables are numbered through all inputs."""
+        function = ca.Function("polynomial", inputs, [ca.densify(expression)])
+        first = np.cumsum([0, *(symbol.numel() for symbol in inputs)]).tolist()
+        (entries,) = interpret(function, lambda i, entry: variable(first[i] + entry), self._constant, self._apply)
+        for entry in entries:
+            yield {k: c for k, c in (entry or {}).items() if isinstance(c, ca.SX) or c != 0}
+
+    def _constant(self, value: Any) -> _Polynomial:
+        return {self.unit: self.number(value)} if value else {}
+
+    def _value(self, a: _Polynomial) -> Any:
+        """The value of a polynomial that is a number; None of another."""
+        if not set(a) <= {self.unit}:
+            return None
+        value = a.get(self.unit, 0)
+        if not isinstance(value, ca.SX):
+            return value
+        return float(value) if value.is_constant() else None
+
+    def _multiply(self, a: _Polynomial, b: _Polynomial) -> _Polynomial:
+        total: _Polynomial = {}
+        for left, c in a.items():
+            for right, d in b.items():
+                key = self.joined(left, right)
+                total[key] = total[key] + c * d if key in total else c * d
+        if len(total) > self.most:
+            raise NotPolynomialError(f"a product has more than {self.most} terms when multiplied out")
+        return total
+
+    def _apply(self, operation: int, arguments: list[_Polynomial], is_free: bool) -> _Polynomial:
+        """The result of one operation; a running sum that is free grows in place, or N terms cost N^2."""
+        a, b = arguments[0], arguments[-1]
+        if operation in (ca.OP_ADD, ca.OP_SUB):
+            return _sum(a if is_free else dict(a), b, -1 if operation == ca.OP_SUB else 1)
+        if operation in (ca.OP_MUL, ca.OP_SQ):
+            return self._multiply(a, b)
+        if operation in SCALINGS:
+            return _sum({}, a, SCALINGS[operation])
+        value = self._value(b)
+        if operation == ca.OP_DIV and value:
+            return _sum({}, a, 1 / value)
+        if operation == ca.OP_INV and value:
+            return self._constant(1 / value)
+        powers = (ca.OP_POW, ca.OP_CONSTPOW)
+        if operation in powers and value is not None and value == int(value) and 0 <= value <= MAX_POWER:
+            power = self._constant(1.0)
+            for _ in range(int(value)):
+                power = self._multiply(power, a)
+            return power
+        names = dict.fromkeys((ca.OP_DIV, ca.OP_INV), "a division by a variable") | dict.fromkeys(powers, "a power")
+        name = names.get(operation, NAMES.get(operation, f"operation {operation} of CasADi"))
+        raise NotPolynomialError(f"{name} is in the expression")
 
 
-def _evaluate(
-    expression: ca.SX, inputs: list[ca.SX], ring: _Ring[_Element], variable: Callable[[int], _Element]
-) -> list[_Element]:
-    """The components of a column as elements of the ring; variables are numbered through all inputs."""
-    function = ca.Function("polynomial", inputs, [ca.densify(expression)])
-    offsets = np.concatenate([[0], np.cumsum([symbol.numel() for symbol in inputs])]).tolist()
-
-    def apply(operation: int, arguments: list[_Element], is_free: bool) -> _Element:
-        if operation == ca.OP_ADD and is_free and ring.add_in_place is not None:
-            # A running sum grows in place, or N terms cost N^2.
-            ring.add_in_place(arguments[0], arguments[1], 1)
-            return arguments[0]
-        return _apply(ring, operation, arguments)
-
-    (entries,) = interpret(function, lambda i, entry: variable(offsets[i] + entry), ring.of_constant, apply)
-    zero = ring.of_constant(0.0)
-    return [zero if entry is None else entry for entry in entries]
+SCALINGS = {ca.OP_NEG: -1, ca.OP_TWICE: 2, ca.OP_ASSIGN: 1}  # operations that are multiples
 
 
-def _apply(ring: _Ring[_Element], operation: int, arguments: list[_Element]) -> _Element:
-    """The result of one instruction."""
-    a, b, zero = arguments[0], arguments[-1], ring.of_constant(0.0)
-    if operation in (ca.OP_ADD, ca.OP_SUB):
-        return ring.add(a, b, -1 if operation == ca.OP_SUB else 1)
-    if operation == ca.OP_MUL:
-        return ring.multiply(a, b)
-    if operation == ca.OP_SQ:
-        return ring.multiply(a, a)
-    if operation in (ca.OP_NEG, ca.OP_TWICE):
-        return ring.add(zero, a, -1 if operation == ca.OP_NEG else 2)
-    if operation == ca.OP_ASSIGN:
-        return ring.add(zero, a, 1)
-    value = ring.constant(b)
-    if operation == ca.OP_DIV and value:
-        return ring.add(zero, a, 1 / value)
-    if operation == ca.OP_INV and value:
-        return ring.of_constant(1 / value)
-    if operation in (ca.OP_POW, ca.OP_CONSTPOW) and value is not None and value == int(value) and 0 <= value <= 16:
-        power = ring.of_constant(1.0)
-        for _ in range(int(value)):
-            power = ring.multiply(power, a)
-        return power
-    division = dict.fromkeys((ca.OP_DIV, ca.OP_INV), "a division by a variable")
-    names = {**division, **dict.fromkeys((ca.OP_POW, ca.OP_CONSTPOW), "a power")}
-    name = names.get(operation, NAMES.get(operation, f"operation {operation} of CasADi"))
-    raise NotPolynomialError(f"{name} is in the expression")
+def _sum(total: _Polynomial, terms: _Polynomial, factor: Any) -> _Polynomial:
+    """The first polynomial, to which a multiple of the second is added."""
+    for key, coefficient in list(terms.items()):
+        scaled = coefficient if factor == 1 else factor * coefficient
+        total[key] = total[key] + scaled if key in total else scaled
+    return total
 
 
 # Expressions with their numbers as symbols: models that differ in numbers alone share functions -----------------------

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter as at
 from typing import Any
 
 import numpy as np
@@ -55,6 +56,17 @@ class Place:
         return extremes(self.solution)
 
     @property
+    def sites(self) -> Any:
+        """Numbers of the sites of a family's orbit."""
+        return self.solution.output_sites
+
+    @property
+    def logarithms(self) -> tuple[Array, Array]:
+        """log10 |y_n| and the signs of y_n of a family's orbit at t = 0, shapes (sites,)."""
+        logs, signs = self.solution.log10_displacements(self.sites)
+        return logs, signs
+
+    @property
     def profile(self) -> Array:
         """States over the interval or the period, shape (phases, states)."""
         start, end = self.solution.interval
@@ -77,78 +89,63 @@ class Quantity:
     may_be_empty: bool = False
 
 
+def _proof(name: str, meaning: str, value: Callable[[Certificate], float]) -> Quantity:
+    """A number of the proof of an orbit, empty where none was requested."""
+    return Quantity(name, meaning, lambda p: p.proved(value), may_be_empty=True)
+
+
 # Quantities of orbits of families, in the order of the columns of family.csv ------------------------------------------
 
-FAMILY_QUANTITIES: tuple[Quantity, ...] = (
-    Quantity("mode", "linear mode j that the family grows from", lambda p: p.mode),
-    Quantity("point", "place along the family", lambda p: p.index, where=CSV),
-    Quantity("index", "place along the family", lambda p: p.index, where=NETCDF),
+FAMILY_QUANTITIES = (
+    Quantity("mode", "linear mode j that the family grows from", at("mode")),
+    Quantity("point", "place along the family", at("index"), where=CSV),
+    Quantity("index", "place along the family", at("index"), where=NETCDF),
     Quantity("requested", "1 where S, Omega or the period was asked for", lambda p: int(p.requested)),
-    Quantity("S", "total amplitude: sum of y_n^2 at t = 0", lambda p: p.solution.S),
-    Quantity("Omega", "frequency", lambda p: p.solution.Omega),
-    Quantity("Omega_shift", "Omega minus the linear frequency", lambda p: p.solution.Omega_shift),
-    Quantity("period", "2 pi/Omega", lambda p: p.solution.period, where=CSV),
+    Quantity("S", "total amplitude: sum of y_n^2 at t = 0", at("solution.S")),
+    Quantity("Omega", "frequency", at("solution.Omega")),
+    Quantity("Omega_shift", "Omega minus the linear frequency", at("solution.Omega_shift")),
+    Quantity("period", "2 pi/Omega", at("solution.period"), where=CSV),
     Quantity("energy", "the conserved quantity", lambda p: energy_of(p.solution), may_be_empty=True),
 )
-FAMILY_STABILITY: tuple[Quantity, ...] = (
-    Quantity(
-        "max_abs_multiplier", "largest modulus, the trivial pair left out", lambda p: p.floquet.max_abs_multiplier
-    ),
+LARGEST_MULTIPLIER = "floquet.max_abs_multiplier"
+FAMILY_STABILITY = (
+    Quantity("max_abs_multiplier", "largest modulus, the trivial pair left out", at(LARGEST_MULTIPLIER)),
     Quantity("stable", "1 where no multiplier is outside the unit circle", lambda p: int(p.floquet.stable)),
-    Quantity("unstable_real", "multipliers outside the circle, real", lambda p: p.floquet.unstable_real, where=CSV),
-    Quantity("unstable_complex", "the same, complex", lambda p: p.floquet.unstable_complex, where=CSV),
-    Quantity("multiplier_error", "estimated error of the multipliers", lambda p: p.floquet.error),
+    Quantity("unstable_real", "multipliers outside the circle, real", at("floquet.unstable_real"), where=CSV),
+    Quantity("unstable_complex", "the same, complex", at("floquet.unstable_complex"), where=CSV),
+    Quantity("multiplier_error", "estimated error of the multipliers", at("floquet.error")),
 )
-RESIDUAL = Quantity("residual", "largest residual relative to the largest term", lambda p: p.solution.residual)
-FAMILY_ERRORS: tuple[Quantity, ...] = (
-    Quantity("Omega_error", "estimated absolute error of Omega", lambda p: p.solution.Omega_error),
+RESIDUAL = Quantity("residual", "largest residual relative to the largest term", at("solution.residual"))
+ROUND_OFF = "1 where round-off keeps the errors above the tolerance"
+FAMILY_ERRORS = (
+    Quantity("Omega_error", "estimated absolute error of Omega", at("solution.Omega_error")),
     RESIDUAL,
-    Quantity("profile_error", "estimated relative error of the profile", lambda p: p.solution.profile_error),
-    Quantity(
-        "at_round_off", "1 where round-off keeps the errors above the tolerance", lambda p: int(p.solution.at_round_off)
-    ),
-    Quantity("S_error", "estimated absolute error of S", lambda p: p.solution.S_error),
+    Quantity("profile_error", "estimated relative error of the profile", at("solution.profile_error")),
+    Quantity("at_round_off", ROUND_OFF, lambda p: int(p.solution.at_round_off)),
+    Quantity("S_error", "estimated absolute error of S", at("solution.S_error")),
 )
-FAMILY_PROOFS: tuple[Quantity, ...] = tuple(
-    Quantity(name, meaning, lambda p, value=value: p.proved(value), may_be_empty=True)  # type: ignore[misc]
-    for name, meaning, value in (
-        (
-            "proved",
-            "1 where the orbit is proved to exist, 0 where it is not; empty where no proof was asked for",
-            lambda c: float(c.proved),
-        ),
-        ("Omega_lower", "proved lower bound of Omega", lambda c: c.Omega[0]),
-        ("Omega_upper", "proved upper bound of Omega", lambda c: c.Omega[1]),
-        ("proved_Omega_error", "proved bound of the error of Omega", lambda c: c.Omega_error),
-        (
-            "proved_radius",
-            "proved distance of the orbit from the computed one, in the norm of the certificate",
-            lambda c: c.radius,
-        ),
-    )
+IS_PROVED = "1 where the orbit is proved to exist, 0 where it is not; empty where no proof was asked for"
+DISTANCE = "proved distance of the orbit from the computed one, in the norm of the certificate"
+FAMILY_PROOFS = (
+    _proof("proved", IS_PROVED, lambda c: float(c.proved)),
+    _proof("Omega_lower", "proved lower bound of Omega", lambda c: c.Omega[0]),
+    _proof("Omega_upper", "proved upper bound of Omega", lambda c: c.Omega[1]),
+    _proof("proved_Omega_error", "proved bound of the error of Omega", at("Omega_error")),
+    _proof("proved_radius", DISTANCE, at("radius")),
 )
 PROVED_STABILITY = Quantity(
     "proved_stable", "1 where the orbit is proved to be stable, 0 where unstable; empty where neither is",
     lambda p: p.proved(lambda _: {STABLE: 1.0, UNSTABLE: 0.0}.get(p.solution.proved_stability.verdict, math.nan)),
     may_be_empty=True,
 )  # fmt: skip
-FAMILY_ARRAYS: tuple[Quantity, ...] = (
-    Quantity(
-        "resolution", "harmonics or intervals of the discretisation", lambda p: p.solution.point.problem.resolution,
-        where=NETCDF,
-    ),
-    Quantity(
-        "profile", "displacements y_n at t = 0", lambda p: p.solution.evaluate(0.0, p.solution.output_sites), ("site",)
-    ),
-    Quantity(
-        "log10_profile", "log10 |y_n| at t = 0, also where y_n is below the smallest double; empty where it is 0",
-        lambda p: p.solution.log10_displacements(p.solution.output_sites)[0], ("site",), may_be_empty=True,
-    ),
-    Quantity(
-        "profile_sign", "sign of y_n at t = 0",
-        lambda p: p.solution.log10_displacements(p.solution.output_sites)[1].astype(int), ("site",),
-    ),
-)  # fmt: skip
+LOGARITHMS_OF_PROFILE = "log10 |y_n| at t = 0, also where y_n is below the smallest double; empty where it is 0"
+LEVEL = "harmonics or intervals of the discretisation"
+FAMILY_ARRAYS = (
+    Quantity("resolution", LEVEL, at("solution.point.problem.resolution"), where=NETCDF),
+    Quantity("profile", "displacements y_n at t = 0", lambda p: p.solution.evaluate(0.0, p.sites), ("site",)),
+    Quantity("log10_profile", LOGARITHMS_OF_PROFILE, lambda p: p.logarithms[0], ("site",), may_be_empty=True),
+    Quantity("profile_sign", "sign of y_n at t = 0", lambda p: p.logarithms[1].astype(int), ("site",)),
+)
 
 
 def energy_of(orbit: Orbit) -> float:
@@ -191,7 +188,7 @@ def _family_quantities(branch: Branch) -> list[Quantity]:
         meaning = "c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), k from 0"
 
         def coefficients(place: Place) -> Array:
-            return np.asarray(place.solution.coefficients(harmonics, place.solution.output_sites))
+            return np.asarray(place.solution.coefficients(harmonics, place.sites))
 
         quantities.append(Quantity("coefficients", meaning, coefficients, ("harmonic", "site")))
     return quantities + _multipliers(branch)
@@ -199,71 +196,72 @@ def _family_quantities(branch: Branch) -> list[Quantity]:
 
 # Quantities of other solutions, in the words of their model -----------------------------------------------------------
 
-HEAD: tuple[Quantity, ...] = (
-    Quantity("point", "place along the branch", lambda p: p.index, where=CSV),
+HEAD = (
+    Quantity("point", "place along the branch", at("index"), where=CSV),
     Quantity("requested", "1 where the value of the parameter was asked for", lambda p: int(p.requested)),
 )
 IS_FOLD = Quantity("fold", "1 where the parameter turns back", lambda p: int(p.special == FOLD))
-SPECIAL = Quantity("special", "kind of a special point; empty elsewhere", lambda p: p.special or "", where=CSV)
-PERIOD = Quantity("period", "period of the orbit", lambda p: p.solution.period, where=CSV)
-OF_ORBITS: tuple[Quantity, ...] = (  # of a model that has them
-    Quantity("Omega", "frequency", lambda p: p.solution.Omega, where=NEITHER),
-    Quantity("energy", "the conserved quantity", lambda p: p.solution.energy),
-    Quantity("S", "total amplitude: sum of squares of the positions at t = 0", lambda p: p.solution.S, where=NEITHER),
+SPECIAL = Quantity("special", "kind of a special point; empty elsewhere", at("special"), where=CSV)
+PERIOD = Quantity("period", "period of the orbit", at("solution.period"), where=CSV)
+SUM_OF_SQUARES = "total amplitude: sum of squares of the positions at t = 0"
+OF_ORBITS = (  # of a model that has them
+    Quantity("Omega", "frequency", at("solution.Omega"), where=NEITHER),
+    Quantity("energy", "the conserved quantity", at("solution.energy")),
+    Quantity("S", SUM_OF_SQUARES, at("solution.S"), where=NEITHER),
 )
-ERRORS: tuple[Quantity, ...] = (
-    Quantity(
-        "error", "estimated error of the states, relative to the largest value of each", lambda p: p.solution.error
-    ),
-    Quantity("parameter_error", "estimated relative error of free parameters", lambda p: p.solution.parameter_error),
-    Quantity("intervals", "intervals of the mesh", lambda p: p.solution.intervals),
+ERRORS = (
+    Quantity("error", "estimated error of the states, relative to the largest value of each", at("solution.error")),
+    Quantity("parameter_error", "estimated relative error of free parameters", at("solution.parameter_error")),
+    Quantity("intervals", "intervals of the mesh", at("solution.intervals")),
     RESIDUAL,
 )
-STABILITY: tuple[Quantity, ...] = (
-    Quantity(  # all multipliers may be trivial
-        "max_abs_multiplier", "largest modulus but for the trivial ones",
-        lambda p: p.floquet.max_abs_multiplier if p.floquet.others.size else math.nan, may_be_empty=True,
-    ),
-    Quantity(  # infinite where no mesh is finer
-        "multiplier_error", "estimated error of the multipliers",
-        lambda p: p.floquet.error if math.isfinite(p.floquet.error) else math.nan, may_be_empty=True,
-    ),
+STABILITY = (
+    Quantity("max_abs_multiplier", "largest modulus but for the trivial ones",
+             lambda p: p.floquet.max_abs_multiplier if p.floquet.others.size else math.nan, may_be_empty=True),
+    Quantity("multiplier_error", "estimated error of the multipliers",  # infinite where no mesh is finer
+             lambda p: p.floquet.error if math.isfinite(p.floquet.error) else math.nan, may_be_empty=True),
     Quantity("stable", "1 where none but the trivial is unstable", lambda p: int(p.floquet.stable)),
     Quantity("unstable", "multipliers outside the unit circle", lambda p: int(np.sum(p.floquet.outside)), where=CSV),
-    Quantity(
-        "trivial_deviation", "distance of the trivial multipliers from 1", lambda p: p.floquet.trivial_deviation,
-        where=CSV,
-    ),
+    Quantity("trivial_deviation", "distance of the trivial multipliers from 1", at("floquet.trivial_deviation"),
+             where=CSV),
 )  # fmt: skip
-LOGARITHMS: tuple[Quantity, ...] = (  # of multipliers that no double holds
-    Quantity(
-        "log10_max_abs_multiplier", "decimal logarithm of the largest modulus but for the trivial ones",
-        lambda p: float(np.max(p.floquet.log10_abs_multipliers[p.floquet.trivial :])),
-    ),
-    Quantity(
-        "log10_abs_multipliers", "decimal logarithms of the moduli of multipliers, the trivial ones first",
-        lambda p: p.floquet.log10_abs_multipliers, ("multiplier",), may_be_empty=True,
-    ),
+LOGARITHMS = (  # of multipliers that no double holds
+    Quantity("log10_max_abs_multiplier", "decimal logarithm of the largest modulus but for the trivial ones",
+             lambda p: float(np.max(p.floquet.log10_abs_multipliers[p.floquet.trivial :]))),
+    Quantity("log10_abs_multipliers", "decimal logarithms of the moduli of multipliers, the trivial ones first",
+             at("floquet.log10_abs_multipliers"), ("multiplier",), may_be_empty=True),
 )  # fmt: skip
-ARRAYS: tuple[Quantity, ...] = (
+ARRAYS = (
     Quantity("smallest", "smallest value of each state", lambda p: p.extremes[0], ("state",)),
     Quantity("largest", "largest value of each state", lambda p: p.extremes[1], ("state",)),
     Quantity("start", "start of the interval; 0 for an orbit", lambda p: p.solution.interval[0], where=NETCDF),
     Quantity("end", "end of the interval; the period of an orbit", lambda p: p.solution.interval[1], where=NETCDF),
-    Quantity("profile", "states; names: state_name", lambda p: p.profile, ("phase", "state")),
+    Quantity("profile", "states; names: state_name", at("profile"), ("phase", "state")),
 )
-AT_REST: tuple[Quantity, ...] = (
+AT_REST = (
     Quantity("stable", "1 where no eigenvalue has a positive real part", lambda p: int(p.solution.stable)),
-    Quantity("unstable", "eigenvalues with a positive real part", lambda p: p.solution.unstable),
+    Quantity("unstable", "eigenvalues with a positive real part", at("solution.unstable")),
     Quantity("max_growth", "largest real part of an eigenvalue", lambda p: float(p.solution.eigenvalues.real.max())),
-    Quantity("error", "estimated error of the state, relative to each component", lambda p: p.solution.error),
-    Quantity("eigenvalue_error", "largest estimated error of an eigenvalue", lambda p: p.solution.eigenvalue_error),
+    Quantity("error", "estimated error of the state, relative to each component", at("solution.error")),
+    Quantity("eigenvalue_error", "largest estimated error of an eigenvalue", at("solution.eigenvalue_error")),
     RESIDUAL,
-    Quantity("states", "the state; names: state_name", lambda p: p.solution.positions, ("state",)),
-    Quantity("eigenvalues", "eigenvalues by descending real part", lambda p: p.solution.eigenvalues, ("eigenvalue",)),
+    Quantity("states", "the state; names: state_name", at("solution.positions"), ("state",)),
+    Quantity("eigenvalues", "eigenvalues by descending real part", at("solution.eigenvalues"), ("eigenvalue",)),
 )
 FIXED = tuple(q.name for q in (*HEAD, IS_FOLD, PERIOD, *ERRORS, *STABILITY))  # columns of orbits, and of states at rest
 FIXED_AT_REST = tuple(q.name for q in (*HEAD, SPECIAL, *AT_REST) if not q.dimensions)
+
+
+def _parameter(name: str) -> Callable[[Place], Any]:
+    return lambda p: p.solution.parameters[name]
+
+
+def _component(values: Callable[[Place], Any], place: int) -> Callable[[Place], float]:
+    return lambda p: float(values(p)[place])
+
+
+def _monitored(space: Any, monitor: Any) -> Callable[[Place], float]:
+    return lambda p: float(monitor.value(space, p.solution.point))
 
 
 def _model_quantities(branch: Branch) -> list[Quantity]:
@@ -272,35 +270,34 @@ def _model_quantities(branch: Branch) -> list[Quantity]:
     first, at_rest, orbit = branch.solutions[0], space.connects == EQUILIBRIA, space.connects == ORBITS
     names, states = list(first.parameters), space.state_names
     followed = [name for name in (branch.parameter, *(space.free if at_rest else ())) if name]
-    quantities, taken = [*HEAD, SPECIAL if at_rest else IS_FOLD], set(FIXED_AT_REST if at_rest else FIXED)
+    taken = set(FIXED_AT_REST if at_rest else FIXED)
 
-    def add(name: str, meaning: str, of: Callable[[Place], Any]) -> None:
+    def of_user(name: str, meaning: str, of: Callable[[Place], Any]) -> Quantity:
         (unique,) = unique_names([name], taken)
         taken.add(unique)
-        quantities.append(Quantity(unique, meaning, of, where=CSV))
+        return Quantity(unique, meaning, of, where=CSV)
 
-    def add_parameter(name: str, meaning: str) -> None:
-        add(name, meaning, lambda p: p.solution.parameters[name])
+    def parameters(chosen: Iterable[str], meaning: str = "the parameter {}") -> list[Quantity]:
+        return [of_user(name, meaning.format(name), _parameter(name)) for name in chosen]
 
-    for name in followed:
-        add_parameter(name, f"the parameter {name}" if at_rest else "the parameter followed")
+    quantities = [*HEAD, SPECIAL if at_rest else IS_FOLD]
+    quantities += parameters(followed) if at_rest else parameters(followed, "the parameter followed")
     if orbit:
         has = {"Omega": True, "energy": space.model.hamiltonian is not None, "S": space.positions > 0}
         own = [q for q in OF_ORBITS if has[q.name] and q.name not in {*names, *states}]
         quantities += [PERIOD, *own]
         taken |= {q.name for q in own}
-    for name in names:
-        if name not in followed and not (orbit and name == PERIOD.name):
-            add_parameter(name, f"the parameter {name}")
+    quantities += parameters(n for n in names if n not in followed and not (orbit and n == PERIOD.name))
     for i, name in enumerate(states):
         if at_rest:
-            add(name, f"the state {name}", lambda p, i=i: float(p.solution.positions[i]))  # type: ignore[misc]
+            quantities.append(of_user(name, f"the state {name}", _component(at("solution.positions"), i)))
         else:
-            add(f"{name}_min", f"smallest value of {name}", lambda p, i=i: float(p.extremes[0][i]))  # type: ignore[misc]
-            add(f"{name}_max", f"largest value of {name}", lambda p, i=i: float(p.extremes[1][i]))  # type: ignore[misc]
+            low, high = (_component(lambda p, side=side: p.extremes[side], i) for side in (0, 1))  # type: ignore[misc]
+            quantities.append(of_user(f"{name}_min", f"smallest value of {name}", low))
+            quantities.append(of_user(f"{name}_max", f"largest value of {name}", high))
     for monitor in space.monitors:
-        add(monitor.name, "a monitor: where it vanishes is a special point of its name",
-            lambda p, one=monitor: one.value(space, p.solution.point))  # type: ignore[misc]  # fmt: skip
+        meaning = "a monitor: where it vanishes is a special point of its name"
+        quantities.append(of_user(monitor.name, meaning, _monitored(space, monitor)))
     if at_rest:
         quantities += AT_REST
     else:
@@ -312,56 +309,52 @@ def _model_quantities(branch: Branch) -> list[Quantity]:
         quantities += ARRAYS
     if names:
         meaning = "values of the parameters; names: parameter_name"
-        values = Quantity(
-            "parameters", meaning, lambda p: np.array([p.solution.parameters[name] for name in names]), ("parameter",)
-        )
-        quantities.append(values)
+        values: Callable[[Place], Any] = lambda p: np.array([p.solution.parameters[n] for n in names])  # noqa: E731
+        quantities.append(Quantity("parameters", meaning, values, ("parameter",)))
     return quantities if at_rest else quantities + _multipliers(branch)
 
 
 # Multipliers of orbits of every kind ----------------------------------------------------------------------------------
 
-
-def _multipliers(branch: Branch) -> list[Quantity]:
-    """Arrays of multipliers, those of mu where there are these; none where stability was not computed."""
-    if not branch.with_stability or not len(branch):
-        return []
-    found: list[Any] = [orbit.floquet() for orbit in branch.orbits]
-    meaning, index = "distance of the trivial multipliers from their exact value", ("mu_index",)
-    quantities = [Quantity("trivial_deviation", meaning, lambda p: p.floquet.trivial_deviation, where=NETCDF)]
-    mu = Quantity("mu", "eigenvalues of B^T C", lambda p: p.floquet.mu, index)
-    error = Quantity("mu_error", "estimated errors of mu", lambda p: p.floquet.mu_error, index)
-    if found[0].localised is not None:
-        most = max(floquet.mu.size for floquet in found)
-
-        def padded(values: Any) -> Any:
-            return np.concatenate([values, np.full(most - values.size, np.nan, values.dtype)])
-
-        words = f"{mu.meaning}, localised ones"
-        arrays = [
-            Quantity(mu.name, words, lambda p: padded(p.floquet.mu), index, NETCDF, True),
-            Quantity(error.name, error.meaning, lambda p: padded(p.floquet.mu_error), index, NETCDF, True),
-        ]
-        return [*quantities, *LOCALISED, *(arrays if most else ())]
-    quantities.append(
-        Quantity(
-            "multipliers", "Floquet multipliers, the trivial ones first", lambda p: p.floquet.multipliers,
-            ("multiplier",), NETCDF,
-        )
-    )  # fmt: skip
-    return [*quantities, *((mu, error) if found[0].mu.size else ())]
-
-
-LOCALISED: tuple[Quantity, ...] = (  # of orbits at the edge of a long tail: localised multipliers, and arcs
-    Quantity("localised", "localised multipliers, in pairs", lambda p: p.floquet.mu.size),
-    Quantity("undecided", "pairs that more sites would decide", lambda p: p.floquet.unresolved.size),
-    Quantity("finite_size", "pairs off the circle by the cut alone", lambda p: p.floquet.finite_size.size),
-    Quantity("finite_size_modulus", "largest modulus of these, or 1", lambda p: p.floquet.finite_size_modulus),
-    Quantity("stability_sites", "sites of the variational problem", lambda p: p.floquet.sites),
+DEVIATION = "distance of the trivial multipliers from their exact value"
+MULTIPLIERS = (  # arrays, those of mu where there are these
+    Quantity("multipliers", "Floquet multipliers, the trivial ones first", at("floquet.multipliers"), ("multiplier",),
+             NETCDF),
+    Quantity("mu", "eigenvalues of B^T C", at("floquet.mu"), ("mu_index",)),
+    Quantity("mu_error", "estimated errors of mu", at("floquet.mu_error"), ("mu_index",)),
+)  # fmt: skip
+LOCALISED = (  # of orbits at the edge of a long tail: localised multipliers, and arcs
+    Quantity("localised", "localised multipliers, in pairs", at("floquet.mu.size")),
+    Quantity("undecided", "pairs that more sites would decide", at("floquet.unresolved.size")),
+    Quantity("finite_size", "pairs off the circle by the cut alone", at("floquet.finite_size.size")),
+    Quantity("finite_size_modulus", "largest modulus of these, or 1", at("floquet.finite_size_modulus")),
+    Quantity("stability_sites", "sites of the variational problem", at("floquet.sites")),
     Quantity("overlaps", "overlaps of arcs of opposite signature", lambda p: len(p.floquet.continuous.overlaps)),
     Quantity("arc_start", "least omega T of waves", lambda p: p.floquet.continuous.arcs[:, 0], ("band",)),
     Quantity("arc_end", "largest omega T of waves", lambda p: p.floquet.continuous.arcs[:, 1], ("band",)),
 )
+
+
+def _multipliers(branch: Branch) -> list[Quantity]:
+    """Arrays of multipliers, of which orbits at an edge have different numbers; none without stability."""
+    if not branch.with_stability or not len(branch):
+        return []
+    found: list[Any] = [orbit.floquet() for orbit in branch.orbits]
+    quantities = [Quantity("trivial_deviation", DEVIATION, at("floquet.trivial_deviation"), where=NETCDF)]
+    most = max(floquet.mu.size for floquet in found)
+    if found[0].localised is None:
+        return quantities + [q for q in MULTIPLIERS if found[0].mu.size or q.where == NETCDF]
+
+    def padded(quantity: Quantity, meaning: str) -> Quantity:
+        def of(place: Place) -> Any:
+            values = quantity.of(place)
+            return np.concatenate([values, np.full(most - values.size, np.nan, values.dtype)])
+
+        return replace(quantity, meaning=meaning, of=of, where=NETCDF, may_be_empty=True)
+
+    _, mu, error = MULTIPLIERS
+    arrays = [padded(mu, f"{mu.meaning}, localised ones"), padded(error, error.meaning)]
+    return [*quantities, *LOCALISED, *(arrays if most else ())]
 
 
 # What is made from the table ------------------------------------------------------------------------------------------

@@ -109,9 +109,9 @@ def test_theory_requests_band_and_labels_are_drawn(soft: Branch, plain: Branch) 
     omegas = SOFT.linear_frequencies()
     low, high = axes.transData.inverted().transform(band.get_extents().get_points())[:, 1]
     assert (low, high) == pytest.approx((omegas[0], omegas[-1]))
-    assert {text.get_text() for text in axes.texts} == {"𝑗 = 1", "𝑗 = 3"}
+    assert {text.get_text() for text in axes.texts} == {"$j = 1$", "$j = 3$"}
     assert {"stable", "unstable", "stability not computed", "change of stability"} <= legend_labels(figure)
-    assert "𝑁 = 8" in axes.get_title()
+    assert "$N = 8$" in axes.get_title()
     assert "dimensionless" in axes.get_title()
 
 
@@ -168,7 +168,7 @@ def test_profiles_have_norm_one_and_the_sign_of_the_linear_mode(soft: Branch, pl
     figure = profile_figure([soft, plain])
     assert figure is not None
     panel = figure.axes[0]
-    assert panel.get_title(loc="left") == "𝑗 = 1"
+    assert panel.get_title(loc="left") == "$j = 1$"
     mode = points(lines(panel, "linear mode")[0])[:, 1]
     assert np.linalg.norm(mode) == pytest.approx(1.0)
     for orbit in soft.orbits:
@@ -177,7 +177,7 @@ def test_profiles_have_norm_one_and_the_sign_of_the_linear_mode(soft: Branch, pl
             y = points(line)[:, 1]
             assert np.abs(y) == pytest.approx(np.abs(orbit.profile) / np.sqrt(orbit.S))
             assert y @ mode > 0
-    assert "𝑗 = 3" not in [axes.get_title(loc="left") for axes in figure.axes]  # nothing was requested of it
+    assert "$j = 3$" not in [axes.get_title(loc="left") for axes in figure.axes]  # nothing was requested of it
 
 
 def test_profiles_that_are_not_steep_have_no_logarithmic_panel() -> None:
@@ -210,7 +210,7 @@ def test_passages_of_the_same_amplitude_are_told_apart(soft: Branch) -> None:
     requested = tuple(orbit for orbit in soft.orbits if orbit.point.requested)
     figure = profile_figure([dataclasses.replace(soft, solutions=(requested[0], requested[0]))])
     assert figure is not None
-    assert {"𝑆 = 0.2", "𝑆 = 0.2 (passage 2)"} <= legend_labels(figure)
+    assert {"$S = 0.2$", "$S = 0.2$ (passage 2)"} <= legend_labels(figure)
 
 
 # Multipliers --------------------------------------------------------------------------------------------------------
@@ -230,7 +230,7 @@ def test_multipliers_leave_the_circle_at_the_changes(soft: Branch) -> None:
     assert sorted(ticks) == [change.value for change in soft.changes]
     marks = [line for line in angles.get_lines() if str(line.get_label()).startswith("stability changes")]
     assert sum(len(points(line)) for line in marks) == len(soft.changes)
-    assert [re.split("  |, ", axes.get_title(loc="left"))[1] for axes in planes] == ["𝑆 = 0.2", "𝑆 = 2", "𝑆 = 3"]
+    assert [re.split("  |, ", axes.get_title(loc="left"))[1] for axes in planes] == ["$S = 0.2$", "$S = 2$", "$S = 3$"]
     kinds = ("on the unit circle", "real, off the circle", "complex, off the circle")
     for axes in planes:
         assert axes.get_aspect() == 1.0
@@ -341,7 +341,7 @@ def test_files_are_the_same_bytes_whatever_the_settings(tmp_path: Path, draw: Ca
 def test_a_failed_write_leaves_the_old_files_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "f.png").write_bytes(b"old")
 
-    def fail(figure: Figure, path: Path, kind: str) -> None:
+    def fail(figure: Figure, path: Path) -> None:
         path.write_bytes(b"half")
         raise OSError("no space left")
 

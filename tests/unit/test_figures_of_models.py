@@ -24,7 +24,7 @@ from casadi_skin.results.figures.bands import spectrum_figure
 from casadi_skin.results.figures.branches import branch_figure, smooth
 from casadi_skin.results.figures.evolutions import spacetime_figure
 from casadi_skin.results.figures.families import frequency_figure, profile_figure
-from casadi_skin.results.figures.multipliers import multiplier_figure
+from casadi_skin.results.figures.multipliers import MODULUS_LABEL, multiplier_figure
 from casadi_skin.results.figures.solutions import animate, orbit_figure, portrait_figure
 from casadi_skin.results.quantities import extremes
 from casadi_skin.runs.progress import Progress
@@ -93,7 +93,7 @@ def test_frequencies_of_a_family_start_at_the_linear_ones(families: list[Branch]
     (band,) = [patch for patch in axes.patches if patch.get_label() == "linear band"]
     low, high = axes.transData.inverted().transform(band.get_extents().get_points())[:, 1]
     assert (low, high) == pytest.approx((omega[0], omega[-1]))
-    assert axes.get_title() == "FPUT-beta: bond = 1"
+    assert axes.get_title() == "FPUT-beta: bond = $1$"
     assert "multiple scales" not in " ".join(legend_labels(figure))
 
 
@@ -146,7 +146,7 @@ def test_profiles_of_a_family_lie_over_its_linear_mode(families: list[Branch]) -
         assert np.linalg.norm(points(profile)[:, 1]) == pytest.approx(1.0)
         assert points(profile)[:, 1] @ drawn > 0.99
         assert branch.at(0.1).S == 0.1
-    assert figure.axes[-1].get_xlabel() == "position 𝑛"
+    assert figure.axes[-1].get_xlabel() == "position $n$"
 
 
 def test_families_must_be_of_one_model_with_the_same_parameters(families: list[Branch]) -> None:
@@ -173,7 +173,7 @@ def test_the_amplitude_of_a_model_with_its_own_normalisation_is_called_so() -> N
         "pair", q, force, S, 2, v, reversal=(1, 1, -1, -1), half_period=(-1,) * 4, normalisation=2 * ca.dot(q, q) - S
     )
     branch = follow_family(model, 1, 1.0, at=[1.0], tolerance=1e-6, corrector="newton")
-    assert frequency_figure([branch]).axes[0].get_xlabel() == "amplitude 𝑆"
+    assert frequency_figure([branch]).axes[0].get_xlabel() == "amplitude $S$"
     figure = profile_figure([branch])
     assert figure is not None
     assert np.linalg.norm(points(lines(figure.axes[0], "$S = 1$")[0])[:, 1]) == pytest.approx(1.0)
@@ -251,7 +251,7 @@ def test_solutions_without_stability_are_drawn_round_their_fold(solutions: Branc
     assert "stability not computed" not in legend_labels(figure)
     assert axes.get_title() == "Bratu"
     plain = orbit_figure(solutions.solutions[0])
-    assert plain.get_suptitle() == "Bratu: lam = 0.5"
+    assert plain.get_suptitle() == "Bratu: lam = $0.5$"
     assert plain.axes[0].get_xlim() == (0.0, 1.0)
     assert multiplier_figure(solutions) is None
 
@@ -289,7 +289,7 @@ def test_multipliers_of_a_driven_oscillator(resonance: Branch) -> None:
     (largest,) = lines(moduli, r"largest $\left|\lambda\right|$")
     kept = {tuple(row) for row in np.column_stack([resonance["omega"], resonance.max_abs_multiplier])}
     assert kept <= {tuple(point) for point in points(largest)}
-    assert moduli.get_ylabel() == "|𝜆|"  # none is trivial
+    assert moduli.get_ylabel() == MODULUS_LABEL  # none is trivial
     dots = np.concatenate([points(line)[:, 1] for line in moduli.get_lines() if line.get_marker() == "."])
     sizes = np.abs([orbit.floquet().multipliers for orbit in resonance.orbits]).ravel()
     np.testing.assert_allclose(np.sort(dots), np.sort(sizes[np.abs(sizes - 1.0) > 1e-6]), atol=1e-6)
@@ -311,7 +311,7 @@ def test_multipliers_of_a_cycle_and_of_a_family(cycles: Branch, families: list[B
     figure = multiplier_figure(families[1])
     assert figure is not None
     assert len(lines(figure.axes[2], "trivial pair")) == 1
-    assert figure.get_suptitle() == "family 𝑗 = 3; FPUT-beta: bond = 1"
+    assert figure.get_suptitle() == "family $j = 3$; FPUT-beta: bond = $1$"
     (ticks,) = figure.axes[0].collections
     assert ticks.get_label() == "change of stability (complex)"
     assert [segment[0, 0] for segment in ticks.get_segments()] == [families[1].changes[0].value]
@@ -333,7 +333,7 @@ def test_orbits_of_every_kind_are_drawn_over_their_period(cycles: Branch, famili
         np.testing.assert_allclose(x, orbit.evaluate(t)[:, first], atol=1e-14)
         plane = points(figure.axes[1].get_lines()[0])
         np.testing.assert_allclose(plane[0], plane[-1], atol=1e-8)
-    assert figure.get_suptitle() == "FPUT-beta: bond = 1, 𝑗 = 1, 𝑆 = 0.5"
+    assert figure.get_suptitle() == "FPUT-beta: bond = $1$, $j = 1$, $S = 0.5$"
     assert figure.axes[0].get_ylabel() == "states (6 of 8)"
     ranked = np.argsort(-np.abs(families[0].orbits[-1].profile))[:6]
     drawn = [points(line)[0, 1] for line in figure.axes[0].get_lines()]
@@ -365,8 +365,8 @@ def test_an_evolution_of_a_lattice_is_an_image_and_of_few_states_lines(families:
     figure = spacetime_figure(run, "kicked", profile=True, energy=True, kicked_site=2)
     (image,) = [c for axes in figure.axes for c in axes.collections if isinstance(c, QuadMesh) and c.colorbar]
     np.testing.assert_array_equal(np.asarray(image.get_array()), run.displacements.T)
-    assert figure.get_suptitle() == "kicked; FPUT-beta: bond = 1"
-    assert "position 𝑛" in {axes.get_ylabel() for axes in figure.axes}
+    assert figure.get_suptitle() == "kicked; FPUT-beta: bond = $1$"
+    assert "position $n$" in {axes.get_ylabel() for axes in figure.axes}
     cycle = cycles.orbits[0]
     run = simulate_orbit(cycle, np.linspace(0.0, 2 * cycle.period, 101), 0.1, site=1)
     figure = spacetime_figure(run, "kicked", profile=True, energy=True, kicked_site=1)

@@ -56,16 +56,16 @@ def test_lightness_rises_with_displacement() -> None:
 
 def test_axes_and_panels_are_labelled() -> None:
     plain = labels(spacetime_figure(evolution()))
-    assert plain == {"time 𝑡", "site 𝑛", "displacement $y_n(t)$"}
+    assert plain == {"time $t$", "site $n$", "displacement $y_n(t)$"}
     full = spacetime_figure(evolution(), "mode", profile=True, energy=True, kicked_site=2)
     assert labels(full) == plain | {"$y_n(0)$", r"$\Delta H\,/\,H$"}
-    assert "mode; 𝑁 = 6" in full.get_suptitle()
+    assert "mode; $N = 6$" in full.get_suptitle()
     marks = [line for axes in full.axes for line in axes.lines if line.get_marker() == ">"]
     assert [float(line.get_ydata()[0]) for line in marks] == [2.0]  # type: ignore[index]
 
 
 def test_coarse_samples_are_owned_up_to() -> None:
-    assert "time 𝑡 (samples 2 apart: oscillations are not resolved)" in labels(spacetime_figure(evolution(40.0, 21)))
+    assert "time $t$ (samples 2 apart: oscillations are not resolved)" in labels(spacetime_figure(evolution(40.0, 21)))
 
 
 def test_long_runs_show_the_extent_of_the_oscillation_and_the_mean_energy() -> None:

@@ -1,13 +1,10 @@
-"""Common style of all pictures: settings, layout, titles, colours, and files whose bytes depend on the data alone."""
+"""Common style of all pictures: settings, layout, titles, colours, legends, and files that depend on the data alone."""
 
 from __future__ import annotations
 
-import os
-import re
-import string
 import struct
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -16,6 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.model.files import replacing
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
@@ -30,7 +28,6 @@ if TYPE_CHECKING:
 
     from casadi_skin.follow.branch import Branch
 
-
 # Places of panels in a figure: by constrained layout, or, which is quicker, from the sizes of texts alone -------------
 
 PANEL_GAP_POINTS = 4.0  # points between panels, and around all
@@ -39,21 +36,18 @@ TICK_PAD, TITLE_PAD = 3.5, 6.0  # points between an axis and its labels, as matp
 OFFSET_HEIGHT = 13.0  # points: of the power of ten above an axis
 
 
-def lay_out(figure: Figure, dpi: float, plain: bool) -> None:
+def lay_out(figure: Figure, plain: bool) -> None:
     """Place the panels of a figure once and for all, so that no engine does it again when it is saved.
 
     Arguments:
         figure: the figure; its legend is at its lower edge.
-        dpi: the resolution of its pictures: texts are parsed once for a resolution.
         plain: whether panels stand in one grid, with ticks below and at the left, and nothing outside of them but
             labels, titles and annotations: sizes of texts give their places, where constrained layout draws twice.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    canvas, before = FigureCanvasAgg(figure), figure.get_dpi()
-    figure.set_dpi(dpi)
-    renderer: Any = canvas.get_renderer()  # type: ignore[no-untyped-call]
+    renderer: Any = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
     renderer.mathtext_parser = _parser()
     if plain:
         ruler = _Ruler(figure, renderer)
@@ -61,10 +55,9 @@ def lay_out(figure: Figure, dpi: float, plain: bool) -> None:
             _place(figure, ruler)
     else:
         ConstrainedLayoutEngine().execute(figure)
-    figure.set_dpi(before)
     for axes in figure.axes:  # the layout's last digits depend on where things lie in memory, and name clip paths
-        box = np.round(axes.get_position(original=True).bounds, 9)
-        axes.set_position((float(box[0]), float(box[1]), float(box[2]), float(box[3])))
+        x, y, width, height = np.round(axes.get_position(original=True).bounds, 9).tolist()
+        axes.set_position((x, y, width, height))
 
 
 @cache
@@ -175,98 +168,7 @@ def _ticks(axis: Axis, ruler: _Ruler) -> tuple[float, float]:
     return float(width) + TICK_PAD * (not along), float(height) + TICK_PAD * along
 
 
-# Formulas without fractions, indices and roots as plain text: matplotlib's parser takes milliseconds for each ---------
-
-FORMULA_PATTERN = re.compile(r"(?<!\\)\$(.+?)(?<!\\)\$")
-GREEK_LETTERS = dict(zip(("alpha", "beta", "gamma", "lambda", "pi", "sigma", "omega"), "𝛼𝛽𝛾𝜆𝜋𝜎𝜔", strict=True))
-FORMULA_SYMBOLS = {rf"\{name}": sign for name, sign in GREEK_LETTERS.items()} | {
-    **{letter: chr(ord("𝑎") + i) for i, letter in enumerate(string.ascii_lowercase) if letter != "h"},
-    **{letter: chr(ord("𝐴") + i) for i, letter in enumerate(string.ascii_uppercase)},
-    **{sign: sign for sign in f"{string.digits} .,()/|=+"},
-    "h": "ℎ",
-    "-": "−",
-    r"\left|": "|",
-    r"\right|": "|",
-    r"\Vert ": "‖",
-    r"\Vert": "‖",
-    r"\|": "‖",
-    r"\Omega": "Ω",
-    r"\Gamma": "Γ",
-    r"\infty": "∞",
-    "^2": "²",
-}
-SYMBOL_PATTERN = re.compile("|".join(re.escape(token) for token in sorted(FORMULA_SYMBOLS, key=len, reverse=True)))
-
-
-def in_letters(words: str) -> str:
-    """A text with its formulas in characters; the text itself where one of them needs more than a line of these."""
-    formulas = FORMULA_PATTERN.findall(words)
-    if not formulas or any(SYMBOL_PATTERN.sub("", formula) for formula in formulas):
-        return words
-    return FORMULA_PATTERN.sub(
-        lambda found: SYMBOL_PATTERN.sub(lambda token: FORMULA_SYMBOLS[token[0]], found[1]), words
-    )
-
-
-def write_in_letters(figure: Figure) -> None:
-    """Titles, labels and legends of a figure in characters, where these suffice."""
-    for text in _texts(figure):
-        words = text.get_text()
-        if "$" in words:
-            text.set_text(in_letters(words))
-
-
-def _texts(figure: Figure) -> Iterator[Text]:
-    """All texts of a figure but those of its ticks, which their formatters make."""
-    from matplotlib.text import Text
-
-    yield from figure.texts
-    legends = list(figure.legends)
-    for axes in figure.axes:
-        legend = axes.get_legend()
-        legends += [legend] if legend is not None else []
-        yield from (child for child in axes.get_children() if isinstance(child, Text))
-        yield from (axes.xaxis.label, axes.yaxis.label)
-    for legend in legends:
-        yield from legend.get_texts()
-        yield legend.get_title()
-
-
-# PNG files of opaque pictures: rows as they are, which zlib packs smaller than rows filtered as photographs are -------
-
-PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-PNG_RGB_HEADER = bytes(
-    [8, 2, 0, 0, 0]
-)  # eight bits a channel, three channels, deflated, filters by row, not interlaced
-DEFLATE_LEVEL = 3  # levels above take long and gain little
-INCH_METRES = 0.0254  # metres
-
-
-def write_png(stream: BinaryIO, pixels: NDArray[np.uint8], dpi: float) -> None:
-    """Write an opaque picture.
-
-    Arguments:
-        stream: the file, open for writing.
-        pixels: red, green and blue, and more that is left out; shape (height, width, 3 or more).
-        dpi: pixels an inch.
-    """
-    height, width = pixels.shape[:2]
-    rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)  # each row begins with its filter: none
-    for channel in range(3):  # one at a time takes a seventh of the time: numpy is slow along three
-        rows[:, 1 + channel :: 3] = pixels[..., channel]
-    metre = round(dpi / INCH_METRES)
-    stream.write(PNG_SIGNATURE)
-    for kind, content in (
-        (b"IHDR", struct.pack(">II", width, height) + PNG_RGB_HEADER),
-        (b"pHYs", struct.pack(">IIB", metre, metre, 1)),
-        (b"IDAT", zlib.compress(rows.data, DEFLATE_LEVEL)),
-        (b"IEND", b""),
-    ):
-        stream.write(struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content)))
-
-
 MARKED_SITES = 60  # profiles of longer lattices are lines without markers, of the positions that move
-
 MOST_VALUES = 6  # of parameters in a title
 PNG_DPI = 200  # of pictures as PNG
 WIDEST_INCHES = 8.3  # inches: 9 points are 7 at the width of a page, 6.5 inches
@@ -298,7 +200,7 @@ def blank(width: float, height: float) -> Figure:
     """An empty figure, no wider than lets its text be read on a page; `finished` lays it out."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(min(width, WIDEST_INCHES), height))
+    return Figure(figsize=(min(width, WIDEST_INCHES), height), dpi=PNG_DPI)
 
 
 def finished(
@@ -306,33 +208,36 @@ def finished(
 ) -> Figure:
     """The figure with one legend of all panels below them, laid out; in black where colours distinguish families.
 
-    `plain` is as in `figures.layout.lay_out`.
+    `plain` is as in `lay_out`.
     """
-    handles: dict[str, Artist] = {}
-    for axes in panels:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            handles.setdefault(label, handle)
+    handles = {label: found[0] for label, found in _labelled(panels).items()}
     if handles:
         legend = figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=columns)
         for line in legend.get_lines() if in_black else ():
             line.set(color="black", markeredgecolor="black")
-    write_in_letters(figure)
-    lay_out(figure, PNG_DPI, plain)
+    lay_out(figure, plain)
     return figure
 
 
+def _labelled(panels: Iterable[Axes]) -> dict[str, list[Artist]]:
+    """All that is drawn under each label of a legend."""
+    handles: dict[str, list[Artist]] = {}
+    for axes in panels:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, []).append(handle)
+    return handles
+
+
 def legend_once(axes: Axes, columns: int = 1) -> None:
-    """A legend in which each label stands once, together with earlier lines."""
-    drawn, labels = axes.get_legend_handles_labels()
-    if not labels:
+    """A legend in which each label stands once, together with earlier lines: in black where their colours differ."""
+    labelled = _labelled([axes])
+    if not labelled:
         return
-    handles = {name: drawn[labels.index(name)] for name in labels}
     look: dict[str, Any] = {"frameon": True, "framealpha": 0.8, "edgecolor": "none", "fontsize": "small"}
-    legend = axes.legend(handles.values(), handles.keys(), ncols=columns, **look)
-    for handle, label in zip(legend.legend_handles, handles, strict=True):
-        lines = [line for line, name in zip(drawn, labels, strict=True) if name == label and hasattr(line, "get_color")]
-        colours = {str(line.get_color()) for line in lines}
-        if len(colours) > 1 and handle is not None:  # of several branches, each in its colour
+    legend = axes.legend([found[0] for found in labelled.values()], labelled, ncols=columns, **look)
+    for handle, found in zip(legend.legend_handles, labelled.values(), strict=True):
+        colours = {str(line.get_color()) for line in found if hasattr(line, "get_color")}
+        if len(colours) > 1 and handle is not None:
             handle.set(color="black")
 
 
@@ -422,32 +327,55 @@ def save(figure: Figure, stem: Path, formats: Iterable[str] = ("png",)) -> list[
 
     The bytes depend on the figure alone. Raises OSError where the folder does not exist or cannot be written to.
     """
-    paths = []
-    for kind in formats:
-        path = stem.with_name(f"{stem.name}.{kind}")
-        temporary = stem.with_name(f".{path.name}.{os.getpid()}.tmp")
-        try:
-            with style():
-                _write(figure, temporary, kind)
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
-        paths.append(path)
+    paths = [stem.with_name(f"{stem.name}.{kind}") for kind in formats]
+    for path in paths:
+        with replacing(path) as temporary, style():
+            _write(figure, temporary)
     return paths
 
 
-def _write(figure: Figure, path: Path, kind: str) -> None:
+def _write(figure: Figure, path: Path) -> None:
+    kind = path.suffix[1:]
     if kind in DATED_FORMATS:
         figure.savefig(path, format=kind, dpi=PNG_DPI, metadata={DATED_FORMATS[kind]: None})
         return
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    canvas: Any = figure.canvas  # its methods have no types
-    before = figure.get_dpi()
-    if not isinstance(canvas, FigureCanvasAgg):
-        canvas = FigureCanvasAgg(figure)
+    canvas: Any = FigureCanvasAgg(figure)  # its methods have no types
     figure.set_dpi(PNG_DPI)
-    canvas.draw()  # savefig copies the pixels twice
+    canvas.draw()  # savefig draws twice
     with path.open("wb") as stream:
         write_png(stream, np.asarray(canvas.buffer_rgba()), PNG_DPI)
-    figure.set_dpi(before)
+
+
+# PNG files of opaque pictures: rows as they are, which zlib packs smaller than rows filtered as photographs are -------
+
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+PNG_RGB_HEADER = bytes(
+    [8, 2, 0, 0, 0]
+)  # eight bits a channel, three channels, deflated, filters by row, not interlaced
+DEFLATE_LEVEL = 3  # levels above take long and gain little
+INCH_METRES = 0.0254  # metres
+
+
+def write_png(stream: BinaryIO, pixels: NDArray[np.uint8], dpi: float) -> None:
+    """Write an opaque picture.
+
+    Arguments:
+        stream: the file, open for writing.
+        pixels: red, green and blue, and more that is left out; shape (height, width, 3 or more).
+        dpi: pixels an inch.
+    """
+    height, width = pixels.shape[:2]
+    rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)  # each row begins with its filter: none
+    for channel in range(3):  # one at a time takes a seventh of the time: numpy is slow along three
+        rows[:, 1 + channel :: 3] = pixels[..., channel]
+    metre = round(dpi / INCH_METRES)
+    stream.write(PNG_SIGNATURE)
+    for kind, content in (
+        (b"IHDR", struct.pack(">II", width, height) + PNG_RGB_HEADER),
+        (b"pHYs", struct.pack(">IIB", metre, metre, 1)),
+        (b"IDAT", zlib.compress(rows.data, DEFLATE_LEVEL)),
+        (b"IEND", b""),
+    ):
+        stream.write(struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content)))
