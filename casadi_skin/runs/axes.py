@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import msgspec
@@ -29,38 +30,27 @@ def with_axes(raw: dict[str, Any]) -> dict[str, Any]:
     given = table.get("axes", {})
     if not isinstance(given, dict):
         raise refusal("[map] axes", with_kind(given), accepted_by(MapTable, "axes"))
-    named = {name: value for name, value in table.items() if name not in OPTIONS}
-    twice = next((name for name in named if name in given), None)
-    if twice is not None:
-        raise refusal(f"[map] {cut(twice)}", "again in its axes", "each parameter once")
-    axes = {**given, **named}
-    for name, value in axes.items():
-        _check_axis(name, value)
     options = {name: value for name, value in table.items() if name in OPTIONS}
+    axes = {**given, **{name: value for name, value in table.items() if name not in OPTIONS}}
+    for name, value in axes.items():
+        if name in given and name in table:
+            raise refusal(f"[map] {cut(name)}", "again in its axes", "each parameter once")
+        _check_axis(name, value)
     return {**raw, "map": {**options, "axes": axes}}
 
 
 def _check_axis(name: str, value: object) -> None:
     """Raises SceneError where a key of [map] is neither an option nor an axis."""
-    place = f"[map] {cut(name)}"
-    try:
-        if not any(
-            isinstance(v, int) and abs(v) > sys.float_info.max for v in _leaves(value)
-        ):  # msgspec raises on them
-            msgspec.convert(value, AxisTable)
-            return
-    except msgspec.ValidationError:
-        pass
+    place, known = f"[map] {cut(name)}", RangeTable.__struct_encode_fields__
+    if _is(AxisTable, value):
+        return
     if isinstance(value, dict):
-        known = RangeTable.__struct_encode_fields__
         for key, item in value.items():
             if key not in known:
                 near = nearest(key, known)
                 raise SceneError(f"{place}, {cut(key)}: unknown key{did_you_mean(near, ', '.join(known))}")
-            try:
-                msgspec.convert({"from": 0.0, "to": 1.0, "points": 2, key: item}, RangeTable)
-            except msgspec.ValidationError:
-                raise refusal(f"{place}, {key}", with_kind(item), accepted_by(RangeTable, key)) from None
+            if not _is(RangeTable, {"from": 0.0, "to": 1.0, "points": 2, key: item}):
+                raise refusal(f"{place}, {key}", with_kind(item), accepted_by(RangeTable, key))
         missing = next(key for key in ("from", "to", "points") if key not in value)
         raise SceneError(f"{place}, {missing}: missing; accepted: {accepted_by(RangeTable, missing)}")
     if isinstance(value, list):
@@ -69,14 +59,60 @@ def _check_axis(name: str, value: object) -> None:
     raise SceneError(f"{place}: given {with_kind(value)}{did_you_mean(near, ACCEPTED_AXES)}")
 
 
+def _is(kind: Any, value: object) -> bool:
+    """Whether msgspec takes a value, which raises SystemError on integers beyond the floats."""
+    try:
+        return not any(isinstance(n, int) and abs(n) > sys.float_info.max for n in _leaves(value)) and (
+            msgspec.convert(value, kind) is not None
+        )
+    except msgspec.ValidationError:
+        return False
+
+
 def _leaves(value: object) -> Iterable[object]:
-    items = value.values() if isinstance(value, dict) else value if isinstance(value, list) else (value,)
-    return (leaf for item in items for leaf in (item if isinstance(item, list) else (item,)))
+    if not isinstance(value, dict | list):
+        return (value,)
+    return (leaf for item in (value.values() if isinstance(value, dict) else value) for leaf in _leaves(item))
 
 
-def ranges_of(table: MapTable) -> dict[str, RangeTable]:
-    """The axes of a map that are ranges, by name."""
-    return {name: axis for name, axis in table.axes.items() if isinstance(axis, RangeTable)}
+# Axes with their values -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis of a map.
+
+    Attributes:
+        name: as [map] calls it.
+        paths: where its values go in a scene; several where it moves several parameters.
+        values: at its finest; of several parameters in words.
+        given: values for the scene, one for each path; empty where these are the values.
+        stride: values from one of the coarsest to the next.
+        numeric: whether it is a range, along which pictures are drawn.
+        log: whether its values have equal ratios.
+    """
+
+    name: str
+    paths: tuple[Path, ...]
+    values: tuple[Any, ...]
+    stride: int = 1
+    numeric: bool = False
+    log: bool = False
+    given: tuple[tuple[Any, ...], ...] = ()
+
+    @property
+    def names(self) -> list[str]:
+        """Names of its parameters."""
+        return [name.strip() for name in self.name.split(TOGETHER_SEPARATOR)] if self.given else [self.name]
+
+    @property
+    def worded(self) -> bool:
+        """Whether some of its values are words."""
+        return any(isinstance(value, str) for value in self.values)
+
+    def settings(self, place: int) -> list[tuple[Path, Any]]:
+        """The path of the value at a place, and the value."""
+        return list(zip(self.paths, self.given[place] if self.given else (self.values[place],), strict=True))
 
 
 def check_map(scene: Scene) -> None:
@@ -84,35 +120,49 @@ def check_map(scene: Scene) -> None:
     table = scene.map
     if table is None:
         return
-    if all(getattr(scene, name) is None for name in MAPPED_TASKS):
+    if not scene.given(*MAPPED_TASKS):
         accepted = "beside [family], [equilibrium], [orbit], [solution] or [search]"
         raise refusal("[map]", "with a scene that asks for no solution", accepted)
     if not table.axes:
         raise SceneError(f"[map]: no axis; accepted: a parameter of the scene with {ACCEPTED_AXES}")
-    ranges = ranges_of(table)
-    if len(ranges) > 2:
-        raise refusal(f"[map] {list(ranges)[2]}", "a third range", "one or two ranges, and lists beside them")
-    lists: dict[str, Any] = {name: axis for name, axis in table.axes.items() if name not in ranges}
-    for name, axis in ranges.items():
-        _check_range(name, axis)
-    for name, values in lists.items():
-        _check_list(name, values)
-    seen: dict[Path, str] = {}
-    for name in table.axes:
-        for path in paths_of(scene, name):
-            if path in seen:
-                raise refusal(f"[map] {cut(name)}", f"the same parameter as {cut(seen[path])}", "each parameter once")
-            seen[path] = name
-    sizes = [(axis.points - 1) * _stride(axis) + 1 for axis in ranges.values()]
-    if math.prod([*sizes, *map(len, lists.values())]) > MOST_CELLS:
-        finest = " at its finest" if any(axis.resolution for axis in ranges.values()) else ""
-        raise refusal("[map]", f"more than {MOST_CELLS} cells{finest}", f"at most {MOST_CELLS}")
+    axes_of(scene)
     if table.growth and scene.stability is None:
         raise refusal("[map] growth", f"{table.growth!r} without [stability]", "beside [stability]")
     if scene.sites == math.inf and (table.growth or table.boundary):
         name = "growth" if table.growth else "boundary"
         accepted = "with a whole number of sites: an infinite chain has no tongues to be followed"
         raise refusal(f"[map] {name}", "with sites = inf", accepted)
+
+
+def axes_of(scene: Scene) -> tuple[Axis, ...]:
+    """The axes of a scene with a [map]; raises SceneError for those that cannot be meant."""
+    given: Mapping[str, Any] = {} if scene.map is None else scene.map.axes
+    ranges: dict[str, RangeTable] = {name: axis for name, axis in given.items() if isinstance(axis, RangeTable)}
+    if len(ranges) > 2:
+        raise refusal(f"[map] {list(ranges)[2]}", "a third range", "one or two ranges, and lists beside them")
+    seen, size, resolved = dict[Path, str](), 1, any(axis.resolution for axis in ranges.values())
+    for name, axis in sorted(given.items(), key=lambda item: item[0] not in ranges):
+        if name in ranges:
+            _check_range(name, axis)
+        else:
+            _check_list(name, axis)
+        size *= (axis.points - 1) * _stride(axis) + 1 if name in ranges else len(axis)
+    for name in given:
+        for path in paths_of(scene, name):
+            if path in seen:
+                raise refusal(f"[map] {cut(name)}", f"the same parameter as {cut(seen[path])}", "each parameter once")
+            seen[path] = name
+    if size > MOST_CELLS:
+        finest = " at its finest" if resolved else ""
+        raise refusal("[map]", f"more than {MOST_CELLS} cells{finest}", f"at most {MOST_CELLS}")
+    return tuple(_axis(name, paths_of(scene, name), axis, name in ranges) for name, axis in given.items())
+
+
+def _axis(name: str, paths: tuple[Path, ...], axis: Any, is_range: bool) -> Axis:
+    if is_range:
+        return Axis(name, paths, _values(axis), _stride(axis), True, axis.log)
+    words = tuple(f"({', '.join(map(str, value))})" for value in axis) if len(paths) > 1 else ()
+    return Axis(name, paths, words or axis, given=axis if words else ())
 
 
 def _check_range(name: str, axis: RangeTable) -> None:
@@ -130,17 +180,42 @@ def _check_range(name: str, axis: RangeTable) -> None:
 
 
 def _check_list(name: str, axis: tuple[object, ...]) -> None:
-    count = len(name.split(TOGETHER_SEPARATOR))
+    place, count = f"[map] {cut(name)}", len(name.split(TOGETHER_SEPARATOR))
     for i, value in enumerate(axis):
         if (len(value) if isinstance(value, tuple) else 1) != count:
             accepted = f"a list of {count} values in each" if count > 1 else "numbers or names"
-            raise refusal(f"[map] {cut(name)}", f"{toml_repr(_plain(value))} as item {i + 1}", accepted)
+            plain = list(value) if isinstance(value, tuple) else value
+            raise refusal(place, f"{toml_repr(plain)} as item {i + 1}", accepted)
         if value in axis[:i]:
-            raise refusal(f"[map] {cut(name)}", f"{toml_repr(value)} as item {i + 1} again", "each value once")
+            raise refusal(place, f"{toml_repr(value)} as item {i + 1} again", "each value once")
 
 
-def _plain(value: object) -> object:
-    return list(value) if isinstance(value, tuple) else value
+def _values(axis: RangeTable) -> tuple[Any, ...]:
+    """All values of a range at its finest."""
+    count, difference = (axis.points - 1) * _stride(axis), axis.to - axis.start
+    whole = isinstance(axis.start, int) and isinstance(axis.to, int) and not axis.log
+    if whole and difference % count == 0:
+        return (*range(int(axis.start), int(axis.to), int(difference) // count), axis.to)
+    ratio = axis.to / axis.start if axis.log else 1.0
+    between = (
+        axis.start * ratio ** (k / count) if axis.log else axis.start + difference * (k / count)
+        for k in range(1, count)
+    )
+    return (float(axis.start), *map(float, between), float(axis.to))
+
+
+def _stride(axis: RangeTable) -> int:
+    """Values of a range at its finest from one of its coarsest to the next; no more than those of too many cells."""
+    stride = 1
+    if axis.resolution is not None:
+        length = abs(math.log(axis.to / axis.start)) if axis.log else abs(axis.to - axis.start)
+        finest = math.log(axis.resolution) if axis.log else axis.resolution
+        while length / ((axis.points - 1) * stride) > finest * (1 + 1e-12) and stride <= MOST_CELLS:
+            stride *= 2
+    return stride
+
+
+# Where values go in a scene -------------------------------------------------------------------------------------------
 
 
 def paths_of(scene: Scene, name: str) -> tuple[Path, ...]:
@@ -190,32 +265,6 @@ def _named_paths(scene: Scene) -> dict[str, Path]:
     if len(seeds) == 1:
         found.setdefault("seed", seeds[0])
     return found
-
-
-def values_of(axis: RangeTable) -> tuple[tuple[Any, ...], int]:
-    """All values of a range at its finest, and how many of them lie between two neighbours of the coarsest."""
-    stride = _stride(axis)
-    count = (axis.points - 1) * stride
-    whole = isinstance(axis.start, int) and isinstance(axis.to, int) and not axis.log
-    if whole and (axis.to - axis.start) % count == 0:
-        return (*range(int(axis.start), int(axis.to), int(axis.to - axis.start) // count), axis.to), stride
-    ratio, difference = axis.to / axis.start if axis.log else 1.0, axis.to - axis.start
-    between = (
-        axis.start * ratio ** (k / count) if axis.log else axis.start + difference * (k / count)
-        for k in range(1, count)
-    )
-    return (float(axis.start), *map(float, between), float(axis.to)), stride
-
-
-def _stride(axis: RangeTable) -> int:
-    """Values of a range at its finest from one of its coarsest to the next; no more than those of too many cells."""
-    stride = 1
-    if axis.resolution is not None:
-        length = abs(math.log(axis.to / axis.start)) if axis.log else abs(axis.to - axis.start)
-        finest = math.log(axis.resolution) if axis.log else axis.resolution
-        while length / ((axis.points - 1) * stride) > finest * (1 + 1e-12) and stride <= MOST_CELLS:
-            stride *= 2
-    return stride
 
 
 def set_value(raw: dict[str, Any], path: Path, value: object) -> None:

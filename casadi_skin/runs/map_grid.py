@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.runs.axes import AMPLITUDE, TOGETHER_SEPARATOR, Path, paths_of, ranges_of, set_value, values_of
+from casadi_skin.runs.axes import AMPLITUDE, Axis, Path, axes_of, set_value
 from casadi_skin.runs.reading import scene_of
 from casadi_skin.runs.rules import SceneError, toml_repr
 from casadi_skin.runs.scene import Scene
@@ -21,48 +21,6 @@ from casadi_skin.runs.scene import Scene
 Cells = NDArray[np.int64]  # flat numbers of cells in the finest grid
 Tables = dict[str, Any]  # a scene as plain values
 Settings = Sequence[tuple[Path, Any]]  # where values go in a scene, and the values
-
-
-@dataclass(frozen=True)
-class Axis:
-    """An axis of a map.
-
-    Attributes:
-        name: as [map] calls it.
-        paths: where its values go in a scene; several where it moves several parameters.
-        values: at its finest; of several parameters in words.
-        given: values for the scene, one for each path; empty where these are the values.
-        stride: values from one of the coarsest to the next.
-        numeric: whether it is a range, along which pictures are drawn.
-        log: whether its values have equal ratios.
-    """
-
-    name: str
-    paths: tuple[Path, ...]
-    values: tuple[Any, ...]
-    stride: int = 1
-    numeric: bool = False
-    log: bool = False
-    given: tuple[tuple[Any, ...], ...] = ()
-
-    @property
-    def names(self) -> list[str]:
-        """Names of its parameters."""
-        return [name.strip() for name in self.name.split(TOGETHER_SEPARATOR)] if self.given else [self.name]
-
-    @property
-    def worded(self) -> bool:
-        """Whether some of its values are words."""
-        return any(isinstance(value, str) for value in self.values)
-
-    @property
-    def numbers(self) -> NDArray[np.float64]:
-        """Where its values are drawn: those that are words one after the other."""
-        return np.array(range(len(self.values)) if self.worded else self.values, dtype=float)
-
-    def settings(self, place: int) -> list[tuple[Path, Any]]:
-        """The path of the value at a place, and the value."""
-        return list(zip(self.paths, self.given[place] if self.given else (self.values[place],), strict=True))
 
 
 class Task(msgspec.Struct, frozen=True):
@@ -95,17 +53,7 @@ class Grid:
         """The grid of a scene's [map]; raises SceneError where the scene refuses the end of an axis."""
         if scene.map is None:
             raise SceneError("[map]: missing; accepted: a scene with a [map]")
-        axes, ranges, values = list[Axis](), ranges_of(scene.map), dict[str, Any](scene.map.axes)
-        for name, given in values.items():
-            paths = paths_of(scene, name)
-            if name in ranges:
-                axes.append(Axis(name, paths, *values_of(ranges[name]), True, ranges[name].log))
-            elif len(paths) > 1:
-                words = tuple(f"({', '.join(map(str, value))})" for value in given)
-                axes.append(Axis(name, paths, words, given=given))
-            else:
-                axes.append(Axis(name, paths, given))
-        grid = cls(tuple(axes))
+        grid = cls(axes_of(scene))
         grid._check(plain(scene))
         return grid
 

@@ -42,9 +42,10 @@ from casadi_skin.results.figures.style import save
 from casadi_skin.results.journal import Journal, mapped, record_at, scan
 from casadi_skin.results.quantities import Cell
 from casadi_skin.results.words import Columns, Shown, listed, show
+from casadi_skin.runs.axes import Axis
 from casadi_skin.runs.directory import SCENE_FILE, DirectoryError
 from casadi_skin.runs.map_cell import OUTSIDE_FAULTS, Result, Row, Value
-from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Cells, Grid, Labels, Task, needed
+from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Cells, Grid, Labels, Task, needed
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.reading import parse_scene, read_text
 from casadi_skin.runs.rules import SceneError
@@ -526,7 +527,10 @@ class Map(WithVerbs):
             lines = self.boundary.get(tuple(chosen), ())
             return Panel(panel_title(names, at), shown, states >= ENDED, states != UNKNOWN, lines)
 
-        drawn = [MapAxis(axes[i].name, axes[i].numbers, axes[i].log) for i in along]
+        drawn = list[MapAxis]()
+        for axis in (axes[i] for i in along):  # words one after the other
+            numbers = np.array(range(len(axis.values)) if axis.worded else axis.values, dtype=float)
+            drawn.append(MapAxis(axis.name, numbers, axis.log))
         return [axes[i] for i in others], drawn, panel
 
     def draw(self, places: Axes, name: str, at: Mapping[str, Any]) -> None:
