@@ -3,48 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 from apart import Ended, modules_of
+from scenes import Runs, chain, family
 
 from casadi_skin import Chain, __version__
 from casadi_skin.native import kernels_in_words
 
 pytestmark = pytest.mark.usefixtures("blank")
 Cli = Callable[..., Ended]
-
-GOOD = """
-[chain]
-sites = 24
-alpha = 1.0
-gamma = 0.25
-g = -1.0
-
-[family]
-mode = 1
-amplitude_max = 3.0
-at = [0.2, 1.0]
-"""
-CHAIN = GOOD.split("[family]")[0]
+CHAIN = chain(24)
+GOOD = CHAIN + family(1, 3.0, at=[0.2, 1.0])
+TASKS = "[family], [equilibrium], [orbit], [solution], [search], [dynamics], [export] or [spectrum]"
 
 
-@pytest.fixture
-def scene(tmp_path: Path) -> Path:
-    path = tmp_path / "scene.toml"
-    path.write_text(GOOD, encoding="utf-8")
-    return path
-
-
-@pytest.mark.parametrize("command", ["", "run", "check", "spectrum", "tradeoff"])
-def test_help_is_there(command: str, cli: Cli) -> None:
-    done = cli(*command.split(), "--help")
-    assert done.status == 0
-    assert "usage: casadi-skin" in done.out
-
-
-def test_version(cli: Cli) -> None:
+def test_help_and_version_are_there(cli: Cli) -> None:
+    for command in ("", "run", "check", "spectrum", "tradeoff"):
+        done = cli(*command.split(), "--help")
+        assert done.status == 0
+        assert "usage: casadi-skin" in done.out
     assert cli("--version") == (0, f"casadi-skin {__version__} (kernels: {kernels_in_words()})\n", "")
 
 
@@ -64,65 +43,57 @@ def test_wrong_words_are_refused_in_one_line(words: str, told: str, cli: Cli) ->
     assert cli(*words.split()).line.startswith(told)
 
 
-ASKED = "[family], [equilibrium], [orbit], [solution], [search], [dynamics], [export] or [spectrum]"
-
-
 @pytest.mark.parametrize("command", ["run", "check"])
 @pytest.mark.parametrize(
     ("text", "place"),
     [
         (GOOD.replace("[family]", "[famly]"), "[famly]"),
         (GOOD.replace("mode = 1", "mode = 25"), "[family] mode"),
-        (GOOD.replace("at = ", "at_omega = "), "'at_Omega'"),
-        (GOOD.replace("[chain]", "[chain"), "not TOML"),
-        (CHAIN, ASKED),
+        (GOOD + "[search]\nobjective = 'S'\nfree = ['S']\n", "[search]"),
+        (CHAIN + "[dynamics]\nmode = 70\nsize = 0.1\nduration = 10.0\n", "[dynamics] mode: given 70"),
+        (CHAIN.replace("[chain]", "[chain"), "not TOML"),
+        (CHAIN, TASKS),
     ],
 )
 def test_bad_scenes_are_refused_in_one_line_and_nothing_is_written(
-    text: str, place: str, command: str, scene: Path, cli: Cli
+    text: str, place: str, command: str, run: Runs
 ) -> None:
     if (text, command) == (CHAIN, "check"):
         return
-    out = scene.with_name("out")
-    scene.write_text(text, encoding="utf-8")
-    done = cli(command, scene, *(["--out", out] if command == "run" else []))
+    done = run(text, command=command, status=2)
     assert place in done.line
-    assert str(scene) in done.line
+    assert str(run.scene) in done.line
     assert done.out == ""
-    assert not out.exists()
+    assert not run.out.exists()
 
 
-def test_the_plan_tells_what_is_built_and_what_is_not(scene: Path, cli: Cli) -> None:
-    plan = cli("check", scene).out
+def test_the_plan_tells_what_is_built_and_what_is_not(run: Runs) -> None:
+    plan = run(GOOD, command="check").out
     for words in ("quarter of the period", "not built     the variational system", "ipopt", "check --measure"):
         assert words in plan
-    measured = cli("check", scene, "--measure").out
+    measured = run(GOOD, "--measure", command="check").out
     for words in ("non-zeros", "expected cost"):
         assert words in measured
         assert words not in plan
     unknowns = [next(line for line in text.splitlines() if line.startswith("unknowns")) for text in (plan, measured)]
     assert unknowns[0].split()[1] == unknowns[1].split()[1]  # their number
     assert set(plan.splitlines()[:-1]) - {unknowns[0]} <= set(measured.splitlines())
-    scene.write_text(GOOD + "\n[stability]\n", encoding="utf-8")
-    plan = cli("check", scene).out
+    plan = run(GOOD + "\n[stability]\n", command="check").out
     assert "not built" not in plan
     assert "variational system with the splitting flow" in plan
 
 
 @pytest.mark.usefixtures("pictures")
-def test_spectrum_prints_and_writes_the_linear_frequencies(scene: Path, cli: Cli) -> None:
-    out = scene.with_name("out")
+def test_spectrum_prints_and_writes_the_linear_frequencies(run: Runs) -> None:
     printed, closed = (  # without files in closed form, without numerics
-        [float(line.split()[1]) for line in cli("spectrum", scene, *to).out.splitlines()[1:]]
-        for to in (["--out", out], [])
+        [float(line.split()[1]) for line in run(GOOD, *to, command="spectrum").out.splitlines()[1:]]
+        for to in (["--out", str(run.out)], [])
     )
     dense = np.sqrt(np.sort(np.linalg.eigvals(Chain(24, 1.0, 0.25, -1.0).dynamical_matrix()).real))
     np.testing.assert_allclose(printed, dense, rtol=1e-12)
     np.testing.assert_allclose(closed, printed, rtol=2e-15)
-    assert {"spectrum.csv", "spectrum.png"} <= {p.name for p in out.iterdir()}
-    assert not {"numpy", "casadi", "scipy"} & modules_of("spectrum", str(scene))
-    scene.write_text(GOOD.replace("alpha = 1.0", "alpha = -1.5"), encoding="utf-8")
-    assert cli("spectrum", scene).status == 2
-    scene.write_text(CHAIN.replace("g = -1.0", "g = 0.0") + "[spectrum]\n", encoding="utf-8")  # no nonlinearity
-    assert cli("run", scene, "--out", out, "--overwrite").status == 0
-    assert (out / "spectrum.csv").exists()
+    assert {"spectrum.csv", "spectrum.png"} <= run.files
+    assert not {"numpy", "casadi", "scipy"} & modules_of("spectrum", str(run.scene))
+    run(chain(24, -1.5), command="spectrum", status=2)
+    run(chain(24, g=0.0) + "[spectrum]\n", "--overwrite")  # no nonlinearity
+    assert "spectrum.csv" in run.files

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from apart import Ended
 from drawing import blank_pictures
-from outputs import read_rows
+from outputs import EXAMPLES, read_rows
+from scenes import Runs, chain, column, written
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
@@ -17,7 +16,6 @@ from casadi_skin import Chain, follow_family
 from casadi_skin.model.loading import run_file
 from casadi_skin.runs.program import main
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
 MODELS = """
 import casadi as ca
 from casadi_skin import OdeModel
@@ -66,12 +64,9 @@ section = { y = 0.0 }
 periods = 2
 samples = 9
 """
-CHAIN_ORBIT = """[chain]
-sites = 3
-alpha = 1.0
-gamma = 0.1
-g = 1.0
-[orbit]
+CHAIN_ORBIT = (
+    chain(3, gamma=0.1, g=1.0)
+    + """[orbit]
 start = [0.2, -0.4, 0.5, 0.0, 0.0, 0.0]
 period = 3.0
 select = { y_3 = 0.5 }
@@ -85,15 +80,7 @@ at = [0.25]
 duration = 5.0
 samples = 6
 """
-FPUT = '[family]\nmode = [1, "last"]\namplitude_max = 2.0\nat = [0.5]\n[stability]\nvectors = true\n'
-
-
-def write_scene(folder: Path, text: str, model: str = "") -> Path:
-    (folder / "models.py").write_text(MODELS, encoding="utf-8")
-    path = folder / "scene.toml"
-    of_model = f'[model]\nfile = "models.py"\nname = "{model}"\n' if model else ""
-    path.write_text(of_model + text, encoding="utf-8")
-    return path
+)
 
 
 def pair_forces(y: np.ndarray) -> np.ndarray:
@@ -111,9 +98,10 @@ def chain_forces(y: np.ndarray, gamma: float) -> np.ndarray:
 def pair_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Directory of a run with all that a scene of families asks for."""
     folder = tmp_path_factory.mktemp("pair")
+    (folder / "scene.toml").write_text(written(folder, MODELS, "pair", PAIR), encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         blank_pictures(patch)
-        assert main(["run", str(write_scene(folder, PAIR, "pair")), "--out", str(folder / "out"), "--quiet"]) == 0
+        assert main(["run", str(folder / "scene.toml"), "--out", str(folder / "out"), "--quiet"]) == 0
     return folder / "out"
 
 
@@ -130,7 +118,7 @@ def test_families_of_a_lattice_of_ones_own(pair_run: Path) -> None:
     }  # fmt: skip
     table = read_rows(pair_run / "family.csv")
     assert {r["mode"] for r in table} == {"1", "2"}
-    model = run_file(pair_run.parent / "models.py", MODELS)["pair"]
+    model = run_file(pair_run.parent / "model.py", MODELS)["pair"]
     for mode in (1, 2):
         mine = [r for r in table if r["mode"] == str(mode)]
         branch = follow_family(model, mode, 1.0, at=[0.5], stability=True, tolerance=1e-9)
@@ -186,31 +174,29 @@ def flow_of_pair(state: np.ndarray, period: float) -> np.ndarray:
 
 
 def test_time_evolution_of_a_perturbed_mode(pair_run: Path) -> None:
-    table = read_rows(pair_run / "dynamics.csv")
-    assert list(table[0]) == ["t", "energy", "y_0", "y_1"]
+    path = pair_run / "dynamics.csv"
+    assert list(read_rows(path)[0]) == ["t", "energy", "y_0", "y_1"]
+    t, energy, *y = (column(path, name) for name in ("t", "energy", "y_0", "y_1"))
     amplitude, kick = 0.5, 0.1 / np.sqrt(2.0)  # S = 0.5 out of phase, and half of the kick in each component
-    sign = np.sign(float(table[0]["y_1"]))
+    sign = np.sign(y[1][0])
     start = [-sign * amplitude + kick, sign * amplitude, 0.0, kick]
-    np.testing.assert_allclose([float(table[0][name]) for name in ("y_0", "y_1")], start[:2], atol=1e-9)
-    end = flow_of_pair(np.array(start), float(table[-1]["t"]))
-    np.testing.assert_allclose([float(table[-1][name]) for name in ("y_0", "y_1")], end[:2], atol=1e-7)
-    energies = [float(row["energy"]) for row in table]
-    assert np.ptp(energies) < 1e-9 * energies[0]
+    np.testing.assert_allclose([y[0][0], y[1][0]], start[:2], atol=1e-9)
+    np.testing.assert_allclose([y[0][-1], y[1][-1]], flow_of_pair(np.array(start), t[-1])[:2], atol=1e-7)
+    assert np.ptp(energy) < 1e-9 * energy[0]
 
 
 @pytest.mark.usefixtures("pictures")
-def test_the_spectrum_of_a_lattice_of_ones_own(tmp_path: Path, cli: Callable[..., Ended]) -> None:
-    scene, out = write_scene(tmp_path, "[spectrum]\n", "fput"), tmp_path / "out"
-    exact = 2.0 * np.sin(np.arange(1, 6) * np.pi / 12.0)
-    printed = [float(line.split()[1]) for line in cli("spectrum", scene).out.splitlines()[1:]]
+def test_the_spectrum_of_a_lattice_of_ones_own(run: Runs) -> None:
+    scene, exact = written(run.folder, MODELS, "fput", "[spectrum]\n"), 2.0 * np.sin(np.arange(1, 6) * np.pi / 12.0)
+    printed = [float(line.split()[1]) for line in run(scene, command="spectrum").out.splitlines()[1:]]
     np.testing.assert_allclose(printed, exact, rtol=1e-13)
-    assert cli("run", scene, "--out", out).status == 0
-    np.testing.assert_allclose([float(r["omega"]) for r in read_rows(out / "spectrum.csv")], exact, rtol=1e-14)
-    assert {"spectrum.png"} <= {path.name for path in out.iterdir()}
+    run(scene)
+    np.testing.assert_allclose(run.columns("spectrum", "omega")[0], exact, rtol=1e-14)
+    assert "spectrum.png" in run.files
 
 
-def test_the_plan_of_families_of_a_model(cli: Callable[..., Ended]) -> None:
-    plan = cli("check", EXAMPLES / "fput_modes.toml", "--measure").out
+def test_the_plan_of_families_of_a_model(run: Runs) -> None:
+    plan = run(EXAMPLES / "fput_modes.toml", "--measure", command="check").out
     for words in (
         "y_0, y_1, ..., v_23 (48 in all)", "time reversal, half-period symmetry, conserved quantity",
         "j = 1, 2, 24, to S = 2, points exactly at S = 1", "a quarter of the period", "the equations are Hamiltonian",
@@ -223,28 +209,26 @@ def test_the_plan_of_families_of_a_model(cli: Callable[..., Ended]) -> None:
 
 
 @pytest.mark.usefixtures("pictures")
-def test_time_evolution_of_a_limit_cycle(tmp_path: Path, cli: Callable[..., Ended]) -> None:
-    scene, out = write_scene(tmp_path, CYCLE, "van_der_pol"), tmp_path / "out"
-    assert "dynamics: cvodes in physical coordinates" in cli("run", scene, "--out", out).out
-    table = read_rows(out / "dynamics.csv")
-    assert list(table[0]) == ["t", "x", "y"]
-    t, states = (np.array([[float(r[n]) for n in names] for r in table]) for names in (["t"], ["x", "y"]))
-    assert t[-1, 0] == pytest.approx(2 * 6.6632868593231, abs=1e-8)  # Hairer, Norsett and Wanner 1993, exercise I.16.1
+def test_time_evolution_of_a_limit_cycle(run: Runs) -> None:
+    assert "dynamics: cvodes in physical coordinates" in run(written(run.folder, MODELS, "van_der_pol", CYCLE)).out
+    assert list(run.rows("dynamics")[0]) == ["t", "x", "y"]
+    t, *states = run.columns("dynamics", "t", "x", "y")
+    states = np.transpose(states)
+    assert t[-1] == pytest.approx(2 * 6.6632868593231, abs=1e-8)  # Hairer, Norsett and Wanner 1993, exercise I.16.1
     np.testing.assert_allclose(states[4::4], states[[0, 0]], atol=1e-7)
     assert abs(states[0, 1]) < 1e-9
     flow = solve_ivp(
-        lambda t, s: [s[1], (1 - s[0] ** 2) * s[1] - s[0]], (0.0, t[-1, 0]), states[0], method="DOP853",
-        t_eval=t[:, 0], rtol=1e-12, atol=1e-12,
+        lambda t, s: [s[1], (1 - s[0] ** 2) * s[1] - s[0]], (0.0, t[-1]), states[0], method="DOP853",
+        t_eval=t, rtol=1e-12, atol=1e-12,
     )  # fmt: skip
     np.testing.assert_allclose(states, flow.y.T, atol=1e-7)
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("pictures")
-def test_an_orbit_of_a_chain_is_followed_in_its_nonreciprocity(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    assert main(["run", str(write_scene(tmp_path, CHAIN_ORBIT)), "--out", str(out)]) == 0
-    table = read_rows(out / "branch.csv")
+def test_an_orbit_of_a_chain_is_followed_in_its_nonreciprocity(run: Runs) -> None:
+    run(CHAIN_ORBIT)
+    table = run.rows("branch")
     assert [float(r["gamma"]) for r in table if r["requested"] == "1"] == [0.25]
     for row in (table[0], next(r for r in table if r["requested"] == "1"), table[-1]):
         chain = Chain(3, 1.0, float(row["gamma"]), 1.0)
@@ -254,41 +238,15 @@ def test_an_orbit_of_a_chain_is_followed_in_its_nonreciprocity(tmp_path: Path) -
         assert float(row["y_1_max"]) == pytest.approx(abs(orbit.profile[0]), abs=1e-6)
         assert float(row["max_abs_multiplier"]) == pytest.approx(orbit.floquet().max_abs_multiplier, abs=1e-5)
         assert bool(int(row["stable"])) == orbit.floquet().stable
-    motion = read_rows(out / "dynamics.csv")
-    assert list(motion[0]) == ["t", "energy", "y_1", "y_2", "y_3"]
-    energies = [float(row["energy"]) for row in motion]
+    assert list(run.rows("dynamics")[0]) == ["t", "energy", "y_1", "y_2", "y_3"]
+    energies, *motion = run.columns("dynamics", "energy", "y_1", "y_2", "y_3")
     assert np.ptp(energies) < 1e-9 * energies[0]
-    last = [float(motion[0][f"y_{n}"]) for n in (1, 2, 3)]
+    last = [y[0] for y in motion]
     flow = solve_ivp(
         lambda t, s: [*s[3:], *chain_forces(s[:3], 0.4)], (0.0, 5.0), [*last, 0, 0, 0], rtol=1e-11, atol=1e-12
     )
-    np.testing.assert_allclose([float(motion[-1][f"y_{n}"]) for n in (1, 2, 3)], flow.y[:3, -1], atol=1e-7)
+    np.testing.assert_allclose([y[-1] for y in motion], flow.y[:3, -1], atol=1e-7)
     weights, y = (0.6 / 1.4) ** np.arange(3), np.array(last)  # of the gauge, and the energy at rest
     energy = weights @ (1.5 * y**2 + y**4 / 4) - 0.6 * weights[:2] @ (y[:-1] * y[1:])
     np.testing.assert_allclose(energies, energy, rtol=1e-9)
-    assert not read_rows(out / "special_points.csv")
-    assert (out / "special_points.csv").read_text(encoding="utf-8") == "kind,gamma,error,period\n"
-
-
-# Refusals ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("model", "text", "words"),
-    [
-        ("van_der_pol", FPUT, "[family]: given van der Pol; accepted for families: a model of second order"),
-        ("pair", FPUT + "[method]\nintervals = 3\n", "[method] intervals: given 3; accepted: beside [orbit] or "),
-        ("", CHAIN_ORBIT.replace("to = 0.4", "to = 1.4"), "[continuation] to: given 1.4 for gamma; accepted: numbers"),
-    ],
-)
-def test_what_a_scene_cannot_ask_for_leaves_with_status_2_and_a_line(
-    model: str, text: str, words: str, tmp_path: Path, cli: Callable[..., Ended]
-) -> None:
-    scene, out = write_scene(tmp_path, text, model), tmp_path / "out"
-    for command in (["run", scene, "--out", out], ["check", scene]):
-        done = cli(*command)
-        assert done.status == 2
-        assert done.err.startswith(f"casadi-skin: {scene}: {words}")
-        assert done.err.count("\n") == 1
-        assert done.out == "" or done.out.endswith("is run as Python\n")  # what was run before the fault showed
-    assert not out.exists()
+    assert (run.out / "special_points.csv").read_text(encoding="utf-8") == "kind,gamma,error,period\n"
