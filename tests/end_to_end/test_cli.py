@@ -52,6 +52,7 @@ def test_wrong_words_are_refused_in_one_line(words: str, told: str, cli: Cli) ->
         (GOOD + "[search]\nobjective = 'S'\nfree = ['S']\n", "[search]"),
         (CHAIN + "[dynamics]\nmode = 70\nsize = 0.1\nduration = 10.0\n", "[dynamics] mode: given 70"),
         (CHAIN.replace("[chain]", "[chain"), "not TOML"),
+        ("\x00", "not TOML"),
         (CHAIN, TASKS),
     ],
 )

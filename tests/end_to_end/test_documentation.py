@@ -12,6 +12,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import pytest
 from outputs import EXAMPLES, load, module_at
+from scenes import chain, family, table
 
 import casadi_skin
 from casadi_skin.runs.program import main
@@ -24,35 +25,14 @@ NOTEBOOKS = ("my_chain", "my_lattice", "my_ode")
 ELSEWHERE = ("smallest_kick",)  # its program takes a minute; test_example_scripts.py does the same with fewer starts
 CLUSTERS = ("executorlib", "mpi4py", "dask_jobqueue")  # programs that import these need a cluster
 REFERENCES = (  # tables and formulas to look things up in, partly generated
-    "accuracy_and_speed",
-    "boundary_speed",
-    "examples",
-    "paper_checked",
-    "peers",
-    "proofs",
-    "python_reference",
-    "scene_reference",
-    "tradeoff",
-)
+    "accuracy_and_speed", "boundary_speed", "examples", "paper_checked", "peers", "proofs", "python_reference",
+    "scene_reference", "tradeoff",
+)  # fmt: skip
 MOST_WORDS = 1500
-CHART = """[chain]
-sites = 4
-alpha = 0.5
-gamma = 0.25
-g = -1.0
-
-[family]
-mode = "first"
-amplitude_max = 1.0
-
-[stability]
-
-[map]
-gamma = { from = 0.2, to = 0.5, points = 2 }
-S = { from = 0.5, to = 1.0, points = 2 }
-"g, mode" = [[-1.0, "first"], [1.0, "last"]]
-quantities = ["stable", "max_abs_multiplier"]
-"""
+CHART = chain(4, 0.5) + family("first", 1.0) + "[stability]\n" + table(
+    "map", gamma={"from": 0.2, "to": 0.5, "points": 2}, S={"from": 0.5, "to": 1.0, "points": 2},
+    quantities=["stable", "max_abs_multiplier"],
+) + '"g, mode" = [[-1.0, "first"], [1.0, "last"]]\n'  # fmt: skip
 
 
 def blocks(page: str, language: str) -> list[str]:
@@ -109,23 +89,21 @@ def test_the_programs_of_a_page_run_one_after_the_other(
         assert names["cycles"].special_points[-1].parameters["r"] == pytest.approx(13.92655741, abs=2e-6)  # published
 
 
-@pytest.mark.parametrize("page", WITH_PROGRAMS)
-def test_the_programs_of_a_page_import_what_is_there(page: str) -> None:
-    for program in blocks(page, "python"):
-        for name in imported(program):
+def test_programs_and_scenes_of_pages_name_what_is_there() -> None:
+    for page in WITH_PROGRAMS:
+        for name in (name for program in blocks(page, "python") for name in imported(program)):
             if name.startswith("casadi_skin.") and name.count(".") == 1:
                 assert hasattr(casadi_skin, name.partition(".")[2]), name
+    for page in ("my_chain", "my_lattice"):
+        (scene,) = blocks(page, "toml")
+        parse_scene(scene, page)
 
 
-@pytest.mark.parametrize("page", ["my_chain", "my_lattice"])
-def test_the_scenes_of_a_page_are_accepted(page: str) -> None:
-    (scene,) = blocks(page, "toml")
-    parse_scene(scene, page)
-
-
-@pytest.mark.parametrize("page", [name for name in PAGES if name not in REFERENCES])
-def test_a_page_is_read_in_one_go(page: str) -> None:
-    assert len(PAGES[page].read_text(encoding="utf-8").split()) < MOST_WORDS
+def test_pages_are_read_in_one_go_and_pictures_are_small() -> None:
+    words = {name: len(path.read_text(encoding="utf-8").split()) for name, path in PAGES.items()}
+    assert {name for name, count in words.items() if count >= MOST_WORDS} <= set(REFERENCES)
+    sizes = {path.name: path.stat().st_size for path in (DOCS / "pictures").glob("*.png")}
+    assert {name: size for name, size in sizes.items() if size >= 200_000} == {}
 
 
 @pytest.mark.slow
@@ -170,8 +148,3 @@ def test_the_reference_has_every_public_name_once() -> None:
             thing = getattr(casadi_skin, name)
             assert f"{thing.__module__}.{thing.__qualname__}" in places
             assert f"[`{name}`][{thing.__module__}.{thing.__qualname__}]" in overview
-
-
-def test_every_picture_of_the_site_is_small() -> None:
-    sizes = {path.name: path.stat().st_size for path in (DOCS / "pictures").glob("*.png")}
-    assert {name: size for name, size in sizes.items() if size >= 200_000} == {}

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
-from outputs import EXAMPLES, read_rows
+from outputs import EXAMPLES
+from scenes import Runs, chain, family
 from scipy.integrate import solve_ivp
-
-from casadi_skin.runs.program import main
 
 # (g, mode, S): Omega and the largest |multiplier|, N = 24, alpha = 1, gamma = 0.25; computed independently.
 REFERENCE = {
@@ -23,47 +21,38 @@ REFERENCE = {
 }
 
 
-def requested_points(directory: Path) -> dict[tuple[int, float], tuple[float, float]]:
-    table = [row for row in read_rows(directory / "family.csv") if row["requested"] == "1"]
-    return {(int(r["mode"]), float(r["S"])): (float(r["Omega"]), float(r["max_abs_multiplier"])) for r in table}
+def check_points(run: Runs, g: float, count: int, allowed: tuple[float, float]) -> None:
+    """Requested points of a run against those of the table."""
+    found = run.columns("family", "mode", "S", "Omega", "max_abs_multiplier", requested="1")
+    assert len(found[0]) == count
+    points = {(int(mode), S): values for mode, S, *values in zip(*found, strict=True)}
+    for (sign, mode, S), known in REFERENCE.items():
+        if sign == g:
+            np.testing.assert_array_less(np.abs(np.subtract(points[mode, S], known)), allowed)
 
 
-def test_pictures_of_a_run_are_drawn(tmp_path: Path) -> None:
-    scene, out = tmp_path / "scene.toml", tmp_path / "out"
-    chain = "[chain]\nsites = 2\nalpha = 1.0\ngamma = 0.25\ng = 1.0\n"
-    scene.write_text(
-        chain + "[family]\nmode = 1\namplitude_max = 0.1\n[figures]\nformats = ['svg', 'png']\n", encoding="utf-8"
-    )
-    assert main(["run", str(scene), "--out", str(out), "--quiet"]) == 0
-    assert (out / "frequency.png").read_bytes().startswith(b"\x89PNG")
-    assert "</svg>" in (out / "frequency.svg").read_text(encoding="utf-8")
+def test_pictures_of_a_run_are_drawn(run: Runs) -> None:
+    run(chain(2, g=1.0) + family(1, 0.1) + "[figures]\nformats = ['svg', 'png']\n", "--quiet")
+    assert (run.out / "frequency.png").read_bytes().startswith(b"\x89PNG")
+    assert "</svg>" in (run.out / "frequency.svg").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("pictures")
-def test_softening_end_breather(tmp_path: Path) -> None:
-    assert main(["run", str(EXAMPLES / "softening_end_breather.toml"), "--out", str(tmp_path / "out")]) == 0
-    points = requested_points(tmp_path / "out")
-    assert len(points) == 3
-    for (mode, S), values in points.items():
-        np.testing.assert_allclose(values, REFERENCE[-1.0, mode, S], rtol=0, atol=2e-9)
+def test_softening_end_breather(run: Runs) -> None:
+    run(EXAMPLES / "softening_end_breather.toml")
+    check_points(run, -1.0, 3, (2e-9, 2e-9))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "g"), [("hardening", 1.0), ("softening", -1.0)])
-def test_twelve_families_of_figure_3(name: str, g: float, tmp_path: Path) -> None:
+def test_twelve_families_of_figure_3(name: str, g: float, run: Runs) -> None:
     xarray = pytest.importorskip("xarray")
-    assert main(["run", str(EXAMPLES / f"families_{name}.toml"), "--out", str(tmp_path / "out")]) == 0
-    points = requested_points(tmp_path / "out")
-    assert len(points) == 24
-    known = {(mode, S): values for (sign, mode, S), values in REFERENCE.items() if sign == g}
-    for place, (Omega, multiplier) in known.items():
-        assert abs(points[place][0] - Omega) < 1e-10
-        assert abs(points[place][1] - multiplier) < 1e-8
-    with xarray.open_dataset(tmp_path / "out" / "family.nc", engine="scipy") as data:
+    run(EXAMPLES / f"families_{name}.toml")
+    check_points(run, g, 24, (1e-10, 1e-8))
+    with xarray.open_dataset(run.out / "family.nc", engine="scipy") as data:
         assert float(data.trivial_deviation.max()) < 1e-10
-        shift = np.sign(data.Omega_shift.values)
-        np.testing.assert_array_equal(shift, g)
+        np.testing.assert_array_equal(np.sign(data.Omega_shift.values), g)
 
 
 FEWER = {
@@ -87,17 +76,14 @@ def pendulum_forces(y: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("name", "forces"), [("fput_modes", fput_forces), ("pendulum_chain", pendulum_forces)], ids=["fput", "pendula"]
 )
-def test_lattices_of_ones_own(
-    name: str, forces: Callable[[np.ndarray], np.ndarray], fewer: bool, tmp_path: Path
-) -> None:
+def test_lattices_of_ones_own(name: str, forces: Callable[[np.ndarray], np.ndarray], fewer: bool, run: Runs) -> None:
     """Orbits at requested points come back to themselves in an integration of equations written anew."""
     xarray = pytest.importorskip("xarray")
     text = (EXAMPLES / f"{name}.toml").read_text(encoding="utf-8").replace('"models/', f'"{EXAMPLES}/models/')
     for old, new in FEWER.items() if fewer else ():
         text = text.replace(old, new)
-    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
-    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out")]) == 0
-    with xarray.open_dataset(tmp_path / "out" / "family.nc", engine="scipy") as data:
+    run(text)
+    with xarray.open_dataset(run.out / "family.nc", engine="scipy") as data:
         for place in np.flatnonzero(data.requested.values):
             y = data.profile.values[place]
             assert y @ y == pytest.approx(float(data.S[place]), rel=1e-12)
@@ -109,6 +95,6 @@ def test_lattices_of_ones_own(
             allowed = 1e-7 * max(1.0, float(data.max_abs_multiplier[place]))
             np.testing.assert_allclose(flow.y[:, -1], [*y, *np.zeros(n)], atol=allowed)
     if name == "pendulum_chain":
-        table = [[float(value) for value in row.values()] for row in read_rows(tmp_path / "out" / "dynamics.csv")]
+        table = [[float(value) for value in row.values()] for row in run.rows("dynamics")]
         np.testing.assert_allclose(table[100], [table[100][0], *table[0][1:]], atol=1e-6)  # a period later
         assert np.ptp([row[1] for row in table]) < 1e-9

@@ -15,23 +15,14 @@ from typing import Any
 import pytest
 from apart import BLANK, Ended
 from outputs import read_rows as rows
+from scenes import chain, family
 
 from casadi_skin.results.journal import Journal
 from casadi_skin.runs import run as writing
 from casadi_skin.runs.directory import MADE_BY_RUN
 from casadi_skin.runs.program import main
 
-SCENE = """[chain]
-sites = 4
-alpha = 1.0
-gamma = 0.25
-g = -1.0
-[family]
-mode = [1, 4]
-amplitude_max = 1.0
-at = [0.5]
-[stability]
-"""
+SCENE = chain(4) + family([1, 4], at=[0.5]) + "[stability]\n"
 FULL = Path("/dev/full")
 pytestmark = pytest.mark.usefixtures("blank")
 needs_full = pytest.mark.skipif(not FULL.exists(), reason="needs /dev/full")
@@ -81,23 +72,20 @@ def test_a_full_standard_output_is_a_failure(word: str, scene: Path, tmp_path: P
 
 
 @pytest.mark.slow
-def test_a_closed_standard_output_is_a_failure_unless_nothing_is_printed(scene: Path, tmp_path: Path) -> None:
-    done = run("spectrum", scene, stdout=None, preexec_fn=closed(1))
-    assert done.returncode == 1
-    one_line(done.stderr, "standard output: it is closed")
-    out = tmp_path / "out"
-    assert run("run", scene, "--out", out, "--quiet", stdout=None, preexec_fn=closed(1)).returncode == 0
-    assert (out / "family.nc").exists()
-
-
-@pytest.mark.slow
-def test_a_reader_that_has_gone_is_told_in_one_line(scene: Path) -> None:
+def test_a_standard_output_that_is_closed_or_has_gone_is_a_failure_unless_nothing_is_printed(
+    scene: Path, tmp_path: Path
+) -> None:
     reading, writing_end = os.pipe()
     os.close(reading)
-    done = run("spectrum", scene, stdout=writing_end)
+    gone: dict[str, Any] = {"stdout": writing_end}
+    shut: dict[str, Any] = {"stdout": None, "preexec_fn": closed(1)}
+    for options, words in ((shut, "it is closed"), (gone, "Broken pipe")):
+        done = run("spectrum", scene, **options)
+        assert done.returncode == 1
+        one_line(done.stderr, f"standard output: {words}")
     os.close(writing_end)
-    assert done.returncode == 1
-    one_line(done.stderr, "standard output: Broken pipe")
+    assert run("run", scene, "--out", tmp_path / "out", "--quiet", **shut).returncode == 0
+    assert (tmp_path / "out" / "family.nc").exists()
 
 
 @pytest.mark.slow

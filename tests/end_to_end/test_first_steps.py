@@ -13,14 +13,14 @@ import pytest
 from apart import Ended
 from drawing import blank_pictures
 from outputs import EXAMPLES, read_rows
+from scenes import chain, family
 
 from casadi_skin.runs.program import _parser, main
 from casadi_skin.runs.reading import parse_scene, scene_schema
 from casadi_skin.runs.rules import SceneError
 
 Cli = Callable[..., Ended]
-CHAIN = "[chain]\nsites = 3\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n"
-FAMILY = "[family]\nmode = 1\namplitude_max = 0.1\n"
+CHAIN, FAMILY = chain(3), family(1, 0.1)
 VERBS = tuple(_parser()._subparsers._group_actions[0].choices)  # type: ignore[union-attr]
 
 
@@ -38,11 +38,7 @@ def test_every_verb_has_an_example_that_its_parser_takes(verb: str, cli: Cli) ->
     words = example.split()
     assert words[:2] == ["casadi-skin", verb]
     assert _parser().parse_args(words[1:]).command == verb
-
-
-def test_help_without_a_verb_names_all(cli: Cli) -> None:
-    told = cli("help").out
-    assert all(verb in told for verb in VERBS)
+    assert verb in cli("help").out
 
 
 @pytest.mark.parametrize("kind", ["chain", "lattice", "model"])
@@ -53,6 +49,8 @@ def test_a_new_scene_is_commented_and_can_be_meant(kind: str, here: Path, cli: C
     parse_scene(text)
     assert kind != "model" or cli("check", "model.toml", "--quiet") == (0, "", "")
     assert cli("new", kind).line == f"casadi-skin: new: {kind}.toml is there already; accepted: another --out\n"
+    for out, reason in (("a.txt", "ends in .toml"), ("no/a.toml", "no is no directory")):
+        assert reason in cli("new", kind, "--out", out).line
 
 
 @pytest.mark.slow
@@ -63,12 +61,6 @@ def test_a_new_scene_runs(kind: str, here: Path, monkeypatch: pytest.MonkeyPatch
     assert main(["run", "mine.toml", "--quiet"]) == 0
     table = "branch.csv" if kind == "model" else "family.csv"
     assert any(row["requested"] == "1" for row in read_rows(here / "results" / "mine" / table))
-
-
-@pytest.mark.parametrize(("out", "reason"), [("a.txt", "ends in .toml"), ("no/a.toml", "no is no directory")])
-def test_names_that_no_scene_can_have(out: str, reason: str, here: Path, cli: Cli) -> None:
-    assert reason in cli("new", "chain", "--out", out).line
-    assert not list(here.iterdir())
 
 
 def results(cli: Cli, *words: str) -> Any:

@@ -1,6 +1,5 @@
 """Whatever a scene file holds, it is a Scene or one line that says why not; with its model, before it is computed."""
 
-import json
 import math
 from itertools import pairwise
 from pathlib import Path
@@ -10,9 +9,9 @@ import pytest
 from effort import examples, texts
 from hypothesis import HealthCheck, example, given
 from hypothesis import strategies as st
+from scenes import toml
 
 from casadi_skin.runs.binding import bind
-from casadi_skin.runs.program import main
 from casadi_skin.runs.reading import parse_scene, read_scene
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.rules import SceneError
@@ -82,17 +81,6 @@ WITH_MODEL = [ORBIT, SOLUTION, FAMILY, CHAIN_ORBIT]
 PLACES = [(name, key) for name, table in VALID.items() if isinstance(table, dict) for key in table]
 KEYS = sorted({key for _, key in PLACES} | set(VALID) | {"preset", "tolerance", "title"})
 NAMES = "x", "y", "mu", "y_2", "gamma", "select", "hamiltonian", "pendulum", "pair", "problem", "guess", "ca"
-
-
-def toml(value: Any) -> str:
-    """A value in TOML; tables inline, so that any value can stand at any place."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{toml(key)} = {toml(item)}" for key, item in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(toml, value)) + "]"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return repr(value).lower()  # True, 3, 1e-08, nan
 
 
 def text_of(scene: dict[str, Any]) -> str:
@@ -254,19 +242,6 @@ def test_lists_of_amplitudes(at: list[float]) -> None:
     scene = parse(text_of({"chain": VALID["chain"], "family": {"mode": 1, "amplitude_max": 1.0, "at": at}}))
     ascending = all(0 < a <= 1 for a in at) and all(a < b for a, b in pairwise(at))
     assert (scene is not None) == ascending
-
-
-@pytest.mark.parametrize("text", ["", "[chain]", "\x00", "[chain]\nsites = 3.5\nalpha = 1\ngamma = 0\ng = 1"])
-def test_refusals_leave_with_status_2_and_one_line(
-    text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "fuzz.toml"
-    path.write_text(text)
-    for command in ("run", "check", "spectrum"):
-        assert main([command, str(path)]) == 2
-        error = capsys.readouterr().err
-        assert error.startswith(f"casadi-skin: {path}: ")
-        assert error.count("\n") == 1
 
 
 @QUICK

@@ -17,6 +17,7 @@ from casadi_skin.results.quantities import Place, extremes
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.first_solution import cycle, first_solution
 from casadi_skin.runs.reading import parse_scene
+from casadi_skin.runs.request import Request
 from casadi_skin.runs.rules import SceneError
 from casadi_skin.runs.scene import Scene
 
@@ -100,10 +101,14 @@ def parsed(text: str) -> Scene:
     return parse_scene(text, "scene.toml")
 
 
+def bound(text: str, folder: Path) -> Request:
+    return bind(parsed(text), folder / "scene.toml")
+
+
 def fault_of(text: str, folder: Path) -> str:
     """The message of the fault, found in the scene or with the model, checked to be one line."""
     with pytest.raises(SceneError) as caught:
-        bind(parsed(text), folder / "scene.toml")
+        bound(text, folder)
     message = str(caught.value)
     assert message.isprintable()
     assert len(message) < 500
@@ -116,19 +121,13 @@ def fault_of(text: str, folder: Path) -> str:
 def test_a_scene_of_a_model_and_one_of_a_chain_are_told_apart() -> None:
     scene = parsed(scene_of("van_der_pol", ORBIT, "mu = 1"))
     assert scene.model.parameters == {"mu": 1.0}
-    assert scene.orbit is not None
     assert scene.orbit.start == (2.0, 0.0)
-    assert (scene.solution, scene.continuation, scene.stability) == (None, None, None)
-    assert scene.accuracy.relative_tolerance == 1e-8
-    chain = parsed("[chain]\nsites = 3\nalpha = 1\ngamma = 0\ng = 1\n")
-    assert (chain.sites, scene.sites) == (3, None)
-    assert (chain.model, scene.chain) == (None, None)
-    assert not chain.same_request(scene)
-    assert not scene.same_request(chain)
+    assert scene.given("solution", "continuation", "stability", "chain") == []
+    assert not parsed("[chain]\nsites = 3\nalpha = 1\ngamma = 0\ng = 1\n").same_request(scene)
     assert scene.same_request(parsed('title = "another"\n' + scene_of("van_der_pol", ORBIT, "mu = 1.0")))
     named = '[method]\ntranscription = "gauss"\nflow = "collocation"\n'
-    assert scene.same_request(parsed(scene_of("van_der_pol", ORBIT + named, "mu = 1")))
-    assert not scene.same_request(parsed(scene_of("van_der_pol", ORBIT + named.replace("gauss", "radau"), "mu = 1")))
+    for method, same in ((named, True), (named.replace("gauss", "radau"), False)):
+        assert scene.same_request(parsed(scene_of("van_der_pol", ORBIT + method, "mu = 1"))) is same
 
 
 # With the model -------------------------------------------------------------------------------------------
@@ -177,7 +176,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 
 def test_a_transient_and_a_section_give_a_cycle_that_starts_at_the_section(folder: Path) -> None:
     text = "[orbit]\nstart = [2.0, 0.0]\ntransient = 40.0\nsection = { y = 0.0 }\n"
-    request = bind(parsed(scene_of("makes", text, "mu = 1")), folder / "scene.toml")
+    request = bound(scene_of("makes", text, "mu = 1"), folder)
     assert abs(cycle(request).evaluate(0.0)[1]) < 1e-3
     orbit = first_solution(request)
     assert abs(orbit.evaluate(0.0)[1]) < 1e-9
@@ -186,7 +185,7 @@ def test_a_transient_and_a_section_give_a_cycle_that_starts_at_the_section(folde
 
 def test_a_forced_orbit_is_that_of_the_linear_oscillator(folder: Path) -> None:
     text = "[orbit]\nstart = { x = 1.0 }\ntransient = 30.0\ncycles = 2\n"
-    request = bind(parsed(scene_of("forced", text, "mu = 1.7")), folder / "scene.toml")
+    request = bound(scene_of("forced", text, "mu = 1.7"), folder)
     guess = cycle(request)
     assert guess.period == pytest.approx(2 * 2 * np.pi / 1.7)
     assert guess.start == pytest.approx(5 * guess.period)  # the first multiple at 30 or after it
@@ -204,7 +203,7 @@ def test_the_pendulum_has_the_period_of_the_elliptic_integral(select: str, folde
     energy = f"{-np.cos(1.0):.17g}"
     text = "[orbit]\nstart = [1.0, 0.0]\nperiod = 6.7\n" + select.replace("HERE", energy) + "\n"
     scene = text + "[continuation]\nparameter = 'select'\nto = 1.2\n[stability]\n"
-    request = bind(parsed(scene_of("pendulum", scene)), folder / "scene.toml")
+    request = bound(scene_of("pendulum", scene), folder)
     orbit = first_solution(request)
     assert orbit.parameters["period"] == pytest.approx(4 * ellipk(np.sin(0.5) ** 2), abs=1e-8)
     assert "select" in orbit.parameters
@@ -213,10 +212,10 @@ def test_the_pendulum_has_the_period_of_the_elliptic_integral(select: str, folde
 
 
 def test_a_saved_model_is_the_same_as_the_python_file(folder: Path) -> None:
-    made = bind(parsed(scene_of("makes", ORBIT, "mu = 1")), folder / "scene.toml").model
+    made = bound(scene_of("makes", ORBIT, "mu = 1"), folder).model
     save_model(made, folder / "saved.json")
     text = '[model]\nfile = "saved.json"\nparameters = { mu = 1.0 }\n' + ORBIT
-    request = bind(parsed(text), folder / "scene.toml")
+    request = bound(text, folder)
     assert isinstance(request.model, OdeModel)
     np.testing.assert_array_equal(
         np.array(request.model.vector_field(0.0, [0.3, 0.4], 2.0)), np.array(made.vector_field(0.0, [0.3, 0.4], 2.0))
@@ -227,7 +226,7 @@ def test_a_saved_model_is_the_same_as_the_python_file(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_a_solution_from_a_guess_in_the_file(folder: Path) -> None:
-    request = bind(parsed(scene_of("bounded", "[solution]\nguess = 'guess'\n")), folder / "scene.toml")
+    request = bound(scene_of("bounded", "[solution]\nguess = 'guess'\n"), folder)
     solution = first_solution(request)
     point = Place(solution, 0)
     assert point.extremes[1][0] == pytest.approx(0.14053921440047, abs=1e-9)  # at the middle, by symmetry
