@@ -117,11 +117,6 @@ class Eigensystems:
     left: NDArray[Any]
 
     @classmethod
-    def of(cls, matrices: Array) -> Eigensystems:
-        """Of real matrices, shape (points, m, m)."""
-        return cls._ordered(matrices, *np.linalg.eig(matrices))
-
-    @classmethod
     def groups(cls, matrices: Array) -> list[tuple[NDArray[np.int64], Eigensystems]]:
         """Of those matrices all of whose eigenvalues are real, and of the others, if any, with their numbers.
 

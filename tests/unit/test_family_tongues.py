@@ -164,16 +164,6 @@ def test_a_single_moving_site_has_no_changes(chain: Chain, mode: int) -> None:
     assert not tongues_along(follow_family(chain, mode, 1.0, stability=False)).changes
 
 
-@pytest.mark.slow
-def test_folds_in_S_are_passed() -> None:
-    branch = followed(Chain(16, 0.5, 0.1, -1.0), 1, 1.0)
-    assert np.any(np.diff(branch.S) < 0.0)
-    changes = diagram_of(Chain(16, 0.5, 0.1, -1.0), 1, 1.0).changes
-    coordinates = [edge.place.coordinate for edge in changes]
-    assert coordinates == sorted(coordinates)
-    assert any(np.diff([edge.S for edge in changes]) < 0.0)
-
-
 HARD = [
     (Chain(1, 1.0, 0.25, -1.0), 1, 0.5),
     (Chain(2, 1.0, 0.25, -1.0), 1, 2.0),

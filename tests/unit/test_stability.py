@@ -362,25 +362,6 @@ def test_both_sides_of_a_change_are_as_it_says() -> None:
             assert counts[change.kind] > 0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("end", "count"), [(2.5, 12), (3.0, 47)])
-def test_complex_instabilities_are_born_where_two_mu_meet(end: float, count: int) -> None:
-    """Beyond S = 2.37 the softening end breather gains and loses stability by Krein collisions."""
-    branch = with_changes(SOFT, 1, end, 1e-9)
-    collisions = [change for change in branch.changes if change.kind == "complex"]
-    assert len(branch.changes) == count == len(collisions) + 1  # scans in steps of 1e-5 by other programs have as many
-    windows = np.diff([change.S for change in branch.changes])
-    for i, change in enumerate(branch.changes[1:-1], start=1):
-        side, room = (1, windows[i]) if change.stable_after else (-1, windows[i - 1])  # the stable one
-        if room < 1e-4:
-            continue
-        near = branch.at(change.S + side * 2e-6).floquet().mu.real
-        farther = branch.at(change.S + side * 2e-5).floquet().mu.real
-        gaps = [np.diff(np.sort(mu[np.argsort(np.abs(mu - change.mu))[:2]]))[0] for mu in (near, farther)]
-        # Two real mu approach each other as the root of the distance.
-        assert gaps[0] < 0.5 * gaps[1] < 0.01
-
-
 def test_without_stability_nothing_of_it_is_built_and_without_events_there_are_no_changes() -> None:
     branch = follow_family(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, corrector="newton")
     assert "flow" not in vars(branch.space)
