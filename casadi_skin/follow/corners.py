@@ -19,7 +19,7 @@ import numpy as np
 from casadi_skin.follow.point import LocalCurve, PointSolver
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import Correction, Status
-from casadi_skin.solve.watch import heed
+from casadi_skin.solve.watch import check_time_limit
 from casadi_skin.zero.cosines import cosine_matrix, second_derivative_matrix
 from casadi_skin.zero.problem import EPSILON, Array, Indices, Problem, SingularError
 from casadi_skin.zero.settings import Point
@@ -329,7 +329,7 @@ class _Counted:
 
 def _counted(levels: Levels, points: Sequence[Point]) -> list[_Counted] | None:
     """Those of points, on levels with all harmonics that may meet a mode; None where there is no such count."""
-    heed("internal resonances between the points of a family")
+    check_time_limit("internal resonances between the points of a family")
     placed = [_on_enough(levels, point) for point in points]
     known = [one for one in placed if one is not None]
     found: dict[int, _Counted] = {}

@@ -22,7 +22,7 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.point import PointSolver, interpolant, newton_steps
 from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.solve.levels import Levels
-from casadi_skin.solve.watch import heed, one_thread
+from casadi_skin.solve.watch import check_time_limit, one_thread
 from casadi_skin.stability.flows import OrbitState, Transition
 from casadi_skin.stability.result import Floquet
 from casadi_skin.stability.tongues.counts import EdgeHill, Sample
@@ -243,7 +243,7 @@ class OrbitSampler:
 
     def sample(self, coordinates: Array) -> Samples:
         """Samples at coordinates of one section (see `BranchSampler`); raises TimeLimitError."""
-        heed("orbits between the points of a family")
+        check_time_limit("orbits between the points of a family")
         middle = float(np.mean(coordinates))
         section = min(self._sections, key=lambda section: _away(section, middle))
         problem = section.problem
@@ -470,7 +470,7 @@ class EdgeOrbits:
 
     def sample(self, coordinate: float) -> Sample:
         """The orbit there; raises OrbitNotFoundError, and TimeLimitError."""
-        heed("orbits between the points of a family")
+        check_time_limit("orbits between the points of a family")
         point = self._point(coordinate)
         own, better = Refinement(point.problem, point.z), point.better
         if better is not None and coordinate == round(coordinate):  # of the branch, as precise as the others

@@ -164,8 +164,8 @@ class _Places:
 class Steps:
     """Solutions of [dR/dz; row] x = b at several states, each (states, unknowns), and the signs of the determinants.
 
-    `newton` is that for the residuals, that of the closing row among them, `along` for the closing row alone, and
-    `response` for residuals of size 1 in general position.
+    The right-hand side b is for `newton` the residuals, last that of the closing row; for `along` (0, ..., 0, 1); for
+    `response` residuals of size 1 in general position, and 0.
     """
 
     newton: Array

@@ -15,7 +15,7 @@ import numpy as np
 
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.solve.newton import Correction, Corrector, HeldState, NewtonCorrector, Status
-from casadi_skin.solve.watch import heed, is_over
+from casadi_skin.solve.watch import check_time_limit, is_over
 from casadi_skin.zero.problem import Array, Problem
 
 # Nonlinear programs for Ipopt (Waechter and Biegler 2006): solvers are built, and their endings put in words, here ----
@@ -227,7 +227,7 @@ class IpoptCorrector(Corrector):
     def all_corrected(self, points: Sequence[HeldState]) -> list[Correction]:
         """Corrections of up to `count` points, which share their status; the last point fills the rest."""
         count, size = self._guess.shape
-        heed(f"Ipopt, {size * count} unknowns")
+        check_time_limit(f"Ipopt, {size * count} unknowns")
         for k in range(count):
             z, row, value = points[min(k, len(points) - 1)]
             self._guess[k], self._held[k, :size], self._held[k, size] = z, row, value
@@ -235,7 +235,7 @@ class IpoptCorrector(Corrector):
         self._numbers[:] = self.problem.numbers
         with interrupts_deferred():
             self._trigger()
-        heed(f"Ipopt, {size * count} unknowns")
+        check_time_limit(f"Ipopt, {size * count} unknowns")
         stats, found = self._buffer.stats(), self._found[: len(points)].copy()
         words = str(stats["return_status"])
         status = STATUS_BY_WORDS.get(words, Status.DIVERGED)

@@ -2,9 +2,10 @@
 
 A first mesh for solutions with layers: placed again and again at a fixed number of intervals until it has settled.
 
-Collocation at Gauss points does not damp what it does not resolve: on a coarse uniform mesh a layer at an end shows
-nowhere, one inside everywhere. A mesh that is graded towards both ends meets the former at once, and repeated
-equidistribution (de Boor 1973; Ascher, Mattheij and Russell 1995, section 9.1) finds the latter.
+Collocation at Gauss points does not damp what it does not resolve: on a coarse uniform mesh a layer at an end leaves
+no trace in the solution, and a layer inside makes it oscillate everywhere. A mesh that is graded towards both ends
+resolves the former at once, and repeated equidistribution (de Boor 1973; Ascher, Mattheij and Russell 1995, section
+9.1) finds the latter.
 """
 
 from __future__ import annotations
@@ -64,8 +65,8 @@ def estimated(
 ) -> list[Measured]:
     """The errors of states (states, size) and the better orbits, from the next level.
 
-    `tangents` and `along` are the tangents of the states and there; those of states where something is held are not
-    those of their steps.
+    `tangents` are the tangents at the states, `along` those on the next level. Where something is `held`, the step does
+    not use the tangent.
     """
     finer, long_z = on_finer.problem, on_finer.z
     free, by_Omega = (np.array([which is one for which in held]) for one in (None, Scalar.OMEGA))
@@ -75,7 +76,7 @@ def estimated(
     errors, floors = _step_errors(finer, long_z, steps, moves, on_finer.profiles), np.zeros(len(z))
     errors[0] = np.maximum(errors[0], problem.round_off * Omega)
     near = _largest(errors, Omega) < NEAR_ROUND_OFF
-    if near.any():  # no better than the response to rounding, and than what rounded constants do
+    if near.any():  # the estimate is at least the rounding error, of the residual and of the constants
         noise = _at_parameter(finer, long_z, on_finer.response(), along, free)
         floor = _step_errors(finer, long_z, noise, moves)
         floor[0], floor[1] = np.maximum(floor[0], problem.round_off * Omega), np.maximum(floor[1], problem.round_off)
@@ -170,8 +171,8 @@ class Levels:
     def finer(self, problem: Problem, z: Array | None = None, excess: float = 1.0) -> Problem | None:
         """The next level above, or None at the top.
 
-        Its unknowns are placed as in `problem`, or for the orbit z where they lie badly for it. Levels whose error is
-        expected above the tolerance, of which that of z is the `excess`, are passed over.
+        Its unknowns are placed as in `problem`, or for the orbit z where they lie badly for it. The error of z is
+        `excess` times the tolerance; levels whose expected error is above the tolerance are left out.
         """
         above = [r for r in self.resolutions if r > problem.resolution]
         if not above:

@@ -19,7 +19,7 @@ from typing import Self
 import numpy as np
 
 from casadi_skin.solve.bordered import LONG_ROW_FACTOR, BorderedSolver, long_rows
-from casadi_skin.solve.watch import heed
+from casadi_skin.solve.watch import check_time_limit
 from casadi_skin.zero.orbit import UNFOLDING, Extended
 from casadi_skin.zero.problem import Array, Problem, SingularError, Solve
 from casadi_skin.zero.stated_problem import BoundaryProblem
@@ -76,7 +76,7 @@ class Corrector(ABC):
         """Corrected point near `guess` with row . z = value, or a named failure; `row` has shape (size,)."""
 
     def confirm_all(self, points: Sequence[HeldState]) -> list[Correction]:
-        """The last word on solutions: each as it is where the corrector agrees, or has no other word."""
+        """Verdicts on solutions: each as it is where this corrector agrees; here it always does."""
         return [Correction(z, Status.CONVERGED, 0) for z, _, _ in points]
 
 
@@ -118,7 +118,7 @@ class NewtonCorrector(Corrector):
         z, weights = guess.copy(), self.problem.metric(guess, max(1.0, abs(guess[self.problem.parameter_index])))
         last, reuse, solve = np.inf, False, None
         for iteration in range(1, self.max_iterations + 1):
-            heed(f"step {iteration} of Newton's method, {self.problem.size} unknowns")
+            check_time_limit(f"step {iteration} of Newton's method, {self.problem.size} unknowns")
             try:
                 residual, nonzeros = self.problem.evaluate(z)
                 if solve is None or not reuse:

@@ -1,4 +1,4 @@
-"""A limit on the time of long work and words on how far it is: stated around the work, heeded by the solvers within."""
+"""A limit on the time of long work, and reports on how far it is: set around the work, checked by the solvers in it."""
 
 from __future__ import annotations
 
@@ -74,8 +74,8 @@ def is_over() -> bool:
     return watch is not None and time.monotonic() > watch.end
 
 
-def heed(words: str) -> None:
-    """Tell how far the work is; raises TimeLimitError where its time is over."""
+def check_time_limit(words: str) -> None:
+    """Report how far the work is; raises TimeLimitError where its time is over."""
     watch = _WATCH.get()
     if watch is None:
         return
