@@ -26,5 +26,5 @@ def numpy_alone(library: Path = Path("none")) -> Iterator[None]:
 
 def forget() -> None:
     """The kernels, and programs that hold them."""
-    for kept in (native.kernels, cosines._kept, cosines._programs):
+    for kept in (native.kernels, cosines._equations_of):
         kept.cache_clear()

@@ -30,7 +30,7 @@ from casadi_skin.zero.cosines import (
     cosine_matrix,
     quarter_phases,
 )
-from casadi_skin.zero.family import Localised, Method, normalised
+from casadi_skin.zero.family import Localised, Method, normalised, shift_by_projection
 from casadi_skin.zero.model_coordinates import DEEPEST_LOG_SCALE, ModelCoordinates, check_alone
 from casadi_skin.zero.problem import FREQUENCY_WEIGHT, Array, Indices, Problem, Scalar, SingularError, Solve
 from casadi_skin.zero.settings import Point
@@ -174,8 +174,10 @@ class CoreWithTailProblem(TrigonometricProblem):
         relative = (Omega_slope / Omega)[:, None]
         block[:, :, self.own_Omega] *= Omega_slope[:, None]
         block[:, :, self.own_Omega] += down_slope * balance - bond * across_slope * a + 2.0 * relative * from_tail
-        found = np.take(np.concatenate([nonzeros, block.reshape(len(z), -1)], axis=1), source, axis=1)
+        found = np.take(nonzeros, source, axis=1, mode="clip")  # what is the block's is overwritten
         found[:, by_Omega] *= Omega_slope[:, None]
+        of_block = np.flatnonzero(source >= nonzeros.shape[1])
+        found[:, of_block] = block.reshape(len(z), -1)[:, source[of_block] - nonzeros.shape[1]]
         return residuals, found
 
     def by_itself(self, z: Array) -> tuple[TrigonometricProblem, Array]:
@@ -571,21 +573,11 @@ class CoreWithTail(ModelCoordinates):
         outside = not self.tail.in_band(place) or not np.isfinite(self.lattice.cells)
         if mode.edge == place.edge and self.edge_mode.pinned and outside:
             return float((place.off - mode.off) / (Omega + self.frequency))
-        by_core = self._projections(problem, z)
-        coefficient = problem.coefficients(z)[self.attached, 0] * self.mode[self.attached]
-        overlap = by_core[1] + coefficient * self._tail_overlap(place, problem.values(z).phi[0])
-        by_projection = by_core[0] / overlap / (Omega + self.frequency)
-        subtraction_is_better = 100.0 * by_core[2] / abs(overlap) * abs(by_projection) > self.frequency
-        return float(Omega - self.frequency if subtraction_is_better else by_projection)
-
-    def _projections(self, problem: CoreWithTailProblem, z: Array) -> tuple[float, float, float]:
-        """Nonlinear forces and positions of the fundamental projected on the mode's part in the core, and a bound."""
-        theta = quarter_phases(2 * max(32, problem.resolution))
-        q, cosine = problem.sample(z, theta), 2.0 / theta.size * np.cos(theta)
-        parameter = np.full((1, theta.size), float(z[problem.parameter_index]))
-        forces, fundamental = np.array(self._nonlinear.map(theta.size)(q.T, parameter)).T, cosine @ q
-        size = float(np.linalg.norm(fundamental) * np.linalg.norm(self.mode))
-        return -float(cosine @ forces @ self.mode), float(fundamental @ self.mode), size
+        theta, site = quarter_phases(2 * max(32, problem.resolution)), self.attached
+        nonlinear, overlap, size = self._projections(problem, z, theta, self.mode)
+        beyond = self._tail_overlap(place, problem.values(z).phi[0])
+        overlap += problem.coefficients(z)[site, 0] * self.mode[site] * beyond
+        return float(shift_by_projection(Omega, self.frequency, nonlinear, overlap, size))
 
     def _tail_overlap(self, place: Place, phi: float) -> float:
         """Sum of products of two waves' amplitudes over the tail, relative to that at the core's site."""

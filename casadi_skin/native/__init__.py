@@ -11,7 +11,6 @@ how the arguments of its functions and the fields of its structures follow one a
 | splitting.c | transition matrices along orbits | `stability.splitting` |
 | decoupling.c | bases that make matrices block diagonal | `stability.tongues.blocks` |
 | elimination.c | cells of a row eliminated from its free end on | `stability.tongues.hill` |
-| equations.c | equations of collocation in odd cosines, from instructions of CasADi | CasADi itself |
 | taylor.c | power series of branches, and those with a linear tail | `zero.cosines`, `lattice.core_with_tail` |
 """
 
@@ -25,11 +24,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.model.polynomial import Monomials, Program
+from casadi_skin.model.polynomial import Monomials
 
 Array = NDArray[np.float64]
 Numbers = NDArray[Any]  # real or complex
@@ -47,26 +45,18 @@ FUNCTIONS = {
     "invariant": "iiiiiaaaiaaairaa",
     "contracts": "iiiiaaairraa",
     "eliminated": "aiaaaaaa",
-    "residuals": "aiaaaa",
     "series_put": "ai",
     "series_right": "ai",
     "series_solve": "aaaa",
 }
-TERMS, PROGRAM = "iaaaaaa", "iaaaaa"
+TERMS = "iaaaaaa"
 LAYOUT = "iiii" + 4 * "iaa" + "aarraaa"
 ROW = "iiiiii" + "aa"
-EQUATIONS = "iiii" + "aaaaaaaaa" + 2 * PROGRAM + "aaa"
 SERIES = "iiiii" + "aaaaaaaa" + 2 * (TERMS + "aa")
 TAIL = "iiiiiii" + "aaaaaaaaaa" + "r"
 
 LANES = 8  # right-hand sides that bordered.c takes together, and components that splitting.c does, at least
 MOST = 7  # unknowns beside the band that bordered.c has room for
-OPERATIONS = (  # in the order of those of equations.c
-    "INPUT", "OUTPUT", "CONST", "ASSIGN", "ADD", "SUB", "MUL", "DIV", "NEG", "SQ", "TWICE", "INV", "SQRT", "SIN", "COS",
-    "TAN", "EXP", "LOG", "TANH", "POW", "EQ", "LE", "NOT", "IF_ELSE_ZERO",
-)  # fmt: skip
-CODES = {getattr(ca, f"OP_{name}"): code for code, name in enumerate(OPERATIONS)}
-CODES[ca.OP_CONSTPOW] = CODES[ca.OP_POW]
 
 
 # The library, and what its functions take ----------------------------------------------------------------------------
@@ -119,7 +109,7 @@ def kernels_in_words() -> str:
     """Which kernels are in use: `compiled for AVX2`, `compiled`, or `numpy`, also where the library is out of date."""
     if not kernels():
         return "numpy; the library is of other sources or of another system" if LIBRARY.exists() else "numpy"
-    return "compiled for AVX2" if kernels()["residuals"].__name__.endswith("_avx2") else "compiled"
+    return "compiled for AVX2" if kernels()["series_put"].__name__.endswith("_avx2") else "compiled"
 
 
 def _call(name: str, *arguments: Any) -> None:
@@ -313,69 +303,6 @@ def eliminated(
     if is_complex:
         return logs, phases[:, 0] + 1j * phases[:, 1], inverse[:, 0] + 1j * inverse[:, 1]
     return logs, phases[:, 0], inverse[:, 0]
-
-
-# Equations of collocation in odd cosines: equations.c ----------------------------------------------------------------
-
-
-class EquationsKernel:
-    """Residuals and Jacobians of one problem.
-
-    Arguments:
-        force: program of a force, the non-zeros of its derivative by the positions, and its derivative by the
-            parameter, with its constants; arguments are positions, velocities, the parameter, and numbers.
-        norm: that of the normalisation and its derivative by the positions.
-        matrices: that of the second derivative, (nodes, nodes); the cosine at the nodes, weights of the nodes in its
-            coefficient, and in a value at phase zero.
-        constant: the part of the non-zeros that is constant.
-        places: non-zeros that take the derivatives of the force by positions, (non-zeros, nodes), by the frequency and
-            by the parameter, and those of the normalisation, (sites, nodes) each.
-    """
-
-    def __init__(
-        self,
-        force: tuple[Program, Array],
-        norm: tuple[Program, Array],
-        matrices: Sequence[Array],
-        constant: Array,
-        places: Sequence[Indices],
-    ) -> None:
-        nodes, sites, slopes = matrices[1].size, force[0].inputs[0], force[0].outputs[1]
-        self._shapes = sites * nodes + 1, constant.size
-        room = max(force[0].work * nodes, norm[0].work), (2 * sites + slopes) * nodes + 1, sites
-        data = [np.ascontiguousarray(array) for array in (*matrices, constant, *places)]
-        programs, scratch = (*_program(*force), *_program(*norm)), [np.zeros(size) for size in room]
-        self._equations = Structure(EQUATIONS, nodes, sites, slopes, constant.size, *data, *programs, *scratch)
-
-    def __call__(self, z: Array, numbers: Array) -> tuple[Array, Array]:
-        """Residuals (states, unknowns - 1) and non-zeros (states, non-zeros) at states (states, unknowns)."""
-        equations, nonzeros = self._shapes
-        found = np.empty((len(z), equations)), np.empty((len(z), nonzeros))
-        assert z.shape[1] == equations + 1
-        _call("residuals", self._equations, len(z), np.ascontiguousarray(z), np.ascontiguousarray(numbers), *found)
-        return found
-
-
-def _program(program: Program, constants: Array) -> tuple[Any, ...]:
-    """The number of instructions, their columns, and constants; places of results are counted through all of them."""
-    first_of = np.cumsum([0, *program.outputs]).tolist()
-    rows, used = [], 0
-    for operation, out, into in program.instructions:
-        if operation == ca.OP_OUTPUT:
-            row = first_of[out[0]] + out[1], into[0], 0
-        elif operation == ca.OP_CONST:
-            row, used = (out[0], used, 0), used + 1
-        else:
-            row = out[0], into[0], into[-1]
-        rows.append((CODES[operation], *row))
-    columns = np.ascontiguousarray(np.array(rows, dtype=np.int32).reshape(-1, 4).T)
-    return len(rows), *columns, np.ascontiguousarray(constants)
-
-
-def has_kernel(*programs: Program) -> bool:
-    """Whether there are kernels, and all operations of these programs are among those of equations.c."""
-    every = {operation for program in programs for operation, _, _ in program.instructions}
-    return every <= CODES.keys() and bool(kernels())
 
 
 # Power series of branches: taylor.c ----------------------------------------------------------------------------------

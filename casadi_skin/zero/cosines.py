@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import Monomials, Program, lifted, polynomial_terms
-from casadi_skin.native import EquationsKernel, Structure, TaylorKernel, has_kernel, kernels
+from casadi_skin.native import Structure, TaylorKernel, kernels
 from casadi_skin.zero.problem import (
     EPSILON,
     Array,
@@ -35,7 +35,6 @@ from casadi_skin.zero.problem import (
     Problem,
     Scalar,
     Solve,
-    sparse_matrix,
 )
 
 
@@ -263,143 +262,64 @@ def second_derivative_matrix(harmonics: int) -> Array:
     return np.asarray(rounded)
 
 
-# Equations of collocation in odd cosines: where entries of the Jacobian go, for CasADi and for the compiled kernel ----
+class CosineEquations:
+    """The equations of a model at the nodes; models that differ in numbers alone may have them in common.
 
-LONGEST_PROGRAM = 40_000  # instructions of a model with its derivatives, at most
+    Arguments:
+        harmonics: number of nodes.
+        symbols: of positions, velocities, the free parameter, and of numbers where these are symbols.
+        force, normalisation: expressions in these.
 
-
-@dataclass(frozen=True, eq=False)
-class JacobianPlaces:
-    """Rows and columns of the parts of the Jacobian, by the non-zeros of a force's derivative.
-
-    The parts are what second derivatives alone give, derivatives of the force by the positions at one node after the
-    other, those by the frequency and by the parameter, and those of the normalisation. Of the first two `constants` are
-    what does not depend on the state.
+    Attributes:
+        symbols: unknowns z, residual R(z), sparse dR/dz.
+        function: (z, numbers) -> (R, dR/dz).
+        pattern: rows and columns of the non-zeros of dR/dz, column by column.
+        buffers: the function, called with arrays.
+        shared: objects that all models with these equations share.
     """
 
-    rows: tuple[Indices, ...]
-    columns: tuple[Indices, ...]
-    constants: tuple[Array, Array]
+    def __init__(self, harmonics: int, symbols: Sequence[ca.SX], force: ca.SX, normalisation: ca.SX) -> None:
+        H, N, states = harmonics, int(symbols[0].numel()), harmonics * int(symbols[0].numel())
+        Omega_index, parameter_index = states + Scalar.OMEGA.value, states + Scalar.PARAMETER.value
+        at_zero = ((2.0 / H) * cosine_matrix(H)).sum(axis=0)
+        q, velocity, parameter, *own = symbols
+        slopes = ca.jacobian(force, q), ca.densify(ca.jacobian(force, parameter))
+        rhs = ca.Function("rhs", [q, parameter, *own], [ca.densify(force), *slopes])
+        norms = [normalisation, ca.densify(ca.jacobian(normalisation, q))]
+        start = ca.Function("start", [q, velocity, parameter, *own], norms)
 
-    @classmethod
-    def of(cls, harmonics: int, sites: int, rows: Indices, columns: Indices) -> JacobianPlaces:
-        """Those of a force on `sites` positions, whose derivative has non-zeros in these rows and columns."""
-        H, N, states, D2 = harmonics, sites, sites * harmonics, second_derivative_matrix(harmonics)
-        node, every = np.repeat(np.arange(H), rows.size), np.arange(states, dtype=np.int64)
-        at, into = np.tile(rows, H) * H + node, np.tile(columns, H) * H + node
-        n, i, k = (t.ravel() for t in np.meshgrid(np.arange(N), np.arange(H), np.arange(H), indexing="ij"))
-        met = (i == k) & np.isin(n, rows[rows == columns])  # entries that are added to those of the force
-        scalars = [np.full(states, states + scalar.value) for scalar in (Scalar.OMEGA, Scalar.PARAMETER)]
-        return cls(
-            ((n * H + i)[~met], at, every, every, np.full(states, states)),
-            ((n * H + k)[~met], into, *scalars, every),
-            (D2[i, k][~met], np.where(at == into, np.diag(D2)[node], 0.0)),
-        )
+        z, symbol = ca.MX.sym("z", states + 2), ca.MX.sym("numbers", sum(block.numel() for block in own))
+        numbers = [symbol] if own else []
+        values, Omega, p = ca.reshape(z[:states], H, N), z[Omega_index], z[parameter_index]
+        forces, df_dq, df_dp = rhs.map(H)(values.T, *(ca.repmat(value, 1, H) for value in (p, *numbers)))
+        forces, df_dp = ca.vec(forces.T), ca.vec(df_dp.T)
+        norm, dn_dq = start(values.T @ at_zero, ca.MX.zeros(N), p, *numbers)
+        residual = ca.densify(ca.vertcat(ca.vec(_second_derivative(values)) - forces / Omega**2, norm))
 
-    @property
-    def pattern(self) -> tuple[Indices, Indices]:
-        """Rows and columns of all non-zeros, column by column."""
-        rows, columns = np.concatenate(self.rows), np.concatenate(self.columns)
-        order = np.lexsort((rows, columns))
-        return rows[order], columns[order]
-
-    @property
-    def slots(self) -> list[Indices]:
-        """Of each part, its places among the non-zeros column by column."""
-        rows, columns = np.concatenate(self.rows), np.concatenate(self.columns)
-        slots = np.empty(rows.size, dtype=np.int64)
-        slots[np.lexsort((rows, columns))] = np.arange(rows.size)
-        return np.split(slots, np.cumsum([part.size for part in self.rows])[:-1])
-
-
-@dataclass(frozen=True, eq=False)
-class _Programs:
-    """Programs of a force and of a normalisation with their derivatives, each with its constants.
-
-    `rows` and `columns` are those of the non-zeros of the force's derivative by the positions.
-    """
-
-    force: tuple[Program, Array]
-    norm: tuple[Program, Array]
-    rows: Indices
-    columns: Indices
-
-
-@lru_cache(maxsize=8)
-def _programs(model: Program) -> _Programs | None:
-    """Those of a model; None where there is no kernel for them."""
-    sizes = (*model.inputs, model.numbers)
-    symbols = [ca.SX.sym(name, size) for name, size in zip("qvpc", sizes, strict=True)]
-    force, normalisation = model.expressions(symbols[:3], symbols[3])
-    slopes, by_norm = ca.jacobian(force, symbols[0]), ca.jacobian(normalisation, symbols[0])
-    of_force = [force, ca.vertcat(*slopes.nonzeros()), ca.jacobian(force, symbols[2])]
-    found = [lifted(symbols, results, LONGEST_PROGRAM) for results in (of_force, [normalisation, by_norm.T])]
-    rows, columns = (np.array(t, dtype=np.int64) for t in slopes.sparsity().get_triplet())
-    if found[0] is None or found[1] is None or not has_kernel(found[0][0], found[1][0]):
-        return None
-    return _Programs(found[0], found[1], rows, columns)
-
-
-@dataclass(frozen=True, eq=False)
-class CompiledEquations:
-    """The equations of a model of one program by the compiled kernel, with the rows and columns of the Jacobian."""
-
-    kernel: EquationsKernel
-    pattern: tuple[Indices, Indices]
-
-    @classmethod
-    def of(cls, model: Program, harmonics: int) -> CompiledEquations | None:
-        """Those at so many nodes; None where there is no kernel for them."""
-        programs = _programs(model)
-        if programs is None:
-            return None
-        H, sites, V = harmonics, model.inputs[0], (2.0 / harmonics) * cosine_matrix(harmonics)
-        places = JacobianPlaces.of(H, sites, programs.rows, programs.columns)
-        fixed, at_slopes, *rest = places.slots
-        constant = np.zeros(sum(part.size for part in places.rows))
-        constant[fixed], constant[at_slopes] = places.constants
-        matrices = second_derivative_matrix(H), cosine_matrix(H)[:, 0], V[0], V.sum(axis=0)
-        slots = at_slopes.reshape(H, -1).T, *rest
-        kernel = EquationsKernel(programs.force, programs.norm, matrices, constant, slots)
-        return cls(kernel, places.pattern)
-
-
-def odd_cosine_equations(
-    harmonics: int, symbols: Sequence[ca.SX], force: ca.SX, normalisation: ca.SX, *numbers: ca.MX
-) -> tuple[ca.MX, ca.MX, ca.MX]:
-    """Unknowns z, residual and Jacobian of the equations of a model at the nodes.
-
-    `symbols` are those of positions, velocities, the free parameter, and of the `numbers` where there are such.
-    """
-    H, N = harmonics, int(symbols[0].numel())
-    states, Omega_index, parameter_index = N * H, N * H + Scalar.OMEGA.value, N * H + Scalar.PARAMETER.value
-    at_zero = ((2.0 / H) * cosine_matrix(H)).sum(axis=0)
-    q, velocity, parameter, *own = symbols
-    slopes = ca.jacobian(force, q), ca.densify(ca.jacobian(force, parameter))
-    rhs = ca.Function("rhs", [q, parameter, *own], [ca.densify(force), *slopes])
-    start = ca.Function(
-        "start", [q, velocity, parameter, *own], [normalisation, ca.densify(ca.jacobian(normalisation, q))]
-    )
-
-    z = ca.MX.sym("z", states + 2)
-    values, Omega, p = ca.reshape(z[:states], H, N), z[Omega_index], z[parameter_index]
-    forces, df_dq, df_dp = rhs.map(H)(values.T, *(ca.repmat(value, 1, H) for value in (p, *numbers)))
-    forces, df_dp = ca.vec(forces.T), ca.vec(df_dp.T)
-    norm, dn_dq = start(values.T @ at_zero, ca.MX.zeros(N), p, *numbers)
-    residual = ca.vertcat(ca.vec(_second_derivative(values)) - forces / Omega**2, norm)
-
-    triplet = (np.array(t, dtype=np.int64) for t in rhs.sparsity_out(1).get_triplet())
-    places = JacobianPlaces.of(H, N, *triplet)
-    alone, added = (ca.DM(constants) for constants in places.constants)
-    entries = ca.vertcat(
-        alone,
-        added - ca.vec(df_dq.nz[:]) / Omega**2,
-        2 * forces / Omega**3,
-        -df_dp / Omega**2,
-        ca.vec(ca.DM(at_zero) @ dn_dq),
-    )
-    shape, at = (states + 1, states + 2), (np.concatenate(places.rows), np.concatenate(places.columns))
-    return z, residual, sparse_matrix(shape, *at, entries)
+        # Second derivatives of one site after the other; and what is added to them: slopes of the force at one node
+        # after the other, derivatives by the frequency, by the parameter, and of the normalisation.
+        node, every = np.arange(H), np.arange(states, dtype=np.int64)
+        rows, columns = (np.array(t, dtype=np.int64) for t in rhs.sparsity_out(1).get_triplet())
+        n, i, k = (t.ravel() for t in np.meshgrid(np.arange(N), node, node, indexing="ij"))
+        parts = [
+            (n * H + i, n * H + k),
+            tuple(np.add.outer(node, places * H).ravel() for places in (rows, columns)),
+            *((every, np.full(states, place)) for place in (Omega_index, parameter_index)),
+            (np.full(states, states), every),
+        ]
+        varying = [-ca.vec(df_dq.nz[:]) / Omega**2, 2 * forces / Omega**3, -df_dp / Omega**2, ca.DM(at_zero) @ dn_dq]
+        keys = np.concatenate([part[1] * (states + 1) + part[0] for part in parts])
+        places, slots = np.unique(keys, return_inverse=True)
+        constant = np.zeros(places.size)
+        constant[slots[: n.size]] = second_derivative_matrix(H)[i, k]
+        nonzeros = ca.MX(ca.DM(constant))
+        nonzeros[slots[n.size :].tolist()] += ca.vertcat(*(ca.vec(part) for part in varying))
+        rows, columns = places % (states + 1), places // (states + 1)
+        ends = np.searchsorted(columns, np.arange(states + 3)).tolist()
+        jacobian = ca.MX(ca.Sparsity(states + 1, states + 2, ends, rows.tolist()), nonzeros)
+        self.symbols, self.shared = (z, residual, jacobian), dict[Any, Any]()
+        self.function = ca.Function("equations", [z, symbol], [residual, jacobian])
+        self.pattern, self.buffers = (rows, columns), Buffers(self.function)
 
 
 def _second_derivative(values: ca.MX) -> ca.MX:
@@ -415,9 +335,8 @@ def _second_derivative(values: ca.MX) -> ca.MX:
 
 # The problem of a family ------------------------------------------------------------------------------------------
 
-LONGEST_COMPARED_PROGRAM = (
-    4000  # instructions of a model up to which it is worth while to compare them with those of others
-)
+# Instructions of a model up to which it is worth while to compare them with those of others.
+LONGEST_COMPARED_PROGRAM = 4000
 KEPT_RESOLUTIONS = 32  # resolutions of models whose functions are kept
 ALIASING_FACTOR = 4.0  # error of a coarser orbit per size of the harmonics that it leaves out: measured
 
@@ -453,38 +372,11 @@ def _half_bandwidth(model: OdeModel) -> int:
     return int(np.max(np.abs(np.subtract(rows, columns)), initial=1))
 
 
-class _Kept:
-    """Functions and buffers that all models of one program share, at one resolution."""
-
-    def __init__(self, program: Program, harmonics: int) -> None:
-        self._program, self._harmonics = program, harmonics
-        self.shared: dict[Any, Any] = {}
-
-    @cached_property
-    def compiled(self) -> CompiledEquations | None:
-        """The equations by the compiled kernel; None where there is none."""
-        return CompiledEquations.of(self._program, self._harmonics)
-
-    @cached_property
-    def function(self) -> ca.Function:
-        """The equations by CasADi."""
-        program = self._program
-        sizes = (*program.inputs, program.numbers)
-        symbols = tuple(ca.SX.sym(name, size) for name, size in zip("qvpc", sizes, strict=True))
-        force, normalisation = program.expressions(symbols[:3], symbols[3])
-        numbers = ca.MX.sym("numbers", program.numbers)
-        z, residual, jacobian = odd_cosine_equations(self._harmonics, symbols, force, normalisation, numbers)
-        return ca.Function("equations", [z, numbers], [ca.densify(residual), jacobian])
-
-    @cached_property
-    def buffers(self) -> Buffers:
-        return Buffers(self.function)
-
-
 @lru_cache(maxsize=KEPT_RESOLUTIONS)
-def _kept(program: Program, harmonics: int, thread: int) -> _Kept:
+def _equations_of(program: Program, harmonics: int, thread: int) -> CosineEquations:
     """Those of a thread: the arguments of functions are arrays of their own."""
-    return _Kept(program, harmonics)
+    symbols = [ca.SX.sym(name, size) for name, size in zip("qvpc", (*program.inputs, program.numbers), strict=True)]
+    return CosineEquations(harmonics, symbols, *program.expressions(symbols[:3], symbols[3]))
 
 
 class TrigonometricProblem(OrbitProblem):
@@ -519,53 +411,49 @@ class TrigonometricProblem(OrbitProblem):
         return quarter_phases(self.resolution)
 
     def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
+        return self._own_equations().symbols
+
+    def _own_equations(self) -> CosineEquations:
         model = self.model
         symbols = model.state, model.velocity, model.parameters
-        return odd_cosine_equations(self.resolution, symbols, model.rhs, model.normalisation)
+        return CosineEquations(self.resolution, symbols, model.rhs, model.normalisation)
 
     # Functions are shared with models that differ in numbers alone --------------------------------------------------
 
     @cached_property
-    def _kept(self) -> _Kept | None:
+    def equations(self) -> CosineEquations:
+        """The equations as functions, of z and `numbers`."""
         lifted = _lifted(self.model)
-        return None if lifted is None else _kept(lifted[0], self.resolution, threading.get_ident())
+        if lifted is None:
+            return self._own_equations()
+        return _equations_of(lifted[0], self.resolution, threading.get_ident())
 
-    @cached_property
+    @property
     def compiled(self) -> ca.Function:
-        return self.function if self._kept is None else self._kept.function
+        return self.equations.function
 
     @cached_property
     def numbers(self) -> Array:
-        lifted = None if self._kept is None else _lifted(self.model)
+        lifted = _lifted(self.model)
         return self.constants if lifted is None else lifted[1]
-
-    @cached_property
-    def _buffers(self) -> Buffers:
-        return Buffers(self.compiled) if self._kept is None else self._kept.buffers
 
     @property
     def shared(self) -> dict[Any, Any]:
-        return super().shared if self._kept is None else self._kept.shared
+        return self.equations.shared
 
-    @cached_property
-    def _kernel(self) -> CompiledEquations | None:
-        return None if self._kept is None else self._kept.compiled
-
-    @cached_property
+    @property
     def pattern(self) -> tuple[Indices, Indices]:
-        return super().pattern if self._kernel is None else self._kernel.pattern
+        return self.equations.pattern
 
-    def evaluate(self, z: Array) -> tuple[Array, Array]:
-        if self._kernel is None:
-            return super().evaluate(z)
-        residuals, nonzeros = self._kernel.kernel(z[None], self.numbers)
-        return residuals[0], nonzeros[0]
+    @property
+    def _buffers(self) -> Buffers:
+        return self.equations.buffers
 
     def evaluate_all(self, z: Array) -> tuple[Array, Array]:
-        return super().evaluate_all(z) if self._kernel is None else self._kernel.kernel(z, self.numbers)
-
-    def evaluated(self, z: Array, numbers: Array) -> tuple[Array, Array]:
-        return super().evaluated(z, numbers) if self._kernel is None else self._kernel.kernel(z, numbers)
+        found = np.empty((len(z), self.size - 1)), np.empty((len(z), self.pattern[0].size))
+        for k, one in enumerate(z):
+            found[0][k], found[1][k] = self._values(one, self.numbers)
+        return found
 
     def recursion(self, form: PolynomialForm, orders: int) -> Recursion:
         """Power series of branches."""
@@ -594,9 +482,6 @@ class TrigonometricProblem(OrbitProblem):
     def coefficients(self, z: Array) -> Array:
         """Coefficients c_k of cos((2k+1) theta), shape (model.size, harmonics)."""
         return z[: self.states].reshape(self._sites, self.resolution) @ self._to_coefficients
-
-    def prolong(self, z: Array, finer: Problem) -> Array:
-        return np.asarray(self.all_prolonged(z[None], finer)[0])
 
     def all_prolonged(self, z: Array, finer: Problem) -> Array:
         # One product a state, as in `samples`.
@@ -628,9 +513,6 @@ class TrigonometricProblem(OrbitProblem):
             scale = np.array(self.model.output_scale)
             ratio = max(ratio, np.max(scale * lost) / np.max(scale * sizes))
         return error + ALIASING_FACTOR * float(ratio)
-
-    def sample(self, z: Array, theta: Array) -> Array:
-        return np.asarray(self.samples(z[None], theta)[0])
 
     def samples(self, z: Array, theta: Array) -> Array:
         # One product an orbit: the last bit of a larger one depends on how many there are.

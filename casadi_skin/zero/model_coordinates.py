@@ -21,7 +21,7 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
 from casadi_skin.zero.cosines import quarter_phases
 from casadi_skin.zero.family import Coordinates, Method, shift_by_projection
-from casadi_skin.zero.problem import EPSILON, Array, Problem
+from casadi_skin.zero.problem import EPSILON, Array, Buffers, Problem
 from casadi_skin.zero.statement import named_values
 
 SYMMETRY_RTOL = 1e-12  # relative difference of entries that are the same but for rounding
@@ -561,25 +561,35 @@ class ModelCoordinates(Coordinates):
 
     # Quantities -----------------------------------------------------------------------------------------------------
 
+    def _nonlinear(self, nodes: int) -> Buffers:
+        """The scaled forces without their linear part, at places (q, p), one row each."""
+        if nodes not in self._mapped:
+            scaled = self.scaled
+            q, p = scaled.state, scaled.parameters
+            linear = ca.SX(ca.DM(self.modes.stiffness)) @ q
+            rest = scaled.rhs + linear if self._parts is None else self._nonlinear_parts(q, p)
+            self._mapped[nodes] = Buffers(ca.Function("N", [q, p], [ca.densify(rest)]).map(nodes), nodes)
+        return self._mapped[nodes]
+
     @cached_property
-    def _nonlinear(self) -> ca.Function:
-        """Function (q, p) of the scaled forces without their linear part."""
-        scaled = self.scaled
-        q, p = scaled.state, scaled.parameters
-        if self._parts is not None:
-            return ca.Function("N", [q, p], [self._nonlinear_parts(q, p)])
-        return ca.Function("N", [q, p], [scaled.rhs + ca.SX(ca.DM(self.modes.stiffness)) @ q])
+    def _mapped(self) -> dict[int, Buffers]:
+        return {}
+
+    def _projections(self, problem: Problem, z: Array, theta: Array, left: Array) -> tuple[float, float, float]:
+        """Nonlinear forces and positions of the fundamental, projected on a vector, and a bound of the second.
+
+        `theta` are midpoints of equal parts of the period's quarter or half.
+        """
+        q, cosine = problem.sample(z, theta), 2.0 / theta.size * np.cos(theta)
+        forces, fundamental = self._nonlinear(theta.size)(q, z[problem.parameter_index])[0].reshape(q.shape), cosine @ q
+        size = float(np.linalg.norm(fundamental) * np.linalg.norm(left))
+        return -float(cosine @ forces @ left), float(fundamental @ left), size
 
     def Omega_shift(self, problem: Problem, z: Array) -> float:
         """From the fundamental of the equations, projected on the linear mode: without cancellation."""
-        theta = 2.0 * quarter_phases(max(64, 4 * problem.resolution))
-        q, cosine, left = problem.sample(z, theta), np.cos(theta), self.modes.left[self.mode_number - 1]
-        parameter = np.full((1, theta.size), float(z[problem.parameter_index]))
-        forces = np.array(self._nonlinear.map(theta.size)(q.T, parameter)).T
-        fundamental = cosine @ q
-        size = float(np.linalg.norm(fundamental) * np.linalg.norm(left))
-        nonlinear, Omega = -float(cosine @ forces @ left), problem.frequency(z)
-        return shift_by_projection(Omega, self.frequency, nonlinear, float(fundamental @ left), size)
+        theta, left = 2.0 * quarter_phases(max(64, 4 * problem.resolution)), self.modes.left[self.mode_number - 1]
+        by_projection = self._projections(problem, z, theta, left)
+        return shift_by_projection(problem.frequency(z), self.frequency, *by_projection)
 
 
 def coordinates_of_model(

@@ -105,17 +105,19 @@ class Problem(ABC):
         """Symbols z, residual R(z), sparse Jacobian dR/dz assembled from its structure; see `constants_symbol`."""
         raise NotImplementedError("these equations are no expressions of CasADi: `evaluate` assembles them")
 
-    @abstractmethod
+    # Of a method of one solution and that of several a transcription states one: each is the other's by default.
+
     def prolong(self, z: Array, finer: Self) -> Array:
         """The same solution in the unknowns of another resolution of the same transcription."""
+        return np.asarray(self.all_prolonged(z[None], finer)[0])
 
     def all_prolonged(self, z: Array, finer: Self) -> Array:
         """The same of several solutions, shape (states, size)."""
         return np.stack([self.prolong(one, finer) for one in z])
 
-    @abstractmethod
     def profile_change(self, z: Array, step: Array) -> float:
         """Change of the state in a step from z, relative to its size."""
+        return float(self.profile_changes(z[None], step[None])[0])
 
     def profile_changes(self, z: Array, steps: Array) -> Array:
         """The same of several states (states, size) in a step each."""
@@ -154,12 +156,12 @@ class Problem(ABC):
         """Place of Omega among the unknowns."""
         return self.index_of(Scalar.OMEGA)
 
-    @abstractmethod
     def sample(self, z: Array, theta: Array) -> Array:
         """States (positions, in a family of second order) at places of the solution, shape (len(theta), components).
 
         Places are phases Omega t of an orbit, or the independent variable.
         """
+        return np.asarray(self.samples(z[None], theta)[0])
 
     def samples(self, z: Array, theta: Array) -> Array:
         """The same of several solutions (any, size), shape (any, len(theta), components)."""
@@ -366,9 +368,9 @@ class Problem(ABC):
         largest = np.max(np.abs(nonzeros[inside] * z[columns[inside]]), initial=1.0)
         return float(np.max(np.abs(residual)) / largest)
 
-    @abstractmethod
     def metric(self, z: Array, parameter_scale: float) -> Array:
         """Diagonal of the relative metric at z in which walks measure lengths, shape (size,)."""
+        return np.asarray(self.metrics(z[None], parameter_scale)[0])
 
     def metrics(self, z: Array, parameter_scale: float) -> Array:
         """The same at several states, shape (states, size)."""
@@ -411,11 +413,8 @@ class OrbitProblem(Problem):
         factors = self.model.output_scale
         return None if factors is None or len(set(factors)) == 1 else self._spread(np.array(factors))
 
-    def profile_change(self, z: Array, step: Array) -> float:
-        """Largest change of a state value relative to the largest state value, also in the output scale."""
-        return float(self.profile_changes(z[None], step[None])[0])
-
     def profile_changes(self, z: Array, steps: Array) -> Array:
+        """Largest changes of state values relative to the largest state value, also in the output scale."""
         moves, states, scale = np.abs(steps[:, : self.states]), np.abs(z[:, : self.states]), self.output_scale
         change = moves.max(axis=1) / states.max(axis=1)
         if scale is not None:
@@ -431,9 +430,6 @@ class OrbitProblem(Problem):
 
     def place(self, equation: int) -> str:
         return "the normalisation" if equation == self.size - 2 else super().place(equation)
-
-    def metric(self, z: Array, parameter_scale: float) -> Array:
-        return np.asarray(self.metrics(z[None], parameter_scale)[0])
 
     def metrics(self, z: Array, parameter_scale: float) -> Array:
         """Diagonals of |dq|^2/|q|^2 + (20 dOmega/Omega)^2 + (dp/scale)^2 at states, shape (states, size)."""

@@ -108,6 +108,30 @@ def test_a_mesh_survives_the_journal_and_the_walk_goes_on_as_if_not_broken_off(S
             np.testing.assert_array_equal(one.point.problem.constants, other.point.problem.constants)
 
 
+# Points that cannot be evaluated --------------------------------------------------------------------------------------
+
+
+def test_points_of_one_programme_that_cannot_be_evaluated_leave_the_others_as_they_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem = gauss_problem(Chain(4, 1.0, 0.3, -1.0).gauge_model(), 2, SymmetryClass.QUARTER, 3)
+    z = np.random.default_rng(1).normal(size=(3, problem.size))
+    assembled = CollocationProblem._values
+
+    def values(self: CollocationProblem, point: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if np.array_equal(point, z[1]):
+            raise ArithmeticError
+        return assembled(self, point, numbers)
+
+    monkeypatch.setattr(CollocationProblem, "_values", values)
+    residuals, nonzeros = problem.evaluated(z, problem.numbers)
+    assert np.all(np.isnan(residuals[1]))
+    assert np.all(np.isnan(nonzeros[1]))
+    expected = problem.evaluate_all(z[::2])
+    np.testing.assert_allclose(residuals[::2], expected[0], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(nonzeros[::2], expected[1], rtol=0, atol=1e-13)
+
+
 # Asked for by name --------------------------------------------------------------------------------------------------
 
 
