@@ -298,13 +298,6 @@ def test_the_slope_of_the_frequency_is_that_of_the_papers_sums(
     assert off(closed_forms.sensitivity(sites, alpha, gamma, -0.7, mode), relative) < 1e-12
 
 
-@pytest.mark.parametrize("mode", [1, 2, 3])
-def test_one_way_coupling_gives_the_limit_of_the_papers_sums(mode: int) -> None:
-    """As gamma -> 1 the edge site alone is left in both sums: the ratio is sin^2(N j pi/(N+1))."""
-    found = closed_forms.frequency_slope(3, 1.0, 1.0, 1.0, mode)
-    assert found == pytest.approx(3 / (4 * 4 * np.sqrt(3.0)) * np.sin(3 * mode * np.pi / 4) ** 2, rel=1e-14)
-
-
 def shoot(matrix: Array, g: float, mode: int, S: float) -> tuple[float, Array]:
     """Omega and y(0)/sqrt(S) of the orbit with y'(0) = 0, y(T/4) = 0 and |y(0)|^2 = S, from numpy's linear mode."""
     values, vectors = np.linalg.eig(matrix)
@@ -344,20 +337,6 @@ def test_small_orbits_found_by_shooting_have_the_predicted_slope_and_profile(g: 
 def test_periods_at_small_amplitude_are_those_that_the_paper_states(g: float, mode: int, period: float) -> None:
     found = 2 * np.pi / closed_forms.frequency(24, 1.0, 0.25, g, mode, 0.2)
     assert float(found) == pytest.approx(period, abs=0.006)
-
-
-@pytest.mark.parametrize("gamma", [0.25, -0.25, 0.0])
-def test_displacement_is_the_normalised_mode_times_a_cosine(gamma: float) -> None:
-    sites, mode, S, t = 5, 2, 0.3, np.linspace(0.0, 20.0, 13)
-    u = ((1 + gamma) / (1 - gamma)) ** (np.arange(1, 6) / 2) * np.sin(np.arange(1, 6) * mode * np.pi / 6)
-    slope = exact_slope(sites, 1.0, gamma, 1.0, mode)
-    Omega = float(mp.sqrt(exact_square(sites, 1.0, gamma, mode)) + S * slope)
-    expected = np.sqrt(S) * np.outer(np.cos(Omega * t), u / np.linalg.norm(u))
-    found = closed_forms.displacement(sites, 1.0, gamma, 1.0, mode, S, t)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
-    assert closed_forms.displacement(sites, 1.0, gamma, 1.0, mode, S, 3.0).shape == (1, sites)
-    grid = closed_forms.frequency(sites, 1.0, gamma, 1.0, mode, [[0.0, S], [S, 1.0]])
-    np.testing.assert_allclose(grid[:, 1], [Omega, Omega + (1.0 - S) * float(slope)], rtol=1e-15)
 
 
 @pytest.mark.parametrize(("gamma", "limit"), [(0.25, 320.2), (0.4, 106.2), (0.55, 44.1), (0.7, 19.4)])

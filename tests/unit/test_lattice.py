@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import pickle
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -15,24 +13,11 @@ from lattices import GAINS, chain, dimer, fput, plane
 from casadi_skin import Bond, Chain, Lattice, OdeModel, Site, Uniform, follow_family, search_orbit
 from casadi_skin.lattice.chain import declared_chain
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
-
 
 def accelerations(model: OdeModel, y: Any, parameters: Any = ()) -> Any:
     """The accelerations at positions, by the model's nominal parameters unless others are given."""
     rhs = ca.Function("f", [model.state, model.parameters], [model.rhs])
     return np.array(rhs(y, parameters or model.nominal)).ravel()
-
-
-def by_hand(name: str) -> OdeModel:
-    """A model of examples/models/lattices.py."""
-    specification = importlib.util.spec_from_file_location("hand", EXAMPLES / "models" / "lattices.py")
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    model: OdeModel = getattr(module, name)()
-    return model
 
 
 # The same numbers -----------------------------------------------------------------------------------------------------
@@ -89,26 +74,6 @@ def test_what_is_not_the_chain_is_not_taken_for_it(
 ) -> None:
     lattice = Lattice(4, [Site("a", onsite, mass)], [Bond("a", "a", (1,), force, gain)], boundary, {"gamma": 0.2})
     assert declared_chain(lattice.declaration, lattice.equations.autonomous, {"gamma": 0.2}) is None
-
-
-@pytest.mark.parametrize(
-    ("name", "mode", "S", "lattice"),
-    [
-        ("fput", "last", 1.0, fput(24, "fixed")),
-        (
-            "pendula",
-            "first",
-            10.0,
-            Lattice(16, [Site("a", "sin(y)")], [Bond("a", "a", (1,), "k*d")], "fixed", {"k": 0.2}),
-        ),
-    ],
-)
-def test_models_by_hand_have_the_numbers_of_lattices(name: str, mode: str, S: float, lattice: Lattice) -> None:
-    options = {"mode": mode, "amplitude_max": S, "at": (S,), "stability": True, "events": False, "tolerance": 1e-9}
-    a, b = (follow_family(model, **options).at(S=S) for model in (by_hand(name), lattice))
-    assert b.Omega == pytest.approx(a.Omega, rel=1e-14)
-    assert b.energy == pytest.approx(a.energy, rel=1e-13)
-    assert max(abs(b.floquet().multipliers)) == pytest.approx(max(abs(a.floquet().multipliers)), abs=1e-9)
 
 
 @pytest.mark.parametrize(

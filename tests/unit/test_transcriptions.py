@@ -149,17 +149,6 @@ def test_odd_cosines_converge_spectrally_to_the_duffing_oscillator(g: float, S: 
         assert e[-1] < 1e-14
 
 
-@pytest.mark.parametrize(("g", "S"), [(1.0, 5.0), pytest.param(-1.0, 1.2, marks=slow)])
-def test_more_digits_of_shooting_are_more_accurate(g: float, S: float) -> None:
-    chain, exact, errors = Chain(1, 1.0, 0.0, g), duffing_frequency(3.0, g, np.sqrt(S)), []
-    for digits in (5, 8, 11, 14):
-        problem = ShootingProblem(chain.gauge_model(), digits, QUARTER)
-        errors.append(abs(solved(problem, chain, 1, g * S)[problem.Omega_index] - exact))
-    assert all(fine < 0.1 * coarse for coarse, fine in pairwise(errors))
-    assert errors[0] > 1e-7  # it is the tolerance that is seen
-    assert errors[-1] < 1e-12
-
-
 # Orbits ---------------------------------------------------------------------------------------------------------------
 
 
