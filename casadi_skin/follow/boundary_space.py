@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, ClassVar
@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.branch_points import ONE_PLACE, branch_points_between
-from casadi_skin.follow.location import Located, locate_rest, special_orbit
+from casadi_skin.follow.location import locate_rest, special_orbit
 from casadi_skin.follow.period_limit import joined_words, unbounded
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.search import MonitorSearch
@@ -52,76 +52,44 @@ EXTREMUM_ZOOMS = 4
 BOUND_MET_RTOL = 1e-12  # of the size of a quantity: a bound that is as near is met
 
 
-@dataclass(frozen=True)
-class Margin:
-    """How far a solution is from one bound, relative to the size of the quantity, and where it is nearest."""
+def margins(space: BoundarySpace, point: Point) -> list[tuple[float, str]]:
+    """How far a solution is from each finite bound over the whole interval, and which bound it is, in words.
 
-    value: float
-    name: str
-    bound: str
-    time: float | None
-
-    def __str__(self) -> str:
-        """Which bound it is, in words."""
-        when = "" if self.time is None else f" at t = {self.time:.6g}"
-        return f"{self.name} comes to its {self.bound}{when}"
-
-
-def margin(space: BoundarySpace, point: Point) -> Margin:
-    """The least margin of a solution, over the whole interval; negative beyond a bound."""
-    return min(margins(space, point), key=lambda one: one.value)
-
-
-def margins(space: BoundarySpace, point: Point) -> list[Margin]:
-    """The margins of all finite bounds."""
-    problem, names, values = point.problem, space.state_names, space.parameters(point)
-    turns = _turns(space, problem)
-    states = _states(space, point, turns)
-    start, end = space.interval(point)
-    found = list[Margin]()
-    for name, limits in space.statement.bounds.items():
-        for sign, bound, words in ((1.0, limits[1], "upper"), (-1.0, limits[0], "lower")):
-            if math.isinf(bound):
-                continue
-            time, value, size = None, sign * values.get(name, 0.0), abs(values.get(name, 0.0))
-            if name in names:
-                component = names.index(name)
-                size = float(np.max(np.abs(states[:, component])))
-                turn, value = _largest(space, point, turns, sign * states[:, component], component, sign)
-                time = start + turn * (end - start)
-            size = max(abs(bound), size, BOUND_MET_RTOL)
-            found.append(Margin((sign * bound - value) / size, name, f"{words} bound {bound:.10g}", time))
-    return found
-
-
-def _turns(space: BoundarySpace, problem: BoundaryProblem) -> Array:
-    """Places in the interval, or in the whole period, on the mesh and between."""
-    edges = problem._fractions()
+    Distances are relative to the size of the quantity, and negative beyond the bound.
+    """
+    values, (start, end), edges = space.parameters(point), space.interval(point), point.problem._fractions()
     if space.periodic is not None:
         part = space.periodic.symmetry.value
         edges = np.unique(np.concatenate([edges * part, 1.0 - edges * part, np.linspace(0.0, 1.0, edges.size)]))
     inner = np.linspace(0.0, 1.0, PLACES_WITHIN_COLUMN, endpoint=False)
-    return np.append((edges[:-1, None] + np.diff(edges)[:, None] * inner).ravel(), 1.0)
+    turns = np.append((edges[:-1, None] + np.diff(edges)[:, None] * inner).ravel(), 1.0)
 
+    def sampled(turns: Array) -> Array:
+        if space.periodic is not None:
+            return space.states_at(point, TWO_PI * turns, None)
+        return np.asarray(point.problem.sample(point.z, turns))
 
-def _states(space: BoundarySpace, point: Point, turns: Array) -> Array:
-    if space.periodic is not None:
-        return space.states_at(point, TWO_PI * turns, None)
-    return np.asarray(point.problem.sample(point.z, turns))
-
-
-def _largest(
-    space: BoundarySpace, point: Point, turns: Array, values: Array, component: int, sign: float
-) -> tuple[float, float]:
-    """Where a state times a sign is largest, and its value there, between the places that it is known at too."""
-    for _ in range(EXTREMUM_ZOOMS):
-        at = int(np.argmax(values))
-        if at in (0, turns.size - 1):
-            break
-        turns = np.linspace(turns[at - 1], turns[at + 1], 4 * PLACES_WITHIN_COLUMN + 1)
-        values = sign * _states(space, point, turns)[:, component]
-    at = int(np.argmax(values))
-    return float(turns[at]), float(values[at])
+    states, found = sampled(turns), list[tuple[float, str]]()
+    for name, (lower, upper) in space.statement.bounds.items():
+        for sign, bound, which in ((1.0, upper, "upper"), (-1.0, lower, "lower")):
+            if math.isinf(bound):
+                continue
+            if name in space.state_names:
+                k = space.state_names.index(name)
+                size, places, course = float(np.max(np.abs(states[:, k]))), turns, sign * states[:, k]
+                for _ in range(EXTREMUM_ZOOMS):
+                    at = int(np.argmax(course))
+                    if at in (0, places.size - 1):
+                        break
+                    places = np.linspace(places[at - 1], places[at + 1], 4 * PLACES_WITHIN_COLUMN + 1)
+                    course = sign * sampled(places)[:, k]
+                at = int(np.argmax(course))
+                largest, when = float(course[at]), f" at t = {start + places[at] * (end - start):.6g}"
+            else:
+                largest, size, when = sign * values[name], abs(values[name]), ""
+            distance = (sign * bound - largest) / max(abs(bound), size, BOUND_MET_RTOL)
+            found.append((distance, f"{name} comes to its {which} bound {bound:.10g}{when}"))
+    return found
 
 
 def met_between(space: BoundarySpace, before: Point, after: Point) -> Point | None:
@@ -133,7 +101,7 @@ def met_between(space: BoundarySpace, before: Point, after: Point) -> Point | No
         return None
 
     def values(point: Point) -> Array:
-        return np.array([one.value for one in margins(space, point)])
+        return np.array([distance for distance, _ in margins(space, point)])
 
     held = np.where(values(before) <= space.tolerance, space.tolerance, 0.0)
     search = MonitorSearch(space, before, after, [BOUND] * held.size, lambda point: np.asarray(values(point) + held))
@@ -152,48 +120,32 @@ def at_rest(problem: BoundaryProblem, x: Array, period: float, u: float) -> Arra
 
 
 def hopf_end(space: BoundarySpace, before: Point, after: Point) -> Point | None:
-    """The Hopf point between two orbits whose amplitude passes through zero; None where there is none."""
-    smaller = min((before, after), key=lambda point: _variation(space, point))
-    found = _hopf_near(space, smaller)
-    return None if found is None else _as_orbit(space, smaller, *found)
+    """The Hopf point between two orbits whose amplitude passes through zero, as an orbit; None where there is none.
 
+    It is sought near the mean of the smaller orbit, its parameters and its period.
+    """
 
-def _variation(space: BoundarySpace, point: Point) -> float:
-    """Variation along an orbit, relative to the sizes of its components."""
-    states = point.problem.sample(point.z, np.linspace(0.0, 1.0, 65))
-    return float(np.max(np.ptp(states, axis=0) / (space.sizes.states * 1e3)))
+    def variation(point: Point) -> float:
+        states = point.problem.sample(point.z, np.linspace(0.0, 1.0, 65))
+        return float(np.max(np.ptp(states, axis=0) / space.sizes.states))
 
-
-def _hopf_near(space: BoundarySpace, orbit: Point) -> tuple[EquilibriumSpace, Located] | None:
-    """The Hopf point near an orbit of small amplitude, from its mean, its parameters and its period."""
-    periodic = space.periodic
-    assert periodic is not None
-    model: OdeModel = periodic.model
+    orbit = min((before, after), key=variation)
+    model, name, values = space.model, space.parameter, space.parameters(orbit)
     states = orbit.problem.sample(orbit.z, np.linspace(0.0, 1.0, 257)[:-1])
-    x, values = states.mean(axis=0), space.parameters(orbit)
-    known: Mapping[str, float] = {name: values[name] for name in model.parameter_names}
-    start = space.statement.values[space.parameter]
-    statics = Statics(model, {**known, space.parameter: start})
+    x, extent, period = states.mean(axis=0), np.ptp(states, axis=0), values[PERIOD]
+    statics = Statics(model, {**{key: values[key] for key in model.parameter_names}, name: space.begins})
     sizes = sizes_of([x, space.sizes.states[: x.size]])  # an equilibrium near zero has the size of the branch
-    equilibria = EquilibriumSpace(statics, 1e-10, "newton", sizes, parameter=space.parameter, to=space.to)
-    y, u = x / equilibria.sizes, orbit.parameter
-    found = locate_rest(equilibria, HOPF, y, u, 2j * np.pi / values[PERIOD])
+    equilibria = EquilibriumSpace(statics, 1e-10, "newton", sizes, parameter=name, to=space.to)
+    y, u = x / sizes, orbit.parameter
+    found = locate_rest(equilibria, HOPF, y, u, 2j * np.pi / period)
     if found is None:
         return None
-    reach = np.ptp(states, axis=0) / equilibria.sizes
-    near = np.max(np.abs(found.y - y)) <= SHRUNK_ORBIT_REACH * np.max(reach) and abs(found.s - u) <= max(
-        0.1, SHRUNK_ORBIT_REACH * np.max(reach)
-    )
-    same_period = abs(2.0 * np.pi / found.frequency - values[PERIOD]) <= SHRUNK_ORBIT_REACH * values[PERIOD]
-    return (equilibria, found) if near and same_period else None
-
-
-def _as_orbit(space: BoundarySpace, orbit: Point, equilibria: EquilibriumSpace, found: Located) -> Point:
-    """A Hopf point as an orbit of amplitude zero of the branch that ends there."""
-    problem = orbit.problem
-    x = equilibria.problem.state(np.append(found.y, found.s))
-    z = at_rest(problem, x, 2.0 * np.pi / found.frequency, found.s)
-    error = ErrorEstimate(found.profile, found.profile, parameter=found.error / problem.parameter_size(z))
+    reach, born = SHRUNK_ORBIT_REACH * np.max(extent / sizes), TWO_PI / found.frequency
+    near = np.max(np.abs(found.y - y)) <= reach and abs(found.s - u) <= max(0.1, reach)
+    if not near or abs(born - period) > SHRUNK_ORBIT_REACH * period:
+        return None
+    z = at_rest(orbit.problem, equilibria.problem.state(np.append(found.y, found.s)), born, found.s)
+    error = ErrorEstimate(found.profile, found.profile, parameter=found.error / orbit.problem.parameter_size(z))
     return replace(orbit, z=z, error=error, requested=False, walked=False, better=None, special=HOPF)
 
 
@@ -600,7 +552,7 @@ class BoundarySpace(ParameterSpace):
         if point.special == BRANCH_POINT and self.left is not None:
             return End.REJOINED, ""
         if point.special == BOUND:
-            return End.BOUND, f"{margin(self, point)}, {point.problem.whereabouts(point.z)}"
+            return End.BOUND, f"{min(margins(self, point))[1]}, {point.problem.whereabouts(point.z)}"
         if point.special in (HOMOCLINIC, HETEROCLINIC):
             value, error = self.parameters(point)[self.parameter], self.parameter_error(point)
             where = f"{self.parameter} = {value:.10g} +- {error:.0e}"
