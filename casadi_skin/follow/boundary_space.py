@@ -105,7 +105,7 @@ def met_between(space: BoundarySpace, before: Point, after: Point) -> Point | No
 
     held = np.where(values(before) <= space.tolerance, space.tolerance, 0.0)
     search = MonitorSearch(space, before, after, [BOUND] * held.size, lambda point: np.asarray(values(point) + held))
-    return next((point for point in search.on_stretch() if isinstance(point, Point)), None)
+    return next(iter(search.on_stretch()), None)
 
 
 # The Hopf point at which a branch of orbits ends, as they shrink to an equilibrium ------------------------------------
@@ -477,7 +477,7 @@ class BoundarySpace(ParameterSpace):
         """Whether changes of stability are located between two solutions."""
         return not self.kind
 
-    def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
+    def special_between(self, before: Point, after: Point, gaps: list[Unresolved]) -> Iterator[Point]:
         """Folds on the stretch between two points, and the Hopf point where an orbit shrinks to an equilibrium.
 
         The later point itself where the period grows without bound there; where a bound is met, that point comes last.

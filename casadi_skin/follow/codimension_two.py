@@ -121,17 +121,17 @@ SYMMETRIC_TERM_RATIO = 1e-6  # of all terms: a quadratic coefficient that a symm
 Test = Callable[[Point], float]
 
 
-def special_on_curve(search: CurveSearch) -> Iterator[Point | Unresolved]:
-    """Points of codimension two between two points of a curve, in order, and parts of it that are not resolved.
+def special_on_curve(search: CurveSearch, gaps: list[Unresolved]) -> list[Point]:
+    """Points of codimension two between two points of a curve, in order; `gaps` gets parts that are not resolved.
 
     Raises NotLocatedError.
     """
     found = [*search.on_stretch(), *search.found_by_ends()]
-    yield from (part for part in found if isinstance(part, Unresolved))
-    yield from sorted((point for point in found if isinstance(point, Point)), key=search.sigma)
+    gaps += search.gaps
+    return sorted(found, key=search.sigma)
 
 
-class CurveSearch(Search[Point | Unresolved]):
+class CurveSearch(Search):
     """Points of codimension two on one stretch of a curve.
 
     Attributes:
@@ -226,7 +226,7 @@ class CurveSearch(Search[Point | Unresolved]):
         row = self.metric(point) * point.tangent
         return Sample(point, row, *self.exponents(own), np.zeros_like(point.z), 1.0, leading, self.turn)
 
-    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point | Unresolved] | None:
+    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point] | None:
         if self._is_beyond(stretch):
             return ()
         settled = stretch.settled.copy()
@@ -238,7 +238,7 @@ class CurveSearch(Search[Point | Unresolved]):
             return None
         passed = list(self._passed(stretch))
         if not (passed or np.all(settled)):
-            return list(self.unresolved(stretch))
+            return self.given_up(stretch)
         before, after = (self.own(end.point) for end in (stretch.first, stretch.last))
         located = [self.root(before, after, kind, test) for kind, test in passed]
         return [point for _, point in sorted((one for one in located if one is not None), key=lambda one: one[0])]
@@ -411,9 +411,6 @@ class EquilibriumCurveSearch(CurveSearch):
     def error(self, point: Point, test: Test, slope: float, width: float) -> float:
         return float(width * abs(point.tangent[-1]) + point.error.relative(1.0))
 
-    def unresolved(self, stretch: Stretch) -> Iterator[Unresolved]:
-        yield from ()
-
     def lyapunov(self, point: Point, widening: float = 1.0) -> float:
         """Twice the frequency times the first Lyapunov coefficient; infinite where a pair is real."""
         near, statics = cast(HopfSystem, point.problem), replace(self.statics, widening=widening)
@@ -572,9 +569,11 @@ class OrbitCurveSearch(CurveSearch):
         moved += 4.0 * EPSILON  # of the way between both values of the parameter, which it is computed from
         return float(moved / point.problem.parameter_size(point.z) + EPSILON)
 
-    def unresolved(self, stretch: Stretch) -> Iterator[Unresolved]:
+    def given_up(self, stretch: Stretch) -> Sequence[Point]:
         start, end = (self.space.parameters(s.point)[self.space.parameter] for s in (stretch.first, stretch.last))
-        yield Unresolved(start, end, "points of codimension two may be missing", self.kind, self.space.parameter)
+        words = "points of codimension two may be missing"
+        self.gaps.append(Unresolved(start, end, words, self.kind, self.space.parameter))
+        return ()
 
 
 def _finer(point: Point) -> Point:

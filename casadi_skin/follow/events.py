@@ -86,30 +86,32 @@ def at_requested_value(solution: Solution) -> Solution:
     return critical
 
 
-def events_between(space: BoundarySpace, before: Solution, after: Solution) -> Iterator[Event | Unresolved]:
+def events_between(space: BoundarySpace, before: Solution, after: Solution) -> tuple[list[Event], list[Unresolved]]:
     """Events between two orbits of a branch, neither of them special, in order, and stretches not resolved."""
     first, last = (Exponents.from_floquet(end.floquet()) for end in (before, after))
+    events, gaps = list[Event](), list[Unresolved]()
     if not first.values.size:
-        return
+        return events, gaps
     kind = _Free if first.pairs is None or last.pairs is None else _Paired
-    found = kind(space, before, after).on_stretch()
-    merged: list[Event | Unresolved] = []
-    for one in sorted(found, key=lambda item: item.place if isinstance(item, Event) else -1.0):
-        last_one = merged[-1] if merged else None
-        if isinstance(one, Event) and isinstance(last_one, Event) and _is_same(one, last_one):
-            merged[-1] = last_one._replace(jump=last_one.jump + one.jump)
-        elif isinstance(one, Unresolved) and isinstance(last_one, Unresolved) and last_one.end == one.start:
-            merged[-1] = replace(last_one, end=one.end)
+    search = kind(space, before, after)
+    for one in sorted(search.on_stretch(), key=lambda event: event.place):
+        if events and _is_same(one, events[-1]):
+            events[-1] = events[-1]._replace(jump=events[-1].jump + one.jump)
         else:
-            merged.append(one)
-    yield from merged
+            events.append(one)
+    for gap in search.gaps:
+        if gaps and gaps[-1].end == gap.start:
+            gaps[-1] = replace(gaps[-1], end=gap.end)
+        else:
+            gaps.append(gap)
+    return events, gaps
 
 
 def _is_same(one: Event, other: Event) -> bool:
     return one.kind == other.kind != KREIN and abs(one.place - other.place) <= SAME_EVENT and one.angle == other.angle
 
 
-class _OrbitSearch(Search[Event | Unresolved]):
+class _OrbitSearch(Search):
     """The search on one stretch between two orbits."""
 
     def __init__(self, space: BoundarySpace, before: Solution, after: Solution) -> None:
@@ -133,9 +135,9 @@ class _OrbitSearch(Search[Event | Unresolved]):
         (start, open_at_start), (end, open_at_end) = (self.outside(end.point) for end in (stretch.first, stretch.last))
         return abs(end - start - jumps) <= min(open_at_start, open_at_end)
 
-    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Event | Unresolved] | None:
+    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Event] | None:
         if not any(self.is_clear(sample.point) for sample in stretch.samples):
-            return list(self.unresolved(stretch))
+            return self.given_up(stretch)
         if not np.all(stretch.settled):
             return None
         passages = list(self.passages(stretch))
@@ -163,12 +165,13 @@ class _OrbitSearch(Search[Event | Unresolved]):
         """The event that is none of a single quantity; None where there is none."""
         return None
 
-    def unresolved(self, stretch: Stretch) -> Iterator[Unresolved]:
+    def given_up(self, stretch: Stretch) -> Sequence[Event]:
         start, end = (self.space.value(self.space.parameter, s.point) for s in (stretch.first, stretch.last))
         (before, _), (after, unclear) = (self.outside(end.point) for end in (stretch.first, stretch.last))
         words = f"from {before} to {after} multipliers outside the unit circle"
         why = f"; {unclear} on it within their errors" if unclear else ""
-        yield Unresolved(start, end, words + why, parameter=self.space.parameter)
+        self.gaps.append(Unresolved(start, end, words + why, parameter=self.space.parameter))
+        return ()
 
     # Locating ---------------------------------------------------------------------------------------------------------
 
@@ -392,24 +395,18 @@ class Ledger:
         if special and not leaving and self._count is not None:
             self._passed(before, self._count, start, _angle_of(before))
         self._count = start
-        known = len(self.unresolved)
-        for event in events_between(self.space, first, last):
-            if isinstance(event, Unresolved):
-                self.unresolved.append(event)
-                continue
-            self._enter(event)
+        events, gaps = events_between(self.space, first, last)
+        self.unresolved += gaps
+        for event in events:
+            self._passed(event.solution, self._count, self._count + event.jump, event.angle)
+            self._count += event.jump
             if event.kind != KREIN:
                 yield event.solution
         end, open_at_end = Exponents.from_floquet(last.floquet()).outside
-        if len(self.unresolved) == known and abs(end - self._count) > min(open_at_start, open_at_end):
+        if not gaps and abs(end - self._count) > min(open_at_start, open_at_end):
             words = f"{end} multipliers are outside the unit circle where events account for {self._count}"
             self._name(first, last, words)
         self._count = end
-
-    def _enter(self, event: Event) -> None:
-        assert self._count is not None
-        self._passed(event.solution, self._count, self._count + event.jump, event.angle)
-        self._count += event.jump
 
     def _passed(self, solution: Solution, before: int, after: int, angle: float) -> None:
         """Enter the change of stability at an orbit, where there is one."""

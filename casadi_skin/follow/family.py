@@ -27,6 +27,7 @@ from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.collocation import CollocationProblem
 from casadi_skin.zero.cosines import PolynomialForm, Recursion, TrigonometricProblem
 from casadi_skin.zero.family import TWO_PI, FamilyRequest
+from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.problem import Array, Indices, Problem
 from casadi_skin.zero.settings import Continuation, End, Point
 from casadi_skin.zero.shooting import ShootingProblem
@@ -169,7 +170,7 @@ class Family(FamilyStability, SolutionSpace):
             return self.request.S_of(point.parameter)
         return point.Omega if name == "Omega" else self.request.period_of(point.Omega)
 
-    def special_between(self, before: Point, after: Point) -> Iterator[Point]:
+    def special_between(self, before: Point, after: Point, gaps: list[Unresolved]) -> Iterator[Point]:
         """Folds on the stretch between two points, where S turns back."""
         yield from folds_between(self.point_solver, before, after)
 

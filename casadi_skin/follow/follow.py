@@ -211,11 +211,8 @@ class StretchPoints:
     def special(self) -> list[Point]:
         """Special points in order, those at requested values exactly there; raises NotLocatedError."""
         targets, found = self.space.point_solver.settings.at, list[Point]()
-        special = self.space.special_between(self.before, self.after)
-        for point in chain(special, monitored(self.space, self.before, self.after)):
-            if isinstance(point, Unresolved):
-                self.unresolved.append(point)
-                continue
+        stretch = self.before, self.after, self.unresolved
+        for point in chain(self.space.special_between(*stretch), monitored(self.space, *stretch)):
             target = target_of(self.space, point)
             found.append(point if target is None else snapped(point, target, target in targets))
         for target in self.missed:

@@ -206,43 +206,48 @@ OUTSIDE_STRETCH = 1e-6  # of a stretch: a special point farther out is another o
 FARTHEST_FROM_EXPECTED = 0.7  # of a stretch: how far from where it is expected a special point may be found
 
 
-def special_between(equations: SolutionSpace, before: Point, after: Point) -> Iterator[Point | Unresolved]:
-    """Special points between two points of a branch in order, each marked by its kind, and parts not resolved.
+def special_between(equations: SolutionSpace, before: Point, after: Point, gaps: list[Unresolved]) -> Iterator[Point]:
+    """Special points between two points of a branch in order, each marked by its kind.
 
-    Where several lie too near to each other to be separated, they are all at the start of the part that is named. The
-    stretch is divided where the number of unstable eigenvalues differs along it, or the special points do not account
-    for it; what stays is named.
+    Where several lie too near to each other to be separated, they are all at the start of the part that `gaps` gets.
+    The stretch is divided where the number of unstable eigenvalues differs along it, or the special points do not
+    account for it; what stays is named.
     """
     search = _Search(equations, before, after)
     counts = counted(equations, before, after) if search.free else None
     if counts is None:
         yield from search.on_stretch()
+        gaps += search.gaps
         if search.free:
-            yield _gap(equations, before.parameter, after.parameter, "the branch is not found between two points")
+            words = "the branch is not found between two points"
+            gaps.append(_gap(equations, before.parameter, after.parameter, words))
         return
     places = counts.cuts
     for _ in range(MOST_RECOUNTS):
-        parts = pairwise((before, *counts.points(equations, places), after))
-        found = [one for ends in parts for one in _between(equations, *ends)]
-        events = [point for point in found if isinstance(point, Point)]
-        missing = None if len(events) < len(found) else counts.violation(events)
+        parts, missed = pairwise((before, *counts.points(equations, places), after)), list[Unresolved]()
+        events = [one for ends in parts for one in _between(equations, *ends, missed)]
+        missing = None if missed else counts.violation(events)
         if missing is None:
             break
         places = sorted({*places, *missing})
-    yield from found
+    yield from events
+    gaps += missed
     if missing is not None:
         numbers = " to ".join(str(counts.least[k]) for k in missing)
         words = f"the number of unstable eigenvalues goes from {numbers}, and no special point accounts for it"
         start, end = (float(counts.unknowns[k, -1]) for k in missing)
-        yield _gap(equations, start, end, words)
+        gaps.append(_gap(equations, start, end, words))
 
 
-def _between(equations: SolutionSpace, before: Point, after: Point) -> Iterator[Point | Unresolved]:
+def _between(equations: SolutionSpace, before: Point, after: Point, gaps: list[Unresolved]) -> list[Point]:
     """Special points of a part; it is named where the branch turns by so much that no curve through its ends is it."""
     if float(equations.sample(before).row @ after.tangent) < SHARP_TURN_COSINE:
-        yield _gap(equations, before.parameter, after.parameter, "the branch turns sharply between two points")
-        return
-    yield from _Search(equations, before, after).on_stretch()
+        gaps.append(_gap(equations, before.parameter, after.parameter, "the branch turns sharply between two points"))
+        return []
+    search = _Search(equations, before, after)
+    found = search.on_stretch()
+    gaps += search.gaps
+    return found
 
 
 def _gap(equations: SolutionSpace, start: float, end: float, words: str, kind: str = "special points") -> Unresolved:
@@ -252,7 +257,7 @@ def _gap(equations: SolutionSpace, start: float, end: float, words: str, kind: s
     return Unresolved(low, high, words, kind, equations.parameter)
 
 
-class _Search(Search[Point]):
+class _Search(Search):
     """Folds, branch points and Hopf points on one stretch of a branch."""
 
     deepest, most_parts = 20, 400
@@ -299,20 +304,20 @@ class _Search(Search[Point]):
     def _crossings(self, stretch: Stretch) -> list[Crossing]:
         return list(stretch.crossings()) if self.free else []
 
-    def unresolved(self, stretch: Stretch) -> Iterator[Point | Unresolved]:
-        """Special points of a stretch that cannot be halved, at its start, with the record of it."""
+    def given_up(self, stretch: Stretch) -> list[Point]:
+        """Special points of a stretch that cannot be halved, at its start."""
         crossings, first, last = self._crossings(stretch), stretch.first.point, stretch.last.point
         reals = sum(one.real for one in crossings)
         several = reals > 1 and not (stretch.turns or stretch.reorients)  # at once, as where a symmetry keeps them
         kinds = [FOLD] * stretch.turns + [BRANCH_POINT] * (stretch.reorients or several)
         kinds += [HOPF] * (len(crossings) - reals)
         if not kinds:
-            return  # an eigenvalue that was matched to another one
+            return []  # an eigenvalue that was matched to another one
         words = " and ".join(dict.fromkeys(kinds)) + (f", {len(kinds)} in all" if len(kinds) > 1 else "")
         words = f"more than can be distinguished: {words}"
-        yield _gap(self.equations, float(first.z[-1]), float(last.z[-1]), words, kinds[0])
+        self.gaps.append(_gap(self.equations, float(first.z[-1]), float(last.z[-1]), words, kinds[0]))
         error = replace(first.error, parameter=abs(float(last.z[-1] - first.z[-1])))
-        yield from (replace(first, error=error, walked=False, requested=False, special=kind) for kind in kinds)
+        return [replace(first, error=error, walked=False, requested=False, special=kind) for kind in kinds]
 
     def located(self, stretch: Stretch, kind: str, crossing: Crossing) -> tuple[float, float, Point] | None:
         """The special point of a kind at a crossing, with its place on the stretch and its frequency, or None."""

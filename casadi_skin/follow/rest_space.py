@@ -171,15 +171,15 @@ class EquilibriumSpace(ParameterSpace):
             parameter=parameter, to=to, settings=settings, at=at, first=first,
         )  # fmt: skip
 
-    def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
-        """Special points on the stretch between two points, in order, and parts of it that are not resolved."""
+    def special_between(self, before: Point, after: Point, gaps: list[Unresolved]) -> Iterator[Point]:
+        """Special points on the stretch between two points, in order; `gaps` gets parts that are not resolved."""
         for place, point in ((OFFSET_FROM_SPECIAL_POINT, before), (1.0 - OFFSET_FROM_SPECIAL_POINT, after)):
             if self.leaves and not np.any(point.z != self.start.z):  # a special point itself, which is known
                 beside = self.point_solver.along(before, after, place)
                 if beside is None:
                     return
                 before, after = (beside, after) if point is before else (before, beside)
-        yield from special_between(self, before, after)
+        yield from special_between(self, before, after, gaps)
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         """JUMP where the equations jump at the point, or between the start of the branch and the point."""
@@ -272,9 +272,9 @@ class CurveSpace(EquilibriumSpace):
         """The parameter that is solved for with the state."""
         return () if self.second is None else (self.second.name,)
 
-    def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
-        """Points of codimension two on the stretch between two points, in order, and parts that are not resolved."""
-        yield from special_on_curve(EquilibriumCurveSearch(self, self.kind, before, after))
+    def special_between(self, before: Point, after: Point, gaps: list[Unresolved]) -> Iterator[Point]:
+        """Points of codimension two on the stretch between two points, in order; `gaps` gets parts not resolved."""
+        yield from special_on_curve(EquilibriumCurveSearch(self, self.kind, before, after), gaps)
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         """Beyond a Bogdanov-Takens point there are neutral saddles in place of Hopf points."""

@@ -32,7 +32,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -342,11 +342,10 @@ TRIED_PLACES = (SAMPLE_FRACTION, 0.3, 0.7)  # of a stretch, where one point afte
 CLEAR_DISTANCE = (
     0.5  # of the changes of a quantity on a stretch: a distance from zero at both ends that needs no sample
 )
-Event = TypeVar("Event")
 
 
-class Search(ABC, Generic[Event]):
-    """The search on one stretch between two points of the continuation, in the unknowns of the second.
+class Search(ABC):
+    """The search for events on one stretch between two points of the continuation, in the unknowns of the second.
 
     Attributes:
         ends: both ends.
@@ -354,13 +353,14 @@ class Search(ABC, Generic[Event]):
         row, length: sigma = row . (z - first.z) is the place along the stretch, from 0 to its length.
         real: whether values of samples count that are real, or all by their real parts.
         parts: the number of parts that the stretch has been divided into.
+        gaps: those that are not resolved.
         deepest, most_parts: how often a part may be divided, and how many there may be.
     """
 
     deepest, most_parts = DEEPEST_DIVISION, MOST_PARTS
 
     def __init__(self, solver: PointSolver, before: Point, after: Point, real: bool = False) -> None:
-        self.solver, self.ends, self.real, self.parts = solver, (before, after), real, 0
+        self.solver, self.ends, self.real, self.parts, self.gaps = solver, (before, after), real, 0, list[Unresolved]()
         problem = after.problem
         z, tangent = (before.problem.prolong(v, problem) for v in (before.z, before.tangent))
         self.first = replace(before, problem=problem, z=z, tangent=tangent, better=None)
@@ -405,8 +405,8 @@ class Search(ABC, Generic[Event]):
         return bool(np.all(clear | np.all(g == 0.0, axis=0)))
 
     @abstractmethod
-    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Event] | None:
-        """Special points on a resolved part, in order; None where it has to be divided, unless it is the last."""
+    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Any] | None:
+        """Events on a resolved part, in order; None where it has to be divided, unless it is the last."""
 
     def is_clear(self, point: Point) -> bool:
         """Whether every quantity has its sign at a point, where a stretch may be divided."""
@@ -416,9 +416,9 @@ class Search(ABC, Generic[Event]):
         """The place at which a stretch is best divided; None where any will do."""
         return stretch.dip()
 
-    @abstractmethod
-    def unresolved(self, stretch: Stretch) -> Iterator[Event | Unresolved]:
-        """What is known of a part that can be divided no further, and its record."""
+    def given_up(self, stretch: Stretch) -> Sequence[Any]:
+        """Events that are known of a part that can be divided no further; `gaps` gets its record."""
+        return ()
 
     def quantity(self, stretch: Stretch, k: int) -> Callable[[Point], float]:
         """The real part of an eigenvalue or logarithm, by its place at the first end, as a function of a point."""
@@ -452,11 +452,11 @@ class Search(ABC, Generic[Event]):
             root, error=replace(root.error, parameter=error), special=kind, walked=False, requested=False
         )  # fmt: skip
 
-    def on_stretch(self) -> list[Event | Unresolved]:
-        """Special points on the stretch in order, and the parts that are not resolved."""
+    def on_stretch(self) -> list[Any]:
+        """Events on the stretch in order; `gaps` are the parts that are not resolved."""
         return list(self.between(self.first, self.last))
 
-    def between(self, before: Point, after: Point, depth: int = 0) -> Iterator[Event | Unresolved]:
+    def between(self, before: Point, after: Point, depth: int = 0) -> Iterator[Any]:
         """The same between two points of it."""
         self.parts += 1
         if self.passes(Stretch.of((self.sample(before), self.sample(after)), self.real)):
@@ -471,7 +471,7 @@ class Search(ABC, Generic[Event]):
             yield from found
             return
         if last or middle is None:
-            yield from self.unresolved(stretch)
+            yield from self.given_up(stretch)
             return
         divided = self._dividing(before, middle, after, self.suspected(stretch))
         yield from self.between(before, divided, depth + 1)
@@ -726,7 +726,7 @@ class Monitor:
         return float(np.sum(terms) * max(point.error.profile, EPSILON))
 
 
-class MonitorSearch(Search[Point | Unresolved]):
+class MonitorSearch(Search):
     """The search for zeros of real quantities; one at a point itself belongs to the stretch before it.
 
     Attributes:
@@ -750,7 +750,7 @@ class MonitorSearch(Search[Point | Unresolved]):
         row = self.metric(point) * point.tangent
         return Sample(point, row, none, none, none.real, np.zeros_like(point.z), 1.0, leading)
 
-    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point | Unresolved] | None:
+    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point] | None:
         if not (last or np.all(stretch.settled)):
             return None
         (first, *_, g), end, events = stretch.quantities[0], self.own(stretch.last.point), list[Point]()
@@ -766,14 +766,15 @@ class MonitorSearch(Search[Point | Unresolved]):
     def _value(self, k: int, point: Point) -> float:
         return float(self.values(point)[k])
 
-    def unresolved(self, stretch: Stretch) -> Iterator[Unresolved]:
+    def given_up(self, stretch: Stretch) -> Sequence[Point]:
         space, kinds = self.space, " or ".join(dict.fromkeys(self.names))
         start, end = (space.value(space.parameter, one.point) for one in (stretch.first, stretch.last))
-        yield Unresolved(start, end, "the quantity jumps, or is not resolved", kinds, space.parameter)
+        self.gaps.append(Unresolved(start, end, "the quantity jumps, or is not resolved", kinds, space.parameter))
+        return ()
 
 
-def monitored(space: Any, before: Point, after: Point) -> list[Point | Unresolved]:
-    """Zeros of the monitors of a space between two points of a branch in order, and parts that are not resolved."""
+def monitored(space: Any, before: Point, after: Point, gaps: list[Unresolved]) -> list[Point]:
+    """Zeros of the monitors of a space between two points of a branch in order; `gaps` gets parts not resolved."""
     monitors = space.monitors
     if not monitors:
         return []
@@ -781,4 +782,7 @@ def monitored(space: Any, before: Point, after: Point) -> list[Point | Unresolve
         lambda point, of=of: np.array([of(one, space, point) for one in monitors])
         for of in (Monitor.value, Monitor.noise)
     )
-    return MonitorSearch(space, before, after, [one.name for one in monitors], values, noise).on_stretch()
+    search = MonitorSearch(space, before, after, [one.name for one in monitors], values, noise)
+    found = search.on_stretch()
+    gaps += search.gaps
+    return found

@@ -129,10 +129,11 @@ class SolutionSpace:
         """End of a branch at a point, with the reason in words; None where it goes on."""
         return None, ""
 
-    def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
-        """Special points between two points in order, each marked by its kind, and parts where some may be missing.
+    def special_between(self, before: Point, after: Point, gaps: list[Unresolved]) -> Iterator[Point]:
+        """Special points between two points in order, each marked by its kind.
 
-        None are sought unless a kind says otherwise. Raises NotLocatedError.
+        `gaps` gets the parts where some may be missing. None are sought unless a kind says otherwise. Raises
+        NotLocatedError.
         """
         yield from ()
 

@@ -58,7 +58,7 @@ def turning(point_solver: PointSolver, before: Point, after: Point) -> list[tupl
     if rate(before) == 0.0:
         before = point_solver.unrefined_along(before, after, BESIDE_STILL) or before
     search = _Turns(point_solver, before, after)
-    return [part for part in search.on_stretch() if not isinstance(part, Unresolved)]
+    return search.on_stretch()
 
 
 def rate(point: Point) -> float:
@@ -66,7 +66,7 @@ def rate(point: Point) -> float:
     return float(point.tangent[point.problem.parameter_index])
 
 
-class _Turns(Search[tuple[Point, Point]]):
+class _Turns(Search):
     """The search for roots of the rate of the parameter."""
 
     def sampled(self, point: Point) -> Sample:
@@ -101,9 +101,6 @@ class _Turns(Search[tuple[Point, Point]]):
         expected, index = stretch.curve.at(float(stretch.sigma[1])), last.problem.parameter_index
         off = abs(expected[index] - middle.z[index]) / stretch.length
         return bool(off > HIDDEN_TURN_RATIO * min(abs(rate(point)) for point in (first, middle, last)))
-
-    def unresolved(self, stretch: Stretch) -> Iterator[Unresolved]:
-        yield from ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +249,7 @@ def folds_of_family(space: SolutionSpace, solutions: Sequence[Solution]) -> Iter
     """Folds between the points of a family."""
     for before, after in pairwise(solutions):
         try:
-            for found in space.special_between(before.point, after.point):
-                yield found if isinstance(found, Unresolved) else special_point(space, space.solution(found))
+            for found in space.special_between(before.point, after.point, []):
+                yield special_point(space, space.solution(found))
         except NotLocatedError as error:
             yield Unresolved(before.value(space.parameter), after.value(space.parameter), str(error), FOLD)

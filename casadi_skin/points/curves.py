@@ -73,10 +73,10 @@ class OrbitCurveSpace(BoundarySpace):
         """The equations of the orbit of a point around it."""
         return Linearised(cast(SingularProblem, point.problem), point.z, self.statement)
 
-    def special_between(self, before: Point, after: Point) -> Iterator[Point | Unresolved]:
-        """Points of codimension two on the stretch between two points, in order, and parts that are not resolved."""
+    def special_between(self, before: Point, after: Point, gaps: list[Unresolved]) -> Iterator[Point]:
+        """Points of codimension two on the stretch between two points, in order; `gaps` gets parts not resolved."""
         end = shrunk(self, before, after) if self.shrinks(before, after) else None
-        yield from [end] if end is not None else special_on_curve(OrbitCurveSearch(self, before, after))
+        yield from [end] if end is not None else special_on_curve(OrbitCurveSearch(self, before, after), gaps)
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         """Beyond the resonances 1:1 and 1:2 there are no tori, and beyond amplitude zero the curve comes back."""
