@@ -65,47 +65,39 @@ def follow_edges(
     asked = table.curve
     if asked is None:
         return
-    known = {record.branch: record for record in journal.records if isinstance(record, EdgeRecord)}
+    known: dict[str, Any] = {
+        record.branch: record.curve for record in journal.records if isinstance(record, EdgeRecord)
+    }
+    options = {"max_points": table.max_points, "max_step": table.max_step}
     for family in families:
+        mode, diagram = mode_of(family), family.stability_diagram
         if family.localised_diagram is not None:
-            where = f"[continuation] curve: mode {mode_of(family)}"
-            failures.append(f"{where}: changes of localised multipliers are not followed in another parameter")
+            words = "changes of localised multipliers are not followed in another parameter"
+            failures.append(f"[continuation] curve: mode {mode}: {words}")
             continue
-        diagram = family.stability_diagram
-        counts = {
-            EVENTS_FILE: len(family.changes),
-            FURTHER_EVENTS_FILE: len(diagram.further) if diagram and asked.further else 0,
-        }
-        for listed, number in ((listed, k) for listed, count in counts.items() for k in range(1, count + 1)):
-            mode, name = mode_of(family), f"{listed} {mode_of(family)} {number}"
-            progress.say(f"j = {mode}: edge {number} of {counts[listed]} in {asked.parameter}")
-            try:
-                curve = _kept(known.get(name))
-                if curve is None:
-                    point = family.edge(number - 1, further=listed == FURTHER_EVENTS_FILE)
-                    options = {"max_points": table.max_points, "max_step": table.max_step}
-                    curve = point.curve(asked.parameter, asked.to, **options)
-                    _keep(name, curve, journal, progress)
-            except (ValueError, ArithmeticError) as error:
-                failures.append(f"[continuation] curve: mode {mode}, edge {number} of {listed}: {error}")
-            else:
-                found.edges.append((mode, listed, number, curve))
+        further = len(diagram.further) if diagram and asked.further else 0
+        for listed, count in ((EVENTS_FILE, len(family.changes)), (FURTHER_EVENTS_FILE, further)):
+            for number in range(1, count + 1):
+                name = f"{listed} {mode} {number}"
+                progress.say(f"j = {mode}: edge {number} of {count} in {asked.parameter}")
+                try:
+                    curve: Any = restored(known[name]) if name in known else None
+                    if curve is None:
+                        point = family.edge(number - 1, further=listed == FURTHER_EVENTS_FILE)
+                        curve = point.curve(asked.parameter, asked.to, **options)
+                        _keep(name, curve, journal, progress)
+                except (ValueError, ArithmeticError) as error:
+                    failures.append(f"[continuation] curve: mode {mode}, edge {number} of {listed}: {error}")
+                else:
+                    found.edges.append((mode, listed, number, curve))
 
 
 def _keep(name: str, curve: EdgeCurve, journal: Records, progress: Progress) -> None:
     """Append a curve to the journal, where its model can be saved."""
     try:
-        data = saved(curve)
+        journal.append(EdgeRecord(name, saved(curve)))
     except ValueError as error:
         progress.report(f"{journal.path}: {error}; the edge is followed again by --resume")
-    else:
-        journal.append(EdgeRecord(name, data))
-
-
-def _kept(record: EdgeRecord | None) -> EdgeCurve | None:
-    """The curve of a record; None without one."""
-    curve: Any = None if record is None else restored(record.curve)
-    return curve  # type: ignore[no-any-return]
 
 
 CYCLES, OTHER, CURVE = "cycles", "other", "curve"
@@ -131,7 +123,8 @@ def further_spaces(
             most = "one branch belongs" if table.limit == 1 else f"{table.limit} branches belong"
             failures.append(f"[continuation] limit: more than {most} to the diagram")
             break
-        yield f"{CYCLES if _has_cycles(point) else OTHER}{name}", space
+        has_cycles = point.kind == HOPF and point.solution.space.connects == EQUILIBRIA
+        yield f"{CYCLES if has_cycles else OTHER}{name}", space
         if branches[-1].space is space:
             further.add(branches[-1], space, point)
     failures += [f"[continuation] switch: {line}" for line in further.failures]
@@ -139,12 +132,8 @@ def further_spaces(
     for place, point in further.reached:
         passed = any(_passes(curve, point) for curve in curves)
         crossing = point.kind == BRANCH_POINT and point.mu is None
-        if (
-            table.curve is not None
-            and (point.kind in FOLLOWED_KINDS or crossing)
-            and not _at_rest(point)
-            and not passed
-        ):
+        at_rest = point.kind == HOPF and is_orbit(point.solution)  # cycles have shrunk: their own branch has the curve
+        if table.curve is not None and (point.kind in FOLLOWED_KINDS or crossing) and not at_rest and not passed:
             try:
                 space = curve_space(point, table.curve.parameter, table.curve.to, at=(), **options)  # type: ignore[arg-type]
                 yield f"{CURVE}{place}", space
@@ -154,16 +143,6 @@ def further_spaces(
                 failures.append(f"[continuation] curve: {point.kind} {place[1:]}: {error}")
             else:
                 curves.append(branches[-1])
-
-
-def _has_cycles(point: SpecialPoint) -> bool:
-    """Whether cycles leave a special point of equilibria."""
-    return point.kind == HOPF and point.solution.space.connects == EQUILIBRIA
-
-
-def _at_rest(point: SpecialPoint) -> bool:
-    """Whether cycles have shrunk to an equilibrium there: its own branch has the curve."""
-    return point.kind == HOPF and is_orbit(point.solution)
 
 
 def _passes(curve: Branch, point: SpecialPoint) -> bool:

@@ -20,10 +20,12 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_skin.model.arguments import file_path, short_repr, truth, whole
 from casadi_skin.model.files import replacing
 from casadi_skin.model.interrupts import interrupts_deferred
+from casadi_skin.runs.axes import Axis
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.directory import (
     JOURNAL_FILE,
@@ -39,7 +41,7 @@ from casadi_skin.runs.directory import (
 from casadi_skin.runs.map_cell import LOST, Computer, Result, check_quantities, compute
 from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Cells, Grid, Task, needed, plain, scene_at
 from casadi_skin.runs.map_lines import boundaries, check_boundary
-from casadi_skin.runs.map_result import DONE, FAILED, MOST_ATTEMPTS, UNKNOWN, WATCHED, Map
+from casadi_skin.runs.map_result import DONE, FAILED, MOST_ATTEMPTS, WATCHED, Map
 from casadi_skin.runs.parts import origin
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.reading import parse_scene, read_text
@@ -176,98 +178,6 @@ def given_engine(executor: Executor) -> Engine:
     )
 
 
-# Driving a map --------------------------------------------------------------------------------------------------------
-
-
-@dataclass
-class Drive:
-    """A map on its way.
-
-    Attributes:
-        map: its cells and their results.
-        engine: the place of their computation.
-        computer: what all tasks share, pickled.
-        cell_limit: seconds that a cell may take.
-        part: the share that is computed here; None of a map that is computed here as a whole.
-    """
-
-    map: Map
-    engine: Engine
-    computer: bytes
-    progress: Progress
-    cell_limit: float | None = None
-    part: Part | None = None
-
-    def run(self) -> bool:
-        """Compute the missing cells; False where the share of another part is still to come.
-
-        A batch of cells follows from the results of those before it alone.
-        """
-        found, grid, computed, planned = self.map, self.map.grid, 0, 0
-        seen, began, shown, told = np.zeros(grid.shape, dtype=bool), time.monotonic(), -math.inf, time.monotonic()
-        while (batch := needed(grid, np.where(seen, found.labels(), UNKNOWN_LABEL))).size:
-            seen.flat[batch] = True
-            planned += int(np.sum(~found.final(batch))) // (1 if self.part is None else self.part[1])
-            for attempt, tasks in ((1, self._first(batch)), (MOST_ATTEMPTS, self._again(batch, seen.ravel()))):
-                for task, result in self.engine.results(self.computer, tasks, self.cell_limit):
-                    with interrupts_deferred():
-                        found.add(task, attempt, result)
-                    computed, now = computed + len(task.cells), time.monotonic()
-                    if now - shown >= SHOW_SECONDS:
-                        shown, left = now, max(planned - computed, 0)
-                        words = self._words(left, (now - began) / computed)
-                        self.progress.say(words)
-                        if not self.progress.on_terminal and now - told > TELL_SECONDS:
-                            told = now
-                            self.progress.report(words)
-                found.refresh()
-                if np.any(found.attempts[batch] == 0):
-                    return False
-        return True
-
-    def _words(self, left: int, seconds: float) -> str:
-        """The place of the map, and an estimate of the remaining time from the seconds that a cell takes."""
-        grid, states = self.map.grid, self.map.states
-        of = f", {left} to go before the next refinement" if grid.refined else f" of {grid.size}"
-        known, failed = int(np.sum(states != UNKNOWN)), int(np.sum(states == FAILED))
-        return f"{known}{of} cells; {failed} failed; about {duration(seconds * left)} left"
-
-    def _first(self, batch: Cells) -> Iterator[Task]:
-        """Tasks of one's own share that are not computed."""
-        for number, task in enumerate(self.map.grid.tasks(batch)):
-            mine = self.part is None or number % self.part[1] == self.part[0] - 1
-            if mine and self.map.attempts[task.cells[0]] == 0:
-                yield task
-
-    def _again(self, batch: Cells, seen: Any) -> Iterator[Task]:
-        """Tasks that failed once; one with a reason starts from the nearest neighbour's solution, where there is one.
-
-        Neighbours are cells that were computed at their first attempt, so that all engines and resumed maps agree.
-        """
-        found, grid = self.map, self.map.grid
-        done = np.flatnonzero(seen & (found.states == DONE) & (found.attempts == 1))
-        places = grid.places(done)
-        for task in grid.tasks(batch):
-            cell = task.cells[0]
-            if found.states[cell] != FAILED or found.attempts[cell] >= MOST_ATTEMPTS:
-                continue
-            if done.size and not found.may_recover(cell):
-                distances = np.abs(places - grid.places(np.array([cell]))).sum(axis=1)
-                near = int(done[np.argmin(distances)])
-                state, period = found.start(near)
-                if state:
-                    task = msgspec.structs.replace(task, start=state, period=period, neighbour=near)
-            yield task
-
-
-def duration(seconds: float) -> str:
-    """A time in words."""
-    for size, name in ((86400.0, "days"), (3600.0, "h"), (60.0, "min")):
-        if seconds >= 2 * size:
-            return f"{seconds / size:.1f} {name}"
-    return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.2g} s"
-
-
 # A map of a scene from beginning to end: checked, computed by an engine, written --------------------------------------
 
 
@@ -376,8 +286,7 @@ class MapRun:
             found.waits = True
             try:
                 if engine is not None:
-                    data, limit = pickle.dumps(self.computer), self.table.cell_limit
-                    found.waits = not Drive(found, engine, data, progress, limit, self.part).run()
+                    found.waits = not self._compute(found, engine, progress)
             finally:
                 with interrupts_deferred():  # all files are written before an interruption ends the map
                     if engine is not None:
@@ -407,6 +316,40 @@ class MapRun:
             with replacing(self.directory / f"{SCENE_MODEL}{request.path.suffix}") as temporary:
                 temporary.write_text(request.source, encoding="utf-8")
 
+    def _compute(self, found: Map, engine: Engine, progress: Progress) -> bool:
+        """Compute the missing cells; False where the share of another part is still to come.
+
+        A batch of cells follows from the results of those before it alone.
+        """
+        grid, data, computed, planned = found.grid, pickle.dumps(self.computer), 0, 0
+        seen, began, shown, told = np.zeros(grid.shape, dtype=bool), time.monotonic(), -math.inf, time.monotonic()
+        while (batch := needed(grid, np.where(seen, found.labels(), UNKNOWN_LABEL))).size:
+            seen.flat[batch] = True
+            planned += int(np.sum(~found.final(batch))) // (1 if self.part is None else self.part[1])
+            for attempt, tasks in ((1, self._first(found, batch)), (MOST_ATTEMPTS, _again(found, batch, seen.ravel()))):
+                for task, result in engine.results(data, tasks, self.table.cell_limit):
+                    with interrupts_deferred():
+                        found.add(task, attempt, result)
+                    computed, now = computed + len(task.cells), time.monotonic()
+                    if now - shown >= SHOW_SECONDS:
+                        shown, seconds = now, (now - began) / computed * max(planned - computed, 0)
+                        words = _progress_words(found, max(planned - computed, 0), seconds)
+                        progress.say(words)
+                        if not progress.on_terminal and now - told > TELL_SECONDS:
+                            told = now
+                            progress.report(words)
+                found.refresh()
+                if np.any(found.attempts[batch] == 0):
+                    return False
+        return True
+
+    def _first(self, found: Map, batch: Cells) -> Iterator[Task]:
+        """Tasks of one's own share that are not computed."""
+        k, count = self.part or (1, 1)
+        for task in islice(found.grid.tasks(batch), k - 1, None, count):
+            if found.attempts[task.cells[0]] == 0:
+                yield task
+
     def _write(self, found: Map, progress: Progress) -> None:
         """Write tables and pictures, except for a share while others are still to come."""
         found.refresh()
@@ -422,6 +365,40 @@ class MapRun:
         varied = {axis.name for axis in self.grid.axes}
         attributes = {name: v for name, v in origin(self.request, self.text).items() if name not in varied}
         found.write(attributes, self.scene.model is None, self.pictures)
+
+
+def _again(found: Map, batch: Cells, seen: NDArray[np.bool_]) -> Iterator[Task]:
+    """Tasks that failed once; one with a reason starts from the nearest neighbour's solution, where there is one.
+
+    Neighbours are cells that were computed at their first attempt, so that all engines and resumed maps agree.
+    """
+    done = np.flatnonzero(seen & (found.states == DONE) & (found.attempts == 1))
+    places = found.grid.places(done)
+    for task in found.grid.tasks(batch):
+        cell = task.cells[0]
+        if found.states[cell] == FAILED and found.attempts[cell] < MOST_ATTEMPTS:
+            if done.size and not found.may_recover(cell):
+                distances = np.abs(places - found.grid.places(np.array([cell]))).sum(axis=1)
+                near = int(done[np.argmin(distances)])
+                state, period = found.start(near)
+                if state:
+                    task = msgspec.structs.replace(task, start=state, period=period, neighbour=near)
+            yield task
+
+
+def _progress_words(found: Map, left: int, seconds: float) -> str:
+    """The place of a map, the cells and the seconds that are left."""
+    of = f", {left} to go before the next refinement" if found.grid.refined else f" of {found.grid.size}"
+    known, failed = len(found.known), int(np.sum(found.states == FAILED))
+    return f"{known}{of} cells; {failed} failed; about {duration(seconds)} left"
+
+
+def duration(seconds: float) -> str:
+    """A time in words."""
+    for size, name in ((86400.0, "days"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.1f} {name}"
+    return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.2g} s"
 
 
 def run_map(
@@ -500,15 +477,14 @@ def map_lines(scene: Scene, request: Request, path: Path) -> list[tuple[str, str
     limit = f"; at most {duration(table.cell_limit)} a cell" if table.cell_limit is not None else ""
     left_out = [("not in cells", f"{', '.join(unused)}, films and pictures of single cells")] if unused else []
     return [
-        ("map", ", ".join(_axis_words(grid, i) for i in range(len(grid.axes)))),
+        ("map", ", ".join(map(_axis_words, grid.axes))),
         ("cells", f"{sizes} = {cells.size}{of_families}{finest}"),
         *left_out,
         ("cost of cells", f"{words} with one worker{more}{limit}"),
     ]
 
 
-def _axis_words(grid: Grid, place: int) -> str:
-    axis = grid.axes[place]
+def _axis_words(axis: Axis) -> str:
     first, last = axis.values[0], axis.values[-1]
     if not axis.numeric:
         shown = [str(value) for value in axis.values]

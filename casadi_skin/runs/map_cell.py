@@ -17,6 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -26,7 +27,6 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.optimise.names import FREE, NAMED
 from casadi_skin.optimise.search import SearchResult
-from casadi_skin.results.branch_records import BranchRecord
 from casadi_skin.results.quantities import (
     FAMILY_ERRORS,
     FAMILY_PROOFS,
@@ -346,24 +346,13 @@ def compute(computer: bytes, task: Task, limit: float | None) -> Result:
     return Result(kind=kind, reason=reason, seconds=time.perf_counter() - started)
 
 
-@dataclass
-class _Unkept:
-    """The journal of a cell: none, as its row is all that is kept."""
-
-    path: Path = Path()
-    records: list[BranchRecord] = field(default_factory=list)
-
-    def append(self, record: BranchRecord) -> None:
-        """Keep nothing."""
-
-
 def followed(request: Request) -> tuple[list[Branch], str]:
     """The branches of a scene, as a run follows them, and the failures beside them.
 
     Raises ArithmeticError where there is none.
     """
     followed = Branches(request, Progress(quiet=True))
-    followed.follow(_Unkept())
+    followed.follow(SimpleNamespace(path=Path(), records=[], append=lambda record: None))  # its row is all that is kept
     faults = "; ".join(followed.failures)
     if not any(len(branch) for branch in followed.branches):
         raise ArithmeticError(faults or "; ".join(branch.reason for branch in followed.branches))

@@ -487,7 +487,7 @@ def test_values_go_where_they_belong_in_the_scene_of_a_cell() -> None:
 def test_panels_name_the_parameters_that_change_together_one_by_one(tmp_path: Path) -> None:
     kept(tmp_path, LATTICE.replace("[1.0, 1], [-1.0, 4]", '[1.0, "first"], [-1.0, "last"]'), [])
     titles = [axes.get_title() for axes in read_map(tmp_path).figure("Omega").axes if axes.get_title()]
-    assert any("g = −1, mode = last" in title for title in titles)
+    assert any("g = $-1$, mode = last" in title for title in titles)
     assert len(titles) == 4
 
 
