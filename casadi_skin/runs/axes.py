@@ -137,7 +137,7 @@ def check_map(scene: Scene) -> None:
 def axes_of(scene: Scene) -> tuple[Axis, ...]:
     """The axes of a scene with a [map]; raises SceneError for those that cannot be meant."""
     given: Mapping[str, Any] = {} if scene.map is None else scene.map.axes
-    ranges: dict[str, RangeTable] = {name: axis for name, axis in given.items() if isinstance(axis, RangeTable)}
+    ranges: dict[str, RangeTable] = {name: axis for name, axis in given.items() if not isinstance(axis, tuple)}
     if len(ranges) > 2:
         raise refusal(f"[map] {list(ranges)[2]}", "a third range", "one or two ranges, and lists beside them")
     seen, size, resolved = dict[Path, str](), 1, any(axis.resolution for axis in ranges.values())

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from casadi_skin.follow.branch import Branch
 from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.files import replacing
-from casadi_skin.points.diagram import Diagram
 from casadi_skin.results.dataset import Dataset, Variable, dataset_of, read_name, readable
 from casadi_skin.results.quantities import places_of
 from casadi_skin.results.saving import read_result
@@ -143,7 +142,7 @@ def page_data(directory: Path) -> Contents:
 def _of_result(path: Path) -> Contents:
     """The contents of a page of a branch or a diagram in a file; raises ValueError for other contents."""
     result, parts = read_result(path), list[Part]()
-    branches = result.branches if isinstance(result, Diagram) else (result,)
+    branches = getattr(result, "branches", (result,))
     if not all(isinstance(branch, Branch) and len(branch) for branch in branches):
         raise ValueError(f"{path}: holds {short_repr(result)}; {EXPLORER_FILE_ACCEPTED}")
     for number, branch in enumerate(branches, start=1):

@@ -68,18 +68,22 @@ class TaskRecord(msgspec.Struct, frozen=True, tag="task"):
     kind: str = ""
     reason: str = ""
     neighbour: int = -1
+    meanings: ClassVar[Mapping[str, str]] = {}
 
 
 class MapHead(msgspec.Struct, frozen=True, tag="map"):
     """The first record of a journal: a digest of the scene whose map it is of."""
 
     digest: bytes
+    meanings: ClassVar[Mapping[str, str]] = {}
+    cells: ClassVar[tuple[int, ...]] = ()
 
 
 class MeaningsRecord(msgspec.Struct, frozen=True, tag="meanings"):
     """Meanings of quantities by name, in the order in which they came."""
 
     meanings: dict[str, str]
+    cells: ClassVar[tuple[int, ...]] = ()
 
 
 MapRecord = TaskRecord | MeaningsRecord | MapHead
@@ -139,7 +143,7 @@ class Map(WithVerbs):
         self._levels = watched if isinstance(watched, Mapping) else dict.fromkeys(watched, ())
         wanted = self._wanted
         self._kept = None if wanted is None else {*wanted, *OF_BOUNDARY, *(self._levels if grid.refined else ())}
-        self._digest, size = digest(scene), grid.size
+        self._head, size = MapHead(digest(scene)), grid.size
         self.states, self.attempts = np.zeros(size, dtype=np.int8), np.zeros(size, dtype=np.int8)
         self._places, self._sources = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int16)
         self._outside, self._axes = np.zeros(size, dtype=bool), {axis.name for axis in grid.axes}
@@ -155,7 +159,7 @@ class Map(WithVerbs):
             if self._journal.fault:
                 report(f"{directory / own}: {self._journal.fault}; what follows it is dropped and computed again")
             if self._journal.end == 0:
-                self._append(MapHead(self._digest))
+                self._append(self._head)
         for path, fault in self.refresh().items():
             report(f"{path}: {fault}; what follows it is not read")
 
@@ -196,13 +200,14 @@ class Map(WithVerbs):
         self._index(0, place, record)
 
     def _index(self, source: int, place: int, record: MapRecord) -> None:
-        if place == 0 and not (isinstance(record, MapHead) and record.digest == self._digest):
+        if place == 0 and record != self._head:
             words = "accepted: that of this scene, or --overwrite"
             raise DirectoryError(f"{list(self._ends)[source]}: is the journal of another scene; {words}")
-        if isinstance(record, MeaningsRecord):
-            self.meanings = {**record.meanings, **self.meanings}
-        if not isinstance(record, TaskRecord) or not all(0 <= cell < self.grid.size for cell in record.cells):
-            return
+        self.meanings = {**record.meanings, **self.meanings}
+        if record.cells and 0 <= min(record.cells) <= max(record.cells) < self.grid.size:
+            self._index_task(source, place, record)  # type: ignore[arg-type]
+
+    def _index_task(self, source: int, place: int, record: TaskRecord) -> None:
         cells = np.array(record.cells, dtype=np.int64)
         self.seconds, self.finished = self.seconds + record.seconds, self.finished + cells.size
         if record.kind and np.any((self.states[cells] == DONE) | (self.states[cells] == ENDED)):
@@ -253,9 +258,8 @@ class Map(WithVerbs):
     def start(self, cell: int) -> tuple[tuple[float, ...], float]:
         """State and period of the solution of a computed cell, at which that of a neighbour may start."""
         with mapped(list(self._ends)[self._sources[cell]]) as data:
-            record, _ = record_at(data, int(self._places[cell]), RECORD_DECODER)
-        assert isinstance(record, TaskRecord)
-        row = record.rows[record.cells.index(cell)]
+            record: Any = record_at(data, int(self._places[cell]), RECORD_DECODER)[0]
+        row: Row = record.rows[record.cells.index(cell)]
         return row.state, row.period
 
     # What is known of cells -------------------------------------------------------------------------------------------
