@@ -6,7 +6,7 @@ Symmetries and conserved quantities that a model declares, evaluated at random p
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Protocol
 
 import casadi as ca
@@ -17,6 +17,8 @@ from casadi_skin.model.equations import Array, Equations
 from casadi_skin.model.expressions import Expression, expression_of, symbols_of
 
 ACCEPTED_NAMES = "names in one line"
+ACCEPTED_PERIODS = "a number > 0, or an expression in parameters"
+NEEDED_FIELDS = ("rhs", "outputs", "conserved", "symmetries")  # where None is a mistake
 
 
 def declarations(model: Equations) -> dict[str, Any]:
@@ -31,21 +33,28 @@ def declarations(model: Equations) -> dict[str, Any]:
             raise ValueError(f"order: given {short_repr(model.order)}; accepted: 1 or 2")
         truth("checked", model.checked)
         found = _symbols(model)
-        return found | _expressions(model, found) | _lists(model, found["state"].numel() * model.order)
+        converters = _converters(found, found["state"].numel() * model.order)
+        given = {label: getattr(model, label) for label in converters}
+        return found | {
+            label: converters[label](label, value)
+            for label, value in given.items()
+            if value is not None or label in NEEDED_FIELDS
+        }
     except (TypeError, ValueError) as error:
         raise type(error)(f"{model.name}: {error}") from error
 
 
 def _symbols(model: Equations) -> dict[str, Expression]:
-    state = symbols_of("state", model.state)
-    kind = type(state)
-    found = {"state": state}
+    kind = type(state := symbols_of("state", model.state))
+    found, given = {"state": state}, model.parameters
     for label in ("velocity", "time"):
-        if (given := getattr(model, label)) is not None:
-            found[label] = symbols_of(label, given)
-    given = model.parameters
-    empty = given is None or (isinstance(given, list | tuple) and not given) or _empty(given)
-    found["parameters"] = _no_parameters(kind) if empty else symbols_of("parameters", given)
+        if (symbol := getattr(model, label)) is not None:
+            found[label] = symbols_of(label, symbol)
+    nothing = (isinstance(given, list | tuple) and not given) or (
+        isinstance(given, ca.SX | ca.MX) and not given.numel()
+    )
+    none = ca.MX.sym("p", 0) if kind is ca.MX else ca.SX(0, 1)
+    found["parameters"] = none if given is None or nothing else symbols_of("parameters", given)
     for label, symbol in found.items():
         if type(symbol) is not kind:
             raise TypeError(f"{label}: given a symbol of kind {type(symbol).__name__}; accepted: {kind.__name__}")
@@ -54,67 +63,49 @@ def _symbols(model: Equations) -> dict[str, Expression]:
     return found
 
 
-def _empty(given: Any) -> bool:
-    return isinstance(given, ca.SX | ca.MX) and given.numel() == 0
-
-
-def _no_parameters(kind: type[Expression]) -> Expression:
-    return ca.MX.sym("p", 0) if kind is ca.MX else ca.SX(0, 1)
-
-
-def _expressions(model: Equations, found: Mapping[str, Expression]) -> dict[str, Any]:
+def _converters(found: Mapping[str, Expression], size: int) -> dict[str, Callable[[str, Any], Any]]:
+    """What becomes of each field, from its name and what is given, in a model of these symbols and so many states."""
     state = found["state"]
     symbols = [found.get("time", type(state).sym("t")), state, found["parameters"]]
-    made: dict[str, Any] = {"rhs": expression_of("rhs", model.rhs, symbols)}
-    for label in ("normalisation", "hamiltonian"):
-        if (given := getattr(model, label)) is not None:
-            made[label] = _scalar(label, expression_of(label, given, symbols))
-    if not isinstance(model.outputs, Mapping) or not all(map(is_name, model.outputs)):
-        raise TypeError(f"outputs: given {short_repr(model.outputs)}; accepted: expressions by name, {ACCEPTED_NAMES}")
-    made["outputs"] = {name: expression_of(f"output {name}", e, symbols) for name, e in model.outputs.items()}
-    made["conserved"] = _named("conserved", model.conserved, symbols)
-    made["symmetries"] = _named("symmetries", model.symmetries, symbols)
-    period = model.forcing_period
-    if isinstance(period, ca.SX | ca.MX | ca.DM):
-        made["forcing_period"] = _scalar("forcing_period", expression_of("forcing_period", period, symbols))
-    elif period is not None and number("forcing_period", period, "a number > 0, or an expression in parameters") <= 0:
-        raise ValueError(f"forcing_period: given {period!r}; accepted: a number > 0, or an expression in parameters")
-    return made
 
+    def expression(label: str, given: Any) -> Expression:
+        return expression_of(label, given, symbols)
 
-def _named(label: str, given: Any, symbols: list[Expression]) -> dict[str, Expression]:
-    if not isinstance(given, Mapping) or not all(map(is_name, given)):
-        raise TypeError(f"{label}: given {short_repr(given)}; accepted: expressions by name, {ACCEPTED_NAMES}")
-    return {name: expression_of(f"{label} {name}", e, symbols) for name, e in given.items()}
+    def scalar(label: str, given: Any) -> Expression:
+        found = expression(label, given)
+        if found.numel() != 1:
+            raise ValueError(f"{label}: given shape {found.shape}; accepted: a scalar expression")
+        return found
 
+    def group(label: str, given: Any) -> dict[str, Expression]:
+        if not isinstance(given, Mapping) or not all(map(is_name, given)):
+            raise TypeError(f"{label}: given {short_repr(given)}; accepted: expressions by name, {ACCEPTED_NAMES}")
+        one = "output" if label == "outputs" else label
+        return {name: expression(f"{one} {name}", value) for name, value in given.items()}
 
-def _scalar(label: str, expression: Expression) -> Expression:
-    if expression.numel() != 1:
-        raise ValueError(f"{label}: given shape {expression.shape}; accepted: a scalar expression")
-    return expression
+    def period(label: str, given: Any) -> Any:
+        if isinstance(given, ca.SX | ca.MX | ca.DM):
+            return scalar(label, given)
+        if number(label, given, ACCEPTED_PERIODS) <= 0:
+            raise ValueError(f"{label}: given {given!r}; accepted: {ACCEPTED_PERIODS}")
+        return given
 
+    def signs(label: str, given: Any) -> tuple[int, ...]:
+        values = list(given) if np.iterable(given) and not isinstance(given, str | bytes) else [0]
+        if not all(isinstance(v, int | float | np.integer) and v in (1, -1) for v in values):
+            raise ValueError(f"{label} needs {size} signs, each +1 or -1; given {short_repr(given)}")
+        return tuple(int(v) for v in values)
 
-def _lists(model: Equations, size: int) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for label in ("output_scale", "nominal"):
-        if (given := getattr(model, label)) is not None:
-            found[label] = numbers(label, given)
-    for label in ("reversal", "half_period"):
-        if (given := getattr(model, label)) is not None:
-            found[label] = _signs(label, given, size)
-    for label in ("state_labels", "parameter_labels"):
-        if (given := getattr(model, label)) is not None:
-            if isinstance(given, str | bytes) or not np.iterable(given) or not all(map(is_name, given)):
-                raise TypeError(f"{label}: given {short_repr(given)}; accepted: a list of {ACCEPTED_NAMES}")
-            found[label] = tuple(given)
-    return found
+    def names(label: str, given: Any) -> tuple[str, ...]:
+        if isinstance(given, str | bytes) or not np.iterable(given) or not all(map(is_name, given)):
+            raise TypeError(f"{label}: given {short_repr(given)}; accepted: a list of {ACCEPTED_NAMES}")
+        return tuple(given)
 
-
-def _signs(label: str, given: Any, size: int) -> tuple[int, ...]:
-    values = list(given) if np.iterable(given) and not isinstance(given, str | bytes) else [0]
-    if not all(isinstance(v, int | float | np.integer) and v in (1, -1) for v in values):
-        raise ValueError(f"{label} needs {size} signs, each +1 or -1; given {short_repr(given)}")
-    return tuple(int(v) for v in values)
+    return {
+        "rhs": expression, "normalisation": scalar, "hamiltonian": scalar, "outputs": group, "conserved": group,
+        "symmetries": group, "forcing_period": period, "output_scale": numbers, "nominal": numbers,
+        "reversal": signs, "half_period": signs, "state_labels": names, "parameter_labels": names,
+    }  # fmt: skip
 
 
 def is_name(given: object) -> bool:
@@ -140,7 +131,17 @@ def _faults(model: Equations) -> Iterator[str]:
         yield f"velocity: given shape {model.velocity.shape}; accepted: {model.state.shape}, that of the state"
     if model.order == 2 and isinstance(model.state, ca.MX):
         yield "of second order in MX; accepted: SX, or a model of first order"
-    yield from _numbers(model)
+    parameters = int(model.parameters.numel())
+    for label, given, count, entries in (
+        ("output_scale", model.output_scale, model.size, "factors"),
+        ("nominal", model.nominal, parameters, "values"),
+        ("state_labels", model.state_labels, model.full_size, "names"),
+        ("parameter_labels", model.parameter_labels, parameters, "names"),
+    ):
+        if given is not None and len(given) != count:
+            yield f"{label} needs {count} {entries}, given {len(given)}"
+    if any(output.numel() != 1 for output in model.outputs.values()):
+        yield "outputs with several components; accepted: one scalar expression a name"
     symbols = [model.full_state, model.parameters, *([] if model.time is None else [model.time])]
     twice = sorted(name for name, count in Counter(_entries(symbols)).items() if count > 1)
     if twice:
@@ -156,15 +157,6 @@ def _faults(model: Equations) -> Iterator[str]:
         yield "a hamiltonian in a model that is forced; accepted: without time, where it is conserved"
     if model.conserved and model.forced:
         yield "conserved quantities in a model that is forced; accepted: without time"
-    yield from _conserved(model)
-    if model.forced and model.forcing_period is None:
-        yield "time without forcing_period; accepted: the forcing's period, a number or an expression in parameters"
-    for label, signs in (("reversal", model.reversal), ("half_period", model.half_period)):
-        if signs is not None and len(signs) != model.full_size:
-            yield f"{label} needs {model.full_size} signs, each +1 or -1; given {len(signs)}"
-
-
-def _conserved(model: Equations) -> Iterator[str]:
     for name, quantity in model.conserved.items():
         if quantity.numel() != 1:
             yield f"conserved {name} of shape {quantity.shape}; accepted: a scalar expression"
@@ -173,6 +165,11 @@ def _conserved(model: Equations) -> Iterator[str]:
             yield f"symmetries {name}: {name} is not among conserved; accepted: {', '.join(model.conserved) or 'none'}"
         elif direction.numel() != model.full_size:
             yield f"symmetries {name} of shape {direction.shape}; accepted: {model.full_size} components"
+    if model.forced and model.forcing_period is None:
+        yield "time without forcing_period; accepted: the forcing's period, a number or an expression in parameters"
+    for label, signs in (("reversal", model.reversal), ("half_period", model.half_period)):
+        if signs is not None and len(signs) != model.full_size:
+            yield f"{label} needs {model.full_size} signs, each +1 or -1; given {len(signs)}"
 
 
 def _entries(symbols: list[Expression]) -> Iterator[tuple[int, str]]:
@@ -188,21 +185,6 @@ def _plain(symbol: Expression) -> bool:
     if isinstance(symbol, ca.MX):
         return bool(symbol.is_symbolic()) or symbol.numel() == 0
     return bool(symbol.is_valid_input())
-
-
-def _numbers(model: Equations) -> Iterator[str]:
-    """Faults of the fields with one entry a component."""
-    parameters = int(model.parameters.numel())
-    for label, given, count, entries in (
-        ("output_scale", model.output_scale, model.size, "factors"),
-        ("nominal", model.nominal, parameters, "values"),
-        ("state_labels", model.state_labels, model.full_size, "names"),
-        ("parameter_labels", model.parameter_labels, parameters, "names"),
-    ):
-        if given is not None and len(given) != count:
-            yield f"{label} needs {count} {entries}, given {len(given)}"
-    if any(output.numel() != 1 for output in model.outputs.values()):
-        yield "outputs with several components; accepted: one scalar expression a name"
 
 
 def _names(model: Equations) -> Iterator[str]:
@@ -252,14 +234,14 @@ def check_symmetries(model: Equations, trials: int, seed: int) -> None:
     generator = np.random.default_rng(seed)
     for _ in range(trials):
         time, point, parameter = _finite_point(model, evaluate, generator)
-        value, *changes = (np.array(r).ravel() for r in _all(evaluate(time, point, parameter)))
+        value, *changes = (np.array(r).ravel() for r in evaluate.call([time, point, parameter]))
         scale = ROUND_OFF * (1.0 + np.abs(value).max())
         half = 0.5 * model.forcing_period_at(parameter)
         images = (("reversal", model.reversal, -1, -time), ("half_period", model.half_period, 1, time + half))
         for label, signs, sense, at in images:
             if signs is None:
                 continue
-            image = np.array(_all(evaluate(at, np.array(signs) * point, parameter))[0]).ravel()
+            image = np.array(evaluate.call([at, np.array(signs) * point, parameter])[0]).ravel()
             if not np.abs(image - sense * np.array(signs) * value).max() <= scale:
                 raise ValueError(f"{model.name}: the declared {label} is not a symmetry of the right-hand side")
         within = scale * (1.0 + np.abs(point).sum())
@@ -271,11 +253,6 @@ def check_symmetries(model: Equations, trials: int, seed: int) -> None:
                 raise ValueError(f"{model.name}: the declared direction {label} is not that of a symmetry")
 
 
-def _all(results: Any) -> tuple[Any, ...]:
-    """All results of a function, also where it has one."""
-    return results if isinstance(results, tuple) else (results,)
-
-
 def _finite_point(
     model: Equations, evaluate: ca.Function, generator: np.random.Generator
 ) -> tuple[float, Array, Array]:
@@ -283,7 +260,7 @@ def _finite_point(
     time = generator.normal()
     x, p = (generator.normal(size=count) for count in (model.full_size, model.parameters.numel()))
     for point, parameter in ((x, p), (x, np.abs(p)), (np.abs(x), np.abs(p))):
-        if all(np.all(np.isfinite(np.array(r))) for r in _all(evaluate(time, point, parameter))):
+        if all(np.all(np.isfinite(np.array(r))) for r in evaluate.call([time, point, parameter])):
             return time, point, parameter
     raise ValueError(f"{model.name}: the right-hand side or the hamiltonian is not finite at a random point")
 
