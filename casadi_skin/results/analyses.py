@@ -14,9 +14,10 @@ from casadi_skin.optimise.kick import SmallestKick
 from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.optimise.search import ParetoFront, SearchResult
 from casadi_skin.results.figures.bands import draw_bands
+from casadi_skin.results.figures.evolutions import sizes_of
 from casadi_skin.results.figures.multipliers import draw_moduli
 from casadi_skin.results.figures.search import draw_starts
-from casadi_skin.results.figures.style import AMPLITUDE_LABEL, LINE_DASHES, number_sites, plain
+from casadi_skin.results.figures.style import AMPLITUDE_LABEL, draw_curves, number_sites, plain
 from casadi_skin.results.tables import EVENT_COLUMNS, edge_rows
 from casadi_skin.results.words import (
     Columns,
@@ -97,8 +98,7 @@ def _(result: TransientGrowth) -> Shown:
 
     def draw(axes: Axes) -> None:
         labels = ("all perturbations", "bounded ones", "trivial pair")
-        for dashes, label, values in zip(LINE_DASHES, labels, gains.values(), strict=False):
-            axes.plot(t, values, ls=dashes, label=label)
+        draw_curves(axes, t, dict(zip(labels, gains.values(), strict=True)), in_cycle=True)
         axes.set(xlabel="time $t$", ylabel=r"$\log_{10}$ of the largest gain", xlim=(t[0], t[-1]))
 
     meaning = "largest amplification of perturbations against time"
@@ -254,8 +254,7 @@ def _(result: Spreading) -> Shown:
     rows += [("second moment", f"{result.second_moment[0]:.4g} to {result.second_moment[-1]:.4g}")]
 
     def draw(axes: Axes) -> None:
-        axes.plot(t, result.participation, label="participation number (sites)")
-        axes.plot(t, result.second_moment, ls=LINE_DASHES[1], label="second moment (cells squared)")
+        draw_curves(axes, t, sizes_of(result), in_cycle=True)
         axes.set(xlabel="time $t$", xlim=(t[0], t[-1]))
         axes.set_ylim(bottom=0.0)
 

@@ -17,7 +17,8 @@ from casadi_skin.points.diagram import Diagram
 from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.results.figures.branches import courses, draw_marks, draw_pieces, smooth, stability_pieces
 from casadi_skin.results.figures.families import family_path, family_pieces
-from casadi_skin.results.figures.style import LINE_DASHES, amplitude_label, plain
+from casadi_skin.results.figures.multipliers import draw_plane
+from casadi_skin.results.figures.style import amplitude_label, draw_curves, plain
 from casadi_skin.results.quantities import numbers_of, unique_names
 from casadi_skin.results.tables import edge_columns
 from casadi_skin.results.words import (
@@ -37,7 +38,6 @@ from casadi_skin.results.words import (
     special_points,
     with_error,
 )
-from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet, LocalisedFloquet
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest import Spectrum
@@ -112,9 +112,9 @@ def _draw_states(axes: Axes, t: Array, values: Array, names: Sequence[str], stat
         raise TypeError(f"states: given {short_repr(states)}; accepted: a list of names")
     most = np.sort(np.argsort(-np.ptp(values[:, : len(known)], axis=0), kind="stable")[:SHOWN])  # those that move most
     chosen = [known[i] for i in most] if states is None else list(states)
-    for i, name in enumerate(chosen):
+    for name in chosen:
         check_name("states", name, known)
-        axes.plot(t, values[:, known.index(name)], ls=LINE_DASHES[i % len(LINE_DASHES)], label=plain(name))
+    draw_curves(axes, t, {plain(name): values[:, known.index(name)] for name in chosen}, in_cycle=True)
     axes.set(xlabel="time $t$", xlim=(t[0], t[-1]))
     return 1 if len(chosen) < MOST_IN_COLUMN else 2
 
@@ -257,9 +257,8 @@ def _(result: EdgeCurve) -> Shown:
 
 @show.register
 def _(result: Floquet) -> Shown:
-    trivial, others = result.multipliers[: result.trivial], result.others
     rows = [("multipliers", f"{result.multipliers.size}, {result.trivial} of them trivial")]
-    rows += [("largest", complex_numbers(sorted(others, key=abs, reverse=True)))]
+    rows += [("largest", complex_numbers(sorted(result.others, key=abs, reverse=True)))]
     if (localised := result.localised) is not None:
         words = f"{result.mu.size} pairs beside the trivial one, on {localised.sites} sites at the edge"
         rows[0] = ("localised", words)
@@ -271,16 +270,7 @@ def _(result: Floquet) -> Shown:
         outside = np.append(np.zeros(result.trivial, dtype=bool), result.outside)
         return _plane("multiplier", result.multipliers, trivial=is_trivial, outside=outside)
 
-    def draw(axes: Axes) -> None:
-        from matplotlib.patches import Circle
-
-        axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, ec="0.6", lw=0.8, zorder=1))
-        axes.plot(trivial.real, trivial.imag, "+", color="0.4", ms=7, label="trivial", zorder=3)
-        _draw_plane(axes, others, result.outside)
-        axes.set_aspect("equal")
-        axes.set_adjustable("datalim")
-
-    return Shown("Floquet multipliers", rows, draw, "Floquet multipliers", columns)
+    return Shown("Floquet multipliers", rows, lambda axes: draw_plane(axes, result), "Floquet multipliers", columns)
 
 
 def _stability(floquet: Floquet) -> str:
@@ -317,7 +307,12 @@ def _(result: Spectrum) -> Shown:
 
     def draw(axes: Axes) -> None:
         axes.axvline(0.0, color="0.6", lw=0.8, zorder=1)
-        _draw_plane(axes, result.values, result.values.real > result.errors)
+        unstable = result.values.real > result.errors
+        for chosen, mark, label in ((~unstable, "o", "stable"), (unstable, "s", "unstable")):
+            if np.any(chosen):
+                shown = result.values[chosen]
+                axes.plot(shown.real, shown.imag, mark, ms=4.5, mfc="none", label=label, zorder=3)
+        axes.set(xlabel="real part", ylabel="imaginary part")
 
     title = "Eigenvalues of the linearisation"
     return Shown(title, rows, draw, "eigenvalues", lambda: _plane("eigenvalue", result.values, error=result.errors))
@@ -326,11 +321,3 @@ def _(result: Spectrum) -> Shown:
 def _plane(index: str, values: Any, **more: Any) -> Columns:
     number = np.arange(1, values.size + 1)
     return {index: number, "real": values.real, "imaginary": values.imag, "modulus": np.abs(values), **more}
-
-
-def _draw_plane(axes: Axes, values: ComplexArray, unstable: Any) -> None:
-    """Points in the complex plane, unstable ones distinguished by their marks too."""
-    for chosen, mark, label in ((~unstable, "o", "stable"), (unstable, "s", "unstable")):
-        if np.any(chosen):
-            axes.plot(values[chosen].real, values[chosen].imag, mark, ms=4.5, mfc="none", label=label, zorder=3)
-    axes.set(xlabel="real part", ylabel="imaginary part")

@@ -112,7 +112,7 @@ def floquet_figure(data: PaperData) -> Drawn:
             )
         letter(panels["a"], "a")
         for name, orbit in zip("bc", orbits, strict=True):
-            draw_plane(panels[name], orbit)
+            draw_plane(panels[name], orbit.floquet())
             largest = orbit.floquet().max_abs_multiplier
             letter(panels[name], name, rf"$S = {number(orbit.S)}$, max {MODULUS_LABEL} $= {number(largest, 5)}$")
         _draw_vectors(figure, panels["d"], orbits[0])

@@ -17,7 +17,7 @@ from casadi_skin.dynamics.evolve import distance_from_orbit
 from casadi_skin.dynamics.starts import Spreading
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.results.figures.style import LINE_DASHES, blank, colours, finished, plain, position_label, style
+from casadi_skin.results.figures.style import blank, colours, draw_curves, finished, plain, position_label, style
 from casadi_skin.results.figures.style import title as model_title
 from casadi_skin.zero.problem import Array
 
@@ -115,11 +115,11 @@ def _colour_label(evolution: Evolution) -> str:
 def _draw_states(axes: Axes, evolution: Evolution) -> None:
     """The few states as lines, in long runs as the range that each has in each window of time."""
     names, t = evolution.names, evolution.t
-    for x, name, colour, dashes in zip(evolution.states.T, names, colours(len(names)), LINE_DASHES, strict=False):
-        if _is_long(evolution):
+    if not _is_long(evolution):
+        draw_curves(axes, t, dict(zip(map(plain, names), evolution.states.T, strict=True)), lw=1.2)
+    else:
+        for x, name, colour in zip(evolution.states.T, names, colours(len(names)), strict=True):
             _draw_range(axes, t, x, color=colour, alpha=0.5, label=plain(name))
-        else:
-            axes.plot(t, x, color=colour, ls=dashes, lw=1.2, label=plain(name))
     words = f"range of states in windows of {_window(evolution):.3g}" if _is_long(evolution) else "states"
     axes.set(xlim=(t[0], t[-1] if t.size > 1 else t[0] + 1.0), ylabel=words)
 
@@ -257,6 +257,11 @@ def _time_label(evolution: Evolution) -> str:
 SPREADING_DECADES = 5.0  # of energies that colours distinguish
 
 
+def sizes_of(found: Spreading) -> dict[str, Array]:
+    """How far the energy has spread, by labels."""
+    return {"participation number (sites)": found.participation, "second moment (cells squared)": found.second_moment}
+
+
 def spreading_figure(found: Spreading, lattice: Lattice) -> Figure:
     """Energies of the sites in time as colour, and below them three numbers that locate them.
 
@@ -283,12 +288,9 @@ def spreading_figure(found: Spreading, lattice: Lattice) -> Figure:
         panels["a"].set_ylabel("site" if len(lattice.declaration.cells) == 1 else "site, along rows")
         figure.colorbar(drawn, ax=panels["a"], label="energy of the site", use_gridspec=False)
         several = found.centre.shape[1] > 1
-        lines = [("b", f"along direction {k}" if several else None, x) for k, x in enumerate(found.centre.T, start=1)]
-        lines += [("c", "participation number (sites)", found.participation)]
-        lines += [("c", "second moment (cells squared)", found.second_moment)]
-        for place, label, values in lines:
-            dashes = LINE_DASHES[len(panels[place].lines)]
-            panels[place].plot(found.t, values, color="black", ls=dashes, lw=0.9, label=label)
+        names = [f"along direction {k}" if several else None for k in range(1, 1 + found.centre.shape[1])]
+        for place, curves in (("b", dict(zip(names, found.centre.T, strict=True))), ("c", sizes_of(found))):
+            draw_curves(panels[place], found.t, curves, color="black", lw=0.9)  # type: ignore[arg-type]
         panels["b"].set_ylabel("centre (cell)")
         for place in ("b", "c") if several else ("c",):
             panels[place].legend(loc="best")

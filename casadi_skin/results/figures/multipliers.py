@@ -10,7 +10,7 @@ import numpy as np
 
 from casadi_skin.results.figures.style import amplitude_label, blank, colours, finished, number, plain, style
 from casadi_skin.results.figures.style import title as model_title
-from casadi_skin.stability.result import LocalisedFloquet
+from casadi_skin.stability.result import Floquet, LocalisedFloquet
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
@@ -198,11 +198,10 @@ def _draw_between_points(axes: Axes, branch: Branch) -> None:
         )
 
 
-def draw_plane(axes: Axes, orbit: Orbit) -> None:
+def draw_plane(axes: Axes, floquet: Floquet) -> None:
     """Multipliers of one orbit in the complex plane, marked by kind."""
     from matplotlib.ticker import MaxNLocator
 
-    floquet = orbit.floquet()
     others, on_circle, real = floquet.others, floquet.on_circle, floquet.real
     near, angle = np.abs(others) <= FRAME_RADIUS, np.linspace(0.0, 2.0 * np.pi, 361)
     axes.plot(np.cos(angle), np.sin(angle), color="0.7", lw=1.0, zorder=1)
@@ -292,7 +291,7 @@ def multiplier_figure(branch: Branch, title: str = "") -> Figure | None:
             panels["b"].set(xlim=panels["a"].get_xlim(), xlabel=panels["a"].get_xlabel())
             panels["b"].set_title("(b)", loc="left", y=1.0)
         for letter, ((value, passage), orbit) in zip("cde" if with_angles else "bcd", chosen.items(), strict=False):
-            draw_plane(panels[letter], orbit)
+            draw_plane(panels[letter], orbit.floquet())
             largest = orbit.floquet().max_abs_multiplier
             words = rf"{_place(branch, value, passage)}, max $\left|\lambda\right| = {number(largest, 4)}$"
             panels[letter].set_title(f"({letter})  {words}", loc="left", y=1.0)

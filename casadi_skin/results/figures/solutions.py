@@ -17,6 +17,7 @@ from casadi_skin.results.figures.style import (
     LINE_DASHES,
     blank,
     colours,
+    draw_curves,
     finished,
     number,
     number_sites,
@@ -54,8 +55,7 @@ def orbit_figure(solution: Solution, title: str = "") -> Figure:
     with style():
         figure = blank(5.0 if plane is None else 8.0, 3.6)
         axes = figure.subplots(1, 1 if plane is None else 2, squeeze=False)[0]
-        for i, colour in enumerate(colours(len(names))):
-            axes[0].plot(t, x[:, i], color=colour, ls=LINE_DASHES[i], lw=1.4, label=names[i])
+        draw_curves(axes[0], t, dict(zip(names, x.T, strict=True)), lw=1.4)
         more = f" ({len(names)} of {known})" if known > len(names) else ""
         axes[0].set(xlabel="t", ylabel=f"states{more}", xlim=(t[0], t[-1]))
         if plane is not None:

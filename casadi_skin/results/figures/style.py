@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casadi_skin.model.files import replacing
 from casadi_skin.zero.problem import Array
@@ -171,6 +168,7 @@ def _ticks(axis: Axis, ruler: _Ruler) -> tuple[float, float]:
 MARKED_SITES = 60  # profiles of longer lattices are lines without markers, of the positions that move
 MOST_VALUES = 6  # of parameters in a title
 PNG_DPI = 200  # of pictures as PNG
+PNG_COMPRESSION = 1  # level of zlib: those above take long and gain little
 WIDEST_INCHES = 8.3  # inches: 9 points are 7 at the width of a page, 6.5 inches
 DATED_FORMATS = {"svg": "Date", "pdf": "CreationDate"}  # formats, and their name of the date, which is left out
 AMPLITUDE_LABEL = r"total amplitude $S = \Vert y\Vert^2$"
@@ -280,6 +278,13 @@ def colours(count: int) -> Array:
     return np.asarray(colormaps["viridis"](np.linspace(0.05 if count > 1 else 0.4, 0.8, count)))
 
 
+def draw_curves(axes: Axes, x: Array, curves: Mapping[str, Any], in_cycle: bool = False, **look: Any) -> None:
+    """Curves over x with labels, told apart by dashes and by colours: from dark to light, or those of the axes."""
+    shades = [None] * len(curves) if in_cycle else colours(len(curves))
+    for k, ((label, values), colour) in enumerate(zip(curves.items(), shades, strict=True)):
+        axes.plot(x, values, ls=LINE_DASHES[k % len(LINE_DASHES)], label=label, **{"color": colour, **look})
+
+
 def common_model(branches: Sequence[Branch]) -> tuple[Any, Mapping[str, float]]:
     """The model of families and its parameters; raises ValueError where it is not one."""
     models = {(b.space.model, tuple(family(b).coordinates.parameters.items())) for b in branches}
@@ -340,42 +345,10 @@ def _write(figure: Figure, path: Path) -> None:
         figure.savefig(path, format=kind, dpi=PNG_DPI, metadata={DATED_FORMATS[kind]: None})
         return
     from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
 
     canvas: Any = FigureCanvasAgg(figure)  # its methods have no types
     figure.set_dpi(PNG_DPI)
     canvas.draw()  # savefig draws twice
-    with path.open("wb") as stream:
-        write_png(stream, np.asarray(canvas.buffer_rgba()), PNG_DPI)
-
-
-# PNG files of opaque pictures: rows as they are, which zlib packs smaller than rows filtered as photographs are -------
-
-PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-PNG_RGB_HEADER = bytes(
-    [8, 2, 0, 0, 0]
-)  # eight bits a channel, three channels, deflated, filters by row, not interlaced
-DEFLATE_LEVEL = 3  # levels above take long and gain little
-INCH_METRES = 0.0254  # metres
-
-
-def write_png(stream: BinaryIO, pixels: NDArray[np.uint8], dpi: float) -> None:
-    """Write an opaque picture.
-
-    Arguments:
-        stream: the file, open for writing.
-        pixels: red, green and blue, and more that is left out; shape (height, width, 3 or more).
-        dpi: pixels an inch.
-    """
-    height, width = pixels.shape[:2]
-    rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)  # each row begins with its filter: none
-    for channel in range(3):  # one at a time takes a seventh of the time: numpy is slow along three
-        rows[:, 1 + channel :: 3] = pixels[..., channel]
-    metre = round(dpi / INCH_METRES)
-    stream.write(PNG_SIGNATURE)
-    for kind, content in (
-        (b"IHDR", struct.pack(">II", width, height) + PNG_RGB_HEADER),
-        (b"pHYs", struct.pack(">IIB", metre, metre, 1)),
-        (b"IDAT", zlib.compress(rows.data, DEFLATE_LEVEL)),
-        (b"IEND", b""),
-    ):
-        stream.write(struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content)))
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3]
+    Image.fromarray(pixels).save(path, "PNG", dpi=(PNG_DPI, PNG_DPI), compress_level=PNG_COMPRESSION)
