@@ -1,14 +1,22 @@
-"""MkDocs hook: writes the scene reference from the schema of a scene, so that it cannot be out of date."""
+"""MkDocs hook: writes the scene reference from the schema of a scene and the table of quantities of results."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
+from casadi_skin.results import quantities as known
 from casadi_skin.runs.reading import scene_schema
 
 MARK = "<!-- tables from the schema -->"
 SCHEMA_MARK = "<!-- the schema -->"
+OF_FAMILIES = (*known.FAMILY_QUANTITIES, *known.FAMILY_STABILITY, *known.FAMILY_ERRORS, *known.FAMILY_PROOFS)
+COLUMNS = {  # quantities of a table of a run, by the mark where they are listed
+    "<!-- columns of family.csv -->": (*OF_FAMILIES, known.PROVED_STABILITY),
+    "<!-- columns of branch.csv -->": (*known.HEAD, known.IS_FOLD, known.PERIOD, *known.ERRORS, *known.STABILITY),
+    "<!-- columns of equilibria -->": (*known.HEAD, known.SPECIAL, *known.AT_REST),
+}
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
@@ -17,7 +25,16 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
         return markdown
     schema = scene_schema()
     text = json.dumps(schema, indent=2)
+    for mark, quantities in COLUMNS.items():
+        markdown = markdown.replace(mark, column_table(quantities))
     return markdown.replace(MARK, scene_tables(schema)).replace(SCHEMA_MARK, f"```json\n{text}\n```")
+
+
+def column_table(quantities: Sequence[known.Quantity]) -> str:
+    """A row for each column of a table in CSV."""
+    shown = [q for q in quantities if not q.dimensions and q.where in (known.CSV, known.BOTH)]
+    rows = [f"| `{q.name}` | {q.meaning} |" for q in shown]
+    return "\n".join(["| column | what it is |", "| --- | --- |", *rows])
 
 
 def scene_tables(schema: dict[str, Any]) -> str:

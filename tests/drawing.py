@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.transforms import Bbox
@@ -33,6 +34,21 @@ def blank_pictures(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("matplotlib.animation.Animation.save", write)
     patch.setattr("matplotlib.layout_engine.ConstrainedLayoutEngine.execute", lambda *_: None)
     patch.setattr("casadi_skin.results.figures.style.lay_out", lambda *_: None)
+
+
+def lines(axes: Axes, label: str) -> list[Line2D]:
+    """Lines of a label."""
+    return [line for line in axes.get_lines() if line.get_label() == label]
+
+
+def points(line: Line2D) -> Any:
+    """Points of a line, shape (points, 2)."""
+    return line.get_xydata()
+
+
+def legend_labels(figure: Figure) -> set[str]:
+    """Labels of the legend of all panels."""
+    return {text.get_text() for text in figure.legends[0].get_texts()}
 
 
 def stretches(lines: Iterable[Line2D]) -> list[Line2D]:

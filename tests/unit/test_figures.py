@@ -2,15 +2,13 @@
 
 import dataclasses
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 import pytest
-from drawing import overlaps, stretches
+from drawing import legend_labels, lines, overlaps, points, stretches
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -41,24 +39,12 @@ def plain() -> Branch:
     return follow_family(SOFT, 3, 1.0, tolerance=1e-4)
 
 
-def lines(axes: Axes, label: str) -> list[Line2D]:
-    return [line for line in axes.get_lines() if line.get_label() == label]
-
-
-def points(line: Line2D) -> np.ndarray:
-    return np.asarray(line.get_xydata())
-
-
 def family_lines(axes: Axes) -> list[Line2D]:
     """Stretches of one stability each, those of a family in its order."""
     known = ("stable", "unstable", "stability not computed")
     drawn = [line for line in axes.get_lines() if line.get_label() in known]
     colours = list(dict.fromkeys(tuple(line.get_color()) for line in drawn))
     return sorted(stretches(drawn), key=lambda line: (colours.index(tuple(line.get_color())), points(line)[0, 0]))
-
-
-def legend_labels(figure: Figure) -> set[str]:
-    return {text.get_text() for text in figure.legends[0].get_texts()}
 
 
 # Frequencies --------------------------------------------------------------------------------------------------------
@@ -150,15 +136,6 @@ def test_branches_that_ended_early_say_so(plain: Branch) -> None:
         figure = frequency_figure([short])
         assert "ended early" in legend_labels(figure)
         assert np.all(np.isfinite(points(family_lines(figure.axes[0])[0])))
-
-
-def test_branches_must_be_of_one_chain(plain: Branch) -> None:
-    other = follow_family(Chain(8, 1.0, 0.25, 1.0), 1, 0.1, tolerance=1e-3)
-    for draw in (frequency_figure, profile_figure):
-        with pytest.raises(ValueError, match="0 models"):
-            draw([])
-        with pytest.raises(ValueError, match="2 models"):
-            draw([plain, other])
 
 
 # Profiles -----------------------------------------------------------------------------------------------------------
@@ -350,11 +327,6 @@ def test_a_failed_write_leaves_the_old_files_and_nothing_else(tmp_path: Path, mo
         save(Figure(), tmp_path / "f")
     assert [path.name for path in tmp_path.iterdir()] == ["f.png"]
     assert (tmp_path / "f.png").read_bytes() == b"old"
-
-
-def test_import_is_cheap() -> None:
-    code = "import sys, casadi_skin.results.figures; sys.exit('matplotlib' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_a_family_that_ends_early_is_in_the_frame_of_logarithmic_shifts(plain: Branch) -> None:

@@ -9,11 +9,10 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from drawing import overlaps, stretches
+from drawing import legend_labels, lines, overlaps, points, stretches
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from PIL import Image
 from small_models import forced_orbit, fput, limit_cycle, pendulums, two_wells, van_der_pol
 
@@ -60,18 +59,6 @@ def solutions() -> Branch:
     model = OdeModel("Bratu", ca.vertcat(u, v), ca.vertcat(v, -lam * ca.exp(u)), lam)
     problem = BoundaryValueProblem(model, [model.start(u), model.end(u)], parameters={"lam": 0.5})
     return problem.solve([0.0, 0.0]).follow("lam", 6.0)
-
-
-def lines(axes: Axes, label: str) -> list[Line2D]:
-    return [line for line in axes.get_lines() if line.get_label() == label]
-
-
-def points(line: Line2D) -> np.ndarray:
-    return np.asarray(line.get_xydata())
-
-
-def legend_labels(figure: Figure) -> set[str]:
-    return {text.get_text() for text in figure.legends[0].get_texts()}
 
 
 # Families -------------------------------------------------------------------------------------------------------------
@@ -132,21 +119,6 @@ def test_a_frequency_in_a_gap_is_a_line_and_cells_that_differ_have_no_band() -> 
     assert "linear band" not in [patch.get_label() for patch in axes.patches]
     squares = np.linalg.eigvalsh(np.diag([3.0, 7.0, 11.0]) - np.eye(3, k=1) - np.eye(3, k=-1))
     np.testing.assert_allclose(np.square(shaded(axes, "linear frequency")), np.stack([squares, squares], 1), rtol=1e-9)
-
-
-def test_profiles_of_a_family_lie_over_its_linear_mode(families: list[Branch]) -> None:
-    figure = profile_figure(families)
-    assert figure is not None
-    for axes, branch, j in zip(figure.axes, families, (1, 3), strict=True):
-        wave = np.sin(np.arange(1, SITES + 1) * j * np.pi / (SITES + 1))
-        (mode,) = lines(axes, "linear mode")
-        drawn = points(mode)[:, 1]
-        np.testing.assert_allclose(np.abs(drawn), np.abs(wave) / np.linalg.norm(wave), atol=1e-12)
-        (profile,) = lines(axes, "$S = 0.1$")
-        assert np.linalg.norm(points(profile)[:, 1]) == pytest.approx(1.0)
-        assert points(profile)[:, 1] @ drawn > 0.99
-        assert branch.at(0.1).S == 0.1
-    assert figure.axes[-1].get_xlabel() == "position $n$"
 
 
 def test_families_must_be_of_one_model_with_the_same_parameters(families: list[Branch]) -> None:
