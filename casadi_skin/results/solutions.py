@@ -15,7 +15,7 @@ from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import check_name, short_repr
 from casadi_skin.points.diagram import Diagram
 from casadi_skin.points.edges import EdgeCurve
-from casadi_skin.results.figures.branches import courses, draw_marks, draw_pieces, smooth, stability_pieces
+from casadi_skin.results.figures.branches import courses, draw_edge, draw_marks, draw_pieces, stability_pieces
 from casadi_skin.results.figures.families import family_path, family_pieces
 from casadi_skin.results.figures.multipliers import draw_plane
 from casadi_skin.results.figures.style import amplitude_label, draw_curves, plain
@@ -173,7 +173,8 @@ def _(result: Branch) -> Shown:
             labels = plain(first), plain(second)
         if colour is None:
             colour = _next_colour(axes)
-        draw_pieces(axes, result, path, pieces, colour)
+        kind = {FAMILY: "", ORBITS: "orbits", EQUILIBRIA: "equilibria"}.get(space.connects, "solutions")
+        draw_pieces(axes, result, path, pieces, colour, kind)
         draw_marks(axes, result, path, colour)
         axes.set(xlabel=labels[0], ylabel=labels[1])
 
@@ -238,18 +239,21 @@ def _(result: SpecialPoint) -> Shown:
 
 @show.register
 def _(result: EdgeCurve) -> Shown:
-    model, values = result.points[0].orbit.model, result[result.parameter]
     rows = [("points", str(len(result))), ("kind", result.kind)]
-    rows += [(result.parameter, course(values)), ("S", course(result.S))]
+    rows += [(result.parameter, course(result[result.parameter])), ("S", course(result.S))]
     rows += [("error of S", f"up to {np.max(result.errors):.1e}"), ("end", result.reason)]
 
     def draw(axes: Axes, colour: Any = None) -> None:
-        dashes = "-" if result.kind == "real" else "--"
-        axes.plot(*smooth(np.column_stack([values, result.S])).T, ls=dashes, lw=1.8, color=colour)
-        axes.set(xlabel=plain(result.parameter), ylabel=amplitude_label(model))
+        draw_edge(axes, result, ls="-" if result.kind == "real" else "--", lw=1.8, color=colour)
 
     meaning = "the edge of a tongue of instability"
-    return Shown(f"Edge of a tongue of {model_words(model)}", rows, draw, meaning, lambda: edge_columns(result))
+    return Shown(
+        f"Edge of a tongue of {model_words(result.points[0].orbit.model)}",
+        rows,
+        draw,
+        meaning,
+        lambda: edge_columns(result),
+    )
 
 
 # Multipliers and eigenvalues ------------------------------------------------------------------------------------------

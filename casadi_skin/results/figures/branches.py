@@ -163,41 +163,34 @@ def courses(branch: Branch, state: int) -> list[Array]:
     return [high, low]
 
 
-def draw_pieces(axes: Axes, branch: Branch, path: Array, pieces: Pieces, colour: Any, orbits: str = "orbits") -> None:
-    """A path with a line for each piece, of a family by its stability, else by its kind too, broader for orbits."""
-    space = branch.space
+def draw_pieces(axes: Axes, branch: Branch, path: Array, pieces: Pieces, colour: Any, kind: str = "") -> None:
+    """The path of a branch in pieces, as `stability_pieces` makes them.
+
+    Pieces of one stability are one line with gaps between them: a line takes a fifth of a millisecond, a gap nothing.
+    With a `kind` of solutions their lines are smooth and labelled by it too, and those of orbits are broader.
+    """
+    space, gap, extent = branch.space, np.full((1, 2), np.nan), SAME_PLACE * np.ptp(path, axis=0)
     closed = space.connects == ORBITS
-    kind = {ORBITS: orbits, EQUILIBRIA: "equilibria"}.get(space.connects, "solutions")
-    for stable, piece in pieces:
+    for stable in dict.fromkeys(stable for stable, _ in pieces):
+        alike = [piece for known, piece in pieces if known is stable]
+        parts = map(smooth, alike) if kind or space.kind else alike
         look = STABILITY_LOOKS[stable]
         if (space.kind, closed) in CURVE_LOOKS:
             words, dashes = CURVE_LOOKS[space.kind, closed]
             look = {"lw": 1.8, "ls": dashes, "label": words}
-        elif space.connects != FAMILY:
-            silent = stable is None and (kind == "solutions" or orbits == "orbits")
+        elif kind:
+            silent = stable is None and kind != "cycles" and space.connects != EQUILIBRIA
             look = {**look, "lw": LINE_WIDTHS[closed], "label": kind if silent else f"{kind}, {look['label']}"}
-        seen = np.any(np.ptp(piece, axis=0) > SAME_PLACE * np.ptp(path, axis=0))
-        drawn = piece if space.connects == FAMILY else smooth(piece)
-        axes.plot(*drawn.T, color=colour, zorder=3, **{**look, "label": look["label"] if seen else "_nolegend_"})
+        if len(path) > 1 and not np.any(np.sum([np.ptp(piece, axis=0) for piece in alike], axis=0) > extent):
+            look = {**look, "label": "_nolegend_"}  # too short to be seen
+        axes.plot(*np.vstack([line for part in parts for line in (gap, part)])[1:].T, color=colour, zorder=3, **look)
 
 
-def draw_lines(
-    axes: Axes,
-    branch: Branch,
-    path: Array,
-    pieces: Sequence[tuple[bool | None, Array]],
-    colour: Any,
-    strip: bool = False,
-) -> None:
-    """The path of a branch in pieces, as `stability_pieces` makes them, with marks of its changes of stability.
+def draw_changes(axes: Axes, branch: Branch, path: Array, pieces: Pieces, strip: bool = False) -> None:
+    """Marks where stability changes between pieces of a path, but for those at special points.
 
-    Pieces of one stability are one line with gaps between them: a line takes a fifth of a millisecond, a gap nothing.
     With `strip`, changes whose marks would overlap are shown by a strip along the lower edge, dark where unstable.
     """
-    gap, orbits = np.full((1, 2), np.nan), branch.space.connects in (FAMILY, ORBITS)
-    for stable in dict.fromkeys(stable for stable, _ in pieces):
-        line = np.vstack([part for known, piece in pieces if known is stable for part in (gap, piece)])[1:]
-        axes.plot(*line.T, color=colour, zorder=3, **(STABILITY_LOOKS[stable] if orbits else {"lw": 1.4}))
     joints = np.array([piece[-1] for _, piece in pieces[:-1]]).reshape(-1, 2)
     joints = joints[~_are_marked(joints, path[list(special_places(branch, path))], np.ptp(path, axis=0))]
     if joints.size and strip and np.all(np.diff(path[:, 0]) > 0.0) and crowded(joints[:, 0]):
@@ -212,11 +205,6 @@ def _are_marked(joints: Array, special: Array, extent: Array) -> NDArray[np.bool
     """Which changes of stability lie at a special point as far as a picture shows, shape (joints,)."""
     apart = np.abs(joints[:, None] - special) <= SAME_PLACE * extent
     return np.asarray(np.any(np.all(apart, axis=2), axis=1))
-
-
-def label_of(words: str, piece: Array, path: Array) -> str:
-    """Legend entry of a stretch; none where the stretch is too short to be seen on the whole path."""
-    return words if np.any(np.ptp(piece, axis=0) > SAME_PLACE * np.ptp(path, axis=0)) else "_nolegend_"
 
 
 def crowded(places: Array) -> bool:
@@ -294,7 +282,9 @@ def branch_figure(branch: Branch, title: str = "") -> Figure:
         for panel, (label, curves) in zip(axes, panels, strict=True):
             for curve, colour in zip(curves, colours(len(curves)), strict=True):
                 path = np.column_stack([branch.values, curve])
-                draw_lines(panel, branch, path, stability_pieces(branch, path), colour)
+                pieces = stability_pieces(branch, path)
+                draw_pieces(panel, branch, path, pieces, colour, "" if space.connects == ORBITS else "solutions")
+                draw_changes(panel, branch, path, pieces)
                 draw_marks(panel, branch, path, "black")
             if len(curves) == 2:
                 handles = [Line2D([], [], color=colour, lw=2.0) for colour in colours(2)]
@@ -339,10 +329,11 @@ def bifurcation_figure(branches: Sequence[Branch], title: str = "", state: int =
         figure = blank(6.4, 4.2)
         axes = figure.subplots()
         for branch in held:
-            colour = cycle if branch.space.connects in (FAMILY, ORBITS) else rest
+            closed = branch.space.connects in (FAMILY, ORBITS)
+            kind = "cycles" if closed else "equilibria" if branch.space.connects == EQUILIBRIA else "solutions"
             for heights in courses(branch, state):
                 path = np.column_stack([branch.values, heights])
-                draw_pieces(axes, branch, path, stability_pieces(branch, path), colour, "cycles")
+                draw_pieces(axes, branch, path, stability_pieces(branch, path), cycle if closed else rest, kind)
                 draw_special(axes, branch, path, 6)
         equilibria = [branch.space.connects == EQUILIBRIA for branch in held]
         both = f"{name}, of cycles largest and smallest" if any(equilibria) else f"{name}: largest and smallest value"
@@ -375,10 +366,9 @@ def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
         looks = [(curve.space.kind, curve.space.connects == ORBITS) for curve in curves]
         order = [look for look in CURVE_LOOKS if look in looks]
         for curve, look in zip(curves, looks, strict=True):
-            words, dashes = CURVE_LOOKS[look]
             path = np.column_stack([curve[first], curve[second]])
             colour = colours(max(2, len(order)))[order.index(look) if len(order) > 1 else int(look[0] == "hopf")]
-            axes.plot(*smooth(path).T, ls=dashes, lw=1.8, color=colour, label=words)
+            draw_pieces(axes, curve, path, [(None, path)], colour)
             draw_special(axes, curve, path, 6)
         axes.set(xlabel=plain(first), ylabel=plain(second))
         axes.set_title(solution_title(curves[0].solutions[0], title, (first, second, *curves[0].space.free)), y=1.0)
@@ -400,17 +390,19 @@ def edges_figure(curves: Sequence[EdgeCurve], title: str = "") -> Figure:
     """
     if len({curve.parameter for curve in curves}) != 1:
         raise ValueError("curves: given edges in different parameters, or none; accepted: edges in one parameter")
-    model, name = curves[0].points[0].orbit.model, curves[0].parameter
-    words = {"real": "through 1 or -1", "complex": "Krein collisions"}
+    model, words = curves[0].points[0].orbit.model, {"real": "through 1 or -1", "complex": "Krein collisions"}
     with style():
         figure = blank(6.0, 4.4)
         axes = figure.subplots()
         kinds = [*words, *sorted({curve.kind for curve in curves} - set(words))]
-        for kind, colour in zip(kinds, colours(len(kinds)), strict=True):
-            alike = [curve for curve in curves if curve.kind == kind]
-            for k, curve in enumerate(alike):
-                path = np.column_stack([curve[name], curve.S])
-                axes.plot(*smooth(path).T, lw=1.4, color=colour, label=words.get(kind, kind) if k == 0 else None)
-        axes.set(xlabel=plain(name), ylabel=amplitude_label(model))
+        for curve in curves:
+            colour, label = colours(len(kinds))[kinds.index(curve.kind)], words.get(curve.kind, curve.kind)
+            draw_edge(axes, curve, lw=1.4, color=colour, label=label)
         axes.set_title(title or f"edges of tongues of {getattr(model, 'name', 'the chain')}", y=1.0)
         return finished(figure, [axes], 4, plain=True)
+
+
+def draw_edge(axes: Axes, curve: EdgeCurve, **look: Any) -> None:
+    """A curve of edges in the plane of its parameter and S."""
+    axes.plot(*smooth(np.column_stack([curve[curve.parameter], curve.S])).T, **look)
+    axes.set(xlabel=plain(curve.parameter), ylabel=amplitude_label(curve.points[0].orbit.model))

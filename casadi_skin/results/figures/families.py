@@ -11,7 +11,7 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.linear import band_edges, lattice_modes
 from casadi_skin.lattice.spectrum import linear_spectrum
-from casadi_skin.results.figures.branches import Pieces, draw_lines, draw_marks, stability_pieces
+from casadi_skin.results.figures.branches import Pieces, draw_changes, draw_marks, draw_pieces, stability_pieces
 from casadi_skin.results.figures.multipliers import frequency_pieces, requested, shade_unresolved
 from casadi_skin.results.figures.style import (
     MARKED_SITES,
@@ -135,9 +135,11 @@ def _draw_shifts(axes: Axes, branches: Sequence[Branch]) -> None:
     apart = bool(sizes.max() > LINEAR_SCALE_RATIO * sizes.min() > 0.0)
     for branch, path, colour in zip(branches, paths, colours(len(branches)), strict=True):
         pieces = family_pieces(branch, path, True)
-        shown = [(stable, np.abs(piece) if apart else piece) for stable, piece in pieces]
-        draw_lines(axes, branch, np.abs(path) if apart else path, shown, colour)
-        draw_marks(axes, branch, np.abs(path) if apart else path, colour)
+        if apart:
+            path, pieces = np.abs(path), [(stable, np.abs(piece)) for stable, piece in pieces]
+        draw_pieces(axes, branch, path, pieces, colour)
+        draw_changes(axes, branch, path, pieces)
+        draw_marks(axes, branch, path, colour)
     right = float(ends[:, 0].max())
     axes.set(xlabel=amplitude_label(branches[0].space.model), xlim=(0.0, right))
     if not apart:
@@ -179,7 +181,9 @@ def frequency_figure(branches: Sequence[Branch]) -> Figure:
             paths = [family_path(branches[0], True)]
         draw_band(axes, model, branches[0].start.Omega if shift else 0.0, parameters)
         for branch, path, colour in zip(branches, paths, colours(len(branches)), strict=True):
-            draw_lines(axes, branch, path, family_pieces(branch, path, shift), colour, strip=len(branches) == 1)
+            pieces = family_pieces(branch, path, shift)
+            draw_pieces(axes, branch, path, pieces, colour)
+            draw_changes(axes, branch, path, pieces, strip=len(branches) == 1)
             if branch.unresolved:
                 shade_unresolved(axes, branch.unresolved)
             _draw_theory(axes, branch, np.array([0.0, path[:, 0].max()]), shift)
