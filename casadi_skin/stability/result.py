@@ -214,22 +214,13 @@ class ReversibleFloquet(Floquet):
 
     @cached_property
     def error(self) -> float:
-        """Estimated absolute error: the largest of any mu and, for an unstable orbit, of `max_abs_multiplier`.
-
-        The latter from the multipliers at mu changed by its error: near the circle they go with the root of mu.
-        """
-        largest = float(np.max(self.mu_error, initial=0.0))
-        outside = ~self.is_inside
-        if not np.any(outside):
+        """Estimated absolute error: the largest of any mu and, for an unstable orbit, of `max_abs_multiplier`."""
+        largest, size, outside = float(np.max(self.mu_error, initial=0.0)), self.max_abs_multiplier, self.outside
+        if not outside.any():
             return largest
-        real = self.is_real[outside]
-        mu = np.where(real, self.mu.real[outside], self.mu[outside])
-        directions = np.where(real, np.sign(ERROR_DIRECTIONS.real)[:, None], ERROR_DIRECTIONS[:, None])
-        moduli = _modulus(mu + self.mu_error[outside] * directions) ** (2 * self.power)
+        moduli, errors = np.abs(self.others[outside]), self.other_errors[outside]
         with np.errstate(invalid="ignore"):
-            above = np.max(moduli) - self.max_abs_multiplier
-            below = self.max_abs_multiplier - np.max(np.min(moduli, axis=0))
-        return max(largest, float(above), float(below))
+            return max(largest, float(np.max(moduli + errors) - size), float(size - np.max(moduli - errors)))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -270,12 +261,6 @@ class FullPeriodFloquet(Floquet):
         if huge:
             words = f"{huge} of the multipliers exceed the largest double, which stands for them"
             warnings.warn(f"{words}: see log10_abs_multipliers", HugeMultiplierWarning, stacklevel=4)
-
-
-def _modulus(mu: ComplexArray) -> Array:
-    """|sqrt(mu) + sqrt(1 + mu)| or its inverse, whichever is not below 1."""
-    root = np.abs(np.sqrt(mu + 0j) + np.sqrt(1.0 + mu + 0j))
-    return np.asarray(np.maximum(root, 1.0 / root))
 
 
 # The continuous spectrum of an orbit at the edge of an infinite linear medium: arcs of the unit circle in closed form

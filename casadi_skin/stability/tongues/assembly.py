@@ -7,7 +7,7 @@ rotation angles meet where it begins; the edges of tongues are the changes of st
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -27,7 +27,9 @@ from casadi_skin.stability.tongues.interpolation import (
 )
 from casadi_skin.stability.tongues.pairs import Edge, Segment, evaluate
 from casadi_skin.stability.tongues.rotation import Tracks
-from casadi_skin.zero.problem import Array, Indices
+from casadi_skin.zero.problem import Array
+
+Sides = tuple[list[tuple[int, Edge | None]], list[tuple[int, Edge | None]]]  # segments that end, and begin, somewhere
 
 SAME_MU_DISTANCE = 0.05  # distance of two mu at the end of an interval that may be one
 SAME_MU = 1e-6  # difference of mu of edges that coincide
@@ -62,14 +64,15 @@ class Group:
         return next((edge for edge in reversed(self.edges) if edge.coordinate == self.end), None)
 
     @property
+    def errors(self) -> tuple[float, float]:
+        """Errors of its first and of its last edge; 0 at an open end."""
+        first, last = (0.0 if edge is None else edge.error for edge in (self.first_edge, self.last_edge))
+        return first, last
+
+    @property
     def decided(self) -> bool:
         """Whether it is longer than the errors of its edges."""
-        return self.end - self.start > sum(edge.error for edge in (self.first_edge, self.last_edge) if edge is not None)
-
-
-def error_of(edge: Edge | None) -> float:
-    """Error of an edge; 0 at an open end."""
-    return 0.0 if edge is None else edge.error
+        return self.end - self.start > sum(self.errors)
 
 
 def groups_of(segments: Sequence[Segment], unknown: Iterable[float]) -> tuple[list[Group], list[Gap]]:
@@ -83,44 +86,44 @@ def groups_of(segments: Sequence[Segment], unknown: Iterable[float]) -> tuple[li
     order = sorted(segments, key=lambda segment: (segment.start, segment.end))
     if not order:
         return [], []
-    ends, by_edge = set(unknown), dict[int, int]()
-    joined = [  # pairs of segments that are of one group
-        (by_edge.setdefault(id(edge), i), i)
-        for i, segment in enumerate(order)
-        for edge in (segment.start_edge, segment.end_edge)
-        if edge is not None
-    ]
-    dropped: set[int] = set()
-    added: dict[int, Edge] = {}
-    gaps: list[Gap] = []
-    boundaries = list(_boundaries(order))
-    mu = _unstable_mu(order, boundaries)
-    for coordinate, lefts, rights in boundaries:
-        loose_lefts = [i for i in lefts if order[i].end_edge is None]
-        loose_rights = [i for i in rights if order[i].start_edge is None]
-        pairs = _match(mu, coordinate, loose_lefts, loose_rights)
+    ends, by_edge, touching = set(unknown), dict[int, int](), defaultdict[float, Sides](lambda: ([], []))
+    joined = list[tuple[int, int]]()  # pairs of segments that are of one group
+    for i, segment in enumerate(order):
+        for side, (place, edge) in enumerate(((segment.end, segment.end_edge), (segment.start, segment.start_edge))):
+            touching[place][side].append((i, edge))
+            if edge is not None:
+                joined.append((by_edge.setdefault(id(edge), i), i))
+    open_ends = {p: sides for p, sides in touching.items() if any(edge is None for side in sides for _, edge in side)}
+    mu = _unstable_mu(order, open_ends)
+    dropped, added, gaps = set[int](), dict[int, Edge](), list[Gap]()
+    for place, sides in sorted(open_ends.items()):
+        loose = [[i for i, edge in side if edge is None] for side in sides]
+        pairs = _match(mu, place, *loose)
         joined += pairs
         matched = {i for pair in pairs for i in pair}
-        for i in (i for i in (*loose_lefts, *loose_rights) if i not in matched and coordinate not in ends):
-            others = [k for k in (rights if i in loose_lefts else lefts) if k not in (*loose_lefts, *loose_rights)]
-            twins = _match(mu, coordinate, [i], others)
+        left = [(here, i) for here in (0, 1) for i in loose[here] if i not in matched and place not in ends]
+        for here, i in left:
+            others = {k: edge for k, edge in sides[1 - here] if edge is not None}
+            twins = _match(mu, place, [i], list(others))
             if twins:  # the other side sees the edge at their common end
-                twin = twins[0][1]
-                joined.append((i, twin))
-                dropped.add(id(order[twin].start_edge if i in loose_lefts else order[twin].end_edge))
-                continue
-            edge = order[i].edge_at(coordinate)
-            if edge is not None:
+                joined += twins[:1]
+                dropped.add(id(others[twins[0][1]]))
+            elif (edge := order[i].edge_at(place)) is not None:
                 added[i] = edge
             else:
                 length = order[i].block.end - order[i].block.start
-                gaps.append(Gap(coordinate - length, coordinate + length, DISAGREEMENT_WORDS))
+                gaps.append(Gap(place - length, place + length, DISAGREEMENT_WORDS))
     firsts, seconds = np.array(joined, dtype=np.int64).reshape(-1, 2).T
     shape = len(order), len(order)
     count, labels = connected_components(coo_array((np.ones(len(joined)), (firsts, seconds)), shape=shape), False)
-    members = [np.flatnonzero(labels == label).tolist() for label in range(count)]
-    groups = sorted((_group(order, each, dropped, added) for each in members), key=lambda group: group.start)
-    return _undecided_once(groups), gaps
+    groups = []
+    for label in range(count):
+        members = np.flatnonzero(labels == label).tolist()
+        every = (edge for i in members for edge in (order[i].start_edge, order[i].end_edge, added.get(i)))
+        edges = {id(edge): edge for edge in every if edge is not None and id(edge) not in dropped}
+        in_order = sorted(edges.values(), key=lambda edge: edge.coordinate)
+        groups.append(Group(tuple(order[i] for i in members), tuple(in_order)))
+    return _undecided_once(sorted(groups, key=lambda group: group.start)), gaps
 
 
 def _undecided_once(groups: Sequence[Group]) -> list[Group]:
@@ -130,45 +133,21 @@ def _undecided_once(groups: Sequence[Group]) -> list[Group]:
     """
     found: list[Group] = []
     for group in groups:
-        if group.decided or not any(_are_one(other, group) for other in found):
+        if group.decided or not any(_are_one(other, group) for other in found if not other.decided):
             found.append(group)
     return found
 
 
 def _are_one(one: Group, other: Group) -> bool:
-    """Whether two groups in order, the second of which is not decided, may be one."""
-    apart = other.start - one.end > error_of(one.last_edge) + error_of(other.first_edge)
-    if one.decided or apart:
-        return False
+    """Whether two groups in order that are not decided may be one."""
+    near = other.start - one.end <= one.errors[1] + other.errors[0]
     first, second = one.edges[0], other.edges[0]
-    return first.kind == second.kind and abs(first.mu - second.mu) <= SAME_MU
+    return near and first.kind == second.kind and abs(first.mu - second.mu) <= SAME_MU
 
 
-def _group(order: Sequence[Segment], members: Sequence[int], dropped: set[int], added: dict[int, Edge]) -> Group:
-    edges: dict[int, Edge] = {}
-    for i in members:
-        for edge in (order[i].start_edge, order[i].end_edge, added.get(i)):
-            if edge is not None and id(edge) not in dropped:
-                edges[id(edge)] = edge
-    return Group(tuple(order[i] for i in members), tuple(sorted(edges.values(), key=lambda edge: edge.coordinate)))
-
-
-def _boundaries(order: Sequence[Segment]) -> Iterator[tuple[float, list[int], list[int]]]:
-    """Ends of intervals in the middle of an instability, with the segments that end and begin there."""
-    lefts, rights = defaultdict(list), defaultdict(list)
-    for i, segment in enumerate(order):
-        lefts[segment.end].append(i)
-        rights[segment.start].append(i)
-    loose = {s.end for s in order if s.end_edge is None} | {s.start for s in order if s.start_edge is None}
-    for coordinate in sorted(loose):
-        yield coordinate, lefts.get(coordinate, []), rights.get(coordinate, [])
-
-
-def _unstable_mu(
-    order: Sequence[Segment], boundaries: Sequence[tuple[float, list[int], list[int]]]
-) -> dict[tuple[int, float], ComplexArray]:
-    """The unstable mu of segments at these ends of their intervals, by number and coordinate."""
-    wanted = [(i, place) for place, lefts, rights in boundaries if lefts and rights for i in (*lefts, *rights)]
+def _unstable_mu(order: Sequence[Segment], places: Mapping[float, Sides]) -> dict[tuple[int, float], ComplexArray]:
+    """The unstable mu of segments at ends of intervals that segments touch from both sides, by number and place."""
+    wanted = [(i, place) for place, sides in places.items() if all(sides) for side in sides for i, _ in side]
     if not wanted:
         return {}
     mu, _ = evaluate([order[i].block for i, _ in wanted], np.array([[place] for _, place in wanted]))
@@ -176,14 +155,14 @@ def _unstable_mu(
 
 
 def _match(
-    mu: Mapping[tuple[int, float], ComplexArray], coordinate: float, lefts: Sequence[int], rights: Sequence[int]
+    mu: Mapping[tuple[int, float], ComplexArray], place: float, lefts: Sequence[int], rights: Sequence[int]
 ) -> list[tuple[int, int]]:
-    """Segments with the same unstable mu at a coordinate: each mu of one side is at most one of the other."""
+    """Segments with the same unstable mu at a place: each mu of one side is at most one of the other."""
     if not lefts or not rights:
         return []
-    (one, owners), (other, others) = (_of_all(mu, coordinate, side) for side in (lefts, rights))
-    distances = np.abs(one[:, None] - other)
-    pairs: list[tuple[int, int]] = []
+    one, other = (np.concatenate([mu[i, place] for i in side]) for side in (lefts, rights))
+    owners, others = ([i for i in side for _ in mu[i, place]] for side in (lefts, rights))
+    distances, pairs = np.abs(one[:, None] - other), list[tuple[int, int]]()
     while distances.size and np.min(distances) <= SAME_MU_DISTANCE:
         a, b = (int(k) for k in np.unravel_index(np.argmin(distances), distances.shape))
         pairs.append((owners[a], others[b]))
@@ -191,20 +170,11 @@ def _match(
     return pairs
 
 
-def _of_all(
-    mu: Mapping[tuple[int, float], ComplexArray], coordinate: float, side: Sequence[int]
-) -> tuple[ComplexArray, list[int]]:
-    """All unstable mu of segments at a coordinate, and the segment of each."""
-    values = [mu[i, coordinate] for i in side]
-    return np.concatenate(values), [i for i, each in zip(side, values, strict=True) for _ in each]
-
+# Tongues ------------------------------------------------------------------------------------------------------------
 
 DEPTH_SAMPLES = 17  # of a segment, at which its depth is measured, and of the neighbourhood of the deepest
 DEPTH_ZOOMS = 2
 NO_AMPLITUDE = 1e-12  # of S at the end of a piece that begins at rest: rounding of its series
-
-
-# Tongues ------------------------------------------------------------------------------------------------------------
 
 
 def tongues_of(groups: Sequence[Group], pieces: Sequence[Piece], power: int, tracks: Tracks | None) -> list[Tongue]:
@@ -212,29 +182,27 @@ def tongues_of(groups: Sequence[Group], pieces: Sequence[Piece], power: int, tra
     if not groups:
         return []
     growths, deepest = depths(groups)
-    nothing = np.zeros(len(groups))
-    starts = places(pieces, np.array([g.start for g in groups]), np.array([error_of(g.first_edge) for g in groups]))
-    ends = places(pieces, np.array([g.end for g in groups]), np.array([error_of(g.last_edge) for g in groups]))
-    bottoms = places(pieces, deepest, nothing)
-    meetings = _meetings(groups, tracks)
-    found = []
-    for i, group in enumerate(groups):
-        meeting = meetings.get(i)
-        found.append(
-            Tongue(
-                start=starts[i],
-                end=ends[i],
-                open_start=group.first_edge is None or at_rest(pieces, group.first_edge),
-                open_end=group.last_edge is None,
-                kind="complex" if group.segments[0].is_complex else "real",
-                modes=None if meeting is None else meeting[:2],
-                order=None if meeting is None else meeting[2],
-                growth=power * float(growths[i]),
-                S_deepest=bottoms[i].S,
-                decided=group.decided,
-            )
+    errors = np.array([group.errors for group in groups])
+    starts, ends = (
+        places(pieces, np.array([getattr(group, name) for group in groups]), errors[:, side])
+        for side, name in enumerate(("start", "end"))
+    )
+    bottoms, meetings = places(pieces, deepest, np.zeros(len(groups))), _meetings(groups, tracks)
+    return [
+        Tongue(
+            start=starts[i],
+            end=ends[i],
+            open_start=group.first_edge is None or at_rest(pieces, group.first_edge),
+            open_end=group.last_edge is None,
+            kind="complex" if group.segments[0].is_complex else "real",
+            modes=meetings[i][:2] if i in meetings else None,
+            order=meetings[i][2] if i in meetings else None,
+            growth=power * float(growths[i]),
+            S_deepest=bottoms[i].S,
+            decided=group.decided,
         )
-    return found
+        for i, group in enumerate(groups)
+    ]
 
 
 def at_rest(pieces: Sequence[Piece], edge: Edge) -> bool:
@@ -260,32 +228,22 @@ def _meetings(groups: Sequence[Group], tracks: Tracks | None) -> dict[int, tuple
 
 def depths(groups: Sequence[Group]) -> tuple[Array, Array]:
     """Largest log |lambda(M)| on each group of segments, and the coordinates of it."""
-    segments = [segment for group in groups for segment in group.segments]
-    owners = np.repeat(np.arange(len(groups)), [len(group.segments) for group in groups])
-    starts, ends = (np.array([getattr(segment, name) for segment in segments]) for name in ("start", "end"))
-    steps, deepest = np.zeros(len(groups)), (np.full(len(groups), -np.inf), np.zeros(len(groups)))
-    np.maximum.at(steps, owners, ends - starts)
-    near, low, high = np.arange(len(segments)), starts, ends
+    counts, segments = [len(g.segments) for g in groups], [segment for group in groups for segment in group.segments]
+    starts, ends = (np.array([[getattr(segment, name)] for segment in segments]) for name in ("start", "end"))
+    bounds, blocks = np.cumsum(counts)[:-1], [segment.block for segment in segments]
+    steps = np.array([[np.max(each)] for each in np.split(ends - starts, bounds)])
+    growths, deepest, low, high = np.full(len(groups), -np.inf), np.zeros(len(groups)), starts, ends
     for zoom in range(DEPTH_ZOOMS + 1):
-        at = np.linspace(low[near], high[near], DEPTH_SAMPLES, axis=1)
-        blocks = [segments[i].block for i in near.tolist()]
-        growth = evaluate(blocks, at)[1]
-        k = np.argmax(growth, axis=1)[:, None]
-        found, where = (np.take_along_axis(each, k, 1)[:, 0] for each in (growth, at))
-        deepest = _largest(owners[near], found, where, *deepest)
-        steps *= (2.0 if zoom else 1.0) / (DEPTH_SAMPLES - 1)
-        low, high = np.maximum(starts, (deepest[1] - steps)[owners]), np.minimum(ends, (deepest[1] + steps)[owners])
-        near = np.flatnonzero(low <= high)
-    return np.maximum(deepest[0], 0.0), deepest[1]
-
-
-def _largest(owners: Indices, values: Array, places: Array, before: Array, where: Array) -> tuple[Array, Array]:
-    """The largest value of each owner, of these and the one before, and its place."""
-    every = np.concatenate([np.arange(before.size), owners])
-    values, places = np.concatenate([before, values]), np.concatenate([where, places])
-    order = np.lexsort((places, values, every))
-    last = order[np.append(np.diff(every[order]) > 0, True)]
-    return values[last], places[last]
+        at = np.linspace(low[:, 0], high[:, 0], DEPTH_SAMPLES, axis=1)
+        parts = (np.split(each, bounds) for each in (evaluate(blocks, at)[1], at))
+        for i, (growth, where) in enumerate(zip(*parts, strict=True)):
+            k = np.argmax(growth)
+            if growth.flat[k] > growths[i]:
+                growths[i], deepest[i] = growth.flat[k], where.flat[k]
+        steps = steps * (2.0 if zoom else 1.0) / (DEPTH_SAMPLES - 1)
+        around = (np.repeat(deepest[:, None] + sign * steps, counts, axis=0) for sign in (-1.0, 1.0))
+        low, high = (np.clip(each, starts, ends) for each in around)
+    return np.maximum(growths, 0.0), deepest
 
 
 # Changes ------------------------------------------------------------------------------------------------------------
@@ -350,8 +308,7 @@ def _unions(groups: Sequence[Group], tongues: Sequence[Tongue]) -> tuple[list[li
     last = -1  # the group that reaches farthest
     for i, group in enumerate(groups):
         if last < 0 or group.start > groups[last].end:
-            gap = np.inf if last < 0 else group.start - groups[last].end
-            if gap > error_of(group.first_edge) + (0.0 if last < 0 else error_of(groups[last].last_edge)):
+            if last < 0 or group.start - groups[last].end > group.errors[0] + groups[last].errors[1]:
                 unions.append([])
             else:
                 windows.append(StableWindow(tongues[last].end, tongues[i].start))
