@@ -11,7 +11,7 @@ from subspace iteration through the factors, which converges as the ratio of mod
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
 from itertools import pairwise
@@ -24,7 +24,7 @@ from casadi_skin.model.conserved import SymmetryClass, directions, is_odd, quant
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import LARGEST_LOGARITHM
-from casadi_skin.zero.problem import Array
+from casadi_skin.zero.problem import Array, Indices
 
 SMALL_MODULUS = 0.5  # modulus above which no eigenvalue has lost digits in a product with entries near 1
 EXTREME_LOG_CONDITION = float(
@@ -200,20 +200,6 @@ MOST_DEPENDENT, LEAST_DEPENDENT = 1e-4, 1e-8  # bounds on that
 
 
 @dataclass(frozen=True, eq=False)
-class Frames:
-    """Orthogonal matrices at some of the ends of intervals, shape (places, n, n).
-
-    Their first `right` columns span the directions in which nothing conserved changes, the next `left` what is left of
-    the gradients, the others the rest. The first place is that of the last, a period later.
-    """
-
-    places: NDArray[np.int64]
-    matrices: Array
-    right: int
-    left: int
-
-
-@dataclass(frozen=True, eq=False)
 class Trivial:
     """Multipliers that are 1 for every orbit.
 
@@ -226,23 +212,19 @@ class Trivial:
     right: Array
     left: Array
 
-    @property
-    def known(self) -> int:
-        """How many have their vectors."""
-        return int(self.right.shape[1] + self.left.shape[1])
+    def frames(self, units: Array) -> tuple[Indices, Array] | None:
+        """Orthogonal matrices, (places, n, n), in coordinates x / units, at places where the vectors have a direction.
 
-    def frames(self, units: Array) -> Frames | None:
-        """Frames in coordinates x / units, where the vectors have a direction; None where there are none."""
-        if self.known == 0:
-            return None
+        Their first columns span the directions in which nothing conserved changes, the next what is left of the
+        gradients, the others the rest. The first place is that of the last, a period later. None where there are none.
+        """
         right, left = self.right[:-1] / units, self.left[:-1] * units
         good = _well_directed(right) & _well_directed(left)
-        if not good.any():
-            return None
         vectors = np.concatenate([right[good], left[good]], axis=1)
+        if not vectors.size:
+            return None
         vectors = vectors / np.linalg.norm(vectors, axis=2, keepdims=True)
-        matrices = np.linalg.qr(vectors.swapaxes(1, 2), mode="complete")[0]
-        return Frames(np.flatnonzero(good), matrices, right.shape[1], left.shape[1])
+        return np.flatnonzero(good), np.linalg.qr(vectors.swapaxes(1, 2), mode="complete")[0]
 
 
 def no_trivial(n: int) -> Trivial:
@@ -351,23 +333,6 @@ COUPLED_ENTRY_RATIO = (
 
 
 @dataclass(frozen=True, eq=False)
-class MapsAlong:
-    """Maps from each end of an interval to the next, the last one back to the first.
-
-    Attributes:
-        maps: shape (intervals, n, n).
-        trivial: multipliers that are 1, with vectors at all ends.
-        units: sizes of the components.
-        contraction: the logarithm of the determinant of the product; None where it is not known.
-    """
-
-    maps: Array
-    trivial: Trivial
-    units: Array
-    contraction: float | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class Multipliers:
     """Trivial multipliers and the others, with what rounding makes of these, shape of the others.
 
@@ -384,68 +349,52 @@ class Multipliers:
     lost: bool = False
 
 
-def multipliers_along(along: MapsAlong, resolved: Callable[[], MapsAlong | None] | None = None) -> Multipliers:
+def multipliers_along(maps: Array, trivial: Trivial, units: Array, contraction: float | None = None) -> Multipliers:
     """Multipliers of the product of maps, later ones times earlier ones.
 
-    `resolved` gives maps over parts of the intervals where these are too long for the changes in them, None where there
-    are too many: they are taken where several multipliers are so far from 1 that maps may have lost their digits.
+    Arguments:
+        maps: from each end of an interval to the next, the last one back to the first, shape (intervals, n, n).
+        trivial: multipliers that are 1, with vectors at all ends.
+        units: sizes of the components.
+        contraction: the logarithm of the determinant of the product; None where it is not known.
     """
-    found = _found(along)
-    if resolved is None or found.others.far < 2:
-        return found
-    finer = resolved()
-    if finer is None:
-        return replace(found, lost=True)
-    return found if finer is along else _found(finer)
-
-
-def _found(along: MapsAlong) -> Multipliers:
     from scipy.linalg import matrix_balance
 
-    trivial = along.trivial
-    matrix, size = scaled_product(along.maps)
-    scaled = matrix * along.units / along.units[:, None]
+    matrix, size = scaled_product(maps)
+    scaled = matrix * units / units[:, None]
     coupled = np.abs(scaled) + COUPLED_ENTRY_RATIO * (np.max(np.abs(np.diagonal(scaled)), initial=0.0) or 1.0)
     _, (scales, _) = matrix_balance(coupled, permute=False, separate=True)  # no entry is large by its units
-    units = along.units * scales
-    maps = along.maps * units / units[:, None]
+    units = units * scales
+    maps = maps * units / units[:, None]
     frames = trivial.frames(units)
-    near, across, sizes = _apart(maps, frames)
+    near, across, sizes = _apart(maps, trivial, frames)
     found = spectrum_of(across)
     rounding = _rounding(across, sizes, found)
     is_other = np.ones(found.logs.size, dtype=bool)
     is_other[np.argsort(np.abs(found.values - 1.0), kind="stable")[: trivial.count - near.logs.size]] = False
     near, others = near.joined(found.taken(~is_other)), found.taken(is_other)
-    if along.contraction is not None:  # at rest the one nearest to 1, which stands for the trivial one, may be far off
-        others = by_liouville(others, maps, along.contraction - (0.0 if frames else float(np.sum(near.logs))))
+    if contraction is not None:  # at rest the one nearest to 1, which stands for the trivial one, may be far off
+        others = by_liouville(others, maps, contraction - (0.0 if frames else float(np.sum(near.logs))))
     norm = float(np.linalg.norm(scaled * scales / scales[:, None], 2))
     return Multipliers(near, others, rounding[is_other], matrix, size, max(1.0, norm * np.exp(min(size, 700.0))))
 
 
-def _apart(maps: Array, frames: Frames | None) -> tuple[Spectrum, Array, Array]:
+def _apart(maps: Array, trivial: Trivial, frames: tuple[Indices, Array] | None) -> tuple[Spectrum, Array, Array]:
     """The multipliers of what the frames take out, the maps across that, and the sizes of their entries' terms."""
     if frames is None:
         return Spectrum.of(np.empty(0, dtype=complex)), maps, np.abs(maps)
-    if len(frames.places) < len(maps):
-        rolled = np.roll(maps, -frames.places[0], axis=0)
-        cuts = (frames.places - frames.places[0])[1:]
-        maps = np.array([reduce(_after, part) for part in np.split(rolled, cuts)])
-    first, last = frames.matrices, np.roll(frames.matrices, -1, axis=0).swapaxes(1, 2)
-    turned = last @ maps @ first
-    r, known = frames.right, frames.right + frames.left
-    blocks = (turned[:, :r, :r], turned[:, r:known, r:known])
-    values = [np.linalg.eigvals(_plain_product(block)).astype(complex) for block in blocks if block.size]
+    places, first = frames
+    if len(places) < len(maps):
+        parts = np.split(np.roll(maps, -places[0], axis=0), (places - places[0])[1:])
+        maps = np.array([reduce(lambda done, following: following @ done, part) for part in parts])
+    last, r = np.roll(first, -1, axis=0).swapaxes(1, 2), trivial.right.shape[1]
+    known, turned = r + trivial.left.shape[1], last @ maps @ first
+    values = []
+    for block in (turned[:, :r, :r], turned[:, r:known, r:known]):
+        product, size = scaled_product(block)
+        values.append(np.linalg.eigvals(product * np.exp(size)).astype(complex))
     sizes = np.abs(last[:, known:]) @ np.abs(maps) @ np.abs(first[:, :, known:])
     return Spectrum.of(np.concatenate(values)), turned[:, known:, known:], sizes
-
-
-def _after(done: Array, following: Array) -> Array:
-    return np.asarray(following @ done)
-
-
-def _plain_product(maps: Array) -> Array:
-    product, size = scaled_product(maps)
-    return np.asarray(product * np.exp(size))
 
 
 def _rounding(maps: Array, sizes: Array, found: Spectrum) -> Array:

@@ -5,7 +5,7 @@ and, sharing nothing with these, from CVODES sensitivities. Multipliers smaller 
 inverse maps multiplied the other way round: of a product with entries near 1 they would have no digits. Huge and tiny
 multipliers at once, and those that no double holds, come from a periodic Schur form (`closed_maps`).
 
-The error of a multiplier is its distance from that of a better solution, and what rounding adds (`judging`).
+The error of a multiplier is its distance from that of a better solution, and what rounding adds (`judged`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.integrators import CvodesError, CvodesOptions, IntegrationError, Trajectory, run_cvodes
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.stability.closed_maps import (
-    MapsAlong,
     Multipliers,
     Spectrum,
     Trivial,
@@ -34,7 +33,7 @@ from casadi_skin.stability.closed_maps import (
 )
 from casadi_skin.stability.result import LARGEST_LOGARITHM, FullPeriodFloquet
 from casadi_skin.zero.butcher import CollocationTable
-from casadi_skin.zero.problem import Array
+from casadi_skin.zero.problem import Array, Indices
 from casadi_skin.zero.stated_problem import TURNED_FIELD_RTOL, BoundaryProblem, Closure
 
 # The error of each multiplier, from those of a better solution: what its discretisation, and the orbit's, are off by
@@ -85,25 +84,6 @@ MOST_WORK = 1e10  # of the linear systems of all parts: their number times the t
 LARGEST_STACK = 4_000_000  # entries of the matrices that are factored in one call
 
 
-def stage_places(problem: BoundaryProblem, lengths: Array) -> Array:
-    """Fractions of the whole at the stages of intervals of these lengths."""
-    starts = np.cumsum(lengths) - lengths
-    return np.asarray((starts[:, None] + lengths[:, None] * problem.table.nodes).ravel())
-
-
-def stage_jacobians(problem: BoundaryProblem, z: Array) -> Array:
-    """Derivatives of the field, for an interval of unit length, at all stages, shape (intervals * degree, n, n)."""
-    return problem.discretisation.jacobians(z, problem.numbers)
-
-
-def jacobians_at(problem: BoundaryProblem, z: Array, places: Array, states: Array) -> Array:
-    """The same at any places with the states there."""
-    n, count = problem.formulation.states, places.size
-    mapped = problem.formulation.jacobian_function.map(count)
-    blocks = np.array(mapped(places[None], states.T, *problem.repeated(z, count)))
-    return np.asarray(blocks.reshape(n, count, n).transpose(1, 0, 2))
-
-
 def interval_maps(jacobians: Array, lengths: Array, table: CollocationTable) -> Array:
     """Transition matrices over intervals from derivatives at their stages, in order of time, shape (any, n, n).
 
@@ -140,49 +120,32 @@ def _batches(intervals: int, size: int) -> Iterator[slice]:
     return (slice(k, k + some) for k in range(0, intervals, some))
 
 
-@dataclass(frozen=True, eq=False)
-class Parts:
-    """Parts of the intervals of a solution, of whose states the first n are taken.
+def needed_parts(problem: BoundaryProblem, jacobians: Array) -> Indices | None:
+    """Numbers of parts of each interval in which nothing changes too much; None where no interval is too long."""
 
-    Attributes:
-        problem, z: the solution.
-        jacobians: of these states at the stages, as `stage_jacobians` gives them.
-    """
-
-    problem: BoundaryProblem
-    z: Array
-    jacobians: Array
-
-    @cached_property
-    def _counts(self) -> Array:
-        """The number of parts that each interval needs."""
-        found = np.ceil(self._changes(np.max(np.abs(np.linalg.eigvals(self.jacobians)), axis=1)) / WITHIN_PART)
-        return np.asarray(np.maximum(found, 1.0))
-
-    @property
-    def needed(self) -> bool:
-        """Whether an interval is too long for the changes in it."""
-        entries = np.abs(self.jacobians)
-        bounds = np.minimum(np.max(np.sum(entries, axis=1), axis=1), np.max(np.sum(entries, axis=2), axis=1))
-        if np.max(self._changes(bounds)) <= RESOLVED_LOG_GROWTH:  # of eigenvalues, which take far longer
-            return False
-        return bool(np.max(self._counts) * WITHIN_PART > RESOLVED_LOG_GROWTH)
-
-    def _changes(self, rates: Array) -> Array:
+    def changes(rates: Array) -> Array:
         """Logarithms of the factors by which rates at the stages may change something in each interval."""
-        return np.asarray(self.problem.constants * np.max(rates.reshape(self.problem.resolution, -1), axis=1))
+        return np.asarray(problem.constants * np.max(rates.reshape(problem.resolution, -1), axis=1))
 
-    def maps(self) -> tuple[Array, Array] | None:
-        """Maps over the parts, and states at their ends; None where there are too many parts."""
-        problem, n = self.problem, self.jacobians.shape[1]
-        if not np.sum(self._counts) <= min(MOST_PARTS, MOST_WORK / (problem.degree * n) ** 3):
-            return None
-        counts = self._counts.astype(int)
-        lengths = np.repeat(problem.constants / counts, counts)
-        places, ends = stage_places(problem, lengths), np.append(0.0, np.cumsum(lengths))
-        ends[-1] = 1.0
-        finer = jacobians_at(problem, self.z, places, problem.sample(self.z, places))[:, :n, :n]
-        return interval_maps(finer, lengths, problem.table), problem.sample(self.z, ends)[:, :n]
+    entries = np.abs(jacobians)
+    bounds = np.minimum(np.max(np.sum(entries, axis=1), axis=1), np.max(np.sum(entries, axis=2), axis=1))
+    if np.max(changes(bounds)) <= RESOLVED_LOG_GROWTH:  # of eigenvalues, which take far longer
+        return None
+    rates = changes(np.max(np.abs(np.linalg.eigvals(jacobians)), axis=1))
+    counts = np.maximum(np.ceil(rates / WITHIN_PART), 1.0).astype(int)
+    return None if np.max(counts) * WITHIN_PART <= RESOLVED_LOG_GROWTH else counts
+
+
+def maps_of_parts(problem: BoundaryProblem, z: Array, n: int, counts: Indices) -> tuple[Array, Array]:
+    """Maps over so many parts of each interval, of the first n components, and states at their ends."""
+    lengths, table = np.repeat(problem.constants / counts, counts), problem.table
+    ends = np.append(0.0, np.cumsum(lengths))
+    places = (ends[:-1, None] + lengths[:, None] * table.nodes).ravel()
+    ends[-1] = 1.0
+    size, mapped = problem.formulation.states, problem.formulation.jacobian_function.map(places.size)
+    blocks = np.array(mapped(places[None], problem.sample(z, places).T, *problem.repeated(z, places.size)))
+    finer = blocks.reshape(size, places.size, size).transpose(1, 0, 2)[:, :n, :n]
+    return interval_maps(finer, lengths, table), problem.sample(z, ends)[:, :n]
 
 
 LOCAL_TOLERANCE_RATIO = 1e-3  # of the tolerance, for one step of CVODES
@@ -331,31 +294,20 @@ def by_collocation(orbit: Closed | Returned, better: Closed | Returned | None, t
 
 
 def _multipliers(orbit: Closed | Returned, tolerance: float) -> Multipliers:
+    """From maps over intervals; over parts of these where several are so far from 1 that digits may be lost."""
     problem, z, n = orbit.problem, orbit.z, orbit.size
-    jacobians = stage_jacobians(problem, z)[:, :n, :n]
-    maps, growth = interval_maps(jacobians, problem.constants, problem.table), contraction(problem, jacobians)
-    along = MapsAlong(
-        orbit.over_the_period(maps), orbit.trivial(tolerance), units_of(orbit.ends), orbit.contraction(growth)
-    )
-    if not orbit.is_whole:
-        return multipliers_along(along)
-
-    def resolved() -> MapsAlong | None:
-        parts = Parts(problem, z, jacobians)
-        if not parts.needed:
-            return along
-        finer = parts.maps()
-        if finer is None:
-            return None
-        return replace(along, maps=orbit.over_the_period(finer[0]), trivial=orbit.trivial(tolerance, finer[1]))
-
-    return multipliers_along(along, resolved)
-
-
-def contraction(problem: BoundaryProblem, jacobians: Array) -> float:
-    """The logarithm of the determinant of the flow over a solution, from the derivatives at its stages."""
+    jacobians = problem.discretisation.jacobians(z, problem.numbers)[:, :n, :n]  # at all stages, of unit length
     quadrature = np.outer(problem.constants, problem.table.extended[-1]).ravel()
-    return float(quadrature @ np.trace(jacobians, axis1=1, axis2=2))
+    contraction = orbit.contraction(float(quadrature @ np.trace(jacobians, axis1=1, axis2=2)))
+    maps, units = interval_maps(jacobians, problem.constants, problem.table), units_of(orbit.ends)
+    found = multipliers_along(orbit.over_the_period(maps), orbit.trivial(tolerance), units, contraction)
+    counts = needed_parts(problem, jacobians) if orbit.is_whole and found.others.far > 1 else None
+    if counts is None:
+        return found
+    if not np.sum(counts) <= min(MOST_PARTS, MOST_WORK / (problem.degree * n) ** 3):
+        return replace(found, lost=True)
+    maps, ends = maps_of_parts(problem, z, n, counts)
+    return multipliers_along(orbit.over_the_period(maps), orbit.trivial(tolerance, ends), units, contraction)
 
 
 def by_cvodes(orbit: Closed, better: Closed | None, tolerance: float) -> FullPeriodFloquet:
@@ -389,7 +341,7 @@ def _by_sensitivities(orbit: Closed, local: float, tolerance: float) -> Multipli
         raise IntegrationError("cvodes", str(error), empty, np.array([orbit.period])) from error
     trivial = orbit.trivial(tolerance)
     closed = replace(trivial, right=trivial.right[[0, -1]], left=trivial.left[[0, -1]])
-    return multipliers_along(MapsAlong((matrix * units[:, None] / units)[None], closed, units))
+    return multipliers_along((matrix * units[:, None] / units)[None], closed, units)
 
 
 FULL_PERIOD_FLOWS: Mapping[str, Callable[[Any, Any, float], FullPeriodFloquet]] = {
