@@ -51,15 +51,6 @@ def test_an_s_is_followed_round_both_folds(branch: Branch) -> None:
     assert branch.values[-1] == pytest.approx(4.0, rel=1e-12)
 
 
-def test_passages_that_are_not_there_are_refused(branch: Branch) -> None:
-    with pytest.raises(
-        ValueError, match=r"at: given a = 0.0, which = 3; the branch covers -4 to 4 and passes a 3 times"
-    ):
-        branch.at(0.0, 3)
-    with pytest.raises(ValueError, match=r"at: given a = 4.5, which = 0; .* passes a 0 times"):
-        branch.at(4.5)
-
-
 def test_values_that_were_not_asked_for_are_solved_when_they_are(branch: Branch) -> None:
     """Roots of x^3 - 3 x = a beside a point of the branch, between its points, and next to its folds."""
     beside = branch.solutions[3].parameters["a"]
@@ -78,13 +69,6 @@ def test_a_branch_ends_where_it_is_told_to(cubic: Solution) -> None:
     assert branch.complete
     assert branch.solutions[-1].states[0, 0] > 0.5
     assert seen == list(branch.values)
-
-
-def test_a_branch_of_too_few_points_is_not_complete(cubic: Solution) -> None:
-    branch = cubic.follow("a", 4.0, max_points=4)
-    assert not branch.complete
-    assert len(branch) <= 5
-    assert branch.reason
 
 
 def test_branches_follow_branches_towards_smaller_values_and_back(cubic: Solution) -> None:
@@ -148,20 +132,6 @@ def test_values_next_to_a_fold_are_found_on_both_sides_of_it(beside: float, cubi
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [3, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2, 4, 5))])
-def test_values_next_to_a_fold_are_found_after_a_break(count: int, cubic: Solution) -> None:
-    def space() -> BoundarySpace:
-        return following_space(cubic, "a", 4.0, at=[2.0 - 1e-9], max_points=500, max_step=0.2)
-
-    whole = Following(space())
-    list(whole)
-    fold = next(i for i, s in enumerate(whole.solutions) if s.point.located)
-    again = Following(space(), solutions=whole.solutions[: fold - 2 + count])
-    list(again)
-    np.testing.assert_array_equal(again.branch().values, whole.branch().values)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", [pytest.param("solutions", marks=pytest.mark.slow), "orbits"])
 def test_a_branch_read_from_its_journal_goes_on_as_if_not_broken_off(kind: str, cubic: Solution) -> None:
     """Folds, values asked for and multipliers among it."""
@@ -191,19 +161,6 @@ def test_a_branch_read_from_its_journal_goes_on_as_if_not_broken_off(kind: str, 
         assert asked == at * (3 if kind == "solutions" else 1)
         if stability:
             np.testing.assert_array_equal(branch.max_abs_multiplier, following.branch().max_abs_multiplier)
-
-
-def test_orbits_at_a_period_of_a_branch() -> None:
-    branch = limit_cycle().follow("mu", 2.0)
-    by_period = branch.at(period=7.0)
-    assert by_period.period == 7.0
-    assert by_period.parameters["mu"] == pytest.approx(branch.at(Omega=2 * np.pi / 7.0).parameters["mu"], rel=1e-9)
-    again = find_orbit(by_period.model, by_period, parameters={"mu": by_period.parameters["mu"]}, tolerance=1e-8)
-    assert again.period == pytest.approx(7.0, rel=1e-8)
-    with pytest.raises(ValueError, match="at: given amplitude; accepted: mu, Omega, period"):
-        branch.at(amplitude=1.0)
-    with pytest.raises(ValueError, match="at: given mu and period; accepted: one of mu, Omega, period"):
-        branch.at(1.5, period=7.0)
 
 
 @pytest.mark.slow

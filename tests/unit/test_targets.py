@@ -114,7 +114,6 @@ def test_a_corrector_that_fails_at_a_requested_Omega_leaves_it_named(monkeypatch
         ({"period": np.inf}, "at, period: given inf; accepted: a finite number"),
         ({"Omega": 7.0}, r"at: given Omega = 7\.0, which = 0; the branch covers .* and passes Omega 0 times"),
         ({"Omega": 1.5, "which": 1}, "passes Omega 1 times"),
-        ({"Omega": 1.5, "which": -1}, "which: given -1"),
     ],
 )
 def test_at_refuses_what_it_cannot_mean(given: dict[str, float], message: str) -> None:
@@ -128,13 +127,9 @@ def test_at_refuses_what_it_cannot_mean(given: dict[str, float], message: str) -
     [
         ({"at_Omega": (1.0, 1.0)}, "at_Omega: given .*each once"),
         ({"at_Omega": (0.0,)}, "at_Omega: given .*finite numbers > 0"),
-        ({"at_period": (np.inf,)}, "at_period: given .*finite numbers"),
         ({"at_period": (9.0,), "period_max": 8.0}, "at_period: given .*up to period_max = 8"),
-        ({"at_Omega": (0.1,), "period_max": 8.0}, "at_Omega: given .*up to period_max = 8"),
         ({"period_max": 3.0}, r"period_max: given 3\.0; accepted: a finite number > 3\.6275\d* \(the period of linear"),
-        ({"period_max": np.nan}, "period_max: given nan"),
         ({"max_points": 0}, "max_points: given 0; accepted: a whole number >= 1"),
-        ({"max_points": 2.5}, r"max_points: given 2\.5"),
     ],
 )
 def test_requests_out_of_range_are_refused_by_name(given: dict[str, object], message: str) -> None:
