@@ -19,7 +19,7 @@ from casadi_skin.dynamics.evolution import (
     EvolutionError,
     equations_of_motion,
 )
-from casadi_skin.follow.solution import CosineSeries, Curve, Orbit, cosine_curve
+from casadi_skin.follow.solution import Curve, Orbit, cosine_curve
 from casadi_skin.follow.space import FAMILY
 from casadi_skin.model.arguments import by_name, check_name, number, short_repr, state_by_name
 from casadi_skin.model.expressions import real_array
@@ -430,7 +430,7 @@ def _state_curve(orbit: Orbit) -> tuple[Curve, Array]:
     return Curve(points, count, unit), sizes
 
 
-def distance_from_orbit(orbit: CosineSeries, evolution: Evolution) -> Array:
+def distance_from_orbit(orbit: Any, evolution: Evolution) -> Array:
     """Distance of a time evolution from an orbit at each time.
 
     Arguments:
@@ -445,7 +445,7 @@ def distance_from_orbit(orbit: CosineSeries, evolution: Evolution) -> Array:
     """
     space = getattr(orbit, "space", None)
     if space is not None and space.connects != FAMILY:
-        curve, sizes = _state_curve(orbit)  # type: ignore[arg-type]
+        curve, sizes = _state_curve(orbit)
         states = evolution.states / sizes
         if not evolution.equations.physical.forced:
             return curve.distances(states)

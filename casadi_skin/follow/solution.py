@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -642,18 +642,6 @@ HARMONICS_TRIED = (64, 128, 256, 512, 1024)  # of an orbit without the half-peri
 NEGLIGIBLE_COEFFICIENT = 1e-2  # of the tolerance: coefficients that a sum of cosines can do without
 
 
-class CosineSeries(Protocol):
-    """Interface of an orbit for distances from it, as an `Orbit` or a stored orbit has it."""
-
-    @property
-    def S(self) -> float: ...
-    @property
-    def Omega(self) -> float: ...
-    @property
-    def harmonics(self) -> int: ...
-    def coefficients(self, harmonics: int) -> Array: ...
-
-
 @dataclass(frozen=True, eq=False)
 class Curve:
     """A closed curve in the space of states, as a function of the phase.
@@ -685,9 +673,9 @@ class Curve:
         return np.asarray(nearest / self.unit)
 
 
-def cosine_curve(orbit: CosineSeries) -> Curve:
-    """The points (y, y'/Omega) of an orbit of a family, in units of sqrt(S)."""
-    if isinstance(orbit, Orbit) and orbit.symmetry is not SymmetryClass.QUARTER:
+def cosine_curve(orbit: Any) -> Curve:
+    """The points (y, y'/Omega) of an orbit of a family, in units of sqrt(S); a series has S and `coefficients` too."""
+    if getattr(orbit, "symmetry", SymmetryClass.QUARTER) is not SymmetryClass.QUARTER:
         c = _cosines(orbit)
         order = np.arange(len(c))
     else:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
-from casadi_skin import OdeModel, Orbit, find_orbit, simulate
+from casadi_skin import Branch, OdeModel, Orbit, find_equilibrium, find_orbit, simulate
 
 
 def lattice(name: str, sites: int, bond: float, onsite: bool, gamma: float = 0.0) -> OdeModel:
@@ -69,3 +71,23 @@ def limit_cycle() -> Orbit:
     """The limit cycle of van der Pol at mu = 1."""
     model = van_der_pol()
     return find_orbit(model, simulate(model, [2.0, 0.0], np.linspace(0.0, 60.0, 1201)).last_cycle(), tolerance=1e-10)
+
+
+def circles(radius_squared: ca.SX, mu: ca.SX, start: float, **options: Any) -> Orbit:
+    """The orbit at mu = start of a family of circles with a known radius and the frequency 1 + mu."""
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    growth, turn = radius_squared - x**2 - y**2, 1 + mu
+    model = OdeModel("circles", ca.vertcat(x, y), ca.vertcat(growth * x - turn * y, growth * y + turn * x), mu)
+    size, rate = float(ca.Function("r", [mu], [ca.sqrt(radius_squared)])(start)), 1 + start
+
+    def guess(t: float) -> list[float]:
+        return [size * np.cos(rate * t), size * np.sin(rate * t)]
+
+    return find_orbit(model, guess, 2 * np.pi / rate, parameters={str(mu): start}, tolerance=1e-10, **options)
+
+
+def wave(**options: Any) -> Branch:
+    """Equilibria x = p, y = sin(3 p) up to p = 1: y turns at p = pi/6, and is 0.9999 on both sides of it."""
+    x, y, p = (ca.SX.sym(name) for name in ("x", "y", "p"))
+    model = OdeModel("wave", ca.vertcat(x, y), ca.vertcat(p - x, ca.sin(3 * x) - y), p)
+    return find_equilibrium(model, [0.0, 0.0], parameters={"p": 0.0}).follow("p", 1.0, **options)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from small_models import circles, wave
 
 from casadi_skin import BoundaryValueProblem, Branch, OdeModel, find_equilibrium, find_orbit, follow_family
 
@@ -23,27 +24,6 @@ def hardening() -> Branch:
     return follow_family(model, mode=1, amplitude_max=2.0, tolerance=1e-10)
 
 
-def circles(radius_squared: ca.SX, mu: ca.SX, start: float) -> Branch:
-    """Orbits that are circles with a known radius and the frequency 1 + mu, followed from mu = start to 0.75."""
-    x, y = symbols("x y")
-    growth, turn = radius_squared - x**2 - y**2, 1 + mu
-    model = OdeModel("circles", ca.vertcat(x, y), ca.vertcat(growth * x - turn * y, growth * y + turn * x), mu)
-    size, rate = float(ca.Function("r", [mu], [ca.sqrt(radius_squared)])(start)), 1 + start
-
-    def guess(t: float) -> list[float]:
-        return [size * np.cos(rate * t), size * np.sin(rate * t)]
-
-    orbit = find_orbit(model, guess, 2 * np.pi / rate, parameters={"mu": start}, tolerance=1e-10)
-    return orbit.follow("mu", 0.75)
-
-
-def wave() -> Branch:
-    """Equilibria x = p, y = sin(3 p): y turns at p = pi/6, and is 0.9999 on both sides of it."""
-    x, y, p = symbols("x y p")
-    model = OdeModel("wave", ca.vertcat(x, y), ca.vertcat(p - x, ca.sin(3 * x) - y), p)
-    return find_equilibrium(model, [0.0, 0.0], parameters={"p": 0.0}).follow("p", 1.0)
-
-
 def test_a_family_is_found_at_an_energy() -> None:
     branch = hardening()
     np.testing.assert_allclose(branch["energy"], branch.S / 2 + branch.S**2 / 4, rtol=1e-9)
@@ -59,7 +39,7 @@ def test_a_family_is_found_at_an_energy() -> None:
 
 def test_orbits_are_found_at_any_number_of_their_table() -> None:
     mu = ca.SX.sym("mu")
-    branch = circles(mu, mu, 0.25)
+    branch = circles(mu, mu, 0.25).follow("mu", 0.75)
     np.testing.assert_allclose(branch["Omega"], 1 + branch["mu"], rtol=1e-9)
     np.testing.assert_allclose(branch["period"], 2 * np.pi / (1 + branch["mu"]), rtol=1e-9)
     np.testing.assert_allclose(branch["x_max"], np.sqrt(branch["mu"]), rtol=1e-8)
@@ -70,7 +50,7 @@ def test_orbits_are_found_at_any_number_of_their_table() -> None:
 
 def test_an_orbit_is_found_where_an_extremum_between_two_points_reaches_the_value() -> None:
     mu = ca.SX.sym("mu")
-    branch = circles(1 - mu**2, mu, -0.5)
+    branch = circles(1 - mu**2, mu, -0.5).follow("mu", 0.75)
     height = 0.5 * (1 + float(np.max(branch["x_max"])))  # beyond all points, below the largest radius, 1
     assert np.max(branch["x_max"]) < height < 1.0
     found = [branch.at(x_max=height, which=which).parameters["mu"] for which in (0, 1)]

@@ -8,33 +8,17 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from small_models import circles, wave
 
-from casadi_skin import Branch, Orbit, find_equilibrium, find_orbit, read_result
-from casadi_skin.model.ode import OdeModel
+from casadi_skin import read_result
 
-x, y, p = (ca.SX.sym(name) for name in ("x", "y", "p"))
-
-
-def wave(**options: Any) -> Branch:
-    """Equilibria x = p, y = sin(3 p), which turns at p = pi/6."""
-    model = OdeModel("wave", ca.vertcat(x, y), ca.vertcat(p - x, ca.sin(3 * x) - y), p)
-    return find_equilibrium(model, [0.0, 0.0], parameters={"p": 0.0}).follow("p", 1.0, **options)
-
-
-def circle() -> Orbit:
-    """An orbit with radius sqrt(p) and frequency 1 + p."""
-    growth, turn = p - x**2 - y**2, 1 + p
-    model = OdeModel("circles", ca.vertcat(x, y), ca.vertcat(growth * x - turn * y, growth * y + turn * x), p)
-    return find_orbit(
-        model, lambda t: [0.5 * np.cos(1.25 * t), 0.5 * np.sin(1.25 * t)], 2 * np.pi / 1.25,
-        parameters={"p": 0.25}, section=y, tolerance=1e-10,
-    )  # fmt: skip
+X = ca.SX.sym("q")
 
 
 @pytest.mark.parametrize("value", [0.5, -0.1, 0.9999, 1.0 - 1e-9])
 @pytest.mark.parametrize("max_step", [0.05, 0.2, 5.0])
 def test_both_passages_of_a_value_are_found_with_any_step(value: float, max_step: float) -> None:
-    branch = wave(monitors={"level": y - value}, max_step=max_step)
+    branch = wave(monitors={"level": lambda t, x, p: x[1] - value}, max_step=max_step)
     first = np.arcsin(value) / 3
     expected = [place for place in (first, np.pi / 3 - first) if 0.0 < place < 1.0]
     assert [point.kind for point in branch.special_points] == ["level"] * len(expected)
@@ -45,7 +29,7 @@ def test_both_passages_of_a_value_are_found_with_any_step(value: float, max_step
 
 
 def test_monitors_are_columns_and_words_and_are_read_back(tmp_path: Path) -> None:
-    branch = wave(monitors={"half": y - 0.5, "quarter": lambda t, x, p: x[0] - 0.25}, at=[0.25])
+    branch = wave(monitors={"half": lambda t, x, p: x[1] - 0.5, "quarter": lambda t, x, p: x[0] - 0.25}, at=[0.25])
     assert [point.kind for point in branch.special_points] == ["half", "quarter", "half"]
     quarter = branch.special_points[1]
     assert quarter.parameters["p"] == 0.25
@@ -65,12 +49,14 @@ def test_monitors_are_columns_and_words_and_are_read_back(tmp_path: Path) -> Non
 
 
 def test_a_branch_on_which_a_monitor_is_zero_throughout_or_at_its_start_has_no_point_of_it() -> None:
-    assert not wave(monitors={"always": x - p, "start": y}, max_points=6).special_points
+    monitors = {"always": lambda t, x, p: x[0] - p, "start": lambda t, x, p: x[1]}
+    assert not wave(monitors=monitors, max_points=6).special_points
 
 
 def test_orbits_are_located_by_their_state_at_phase_zero_beside_their_stability() -> None:
-    orbit = circle()
-    branch = orbit.follow("p", 0.75, stability=True, monitors={"gap": x - 0.6})
+    p = ca.SX.sym("p")
+    orbit = circles(p, p, 0.25, section=lambda t, x, p: x[1])
+    branch = orbit.follow("p", 0.75, stability=True, monitors={"gap": orbit.model.state[0] - 0.6})
     (gap,) = branch.special_points
     assert abs(gap.parameters["p"] - 0.36) <= gap.error <= 1e-8
     assert abs(gap.solution.evaluate(0.0)[0]) == pytest.approx(0.6, abs=1e-9)
@@ -84,14 +70,14 @@ def test_orbits_are_located_by_their_state_at_phase_zero_beside_their_stability(
 @pytest.mark.parametrize(
     ("given", "error", "message"),
     [
-        ({"fold": x}, ValueError, "given 'fold'; accepted: names in one line, which no state, parameter or kind"),
-        ({"x": x}, ValueError, "monitors: given 'x'"),
-        ({"": x}, ValueError, "monitors: given ''"),
-        ({"h": ca.SX.sym("q")}, ValueError, "monitors, h: depends on q; accepted: t, x, y, p"),
-        ({"h": ca.vertcat(x, y)}, ValueError, r"monitors, h: given shape \(2, 1\); accepted: a scalar"),
-        ({"h": x == 1}, ValueError, "given a comparison"),
+        ({"fold": X}, ValueError, "given 'fold'; accepted: names in one line, which no state, parameter or kind"),
+        ({"x": X}, ValueError, "monitors: given 'x'"),
+        ({"": X}, ValueError, "monitors: given ''"),
+        ({"h": X}, ValueError, "monitors, h: depends on q; accepted: t, x, y, p"),
+        ({"h": ca.vertcat(X, X)}, ValueError, r"monitors, h: given shape \(2, 1\); accepted: a scalar"),
+        ({"h": X == 1}, ValueError, "given a comparison"),
         ({"h": "x"}, TypeError, "monitors, h: given 'x'"),
-        ([x], TypeError, "monitors: given .*; accepted: expressions by name"),
+        ([X], TypeError, "monitors: given .*; accepted: expressions by name"),
     ],
 )
 def test_other_monitors_are_refused(given: Any, error: type[Exception], message: str) -> None:
