@@ -264,11 +264,6 @@ class BoundarySpace(ParameterSpace):
     def state_names(self) -> tuple[str, ...]:
         return self.statement.model.state_names
 
-    @property
-    def output_sites(self) -> Indices:
-        """Numbers of the states, from 1."""
-        return np.arange(1, len(self.state_names) + 1)
-
     def parameters(self, point: Point) -> dict[str, float]:
         problem = point.problem
         return dict(zip(self.statement.model.parameter_names, map(float, problem.parameters(point.z)), strict=True))

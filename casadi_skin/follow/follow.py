@@ -604,18 +604,18 @@ def follow(
     if stability and not space.closes:
         accepted = "for orbits, and for conditions x(end) = S x(start)"
         raise ValueError(f"stability: given for solutions that are no orbits; accepted: {accepted}")
-    space = replace(space, monitors=monitors_of(solution, monitors))
+    space = monitored_space(space, monitors)
     return run_following(Following(space, stability, events, until=until, time_limit=seconds), progress)
 
 
-def monitors_of(solution: Solution, given: Mapping[str, Any] | None) -> tuple[Monitor, ...]:
-    """Monitors by name, checked; raises ValueError and TypeError for other names and expressions."""
+def monitored_space(space: Any, given: Mapping[str, Any] | None) -> Any:
+    """A space with monitors by name; raises ValueError and TypeError for other names and expressions."""
     from casadi_skin.follow.find import scalar_of
     from casadi_skin.zero.statement import check_expressions
 
-    model, found = solution.space.model, list[Monitor]()
+    model, found = space.model, list[Monitor]()
     of_kinds = (value for name, value in vars(kinds).items() if name.isupper())
-    taken = {*of_kinds, *getattr(model, "state_names", ()), *solution.parameters}  # lattices name none
+    taken = {*of_kinds, *model.state_names, *model.parameter_names}
     for name, one in by_name("monitors", given, "expressions").items():
         if not name.strip() or not name.isprintable() or name in taken:
             accepted = "names in one line, which no state, parameter or kind of special points has"
@@ -624,7 +624,7 @@ def monitors_of(solution: Solution, given: Mapping[str, Any] | None) -> tuple[Mo
         time = type(model.state).sym("t") if model.time is None else model.time
         check_expressions([(f"monitors, {name}", expression)], [time, model.full_state, model.parameters])
         found.append(Monitor(name, model.function("monitor", ca.densify(expression))))
-    return tuple(found)
+    return replace(space, monitors=tuple(found))
 
 
 def following_space(solution: Solution, parameter: str, to: float, **options: Any) -> Any:

@@ -25,7 +25,7 @@ from casadi_skin.solve.levels import ExactLevels, Levels
 from casadi_skin.solve.newton import Correction
 from casadi_skin.zero.augmented import ExtendedSystem
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved
-from casadi_skin.zero.problem import EPSILON, Array, Indices, Scalar, SingularError
+from casadi_skin.zero.problem import EPSILON, Array, Scalar, SingularError
 from casadi_skin.zero.rest import (
     DERIVATIVE_ROUNDING,
     AlgebraicProblem,
@@ -206,11 +206,6 @@ class EquilibriumSpace(ParameterSpace):
     @property
     def state_names(self) -> tuple[str, ...]:
         return self.statics.names
-
-    @property
-    def output_sites(self) -> Indices:
-        """Numbers of the unknowns, from 1."""
-        return np.arange(1, self.statics.size + 1)
 
     def parameters(self, point: Point) -> dict[str, float]:
         return dict(point.problem.named(point.z))

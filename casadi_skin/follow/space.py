@@ -30,7 +30,7 @@ from casadi_skin.solve.newton import Correction, Corrector, RoundedCorrector
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.kinds import Unresolved
-from casadi_skin.zero.problem import EPSILON, Problem, Scalar
+from casadi_skin.zero.problem import EPSILON, Indices, Problem, Scalar
 from casadi_skin.zero.settings import Continuation, ContinuationSettings, End, Point, Target
 
 T = TypeVar("T")
@@ -211,6 +211,11 @@ class ParameterSpace(SolutionSpace):
     leaves: bool = False
     monitors: tuple[Monitor, ...] = ()
     error: ClassVar[type[ArithmeticError]] = ArithmeticError
+
+    @property
+    def output_sites(self) -> Indices:
+        """Numbers of the components of the state, from 1."""
+        return np.arange(1, len(self.state_names) + 1)
 
     @cached_property
     def point_solver(self) -> PointSolver:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.find import find_equilibrium
-from casadi_skin.follow.follow import Following, following_space, run_following
+from casadi_skin.follow.follow import Following, following_space, monitored_space, run_following
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium, Orbit, Solution, following_settings
 from casadi_skin.follow.space import EquilibriumError
@@ -46,6 +46,7 @@ def switch(
     until: Callable[[Any], bool] | None = None,
     stability: bool = False,
     events: bool = True,
+    monitors: Mapping[str, Any] | None = None,
     tolerance: float = DEFAULT_TOLERANCE,
     progress: Callable[[Any], None] | None = None,
 ) -> Branch:
@@ -63,7 +64,7 @@ def switch(
         to: where the branch ends.
         side: 1 or -1: which half of a branch whose halves leave towards the same parameters; that along which the
             component that changes most grows is 1.
-        at, max_points, max_step, time_limit, until, events, progress: as in `follow`.
+        at, max_points, max_step, time_limit, until, events, monitors, progress: as in `follow`.
         back_to: as in `follow`; left out, cycles and orbits end as far to the other side as `to` is to this side.
         stability: whether multipliers are computed for each cycle.
         tolerance: of cycles, as in `find_orbit`.
@@ -81,6 +82,7 @@ def switch(
         point, parameter, to, side=side, at=at, max_points=max_points, max_step=max_step, tolerance=tolerance,
         back_to=back_to,
     )  # fmt: skip
+    space = monitored_space(space, monitors)
     return run_following(Following(space, stability, events, until=until, time_limit=seconds), progress)
 
 

@@ -12,7 +12,7 @@ import msgspec
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.follow import Following, Walk, following_space, monitors_of
+from casadi_skin.follow.follow import Following, Walk, following_space, monitored_space
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.model.interrupts import interrupts_deferred
@@ -148,8 +148,8 @@ class Branches:
             )  # fmt: skip
             model, values = first.space.model, table.monitors or {}
             states = {name: model.full_state[model.state_names.index(name)] for name in values}
-            monitors = monitors_of(first, {f"{name} = {v:g}": states[name] - v for name, v in values.items()})
-            yield "branch", replace(space, monitors=monitors)
+            monitors = {f"{name} = {v:g}": states[name] - v for name, v in values.items()}
+            yield "branch", monitored_space(space, monitors)
             if scene.has_diagram:
                 from casadi_skin.runs.further import further_spaces
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from small_models import circles, wave
 
-from casadi_skin import read_result
+from casadi_skin import Chain, find_equilibrium, follow_family, read_result
 
 X = ca.SX.sym("q")
 
@@ -65,6 +65,19 @@ def test_orbits_are_located_by_their_state_at_phase_zero_beside_their_stability(
     assert not branch.unresolved
     with pytest.raises(ValueError, match="follow: given a gap"):
         gap.follow("p", 1.0)
+
+
+def test_monitors_hold_on_cycles_that_leave_a_hopf_point_and_on_orbits_of_a_family() -> None:
+    """Cycles of radius sqrt(p) about zero; a chain's orbit in a parameter, located at a value of it."""
+    p = ca.SX.sym("p")
+    model = circles(p, p, 0.25).model
+    (hopf,) = find_equilibrium(model, [0.0, 0.0], parameters={"p": -0.5}).follow("p", 0.5).special_points
+    cycles = hopf.follow("p", 0.5, monitors={"small": ca.sumsqr(model.state) - 0.09, "large": lambda t, x, p: p - 0.4})
+    assert [one.kind for one in cycles.special_points[-2:]] == ["small", "large"]
+    assert [one.parameters["p"] for one in cycles.special_points[-2:]] == pytest.approx([0.09, 0.4], abs=1e-7)
+    orbit = follow_family(Chain(2, 1.0, 0.1, 1.0), 1, 0.5, tolerance=1e-6).at(0.5)
+    branch = orbit.follow("gamma", 0.3, monitors={"middle": lambda t, x, p: p[1] - 0.2})
+    assert [one.parameters["gamma"] for one in branch.special_points] == pytest.approx([0.2], abs=1e-6)
 
 
 @pytest.mark.parametrize(
