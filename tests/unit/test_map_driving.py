@@ -7,16 +7,13 @@ import pickle
 import signal
 import time
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from maps import EQUILIBRIUM as REST
-from maps import TINY, write
+from maps import TINY, Now, row, write
 
-from casadi_skin import run_map
 from casadi_skin.runs import map as driving
 from casadi_skin.runs.map import MapRun
 from casadi_skin.runs.map_cell import FAILED, LATE, Computer, Result, Row
@@ -29,36 +26,6 @@ from casadi_skin.solve.processes import Pool, Worker, WorkerEndedError, in_worke
 
 EQUILIBRIUM = REST + "[map]\np = { from = 0.0, to = 9.0, points = 10 }\n"
 REFINED = EQUILIBRIUM.replace("points = 10 }", "points = 10, resolution = 0.5 }") + 'watch = ["stable"]\n'
-
-
-class Now(Executor):
-    """Computes a task at once by a function of it and of the number of the attempt; keeps tasks and limits."""
-
-    def __init__(self, result: Callable[[Task, int], Result] | None = None) -> None:
-        self.result = result or (lambda task, attempt: Result(tuple(row(cell) for cell in task.cells)))
-        self.tasks, self.limits = list[Task](), list[float | None]()
-
-    def submit(self, function: Any, /, *given: Any, **named: Any) -> Future[Any]:
-        _, task, limit = given
-        attempt = 1 + sum(task.cells == before.cells for before in self.tasks)
-        self.tasks.append(task)
-        self.limits.append(limit)
-        future: Future[Any] = Future()
-        future.set_result(self.result(task, attempt))
-        return future
-
-    @property
-    def cells(self) -> list[int]:
-        """The first cell of each task."""
-        return [task.cells[0] for task in self.tasks]
-
-    def map(self, folder: Path, text: str, **options: Any) -> Map:  # type: ignore[override]
-        """The map of a scene in a folder, by this executor."""
-        return run_map(write(folder, text), folder / "out", executor=self, pictures=False, quiet=True, **options)
-
-
-def row(cell: int, **values: float) -> Row:
-    return Row({"stable": 1, **values}, state=(float(cell),), period=0.5)
 
 
 def begun(folder: Path, text: str, results: Callable[[Task], Result], cells: int, attempt: int = 2) -> None:
