@@ -228,22 +228,6 @@ MOST_CUBIC_HALVINGS = 20  # at most
 LEAST_MEASURE = 1e-6  # of a size: smaller values are measured by it
 
 
-def last_cycle(evolution: Evolution) -> tuple[Evolution, float, float]:
-    """An evolution with the start and the period of its last cycle; raises ValueError where it has none.
-
-    It is the one that is given, or the motion that goes on from its end, at times that follow the cycle closely.
-    """
-    found = _cycle(evolution)
-    if found is not None:
-        return evolution, *found
-    later = _along_its_path(evolution)
-    found = _cycle(later)
-    if found is None:
-        t = evolution.t
-        raise ValueError(f"last_cycle: from t = {t[0]:g} to {t[-1]:g} the state does not come back to itself")
-    return _resolved(later, *found)
-
-
 def _cycle(evolution: Evolution) -> tuple[float, float] | None:
     """Start and period of the last cycle that output times show; None where they show none."""
     t, states = evolution.t, evolution.states
@@ -312,7 +296,7 @@ def _by_length(model: OdeModel, scale: Array, start: float, span: float) -> OdeM
     return OdeModel(model.name, z, ca.vertcat(rates, 1.0) / speed, p, checked=False)
 
 
-def _resolved(evolution: Evolution, start: float, period: float) -> tuple[Evolution, float, float]:
+def _resolved(evolution: Evolution, start: float, period: float) -> Evolution:
     """A cycle at so many times that the cubics between its states follow the motion.
 
     Stretches are halved by CVODES until what their cubic misses halfway is small: beside a jump states decay within
@@ -333,7 +317,7 @@ def _resolved(evolution: Evolution, start: float, period: float) -> tuple[Evolut
         off = np.max(apart / (np.abs(guessed) + LEAST_MEASURE * sizes), axis=1)
         found = replace(found, t=t, states=states)
         open_ends = np.isin(t, middles[off > CUBIC_ERROR])[1:] | np.isin(t, middles[off > CUBIC_ERROR])[:-1]
-    return found, start, period
+    return found
 
 
 def _followed(evolution: Evolution, t: Array) -> Array:
@@ -428,8 +412,15 @@ class Evolution(Result):
         Raises:
             ValueError: there is none.
         """
-
-        return Cycle(*last_cycle(self))
+        found = _cycle(self)
+        if found is not None:
+            return Cycle(self, *found)
+        later = _along_its_path(self)
+        found = _cycle(later)
+        if found is None:
+            words = "the state does not come back to itself"
+            raise ValueError(f"last_cycle: from t = {self.t[0]:g} to {self.t[-1]:g} {words}")
+        return Cycle(_resolved(later, *found), *found)
 
     # Energy -----------------------------------------------------------------------------------------------------------
 

@@ -186,22 +186,7 @@ def evolve(
         ValueError: an argument is out of range, or a site of a chain with |gamma| = 1 moves that has no gauge.
         EvolutionError: the integrator fails.
     """
-    return _evolved(
-        equations_of_motion(model, parameters), positions, velocities, t, method, tolerance, coordinates, step
-    )
-
-
-def _evolved(
-    equations: EquationsOfMotion,
-    positions: ArrayLike,
-    velocities: ArrayLike | None,
-    t: ArrayLike,
-    method: str,
-    tolerance: float,
-    coordinates: str | None,
-    step: float | None = None,
-) -> Evolution:
-    """States at times from a state at time 0; see `evolve`."""
+    equations = equations_of_motion(model, parameters)
     _check_choices(method, tolerance, coordinates, step)
     times, start = _times(t), _start(equations, positions, velocities)
     if coordinates is None:
@@ -279,13 +264,12 @@ def checked_vector(name: str, given: ArrayLike, components: tuple[str, ...], *si
 # Time evolution of an orbit of any model, perturbed or not (paper, Sec. III and Fig. 6) -------------------------------
 
 
-def orbit_equations(orbit: Orbit) -> EquationsOfMotion:
-    """The equations of an orbit, in the model's own coordinates, at the values of its parameters."""
+def _given_model(orbit: Orbit) -> tuple[Any, dict[str, float]]:
+    """The model of an orbit as its caller stated it, and the values of its parameters."""
     periodic = getattr(orbit.space, "periodic", None)
     model = orbit.model if periodic is None else periodic.given
     # The parameter for S in the normalisation of a family is none of its orbits, and not in the equations.
-    values = {name: orbit.parameters.get(name, 0.0) for name in model.parameter_names}
-    return equations_of_motion(model, values)
+    return model, {name: orbit.parameters.get(name, 0.0) for name in model.parameter_names}
 
 
 def unit_direction(
@@ -348,18 +332,19 @@ def perturbed(
     Raises:
         ValueError: not one of site, vector and seed is given, or the argument does not fit the model.
     """
-    equations = orbit_equations(orbit)
-    state, n = _orbit_state(orbit, equations), equations.positions or equations.size
+    equations = equations_of_motion(*_given_model(orbit))
+    n = equations.positions or equations.size
     if not np.isfinite(size):
         raise ValueError(f"size: given {size!r}; accepted: a finite number")
     direction = unit_direction("perturbation", equations, n, {"site": site, "vector": vector, "seed": seed})
-    state[: direction.size] += size * direction
-    return state[:n], state[n:]
+    return _displaced(orbit, equations, size * direction)
 
 
-def _orbit_state(orbit: Orbit, equations: EquationsOfMotion) -> Array:
-    """State of an orbit at phase zero, shape (component,); an orbit of a family rests there."""
-    return np.append(orbit.profile, np.zeros(equations.size - orbit.profile.size))
+def _displaced(orbit: Orbit, equations: EquationsOfMotion, by: Array) -> tuple[Array, Array]:
+    """Positions and velocities of an orbit at phase zero, displaced; an orbit of a family rests there."""
+    state, n = np.append(orbit.profile, np.zeros(equations.size - orbit.profile.size)), equations.positions
+    state[: by.size] += by
+    return state[: n or state.size], state[n or state.size :]
 
 
 def simulate_orbit(
@@ -394,12 +379,12 @@ def simulate_orbit(
         ValueError: an argument is out of range.
         EvolutionError: the integrator fails.
     """
-    equations = orbit_equations(orbit)
-    state, n = _orbit_state(orbit, equations), equations.positions or equations.size
-    start = (state[:n], state[n:])
+    model, values = _given_model(orbit)
     if size != 0 or site is not None or vector is not None or seed is not None:
         start = perturbed(orbit, size, site=site, vector=vector, seed=seed)
-    return _evolved(equations, *start, t, method, tolerance, coordinates)
+    else:
+        start = _displaced(orbit, equations_of_motion(model, values), np.zeros(0))
+    return evolve(model, *start, t, method, tolerance, coordinates, parameters=values)
 
 
 # Distance of a time evolution from an orbit: to its nearest point, so that a shift of phase alone has none ------------
@@ -413,7 +398,7 @@ def _state_curve(orbit: Orbit) -> tuple[Curve, Array]:
 
     The unit is the root of the mean square distance of the orbit from its mean.
     """
-    equations, count = orbit_equations(orbit), ORBIT_PHASES
+    equations, count = equations_of_motion(*_given_model(orbit)), ORBIT_PHASES
     field = equations.physical.vector_field
     x = orbit.evaluate(orbit.period * np.arange(count) / count)
     half = 0.5 * np.ptp(x, axis=0)
