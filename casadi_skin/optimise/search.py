@@ -9,7 +9,7 @@ import pickle
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 from typing import Any
@@ -131,12 +131,35 @@ def search(
     runner = Runner(progress, workers, executor)
     if executor is not None or workers > 1:
         _check_pickled(problem)
-    running, began = _Search(problem, tuple(starts), runner, list(known)), time.perf_counter()
+    outcomes, again, began = list(known), list[Outcome](), time.perf_counter()
+    done = {outcome.start.number for outcome in outcomes}
     with runner.listening():
-        running.run_starts(keep)
+        problem = problem.prepared(starts[0])
+        left = [start for start in starts if start.number not in done]
+        for outcome in runner.run(partial(solve_start, problem), left):
+            outcomes.append(outcome)
+            if keep is not None:
+                keep(outcome)
+        outcomes.sort(key=lambda outcome: outcome.start.number)
         if deflate and not runner.interrupted:
-            running.run_again()
-        return running.result(began)
+            known_optima = distinct(outcomes, problem.maximise)
+            repeated = {number for _, numbers in known_optima for number in numbers[1:]}
+            away = partial(solve_start, problem, known=tuple(outcome.place for outcome, _ in known_optima))
+            again += runner.run(away, [start for start in starts if start.number in repeated])
+        polished = [problem.polish(*one) for one in distinct((*outcomes, *again), problem.maximise)]
+        final = list[Optimum]()
+        for optimum in (optimum for optimum in polished if optimum is not None):
+            same = next((k for k, other in enumerate(final) if other.is_near(optimum, SAME_OPTIMUM_RTOL)), None)
+            if same is None:
+                final.append(optimum)
+            else:  # optima that differed on coarse discretisations
+                final[same] = replace(final[same], starts=(*final[same].starts, *optimum.starts))
+        optima, others = (tuple(o for o in final if (o.on_family is False) is off) for off in (False, True))
+        near = None if optima else _nearest(problem, outcomes)
+    gone = f"interrupted after {len(outcomes)} of {len(starts)} starts" if runner.interrupted else ""
+    verdict = _verdict(problem, outcomes, optima, others, near, polished.count(None), gone)
+    seconds = time.perf_counter() - began
+    return SearchResult(problem, *verdict, optima, others, (*outcomes, *again), near, seconds)
 
 
 def _check_pickled(problem: SearchProblem) -> None:
@@ -148,109 +171,50 @@ def _check_pickled(problem: SearchProblem) -> None:
         raise TypeError(f"objective and constraints: {words}; accepted: {accepted}") from None
 
 
-@dataclass
-class _Search:
-    """A search that is running: outcomes of its starts, and of those that deflation used again."""
+def _nearest(problem: SearchProblem, outcomes: Sequence[Outcome]) -> Outcome | None:
+    """The orbit that misses the conditions least, from a few starts; else the nearest outcome."""
+    tried = [o for o in outcomes if o.solution is not None]
+    missed = [o for o in tried if o.ending in (Ending.INFEASIBLE, Ending.FAILED) and not o.feasible]
+    found = list[Outcome | None]()
+    if any(o.ending is Ending.INFEASIBLE for o in missed):
+        found = [nearest(problem, outcome.start) for outcome in missed[:NEAREST_STARTS]]
+    chosen = [outcome for outcome in found if outcome is not None] or tried
+    sign = -1.0 if problem.maximise else 1.0
+    return min(chosen, key=lambda o: (max(o.gap, FEASIBLE_VIOLATION), sign * o.objective), default=None)
 
-    problem: SearchProblem
-    starts: tuple[Start, ...]
-    runner: Runner
-    outcomes: list[Outcome]
-    again: list[Outcome] = field(default_factory=list)
 
-    def run_starts(self, keep: Callable[[Outcome], None] | None) -> None:
-        """Run every start that has no outcome yet."""
-        self.problem = self.problem.prepared(self.starts[0])
-        done = {outcome.start.number for outcome in self.outcomes}
-        left = [start for start in self.starts if start.number not in done]
-        for outcome in self.runner.run(partial(solve_start, self.problem), left):
-            self.outcomes.append(outcome)
-            if keep is not None:
-                keep(outcome)
-        self.outcomes.sort(key=lambda outcome: outcome.start.number)
-
-    def run_again(self) -> None:
-        """Run once more, away from the known optima, each start that led to an optimum of an earlier start."""
-        optima = self._distinct()
-        repeated = {number for _, numbers in optima for number in numbers[1:]}
-        known = tuple(outcome.place for outcome, _ in optima)
-        starts = [start for start in self.starts if start.number in repeated]
-        self.again += self.runner.run(partial(solve_start, self.problem, known=known), starts)
-
-    # Optima ---------------------------------------------------------------------------------------------------------
-
-    def _distinct(self) -> list[tuple[Outcome, tuple[int, ...]]]:
-        return distinct((*self.outcomes, *self.again), self.problem.maximise)
-
-    def _rank(self, outcome: Outcome) -> float:
-        return -outcome.objective if self.problem.maximise else outcome.objective
-
-    def result(self, began: float) -> SearchResult:
-        """The optima made final, and the status of the search."""
-        made, found = [self.problem.polish(outcome, numbers) for outcome, numbers in self._distinct()], list[Optimum]()
-        for optimum in (optimum for optimum in made if optimum is not None):
-            same = next((k for k, other in enumerate(found) if other.is_near(optimum, SAME_OPTIMUM_RTOL)), None)
-            if same is None:
-                found.append(optimum)
-            else:  # optima that differed on coarse discretisations
-                found[same] = replace(found[same], starts=(*found[same].starts, *optimum.starts))
-        optima = tuple(optimum for optimum in found if optimum.on_family is not False)
-        others = tuple(optimum for optimum in found if optimum.on_family is False)
-        near = None if optima else self._nearest()
-        status, reason = self._verdict(optima, others, near, made.count(None))
-        outcomes, seconds = (*self.outcomes, *self.again), time.perf_counter() - began
-        return SearchResult(self.problem, status, reason, optima, others, outcomes, near, seconds)
-
-    def _nearest(self) -> Outcome | None:
-        """The orbit that misses the conditions least, from a few starts; else the nearest outcome."""
-        tried = [o for o in self.outcomes if o.solution is not None]
-        missed = [o for o in tried if o.ending in (Ending.INFEASIBLE, Ending.FAILED) and not o.feasible]
-        found = list[Outcome | None]()
-        if any(o.ending is Ending.INFEASIBLE for o in missed):
-            found = [nearest(self.problem, outcome.start) for outcome in missed[:NEAREST_STARTS]]
-        chosen = [outcome for outcome in found if outcome is not None] or tried
-        return min(chosen, key=lambda o: (max(o.gap, FEASIBLE_VIOLATION), self._rank(o)), default=None)
-
-    # How it ended ---------------------------------------------------------------------------------------------------
-
-    def _verdict(
-        self, optima: Sequence[Optimum], others: Sequence[Optimum], near: Outcome | None, unconfirmed: int
-    ) -> tuple[SearchStatus, str]:
-        """The status, with the reason in a sentence."""
-        endings = [outcome.ending for outcome in self.outcomes]
-        away, count = endings.count(Ending.UNBOUNDED), len(endings)
-        if self.runner.interrupted:
-            words = f"best so far {optima[0].objective:.10g}" if optima else "no optimum so far"
-            return SearchStatus.INTERRUPTED, f"interrupted after {count} of {len(self.starts)} starts; {words}"
-        if optima:
-            words = f"{len(optima[0].starts)} of {count} starts led to it"
-            words += f"; {away} ran off without bound, so it is a local one" if away else ""
-            if optima[0].curvature < FLAT_CURVATURE:
-                words += "; it is flat: neighbours along some direction of the free numbers do as well"
-            if optima[0].active:
-                sits = f"the best optimum sits on a bound: {', '.join(optima[0].active)}"
-                return SearchStatus.ON_BOUND, f"{sits}; {words}"
-            return SearchStatus.FOUND, f"found an optimum inside its bounds; {words}"
-        if away:
-            return SearchStatus.UNBOUNDED, f"{away} of {count} starts ran off without bound: {self._runaway()}"
-        if others:
-            number = f"{len(others)} optim{'um' if len(others) == 1 else 'a'}"
-            return SearchStatus.FAILED, f"{number} found, but none {self.problem.wanted}"
-        if near is not None and near.ending is Ending.INFEASIBLE:
-            words = f"{near.worst} is off by {near.gap:.3g} at the nearest orbit found"
-            return SearchStatus.INFEASIBLE, f"no start met the constraints; {words}"
-        hint = f"; {self.problem.hint}" if self.problem.hint else ""
-        if unconfirmed:
-            words = f"{unconfirmed} found on the first {self.problem.resolution_name}, and not confirmed by more"
-            return SearchStatus.FAILED, words + hint
-        failed = self.outcomes[0].words if self.outcomes else "there was no start"
-        return SearchStatus.FAILED, f"no start converged; the first: {failed}{hint}"
-
-    def _runaway(self) -> str:
-        """The free number that ran off the farthest."""
-        gone = next(o for o in self.outcomes if o.ending is Ending.UNBOUNDED)
-        k = int(np.argmax(np.abs(gone.free)))
-        return f"{self.problem.free_names[k]} = {gone.free[k]:.3g}, objective {gone.objective:.3g}"
+def _verdict(
+    problem: SearchProblem, outcomes: Sequence[Outcome], optima: Sequence[Optimum], others: Sequence[Optimum],
+    near: Outcome | None, unconfirmed: int, interrupted: str,
+) -> tuple[SearchStatus, str]:  # fmt: skip
+    """The status, with the reason in a sentence; `unconfirmed` optima are those of first discretisations alone."""
+    gone, count = [o for o in outcomes if o.ending is Ending.UNBOUNDED], len(outcomes)
+    if interrupted:
+        words = f"best so far {optima[0].objective:.10g}" if optima else "no optimum so far"
+        return SearchStatus.INTERRUPTED, f"{interrupted}; {words}"
+    if optima:
+        words = f"{len(optima[0].starts)} of {count} starts led to it"
+        words += f"; {len(gone)} ran off without bound, so it is a local one" if gone else ""
+        if optima[0].curvature < FLAT_CURVATURE:
+            words += "; it is flat: neighbours along some direction of the free numbers do as well"
+        if optima[0].active:
+            sits = f"the best optimum sits on a bound: {', '.join(optima[0].active)}"
+            return SearchStatus.ON_BOUND, f"{sits}; {words}"
+        return SearchStatus.FOUND, f"found an optimum inside its bounds; {words}"
+    if gone:
+        k = int(np.argmax(np.abs(gone[0].free)))  # the free number that ran off the farthest
+        words = f"{problem.free_names[k]} = {gone[0].free[k]:.3g}, objective {gone[0].objective:.3g}"
+        return SearchStatus.UNBOUNDED, f"{len(gone)} of {count} starts ran off without bound: {words}"
+    if others:
+        number = f"{len(others)} optim{'um' if len(others) == 1 else 'a'}"
+        return SearchStatus.FAILED, f"{number} found, but none {problem.wanted}"
+    if near is not None and near.ending is Ending.INFEASIBLE:
+        words = f"{near.worst} is off by {near.gap:.3g} at the nearest orbit found"
+        return SearchStatus.INFEASIBLE, f"no start met the constraints; {words}"
+    words = f"no start converged; the first: {outcomes[0].words if outcomes else 'there was no start'}"
+    if unconfirmed:
+        words = f"{unconfirmed} found on the first {problem.resolution_name}, and not confirmed by more"
+    return SearchStatus.FAILED, words + (f"; {problem.hint}" if problem.hint else "")
 
 
 def distinct(outcomes: Iterable[Outcome], maximise: bool = False) -> list[tuple[Outcome, tuple[int, ...]]]:
