@@ -21,7 +21,6 @@ from casadi_skin.optimise.search_problem import (
     Condition,
     Ending,
     Outcome,
-    SearchProblem,
     Start,
     checked_bounds,
     checked_conditions,
@@ -44,7 +43,7 @@ MOVED_OMEGA_RTOL = 1e-2  # relative change of Omega by more harmonics of what is
 
 
 @dataclass(frozen=True)
-class FamilySearch(SearchProblem):
+class FamilySearch:
     """Search among the orbits of a family at the amplitudes S, which share the parameters.
 
     Where "S" is free, `amplitudes` has that of the first start; `several` is true where S is a list; `harmonics` are
@@ -62,6 +61,7 @@ class FamilySearch(SearchProblem):
     tolerance: float = 1e-8
     harmonics: int = 0
     resolution_name: ClassVar[str] = "harmonics"
+    hint: ClassVar[str] = ""
 
     @classmethod
     def of(

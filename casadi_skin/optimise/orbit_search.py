@@ -22,7 +22,6 @@ from casadi_skin.optimise.optimum import Optimum, PlainCheck
 from casadi_skin.optimise.search_problem import (
     Condition,
     Outcome,
-    SearchProblem,
     Start,
     checked_bounds,
     checked_conditions,
@@ -46,8 +45,8 @@ Quantity = str | Expression
 
 
 @dataclass(frozen=True, eq=False)
-class OrbitSearch(SearchProblem):
-    """A search for orbits near a guess: states at times over the unknown part of a period (see `SearchProblem`).
+class OrbitSearch:
+    """A search for orbits near a guess: states at times over the unknown part of a period.
 
     `objective`, at phase zero, `running`, whose mean over the period is added, and the conditions are names: of a
     state, an output, a parameter, "hamiltonian", "period" or "Omega". Expressions of the caller, those that select the
@@ -184,6 +183,9 @@ class OrbitSearch(SearchProblem):
         options |= {} if intervals is None else {"intervals": intervals}
         period = None if self.model.forced else float(t[-1]) / self._part
         return find_orbit(self.model, (t, states), period, parameters=values, **options)
+
+    def prepared(self, first: Start) -> OrbitSearch:
+        return self
 
     def nlp_at(self, start: Start) -> tuple[BoundaryNlp, Array]:
         return self._stated(self.plain(start.free, self.t, self.states))

@@ -28,13 +28,23 @@ from casadi_skin.optimise.search_problem import (
     FEASIBLE_VIOLATION,
     Ending,
     Outcome,
-    SearchProblem,
     Start,
     nearest,
     solve_start,
 )
 from casadi_skin.solve.processes import Report, Runner
 from casadi_skin.zero.problem import Array
+
+# Both have:
+# model: the chain or the model; maximise: whether the objective is maximised;
+# free_names: names of the free numbers, one each; columns: names of the quantities that tables show;
+# resolution_name: name of the unit in which the resolution of an optimum is counted;
+# wanted: where optima have to be, in words, such as on which family; hint: possible reason where none is found, or "";
+# starts(count, seed, first): starts of a seed; the first has the model's own parameters, or the free numbers `first`;
+# prepared(first): the search with the choices that all starts share, made for the first of them;
+# nlp_at(start), as `solve_start` needs it;
+# polish(outcome, starts): the optimum at the tolerance, checked; None where finer discretisations do not confirm it.
+SearchProblem = FamilySearch | OrbitSearch
 
 # Result of a search: its distinct optima, best first, each with its checks, and the outcome of every start ------------
 

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, Protocol
 
 import numpy as np
 
 from casadi_skin.model.arguments import accepted_names, number, short_repr
 from casadi_skin.optimise.nlp import STOPPED_STATUS, Nlp, Solution, optimality
-from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.solve.ipopt import Monitor
 from casadi_skin.zero.problem import Array
 
@@ -100,60 +98,14 @@ class Outcome:
         return self.violation <= FEASIBLE_VIOLATION
 
 
-class SearchProblem(ABC):
-    """A search as its engine uses it, a `FamilySearch` or an `OrbitSearch`; it can be pickled where its parts can.
+class Startable(Protocol):
+    """A search as one start needs it."""
 
-    Attributes:
-        model: the chain or the model.
-        maximise: whether the objective is maximised.
-        free_names: names of the free numbers, one each.
-        columns: names of the quantities that tables show.
-        resolution_name: name of the unit in which the resolution of an optimum is counted.
-        wanted: where optima have to be, in words, such as on which family.
-        hint: possible reason where no optimum is found; empty without one.
-    """
-
-    model: Any
-    maximise: bool
-    resolution_name: ClassVar[str]
-
-    @property
-    @abstractmethod
-    def free_names(self) -> tuple[str, ...]: ...
-    @property
-    @abstractmethod
-    def columns(self) -> tuple[str, ...]: ...
-    @property
-    @abstractmethod
-    def wanted(self) -> str: ...
-    @property
-    def hint(self) -> str:
-        return ""
-
-    @abstractmethod
-    def starts(self, count: int, seed: int, first: Sequence[float] | None = None) -> tuple[Start, ...]:
-        """The starts of a seed; the first has the model's own parameters, or the free numbers `first`."""
-
-    def prepared(self, first: Start) -> Self:
-        """This search with the choices that all starts share, made for the first of them."""
-        return self
-
-    @abstractmethod
     def nlp_at(self, start: Start) -> tuple[Nlp, Array]:
         """The nonlinear programme of a start, and an orbit at its parameters as a point of it.
 
         Raises ArithmeticError where there is no orbit.
         """
-
-    @abstractmethod
-    def polish(self, outcome: Outcome, starts: tuple[int, ...]) -> Optimum | None:
-        """The optimum of an outcome at the tolerance, checked; None where finer discretisations do not confirm it."""
-
-
-class Startable(Protocol):
-    """What one start needs of a search."""
-
-    def nlp_at(self, start: Start) -> tuple[Nlp, Array]: ...
 
 
 def solve_start(
@@ -174,7 +126,7 @@ def solve_start(
     return replace(judged(nlp, start, solution), deflated=bool(known))
 
 
-def nearest(problem: SearchProblem, start: Start) -> Outcome | None:
+def nearest(problem: Startable, start: Start) -> Outcome | None:
     """The orbit that misses the conditions least, found from a start; None where none is found."""
     try:
         nlp, x = problem.nlp_at(start)
