@@ -19,9 +19,8 @@ from casadi_skin.zero.statement import named_values
 
 ComplexArray = NDArray[np.complex128]
 HALF_ZONE_WAVE_NUMBERS = 41  # wave numbers along each direction of half a zone, its corners among them
-REAL_SQUARE_RTOL = (
-    1e-6  # of the largest |omega^2|, below which an imaginary part may be rounding: eigenvalues split by its root
-)
+# Of the largest |omega^2|, below which an imaginary part may be rounding: eigenvalues split by its root.
+REAL_SQUARE_RTOL = 1e-6
 
 
 @dataclass(frozen=True, eq=False)

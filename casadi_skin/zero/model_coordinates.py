@@ -342,8 +342,7 @@ class ModelCoordinates(Coordinates):
         self._model, self._amplitude = model, amplitude_square(model)
         free = () if self._amplitude.parameter is None else (self._amplitude.parameter,)
         self._values = fixed_values(model, parameters or {}, free)
-        numbers = ca.SX([self._values.get(name, 0.0) for name in model.parameter_names])
-        self._numbers = numbers
+        self._numbers = ca.SX([self._values.get(name, 0.0) for name in model.parameter_names])
         self._force = self._at_values(model.rhs)
         self.modes = linear_modes(self._force, model.state, model.name)
         if np.min(self.modes.log_scale) < DEEPEST_LOG_SCALE:
@@ -397,16 +396,17 @@ class ModelCoordinates(Coordinates):
     @cached_property
     def symplectic(self) -> bool:  # type: ignore[override]
         """Whether the derivative of the forces is symmetric in scaled coordinates, at random states."""
-        if not self.modes.symmetric:
-            return False
-        state = self._model.state
+        asymmetric = (np.max(np.abs(J - J.T)) / np.max(np.abs(J)) for J in self._slopes)
+        return self.modes.symmetric and all(off <= SYMMETRY_RTOL * self.scale.size for off in asymmetric)
+
+    @cached_property
+    def _slopes(self) -> list[Array]:
+        """Derivatives of the forces in scaled coordinates at random states."""
+        state, scale, generator = self._model.state, self.scale, np.random.default_rng(0)
         derivative = ca.Function("J", [state], [ca.densify(ca.jacobian(self._force, state))])
-        generator, scale = np.random.default_rng(0), self.scale
-        for _ in range(SYMMETRY_TRIALS):
-            J = np.array(derivative(scale * generator.normal(size=scale.size))) / scale[:, None] * scale
-            if not np.max(np.abs(J - J.T)) <= SYMMETRY_RTOL * scale.size * np.max(np.abs(J)):
-                return False
-        return True
+        spread = RANDOM_AMPLITUDE * self._unit * scale
+        states = [spread * generator.uniform(-1.0, 1.0, scale.size) for _ in range(SYMMETRY_TRIALS)]
+        return [np.array(derivative(y)) / scale[:, None] * scale for y in states]
 
     @cached_property
     def scaled(self) -> OdeModel:
@@ -469,17 +469,11 @@ class ModelCoordinates(Coordinates):
         """
         if not modes.size:
             return modes
-        state, scale, generator = self._model.state, self.scale, np.random.default_rng(0)
-        derivative = ca.Function("J", [state], [ca.densify(ca.jacobian(self._force, state))])
-        images = []
-        for _ in range(SYMMETRY_TRIALS):
-            y = self._unit * scale * generator.uniform(-RANDOM_AMPLITUDE, RANDOM_AMPLITUDE, scale.size)
-            J = np.array(derivative(y)) / scale[:, None] * scale
-            if not np.all(np.isfinite(J)):
-                return modes[:, :0]
-            images.append((J.T if transposed else J) @ modes / np.max(np.abs(J)))
+        if not np.all(np.isfinite(self._slopes)):
+            return modes[:, :0]
+        images = [(J.T if transposed else J) @ modes / np.max(np.abs(J)) for J in self._slopes]
         _, sizes, rows = np.linalg.svd(np.concatenate(images))
-        unchanging = modes @ rows[sizes <= SYMMETRY_RTOL * scale.size].T
+        unchanging = modes @ rows[sizes <= SYMMETRY_RTOL * len(modes)].T
         return np.asarray(np.linalg.qr(unchanging)[0])
 
     def _scaled_force(self, q: ca.SX, p: ca.SX) -> ca.SX:

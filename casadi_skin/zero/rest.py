@@ -21,14 +21,13 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.pickled import programs_in
 from casadi_skin.model.result import Result
 from casadi_skin.zero.problem import EPSILON, Array, Problem, Scalar
-from casadi_skin.zero.statement import named_values
+from casadi_skin.zero.statement import in_order, named_values
 
 # A linearisation in units in which it is balanced: its eigenvalues with their errors, and what of it vanishes ---------
 
 ComplexArray = NDArray[np.complex128]
-DERIVATIVE_ROUNDING = (
-    16.0  # of the machine's, in the derivatives: what is left of an eigenvalue that is zero, over its condition
-)
+# Of the machine's, in the derivatives: an eigenvalue that is zero comes out as that over its condition.
+DERIVATIVE_ROUNDING = 16.0
 ROUNDED_COMPONENT_RATIO = 1e-12  # of the usual size of a component: one that is smaller is zero
 LARGE_MOVE = 1e200  # beyond it a component moves at a singular place alone
 SLIGHT_DISTURBANCE = 1e-8  # of an equation's terms: a disturbance by which no regular equilibrium moves far
@@ -219,10 +218,8 @@ def _response(matrix: Array, change: Array) -> Array:
         return np.full(len(matrix), np.inf)
 
 
-SECOND_DERIVATIVE_STEP, THIRD_DERIVATIVE_STEP = (
-    3e-4,
-    1e-3,
-)  # of the size of x: steps of second and third derivatives of a program
+# Of the size of x: steps of second and third derivatives of a program.
+SECOND_DERIVATIVE_STEP, THIRD_DERIVATIVE_STEP = 3e-4, 1e-3
 EIGENVALUE_SAFETY = 4.0  # of the estimated errors of eigenvalues
 
 
@@ -513,16 +510,10 @@ class AlgebraicProblem(Problem):
 
     def parameters_at(self, scalars: Any) -> Any:
         """All parameters of the model, in its order, from the scalars among the unknowns."""
-        courses = {course.name: (course, place) for place, course in enumerate(self.free)}
+        known = {course.name: course.at(scalars[place]) for place, course in enumerate(self.free)}
         if self.walking is not None:
-            courses[self.walking.name] = (self.walking, len(self.free) + self.added)
-        entries = []
-        for name, value in self.statics.values.items():
-            course, place = courses.get(name, (None, 0))
-            entries.append(value if course is None else course.at(scalars[place]))
-        if isinstance(scalars, np.ndarray):
-            return np.array(entries, dtype=float)
-        return ca.vertcat(*entries) if entries else type(scalars)(0, 1)
+            known[self.walking.name] = self.walking.at(scalars[len(self.free) + self.added])
+        return in_order(self.statics.values | known, scalars)
 
     def _residual(self, y: Expression, others: Expression, scalars: Expression, c: Expression) -> Expression:
         """As many equations as y, others, free parameters and added scalars; c are the constants."""

@@ -31,9 +31,8 @@ DIGITS_RANGE = (3, 15)  # of CVODES' local tolerance
 QUARTER_SEGMENTS = 4  # of a quarter of the period: with two the metric of a walk sees too little of steep orbits
 PATH_TOLERANCE = 3e-14  # of the paths between the segments' ends, which are off by two or three times as much
 KEPT_PATHS = 4  # orbits whose paths are kept
-CVODES_ROUNDING = (
-    1e-13  # error of CVODES' steps by rounding, relative to the largest state: measured with 14 and 15 digits
-)
+# Error of CVODES' steps by rounding, relative to the largest state: measured with 14 and 15 digits.
+CVODES_ROUNDING = 1e-13
 
 
 class ShootingError(SingularError):

@@ -201,10 +201,8 @@ def _entry(expressions: Sequence[Expression], index: int) -> str:
 
 # Closure --------------------------------------------------------------------------------------------------------------
 
-CONDITION_TRIALS, SAME_DERIVATIVE_ATOL = (
-    3,
-    1e-12,
-)  # random points at which derivatives of conditions are compared, and their difference
+# Random points at which derivatives of conditions are compared, and their difference.
+CONDITION_TRIALS, SAME_DERIVATIVE_ATOL = 3, 1e-12
 TURNED_FIELD_RTOL = 1e-9  # relative: a field that is the same after a turn
 
 

@@ -238,17 +238,11 @@ class Statement(WithVerbs):
 
     def _along(self, scalars: Any, constants: Any, walking: str | None) -> Any:
         """The same, from the constants of the formulation too."""
-        entries = []
-        for name, value in zip(self.values, constants, strict=False):
-            if name in self.free:
-                entries.append(scalars[list(self.free).index(name)])
-            elif name == walking:
-                entries.append(value + scalars[len(self.free)] * constants[-1])
-            else:
-                entries.append(value)
-        if isinstance(scalars, np.ndarray):
-            return np.array(entries, dtype=float)
-        return ca.vertcat(*entries) if entries else type(self.model.parameters)(0, 1)
+        values = dict(zip(self.values, constants, strict=False))
+        known = {name: scalars[place] for place, name in enumerate(self.free)}
+        if walking is not None:
+            known[walking] = values[walking] + scalars[len(self.free)] * constants[-1]
+        return in_order(values | known, scalars)
 
     def with_free(self, name: str) -> Statement:
         """The same equations with one more free parameter, which they leave open."""
@@ -299,6 +293,13 @@ def named_values(model: OdeModel, given: Mapping[str, float] | None) -> dict[str
         if name not in values:
             raise ValueError(f"parameters: given none for {name}; accepted: a number for each, or nominal values")
     return {name: values[name] for name in model.parameter_names}
+
+
+def in_order(values: Mapping[str, Any], like: Any) -> Any:
+    """Values of parameters as an array, or as a column of expressions of the kind of `like`."""
+    if isinstance(like, np.ndarray):
+        return np.array(list(values.values()), dtype=float)
+    return ca.vertcat(*values.values()) if values else type(like)(0, 1)
 
 
 def _listed(label: str, given: Any, symbols: Sequence[Expression], form: str) -> tuple[Expression, ...]:

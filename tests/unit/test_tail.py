@@ -67,16 +67,6 @@ def test_a_wave_has_the_angle_that_the_recurrence_gives_it(sites: int, phi: floa
     assert tail.angle(place) == pytest.approx(phi, abs=2e-13 * sites)
 
 
-@pytest.mark.parametrize("sites", [5, 150, 10**6])
-def test_at_the_edge_of_the_band_nothing_jumps(sites: float) -> None:
-    tail = chain_tail(sites)
-    edge = tail.angle(Place(0, 0, 0.0))
-    across = [tail.at_angle(0, edge + off).off for off in (-1e-9, 0.0, 1e-9)]
-    assert across[0] < across[1] == 0.0 < across[2]
-    assert across[0] == pytest.approx(-across[2], rel=1e-3)
-    assert 1.0 / tail.slope(Place(0, 0, 0.0)) == pytest.approx((across[2] - across[0]) / 2e-9, rel=1e-3)
-
-
 # The parameter ------------------------------------------------------------------------------------------------------
 
 
