@@ -121,29 +121,23 @@ def same(reference: StabilityDiagram, diagram: StabilityDiagram) -> None:
 
 
 @pytest.mark.parametrize(("chain", "mode", "S_max"), FAMILIES)
-@pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-12])
-def test_the_list_does_not_depend_on_the_tolerance(chain: Chain, mode: int, S_max: float, tolerance: float) -> None:
-    same(diagram_of(chain, mode, S_max), diagram_of(chain, mode, S_max, tolerance))
-
-
-@pytest.mark.parametrize(("chain", "mode", "S_max"), FAMILIES)
 @pytest.mark.parametrize(
-    "more", [{"at": np.linspace(0.01, 2.99, 150).tolist()}, {"walker": "arclength"}, {"walker": "series"}]
+    "other",
+    [
+        *({"tolerance": tolerance} for tolerance in (1e-4, 1e-6, 1e-12)),
+        *({"walker": walker} for walker in ("arclength", "series")),
+        {"at": np.linspace(0.01, 2.99, 150).tolist()},
+    ],
 )
-def test_the_list_does_not_depend_on_the_points(chain: Chain, mode: int, S_max: float, more: dict[str, Any]) -> None:
-    branch = follow_family(chain, mode, S_max, stability=False, **more)
+def test_the_list_does_not_depend_on_the_points(chain: Chain, mode: int, S_max: float, other: dict[str, Any]) -> None:
+    branch = follow_family(chain, mode, S_max, stability=False, **other)
     same(diagram_of(chain, mode, S_max), tongues_along(branch))
 
 
 @pytest.mark.parametrize(("chain", "mode", "S_max"), FAMILIES)
 @pytest.mark.parametrize(("tolerance", "degrees"), [(1e-9, (16, 32)), (1e-12, (16, 32)), (1e-11, (24, 48))])
 def test_the_list_does_not_depend_on_the_interpolation(
-    chain: Chain,
-    mode: int,
-    S_max: float,
-    tolerance: float,
-    degrees: tuple[int, int],
-    monkeypatch: pytest.MonkeyPatch,
+    chain: Chain, mode: int, S_max: float, tolerance: float, degrees: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reference = diagram_of(chain, mode, S_max)
     monkeypatch.setattr(interpolation, "SERIES_DEGREES", degrees)

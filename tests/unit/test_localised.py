@@ -75,46 +75,31 @@ def exact_mu(orbit: Orbit, mu: complex) -> complex:
     return complex(-(np.sin(sigma * orbit.period / 4.0) ** 2))
 
 
-@pytest.mark.parametrize(("S", "count"), [pytest.param(0.2, 1, marks=pytest.mark.slow), (1.0, 1), (3.0, 2)])
-def test_localised_multipliers_solve_hills_equations_with_exact_tails(S: float, count: int) -> None:
+LEANING = Chain(math.inf, 1.0, -0.4, 1.0)  # hardening, to its first site
+
+
+@pytest.mark.parametrize(
+    ("chain", "mode", "S", "count"),
+    [
+        pytest.param(SOFT, "first", 0.2, 1, marks=pytest.mark.slow),
+        (SOFT, "first", 1.0, 1),
+        (SOFT, "first", 3.0, 2),
+        *(pytest.param(LEANING, "last", S, 1, marks=pytest.mark.slow) for S in (1.0, 3.0)),
+    ],
+)
+def test_localised_multipliers_solve_hills_equations_with_exact_tails(
+    chain: Chain, mode: str, S: float, count: int
+) -> None:
     """In the pinned regime, where the orbit fills the tail, too; real instabilities and a complex one."""
-    orbit = followed().at(S)
+    orbit = followed(chain, mode).at(S)
     found = localised(orbit)
     assert found.mu.size == count
-    assert not found.stable
+    assert found.stable == (chain is LEANING and S == 3.0)
     assert not found.unresolved.size
+    assert chain is SOFT or found.finite_size_modulus == 1.0
     for mu, error in zip(found.mu, found.mu_error, strict=True):
         assert error < 1e-8
         assert abs(exact_mu(orbit, mu) - mu) <= error + 1e-12
-
-
-@pytest.mark.slow
-def test_hardening_chains_that_lean_to_their_first_site() -> None:
-    branch = follow_family(Chain(math.inf, 1.0, -0.4, 1.0), "last", 3.0, at=(1.0, 3.0), tolerance=1e-9)
-    for S in (1.0, 3.0):
-        orbit = branch.at(S)
-        found = localised(orbit)
-        assert found.mu.size
-        assert found.finite_size_modulus == 1.0
-        for mu, error in zip(found.mu, found.mu_error, strict=True):
-            assert abs(exact_mu(orbit, mu) - mu) <= error + 1e-12
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sites", [300])
-def test_whole_chains_have_the_localised_multipliers(sites: int) -> None:
-    """The others of a whole chain lie on the arcs but for weak instabilities, fewer per site the longer it is."""
-    whole = follow_family(Chain(sites, 1.0, 0.25, -1.0), 1, 3.0, at=AT, tolerance=1e-9, tail="eliminated")
-    for S in AT:
-        if S == 0.2:  # below the threshold orbits depend on the length
-            continue
-        found, all_sites = localised(followed().at(S)), whole.at(S).floquet()
-        known = np.asarray(all_sites.mu)  # type: ignore[attr-defined]
-        for mu, error in zip(found.mu, found.mu_error, strict=True):
-            assert np.min(np.abs(known - mu)) <= error + all_sites.error
-        distance = found.continuous.distance(known)
-        far = [mu for mu in known[distance > 5e-3] if np.min(np.abs(found.mu - mu)) > 1e-6]
-        assert not far
 
 
 @pytest.mark.slow

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -226,16 +226,16 @@ class StabilityDiagram(Result):
 
     def S(self, coordinates: Array) -> Array:
         """Amplitudes at coordinates, shape (points,)."""
-        return self._values(coordinates, Piece.S)
+        return self._values(coordinates, "S")
 
     def Omega(self, coordinates: Array) -> Array:
         """Frequencies at coordinates, shape (points,)."""
-        return self._values(coordinates, Piece.Omega)
+        return self._values(coordinates, "Omega")
 
-    def _values(self, coordinates: Array, of_piece: Callable[[Piece, Array], Array]) -> Array:
+    def _values(self, coordinates: Array, name: str) -> Array:
         result = np.empty(len(coordinates))
         for piece, chosen in by_piece(self.pieces, coordinates):
-            result[chosen] = of_piece(piece, coordinates[chosen])
+            result[chosen] = getattr(piece, name)(coordinates[chosen])
         return result
 
     def spectrum(self, coordinates: Array) -> tuple[ComplexArray, NDArray[np.int64]]:
@@ -324,7 +324,7 @@ def places(pieces: Sequence[Piece], coordinates: Array, errors: Array) -> list[P
         start, end = piece.matrices.start, piece.matrices.end
         at, error = np.clip(coordinates[chosen], start, end), errors[chosen]
         S = np.stack([piece.S(np.clip(at + sign * error, start, end)) for sign in (0.0, -1.0, 1.0)])
-        S_errors = np.maximum(np.max(np.abs(S[1:] - S[0]), axis=0), np.abs(piece.slopes(at)) * error)
+        S_errors = np.maximum(np.max(np.abs(S[1:] - S[0]), axis=0), np.abs(piece.S.deriv()(at)) * error)
         rows = zip(at.tolist(), error.tolist(), S[0].tolist(), S_errors.tolist(), piece.Omega(at).tolist(), strict=True)
         for i, row in zip(chosen.tolist(), rows, strict=True):
             found[i] = Place(*row)

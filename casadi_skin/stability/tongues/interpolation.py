@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebder, chebval
+from numpy.polynomial import Chebyshev
 
 from casadi_skin.stability.flows import FlowError
 from casadi_skin.stability.multipliers import reduced_matrices
@@ -131,21 +132,15 @@ class Piece:
     S_coefficients: Array
     Omega_coefficients: Array
 
-    def S(self, coordinates: Array) -> Array:
-        """Amplitudes at coordinates."""
-        return self._values(coordinates, self.S_coefficients)
+    @cached_property
+    def S(self) -> Chebyshev:
+        """Amplitude as a function of the coordinate."""
+        return Chebyshev(self.S_coefficients, (self.matrices.start, self.matrices.end))
 
-    def Omega(self, coordinates: Array) -> Array:
-        """Frequencies at coordinates."""
-        return self._values(coordinates, self.Omega_coefficients)
-
-    def slopes(self, coordinates: Array) -> Array:
-        """dS/d coordinate at coordinates."""
-        scale = 2.0 / (self.matrices.end - self.matrices.start)
-        return scale * self._values(coordinates, np.asarray(chebder(self.S_coefficients), dtype=float))
-
-    def _values(self, coordinates: Array, coefficients: Array) -> Array:
-        return np.asarray(chebval(self.matrices.local(coordinates), coefficients))
+    @cached_property
+    def Omega(self) -> Chebyshev:
+        """Frequency as a function of the coordinate."""
+        return Chebyshev(self.Omega_coefficients, (self.matrices.start, self.matrices.end))
 
 
 @dataclass(frozen=True)
