@@ -36,7 +36,7 @@ from casadi_skin.model.integrators import (
     size_of,
 )
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.stability.splitting import SPLITTING_ORDER, KicksAndDrifts, srkn_step
+from casadi_skin.stability.flows import SPLITTING_ORDER, KicksAndDrifts, srkn_step
 from casadi_skin.zero.problem import Array
 
 LONGEST_FOLD = 4096  # steps in one call, so that an interruption is noticed

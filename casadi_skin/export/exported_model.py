@@ -35,7 +35,7 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.model.arguments import check_name, short_repr, whole
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.stability.splitting import srkn_coefficients
+from casadi_skin.stability.flows import srkn_coefficients
 from casadi_skin.zero.cosines import TrigonometricProblem
 
 Source: TypeAlias = Chain | OdeModel | Orbit

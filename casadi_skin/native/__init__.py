@@ -8,7 +8,7 @@ how the arguments of its functions and the fields of its structures follow one a
 | source | what it computes | the same by numpy |
 | --- | --- | --- |
 | bordered.c | factors and solutions of bands with borders | `solve.bordered` |
-| splitting.c | transition matrices along orbits | `stability.splitting` |
+| splitting.c | transition matrices along orbits | `stability.flows` |
 | decoupling.c | bases that make matrices block diagonal | `stability.tongues.blocks` |
 | elimination.c | cells of a row eliminated from its free end on | `stability.tongues.hill` |
 | taylor.c | power series of branches, and those with a linear tail | `zero.cosines`, `lattice.core_with_tail` |

@@ -25,7 +25,7 @@ from casadi_skin.follow.solution import Curve, Orbit, cosine_curve
 from casadi_skin.optimise.nlp import Limits, Nlp, Solution, optimality
 from casadi_skin.optimise.optimum import CosineOrbit
 from casadi_skin.solve.ipopt import SOLVED_STATUS
-from casadi_skin.stability.splitting import srkn_step
+from casadi_skin.stability.flows import srkn_step
 from casadi_skin.zero.problem import Array
 
 # The flow from a kicked orbit over many steps with exact derivatives, and its distance from the orbit -----------------

@@ -264,7 +264,7 @@ LOADED_MODULES = (  # before the first cell, whose time is limited
     "casadi_skin.follow.family_changes",
     "casadi_skin.runs.first_solution",
     "casadi_skin.solve.ipopt",
-    "casadi_skin.stability.splitting",
+    "casadi_skin.stability.flows",
 )
 
 

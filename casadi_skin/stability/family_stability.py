@@ -16,11 +16,10 @@ from casadi_skin.model.arguments import check_name
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.watch import one_thread
-from casadi_skin.stability.flows import CvodesFlow, FlowMap, OrbitState, Transition, complement
+from casadi_skin.stability.flows import CvodesFlow, FlowMap, OrbitState, SplittingFlow, Transition, complement
 from casadi_skin.stability.multipliers import floquet_vectors, floquets, vectors_of_map
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet, ReversibleFloquet
-from casadi_skin.stability.splitting import SplittingFlow
 from casadi_skin.zero.family import Coordinates, FamilyRequest
 from casadi_skin.zero.problem import Array, Buffers, Problem
 from casadi_skin.zero.settings import Point, Refinement

@@ -19,8 +19,7 @@ import pytest
 from casadi_skin import Chain, Orbit, export_c, follow_family
 from casadi_skin.export.codegen import c_source
 from casadi_skin.solve.newton import NewtonCorrector
-from casadi_skin.stability.flows import JacobianAlong
-from casadi_skin.stability.splitting import SplittingMap, srkn_coefficients
+from casadi_skin.stability.flows import JacobianAlong, SplittingMap, srkn_coefficients
 from casadi_skin.zero.cosines import second_derivative_matrix
 
 pytestmark = [

@@ -25,13 +25,15 @@ from casadi_skin.stability.flows import (
     FlowMap,
     JacobianAlong,
     OrbitState,
+    SplittingFlow,
+    SplittingMap,
     SteppedFlow,
     Transition,
+    srkn_coefficients,
 )
 from casadi_skin.stability.multipliers import LARGE_EIGENVALUE_COUNT, eigenvalue_errors, floquet
 from casadi_skin.stability.reduction import Eigensystems, half_cosines
 from casadi_skin.stability.result import Floquet, ReversibleFloquet
-from casadi_skin.stability.splitting import SplittingFlow, SplittingMap, srkn_coefficients
 from casadi_skin.zero.family import family_request
 from casadi_skin.zero.settings import End, Point
 from tests.studies.gauss_flow import GaussFlow, GaussMap, dense

@@ -23,8 +23,7 @@ from casadi_skin import Branch, Chain, follow_family, native
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import Monomials
 from casadi_skin.solve.bordered import BandFactors, BorderedSolver
-from casadi_skin.stability.flows import JacobianAlong
-from casadi_skin.stability.splitting import SplittingMap
+from casadi_skin.stability.flows import JacobianAlong, SplittingMap
 from casadi_skin.zero.cosines import PolynomialForm, TaylorRecursion, TrigonometricProblem
 from casadi_skin.zero.family import family_request
 

@@ -15,10 +15,9 @@ from scipy.optimize import linear_sum_assignment
 
 from casadi_skin import Branch, Chain, OdeModel, Orbit, SymmetryClass, follow_family
 from casadi_skin.solve.newton import NewtonCorrector
-from casadi_skin.stability.flows import CvodesFlow
+from casadi_skin.stability.flows import CvodesFlow, SplittingFlow
 from casadi_skin.stability.multipliers import floquet
 from casadi_skin.stability.result import ReversibleFloquet
-from casadi_skin.stability.splitting import SplittingFlow
 from casadi_skin.zero.cosines import TrigonometricProblem
 
 Array = NDArray[np.float64]
