@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import groupby
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -270,167 +270,6 @@ class JacobianAlong:
         return np.repeat(np.arange(self.size), np.diff(self.indptr))
 
 
-# Maps in equal steps --------------------------------------------------------------------------------------------------
-
-
-ROUND_OFF = 2e-14
-EXTRAPOLATION_SAFETY = 2.0  # the difference that another extrapolation makes is asymptotically the error itself
-LOWER_LEVEL_HEADROOM = 3.0  # of the tolerance over the error expected, before fewer steps are tried
-BATCH_ENTRIES = 20_000  # entries of a batch of transition matrices: they stay in the cache of a core
-
-
-class StepMap(Protocol):
-    """Transition matrices of the variational system in a fixed number of equal steps."""
-
-    fractions: Array
-
-    def __call__(self, nonzeros: Array, durations: Array) -> Array:
-        """Matrices, shape (points, m, m), over `durations` (points,); J's non-zeros (points, fractions, non-zeros).
-
-        J is taken at `fractions` of the duration; m counts the components of the full state.
-        """
-        ...
-
-
-@cache
-def extrapolation(steps: tuple[int, ...], orders: tuple[int, ...]) -> Array:
-    """Weights, with sum 1, of results in those numbers of steps that cancel errors of the given orders in 1/steps."""
-    rows = [[1.0] * len(steps), *([(steps[-1] / n) ** order for n in steps] for order in orders)]
-    weights = np.linalg.solve(np.array(rows), np.eye(len(steps))[0])
-    weights.flags.writeable = False  # kept and shared
-    return weights
-
-
-class SteppedFlow(FlowMap):
-    """Transition matrices at neighbouring numbers of steps, extrapolated (Richardson).
-
-    The method's errors go with h^orders[0], h^orders[1], ... With one step number more than `orders` has entries, all
-    maps together give a matrix without any of these errors, and all but the coarsest one without all but the last:
-    that is the result, and the difference shows its error. The step numbers are chosen so that it meets the tolerance.
-    """
-
-    method: str
-    step_numbers: tuple[int, ...]
-    orders: tuple[int, ...]
-
-    def __init__(self, model: OdeModel, tolerance: float, frame: Array | None = None) -> None:
-        super().__init__(model, tolerance, frame)
-        self._maps: dict[int, StepMap] = {}
-        self._level = len(self.orders)  # of the finest map where the last orbits with `alike` met the tolerance
-
-    @abstractmethod
-    def _build(self, steps: int) -> StepMap:
-        """The map with that many steps."""
-
-    @cached_property
-    def jacobian(self) -> JacobianAlong:
-        """Derivative of the right-hand side along orbits."""
-        return JacobianAlong(self.model)
-
-    @property
-    def batch(self) -> int:  # type: ignore[override]
-        return max(1, BATCH_ENTRIES // self.model.full_size**2 * self.model.order)
-
-    def step_map(self, steps: int) -> StepMap:
-        """The map with that many steps, built when first needed."""
-        if steps not in self._maps:
-            self._maps[steps] = self._build(steps)
-        return self._maps[steps]
-
-    def matrices(self, numbers: Sequence[int], orbits: Sequence[OrbitState]) -> list[Array]:
-        """Transition matrices in several numbers of steps, not extrapolated, shape (orbits, m, m) each."""
-        maps = [self.step_map(steps) for steps in numbers]
-        theta = 2.0 * np.pi * self.fraction * np.concatenate([step_map.fractions for step_map in maps])
-        groups = [(problem, list(those)) for problem, those in groupby(orbits, key=lambda orbit: orbit.problem)]
-        sampled = [self.jacobian.along(problem, np.stack([o.z for o in those]), theta) for problem, those in groups]
-        nonzeros = sampled[0] if len(sampled) == 1 else np.concatenate(sampled)
-        durations = self.durations(orbits)
-        ends = np.cumsum([step_map.fractions.size for step_map in maps])[:-1]
-        return [step(part, durations) for step, part in zip(maps, np.split(nonzeros, ends, axis=1), strict=True)]
-
-    def _transitions(self, orbits: Sequence[OrbitState], tolerance: float, alike: bool) -> list[Transition]:
-        level, results = self._level if alike else len(self.orders), list[Transition]()
-        for first in range(0, len(orbits), self.batch):
-            results += self._adapted(orbits[first : first + self.batch], tolerance, level)
-        while alike and len({found.steps for found in results}) > 1:
-            most = max(found.steps for found in results)
-            fewer = [i for i, found in enumerate(results) if found.steps < most]
-            again = self._adapted([orbits[i] for i in fewer], tolerance, self.step_numbers.index(most))
-            for i, found in zip(fewer, again, strict=True):
-                results[i] = found
-        if alike and results:  # a level lower where that may do for the next ones
-            level, error = self.step_numbers.index(results[0].steps), max(found.error for found in results)
-            higher = (self.step_numbers[level] / self.step_numbers[level - 1]) ** self.orders[-1]
-            self._level = max(level - (LOWER_LEVEL_HEADROOM * higher * error <= tolerance), len(self.orders))
-        return results
-
-    def _adapted(self, orbits: Sequence[OrbitState], tolerance: float, level: int) -> list[Transition]:
-        """From the `level` on, one by one, to that which is fine enough for each orbit, by its own errors.
-
-        The digits of an orbit then depend neither on the others given with it nor on those before.
-        """
-        done, unmet = dict[int, Transition](), ""
-        places, maps = np.arange(len(orbits)), dict[int, Array]()
-        while places.size:
-            if level == len(self.step_numbers):
-                raise FlowError(unmet)
-            those, steps = [orbits[i] for i in places.tolist()], self.step_numbers[: level + 1]
-            missing = [number for number in steps[-len(self.orders) - 1 :] if number not in maps]
-            maps |= dict(zip(missing, self.matrices(missing, those), strict=True))
-            matrices, errors = self._extrapolated(steps, maps)
-            with np.errstate(over="ignore", invalid="ignore"):
-                truncation, round_off = frobenius_norms(errors), ROUND_OFF * frobenius_norms(matrices)
-            met = truncation <= np.maximum(tolerance, round_off)
-            coarsest = steps[-len(self.orders) - 1]
-            pairs = self._pairs(those, met, coarsest, maps[coarsest])
-            for k in np.flatnonzero(met).tolist():
-                total = float(truncation[k] + round_off[k])
-                known = matrices[k], self.fraction, total, errors[k], pairs.get(k)
-                done[int(places[k])] = Transition(*known, steps[-1])
-            if not met.all():
-                worst = int(np.argmax(np.where(met, -np.inf, truncation)))
-                unmet = (
-                    f"the {self.method} leaves {truncation[worst]:.1e} with {steps[-1]} steps; requested: "
-                    f"{tolerance:.1e}; worst {_place(those[worst], errors[worst], self.model.size)}; try a larger "
-                    "tolerance or another flow (splitting, cvodes)"
-                )
-            places, maps, level = places[~met], {n: each[~met] for n, each in maps.items()}, level + 1
-        return [done[i] for i in range(len(orbits))]
-
-    def _extrapolated(self, steps: tuple[int, ...], maps: Mapping[int, Array]) -> tuple[Array, Array]:
-        """Extrapolated matrices from those in the last numbers of steps, and matrices like their errors."""
-        steps = steps[-len(self.orders) - 1 :]
-        few, all_ = extrapolation(steps[1:], self.orders[:-1]), extrapolation(steps, self.orders)
-        found = [maps[number] for number in steps]
-        return _combined(found[1:], few), _combined(found, EXTRAPOLATION_SAFETY * (all_ - np.append(0.0, few)))
-
-    def _pairs(
-        self, orbits: Sequence[OrbitState], met: NDArray[np.bool_], steps: int, maps: Array
-    ) -> dict[int, tuple[Array, Array]]:
-        """Matrices in so many steps along the orbits that are `met` and along the better ones, by place."""
-        better = {k: better for k in np.flatnonzero(met).tolist() if (better := orbits[k].better) is not None}
-        if not better:
-            return {}
-        (found,) = self.matrices([steps], list(better.values()))
-        return {k: (maps[k], matrix) for k, matrix in zip(better, found, strict=True)}
-
-
-def _combined(maps: Sequence[Array], weights: Array) -> Array:
-    """The sum of maps times weights, with one array beside it: those of long chains leave the cache."""
-    total, term = weights[0] * maps[0], np.empty_like(maps[0])
-    for weight, matrices in zip(weights[1:], maps[1:], strict=True):
-        np.multiply(matrices, weight, out=term)
-        total += term
-    return np.asarray(total)
-
-
-def _place(orbit: OrbitState, errors: Array, size: int) -> str:
-    """The orbit and the component, counted from 1, whose transition is least accurate, in words."""
-    components = np.linalg.norm(errors, axis=1)
-    component = int(np.argmax(np.nan_to_num(components, nan=np.inf))) % size + 1
-    return f"at site {component} of the orbit of Omega = {orbit.Omega:.10g}, parameter = {orbit.parameter:.10g}"
-
-
 # The splitting SRKN11b of order 6 (Blanes and Moan 2002): its coefficients, and its sequence of kicks and drifts ------
 
 SPLITTING_ORDER = 6
@@ -491,7 +330,6 @@ def srkn_step(model: OdeModel, h: ca.SX, parameters: ca.SX | float) -> tuple[ca.
 
 TINY_NUMBER = 1e-300
 NEGLIGIBLE_ENTRY = 1e-20  # of an entry of a transition matrix: entries farther from the diagonal are left out
-STEP_NUMBERS = (3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 
 
 class SplittingMap:
@@ -551,22 +389,147 @@ class SplittingMap:
         return min(jacobian.half_bandwidth * (int(k[small[0]]) if small.size else most), jacobian.size)
 
 
-class SplittingFlow(SteppedFlow):
-    """Transition matrices by the splitting, extrapolated to order 8, for models of second order.
+# Matrices in equal steps, extrapolated --------------------------------------------------------------------------------
+
+
+ROUND_OFF = 2e-14
+EXTRAPOLATION_SAFETY = 2.0  # the difference that another extrapolation makes is asymptotically the error itself
+LOWER_LEVEL_HEADROOM = 3.0  # of the tolerance over the error expected, before fewer steps are tried
+BATCH_ENTRIES = 20_000  # entries of a batch of transition matrices: they stay in the cache of a core
+
+
+@cache
+def extrapolation(steps: tuple[int, ...], orders: tuple[int, ...]) -> Array:
+    """Weights, with sum 1, of results in those numbers of steps that cancel errors of the given orders in 1/steps."""
+    rows = [[1.0] * len(steps), *([(steps[-1] / n) ** order for n in steps] for order in orders)]
+    weights = np.linalg.solve(np.array(rows), np.eye(len(steps))[0])
+    weights.flags.writeable = False  # kept and shared
+    return weights
+
+
+class SplittingFlow(FlowMap):
+    """Transition matrices of models of second order by the splitting at neighbouring numbers of steps, extrapolated.
+
+    The method's errors go with h^orders[0], h^orders[1], ... With one step number more than `orders` has entries, all
+    maps together give a matrix without any of these errors, and all but the coarsest one without all but the last:
+    that is the result, and the difference shows its error. The step numbers are chosen so that it meets the tolerance.
 
     Raises ValueError for a model that is not of second order with forces that depend on positions only.
     """
 
-    method, step_numbers = "splitting", STEP_NUMBERS
-    orders = (6, 8)
+    step_numbers = (3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
+    orders = (SPLITTING_ORDER, 8)
 
     def __init__(self, model: OdeModel, tolerance: float, frame: Array | None = None) -> None:
         if model.order != 2:
             raise ValueError(f"{model.name}: the splitting needs a model of second order; use cvodes")
         super().__init__(model, tolerance, frame)
+        self._maps: dict[int, SplittingMap] = {}
+        self._level = len(self.orders)  # of the finest map where the last orbits with `alike` met the tolerance
 
-    def _build(self, steps: int) -> SplittingMap:
-        return SplittingMap(self.jacobian, steps)
+    @cached_property
+    def jacobian(self) -> JacobianAlong:
+        """Derivative of the right-hand side along orbits."""
+        return JacobianAlong(self.model)
+
+    @property
+    def batch(self) -> int:  # type: ignore[override]
+        return max(1, 2 * (BATCH_ENTRIES // self.model.full_size**2))
+
+    def matrices(self, numbers: Sequence[int], orbits: Sequence[OrbitState]) -> list[Array]:
+        """Transition matrices in several numbers of steps, not extrapolated, shape (orbits, m, m) each."""
+        for steps in numbers:
+            self._maps[steps] = self._maps.get(steps) or SplittingMap(self.jacobian, steps)
+        maps = [self._maps[steps] for steps in numbers]
+        theta = 2.0 * np.pi * self.fraction * np.concatenate([step_map.fractions for step_map in maps])
+        groups = [(problem, list(those)) for problem, those in groupby(orbits, key=lambda orbit: orbit.problem)]
+        sampled = [self.jacobian.along(problem, np.stack([o.z for o in those]), theta) for problem, those in groups]
+        nonzeros = sampled[0] if len(sampled) == 1 else np.concatenate(sampled)
+        durations = self.durations(orbits)
+        ends = np.cumsum([step_map.fractions.size for step_map in maps])[:-1]
+        return [step(part, durations) for step, part in zip(maps, np.split(nonzeros, ends, axis=1), strict=True)]
+
+    def _transitions(self, orbits: Sequence[OrbitState], tolerance: float, alike: bool) -> list[Transition]:
+        level, results = self._level if alike else len(self.orders), list[Transition]()
+        for first in range(0, len(orbits), self.batch):
+            results += self._adapted(orbits[first : first + self.batch], tolerance, level)
+        while alike and len({found.steps for found in results}) > 1:
+            most = max(found.steps for found in results)
+            fewer = [i for i, found in enumerate(results) if found.steps < most]
+            again = self._adapted([orbits[i] for i in fewer], tolerance, self.step_numbers.index(most))
+            for i, found in zip(fewer, again, strict=True):
+                results[i] = found
+        if alike and results:  # a level lower where that may do for the next ones
+            level, error = self.step_numbers.index(results[0].steps), max(found.error for found in results)
+            higher = (self.step_numbers[level] / self.step_numbers[level - 1]) ** self.orders[-1]
+            self._level = max(level - (LOWER_LEVEL_HEADROOM * higher * error <= tolerance), len(self.orders))
+        return results
+
+    def _adapted(self, orbits: Sequence[OrbitState], tolerance: float, level: int) -> list[Transition]:
+        """From the `level` on, one by one, to that which is fine enough for each orbit, by its own errors.
+
+        The digits of an orbit then depend neither on the others given with it nor on those before.
+        """
+        done, unmet = dict[int, Transition](), ""
+        places, maps = np.arange(len(orbits)), dict[int, Array]()
+        while places.size:
+            if level == len(self.step_numbers):
+                raise FlowError(unmet)
+            those, steps = [orbits[i] for i in places.tolist()], self.step_numbers[: level + 1]
+            missing = [number for number in steps[-len(self.orders) - 1 :] if number not in maps]
+            maps |= dict(zip(missing, self.matrices(missing, those), strict=True))
+            matrices, errors = self._extrapolated(steps, maps)
+            with np.errstate(over="ignore", invalid="ignore"):
+                truncation, round_off = frobenius_norms(errors), ROUND_OFF * frobenius_norms(matrices)
+            met = truncation <= np.maximum(tolerance, round_off)
+            coarsest = steps[-len(self.orders) - 1]
+            pairs = self._pairs(those, met, coarsest, maps[coarsest])
+            for k in np.flatnonzero(met).tolist():
+                total = float(truncation[k] + round_off[k])
+                known = matrices[k], self.fraction, total, errors[k], pairs.get(k)
+                done[int(places[k])] = Transition(*known, steps[-1])
+            if not met.all():
+                worst = int(np.argmax(np.where(met, -np.inf, truncation)))
+                unmet = (
+                    f"the splitting leaves {truncation[worst]:.1e} with {steps[-1]} steps; requested: "
+                    f"{tolerance:.1e}; worst {_place(those[worst], errors[worst], self.model.size)}; try a larger "
+                    "tolerance or another flow (splitting, cvodes)"
+                )
+            places, maps, level = places[~met], {n: each[~met] for n, each in maps.items()}, level + 1
+        return [done[i] for i in range(len(orbits))]
+
+    def _extrapolated(self, steps: tuple[int, ...], maps: Mapping[int, Array]) -> tuple[Array, Array]:
+        """Extrapolated matrices from those in the last numbers of steps, and matrices like their errors."""
+        steps = steps[-len(self.orders) - 1 :]
+        few, all_ = extrapolation(steps[1:], self.orders[:-1]), extrapolation(steps, self.orders)
+        found = [maps[number] for number in steps]
+        return _combined(found[1:], few), _combined(found, EXTRAPOLATION_SAFETY * (all_ - np.append(0.0, few)))
+
+    def _pairs(
+        self, orbits: Sequence[OrbitState], met: NDArray[np.bool_], steps: int, maps: Array
+    ) -> dict[int, tuple[Array, Array]]:
+        """Matrices in so many steps along the orbits that are `met` and along the better ones, by place."""
+        better = {k: better for k in np.flatnonzero(met).tolist() if (better := orbits[k].better) is not None}
+        if not better:
+            return {}
+        (found,) = self.matrices([steps], list(better.values()))
+        return {k: (maps[k], matrix) for k, matrix in zip(better, found, strict=True)}
+
+
+def _combined(maps: Sequence[Array], weights: Array) -> Array:
+    """The sum of maps times weights, with one array beside it: those of long chains leave the cache."""
+    total, term = weights[0] * maps[0], np.empty_like(maps[0])
+    for weight, matrices in zip(weights[1:], maps[1:], strict=True):
+        np.multiply(matrices, weight, out=term)
+        total += term
+    return np.asarray(total)
+
+
+def _place(orbit: OrbitState, errors: Array, size: int) -> str:
+    """The orbit and the component, counted from 1, whose transition is least accurate, in words."""
+    components = np.linalg.norm(errors, axis=1)
+    component = int(np.argmax(np.nan_to_num(components, nan=np.inf))) % size + 1
+    return f"at site {component} of the orbit of Omega = {orbit.Omega:.10g}, parameter = {orbit.parameter:.10g}"
 
 
 # Transition matrices by SUNDIALS CVODES with forward sensitivities (Hindmarsh et al. 2005), for any model -------------

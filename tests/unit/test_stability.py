@@ -142,36 +142,25 @@ def test_a_reversible_orbit_that_is_not_odd_has_the_multipliers_of_its_monodromy
 
 
 @pytest.mark.parametrize(
-    ("sites", "mode", "g", "S"),
-    [(3, 1, -1.0, 1.2), (3, 2, 1.0, 4.0), (6, 1, -1.0, 0.8), (6, 4, 1.0, 3.0), (6, 6, 1.0, 3.0), (3, 3, -1.0, 2.0)],
+    ("sites", "mode", "gamma", "g", "S"),
+    [(3, 1, 0.3, -1.0, 1.2), (3, 3, 0.3, -1.0, 2.0), (6, 4, 0.3, 1.0, 3.0), (4, 2, -0.4, 1.0, 5.0)],
 )
-def test_multipliers_are_the_eigenvalues_of_the_physical_monodromy_matrix(
-    sites: int, mode: int, g: float, S: float
-) -> None:
-    orbit = followed(Chain(sites, 1.0, 0.3, g), mode, S, 1e-11).at(S)
-    eigenvalues = np.linalg.eigvals(physical_monodromy(orbit))
-    found = orbit.floquet().multipliers
-    np.testing.assert_array_equal(found[:2], [1.0, 1.0])
-    # The trivial pair of the matrix is lost to the root of its errors; the others are not.
-    assert set_distance(without_trivial_pair(eigenvalues), without_trivial_pair(found)) < 2e-8
-    assert set_distance(eigenvalues, found) < 1e-4
-
-
-@pytest.mark.parametrize(
-    ("sites", "mode", "gamma", "g", "S"), [(3, 1, 0.3, -1.0, 1.2), (6, 4, 0.3, 1.0, 3.0), (4, 2, -0.4, 1.0, 5.0)]
-)
-def test_floquet_vectors_are_eigenvectors_of_the_physical_monodromy_matrix(
+def test_multipliers_and_vectors_are_those_of_the_physical_monodromy_matrix(
     sites: int, mode: int, gamma: float, g: float, S: float
 ) -> None:
     orbit = followed(Chain(sites, 1.0, gamma, g), mode, S, 1e-11).at(S)
     M, vectors, multipliers = physical_monodromy(orbit), orbit.floquet_vectors(), orbit.floquet().multipliers
+    np.testing.assert_array_equal(multipliers[:2], [1.0, 1.0])
+    # The trivial pair of the matrix is lost to the root of its errors; the others are not.
+    eigenvalues = np.linalg.eigvals(M)
+    assert set_distance(without_trivial_pair(eigenvalues), without_trivial_pair(multipliers)) < 2e-8
+    assert set_distance(eigenvalues, multipliers) < 1e-4
     assert vectors.shape == (2 * sites, 2 * sites)
     np.testing.assert_allclose(np.abs(vectors).max(axis=0), 1.0, atol=1e-14)
     for k in (0, *range(2, 2 * sites)):
         np.testing.assert_allclose(M @ vectors[:, k], multipliers[k] * vectors[:, k], rtol=0, atol=3e-8)
     # The first is the velocity of the flow; the second moves along the family, and the period with it.
-    velocity = np.concatenate([np.zeros(sites), np.ones(sites)]) * vectors[:, 0]
-    np.testing.assert_array_equal(velocity, vectors[:, 0])
+    np.testing.assert_array_equal(vectors[:sites, 0], 0.0)
     along = M @ vectors[:, 1] - vectors[:, 1]
     parallel = (along @ vectors[:, 0].conj()) / (vectors[:, 0] @ vectors[:, 0].conj()) * vectors[:, 0]
     np.testing.assert_allclose(along, parallel, rtol=0, atol=1e-7)
