@@ -396,7 +396,8 @@ class Walk:
                 self.stop(End.REACHED)
             if self.end is not None:
                 return
-        self.stop(end, words)
+        if self.end is None:
+            self.stop(end, words)
 
     def _found(self, before: Point, after: Point, points: Sequence[Point]) -> list[Point]:
         """The points of a stretch in order, special ones among them; the end is set where one cannot be located."""
