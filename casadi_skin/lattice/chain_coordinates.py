@@ -20,8 +20,8 @@ from casadi_skin.lattice.lattice import Core, LongLattice, nonlinear_cells
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.model.methods import EVERY_SITE, PAYS_FROM, TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.zero.cosines import cosine_matrix, quarter_phases
-from casadi_skin.zero.family import Coordinates, Localised, normalised, numbered, shift_by_projection
+from casadi_skin.zero.cosines import cosine_matrix
+from casadi_skin.zero.family import Coordinates, Localised, normalised, numbered
 from casadi_skin.zero.model_coordinates import FIRST, LAST, check_harmonics
 from casadi_skin.zero.problem import Array, Indices, Problem
 from casadi_skin.zero.settings import Point
@@ -227,38 +227,14 @@ class FullChain(OfChain, Coordinates):
         return self.chain.band()
 
     @cached_property
-    def _wave(self) -> Array:
-        return standing_wave(self.core.sites, self._core_mode)
-
-    @cached_property
     def mode(self) -> Array:
-        return normalised(self._wave, self.core.rho)
-
-    @property
-    def linear_profile(self) -> tuple[Array, Array]:
-        wave, largest = self._wave, np.argmax(np.abs(self._wave))
-        sizes = np.where(np.abs(wave) > 1e-13, np.abs(wave), 0.0)
-        with np.errstate(divide="ignore"):
-            logs = (np.log(sizes) + self.log_scale) / np.log(10.0)
-        signs = np.sign(wave) * np.sign(self.mode[largest] * wave[largest])
-        return logs - np.log10(np.linalg.norm(self.chain.right_eigenvector(self.mode_number))), signs
+        return normalised(standing_wave(self.core.sites, self._core_mode), self.core.rho)
 
     def log_solved(self, point: Point, z: Array, smallest: float) -> tuple[Array, Array]:
         return continued_logarithms(self.core, point, z, smallest)
 
-    def Omega_shift(self, problem: Problem, z: Array) -> float:
-        """From the cubic term and the positions, each its fundamental projected on the mode in the gauge.
-
-        Their ratio is (Omega^2 - omega_j^2)/kappa in the equations of the fundamental, with no cancellation.
-        """
-        nodes = max(32, 2 * problem.resolution)
-        theta = quarter_phases(nodes)
-        q, cosine = problem.sample(z, theta), np.cos(theta)
-        fundamental = (2.0 / nodes) * (cosine @ q)
-        cubic = (2.0 / nodes) * float(cosine @ (self.core.weights * q**3) @ self._wave)
-        size = float(np.linalg.norm(fundamental) * np.linalg.norm(self._wave))
-        nonlinear, overlap = float(z[problem.parameter_index]) * cubic, float(fundamental @ self._wave)
-        return shift_by_projection(problem.frequency(z), self.frequency, nonlinear, overlap, size)
+    def nonlinear_forces(self, q: Array, parameter: float) -> Array:
+        return -parameter * self.core.weights * q**3
 
 
 class EdgeSite(FullChain):

@@ -574,10 +574,14 @@ class CoreWithTail(ModelCoordinates):
         if mode.edge == place.edge and self.edge_mode.pinned and outside:
             return float((place.off - mode.off) / (Omega + self.frequency))
         theta, site = quarter_phases(2 * max(32, problem.resolution)), self.attached
-        nonlinear, overlap, size = self._projections(problem, z, theta, self.mode)
+        nonlinear, overlap, size = self.projections(problem, z, theta)
         beyond = self._tail_overlap(place, problem.values(z).phi[0])
         overlap += problem.coefficients(z)[site, 0] * self.mode[site] * beyond
         return float(shift_by_projection(Omega, self.frequency, nonlinear, overlap, size))
+
+    @property
+    def left_mode(self) -> Array:
+        return self.mode
 
     def _tail_overlap(self, place: Place, phi: float) -> float:
         """Sum of products of two waves' amplitudes over the tail, relative to that at the core's site."""

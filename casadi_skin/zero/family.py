@@ -26,7 +26,9 @@ from casadi_skin.model.arguments import number, numbers, short_repr, whole
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.methods import COLLOCATION_TABLES, FLOWS, SHOOTING, TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.polynomial import NotPolynomialError
 from casadi_skin.model.result import NoQuantityError
+from casadi_skin.zero.cosines import PolynomialForm, quarter_phases
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar
 from casadi_skin.zero.settings import ContinuationSettings, Target
 
@@ -241,8 +243,31 @@ class Coordinates(ABC):
         return float(self._hamiltonian(q, np.zeros(q.size), z[problem.parameter_index]))
 
     @abstractmethod
+    def nonlinear_forces(self, q: Array, parameter: float) -> Array:
+        """The scaled forces without their linear part, at places q, shape (places, scaled positions)."""
+
+    @property
+    def left_mode(self) -> Array:
+        """The left eigenvector of the linear mode, shape (scaled positions,)."""
+        return self.mode
+
+    def projections(self, problem: Problem, z: Array, theta: Array) -> tuple[float, float, float]:
+        """Nonlinear forces and positions of the fundamental, projected on the linear mode, and a bound of the second.
+
+        `theta` are midpoints of equal parts of the period's quarter or half.
+        """
+        q, cosine, left = problem.sample(z, theta), 2.0 / theta.size * np.cos(theta), self.left_mode
+        forces, fundamental = self.nonlinear_forces(q, float(z[problem.parameter_index])), cosine @ q
+        size = float(np.linalg.norm(fundamental) * np.linalg.norm(left))
+        return -float(cosine @ forces @ left), float(fundamental @ left), size
+
     def Omega_shift(self, problem: Problem, z: Array) -> float:
-        """Omega minus the linear frequency, formed without subtraction where the shift is small."""
+        """Omega minus the linear frequency, formed without subtraction where the shift is small.
+
+        The fundamental of the equations, projected on the linear mode, has it without cancellation.
+        """
+        theta = 2.0 * quarter_phases(max(64, 4 * problem.resolution))
+        return shift_by_projection(problem.frequency(z), self.frequency, *self.projections(problem, z, theta))
 
     @property
     def free_motions(self) -> Array:
@@ -579,9 +604,6 @@ class FamilyRequest:
 
 def is_polynomial(coordinates: Coordinates) -> bool:
     """Whether the scaled equations have a power series that the recursion of the branch can compute."""
-    from casadi_skin.model.polynomial import NotPolynomialError
-    from casadi_skin.zero.cosines import PolynomialForm
-
     try:
         PolynomialForm.of(coordinates.scaled)
     except NotPolynomialError:

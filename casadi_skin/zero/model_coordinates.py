@@ -19,9 +19,8 @@ from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
-from casadi_skin.zero.cosines import quarter_phases
-from casadi_skin.zero.family import Coordinates, Method, shift_by_projection
-from casadi_skin.zero.problem import EPSILON, Array, Buffers, Problem
+from casadi_skin.zero.family import Coordinates, Method
+from casadi_skin.zero.problem import EPSILON, Array, Buffers
 from casadi_skin.zero.statement import named_values
 
 SYMMETRY_RTOL = 1e-12  # relative difference of entries that are the same but for rounding
@@ -555,35 +554,23 @@ class ModelCoordinates(Coordinates):
 
     # Quantities -----------------------------------------------------------------------------------------------------
 
-    def _nonlinear(self, nodes: int) -> Buffers:
-        """The scaled forces without their linear part, at places (q, p), one row each."""
-        if nodes not in self._mapped:
+    def nonlinear_forces(self, q: Array, parameter: float) -> Array:
+        if len(q) not in self._mapped:
             scaled = self.scaled
-            q, p = scaled.state, scaled.parameters
-            linear = ca.SX(ca.DM(self.modes.stiffness)) @ q
-            rest = scaled.rhs + linear if self._parts is None else self._nonlinear_parts(q, p)
-            self._mapped[nodes] = Buffers(ca.Function("N", [q, p], [ca.densify(rest)]).map(nodes), nodes)
-        return self._mapped[nodes]
+            state, p = scaled.state, scaled.parameters
+            linear = ca.SX(ca.DM(self.modes.stiffness)) @ state
+            rest = scaled.rhs + linear if self._parts is None else self._nonlinear_parts(state, p)
+            function = ca.Function("N", [state, p], [ca.densify(rest)])
+            self._mapped[len(q)] = Buffers(function.map(len(q)), len(q))
+        return np.asarray(self._mapped[len(q)](q, np.array(parameter))[0].reshape(q.shape))
 
     @cached_property
     def _mapped(self) -> dict[int, Buffers]:
         return {}
 
-    def _projections(self, problem: Problem, z: Array, theta: Array, left: Array) -> tuple[float, float, float]:
-        """Nonlinear forces and positions of the fundamental, projected on a vector, and a bound of the second.
-
-        `theta` are midpoints of equal parts of the period's quarter or half.
-        """
-        q, cosine = problem.sample(z, theta), 2.0 / theta.size * np.cos(theta)
-        forces, fundamental = self._nonlinear(theta.size)(q, z[problem.parameter_index])[0].reshape(q.shape), cosine @ q
-        size = float(np.linalg.norm(fundamental) * np.linalg.norm(left))
-        return -float(cosine @ forces @ left), float(fundamental @ left), size
-
-    def Omega_shift(self, problem: Problem, z: Array) -> float:
-        """From the fundamental of the equations, projected on the linear mode: without cancellation."""
-        theta, left = 2.0 * quarter_phases(max(64, 4 * problem.resolution)), self.modes.left[self.mode_number - 1]
-        by_projection = self._projections(problem, z, theta, left)
-        return shift_by_projection(problem.frequency(z), self.frequency, *by_projection)
+    @property
+    def left_mode(self) -> Array:
+        return np.asarray(self.modes.left[self.mode_number - 1])
 
 
 def coordinates_of_model(
