@@ -90,8 +90,8 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
     "OdeModel": {
         "equations_of_motion": "dynamics.evolution:model_equations",
         "family_coordinates": "zero.model_coordinates:coordinates_of_model",
-        "linear_frequencies": "lattice.spectrum:frequencies_of_model",
-        "linear_spectrum": "lattice.spectrum:spectrum_of_model",
+        "linear_frequencies": "zero.model_coordinates:frequencies_of_model",
+        "linear_spectrum": "zero.model_coordinates:spectrum_of_model",
         "searched_family": "optimise.families:model_family",
     },
     "Chain": {

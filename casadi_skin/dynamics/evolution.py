@@ -20,13 +20,12 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq
 
 from casadi_skin.lattice.chain import Chain, check_no_parameters
-from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.expressions import at_instants, instants
 from casadi_skin.model.integrators import IntegrationError, stiff_cvodes
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import NoQuantityError, Result
-from casadi_skin.zero.model_coordinates import scale_of_couplings
+from casadi_skin.zero.model_coordinates import linear_spectrum, scale_of_couplings
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.statement import named_values
 

@@ -17,9 +17,9 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.declaration import FIXED, PERIODIC, Array
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import lattice_modes
-from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.result import Result
+from casadi_skin.zero.model_coordinates import linear_spectrum
 from casadi_skin.zero.statement import named_values
 
 

@@ -25,14 +25,13 @@ from casadi_skin.follow.events import StabilityChange
 from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import SpecialPoint, folds_of_family, special_point
-from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.model.arguments import cut, number, short_repr, whole
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.result import Result
 from casadi_skin.solve.watch import Budget, TimeLimitError
 from casadi_skin.stability.tongues.diagram import Place, StabilityDiagram, StabilityEdge
 from casadi_skin.zero.kinds import EDGE, FOLD, STABILITY, Unresolved, count_in_words
-from casadi_skin.zero.model_coordinates import nearest_resonance
+from casadi_skin.zero.model_coordinates import linear_spectrum, nearest_resonance
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import End, Point
 

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.point import PointSolver, interpolant, newton_steps
-from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.watch import check_time_limit, one_thread
 from casadi_skin.stability.flows import OrbitState, Transition
@@ -32,6 +31,7 @@ from casadi_skin.stability.tongues.hill import Hill, Layout
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError, Samples
 from casadi_skin.stability.tongues.localised import find_localised_changes
 from casadi_skin.zero.kinds import Unresolved
+from casadi_skin.zero.model_coordinates import linear_spectrum
 from casadi_skin.zero.problem import Array, Problem
 from casadi_skin.zero.settings import End, Point, Refinement
 

@@ -41,15 +41,19 @@ from casadi_skin.solve.newton import (
 )
 from casadi_skin.solve.watch import TimeLimitError, one_thread, watched
 from casadi_skin.zero.family import Method
-from casadi_skin.zero.guesses import Guess, along_the_guess, is_straight, over_its_own_period, sampled
 from casadi_skin.zero.orbit import (
     GUESS_SAMPLES,
     TWO_PI,
     UNFOLDING,
+    Guess,
     OrbitRequest,
     Periodic,
     Sizes,
+    along_the_guess,
     boundary_method,
+    is_straight,
+    over_its_own_period,
+    sampled,
     statement_of,
 )
 from casadi_skin.zero.problem import Array, SingularError

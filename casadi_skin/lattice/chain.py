@@ -19,13 +19,12 @@ import numpy as np
 from casadi_skin.lattice import closed_forms as linear
 from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.lattice.declaration import FIXED, Bond, Declaration, Site
-from casadi_skin.lattice.spectrum import LinearSpectrum, of_norm_one
 from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.expressions import expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import NotPolynomialError, polynomial_terms
 from casadi_skin.model.result import WithVerbs
-from casadi_skin.zero.model_coordinates import FIRST, LAST, number_of_mode
+from casadi_skin.zero.model_coordinates import FIRST, LAST, LinearSpectrum, number_of_mode, of_norm_one
 
 
 def _is_whole(number: object) -> bool:

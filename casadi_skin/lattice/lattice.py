@@ -17,12 +17,11 @@ import numpy as np
 from casadi_skin.lattice.chain import WithOwnParameters, declared_chain
 from casadi_skin.lattice.declaration import FIXED, PERIODIC, Array, Bond, Declaration, Site, Uniform, Value, listed
 from casadi_skin.lattice.equations import Equations, Structure, forcing_period_of, structure_of
-from casadi_skin.lattice.spectrum import LinearSpectrum
 from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.model.arguments import check_name, short_repr
 from casadi_skin.model.formula import Number
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.zero.model_coordinates import FIRST, LAST, number_of_mode, symmetrising_scale
+from casadi_skin.zero.model_coordinates import FIRST, LAST, LinearSpectrum, number_of_mode, symmetrising_scale
 from casadi_skin.zero.statement import named_values
 
 if TYPE_CHECKING:

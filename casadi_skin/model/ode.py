@@ -72,9 +72,9 @@ class OdeModel(Equations, WithVerbs):
     family_coordinates: ClassVar[Callable[..., Any]]
     """Coordinates of the family that grows from a linear mode; see `follow_family`."""
     linear_frequencies: ClassVar[Callable[..., Any]]
-    """Frequencies of its linear modes; see `lattice.spectrum`."""
+    """Frequencies of its linear modes; see `zero.model_coordinates`."""
     linear_spectrum: ClassVar[Callable[..., Any]]
-    """Its linear modes; see `lattice.spectrum`."""
+    """Its linear modes; see `zero.model_coordinates`."""
 
     searched_family: ClassVar[Callable[..., Any]]
     """One mode's family with parameters free; see `search_orbit`."""

@@ -24,7 +24,7 @@ from casadi_skin.optimise.nlp import FLAT_CURVATURE, Limits, Nlp, Optimality, So
 from casadi_skin.optimise.search_problem import Condition
 from casadi_skin.solve.ipopt import SOLVED_STATUS, nlp_reason
 from casadi_skin.solve.levels import ERROR_SAFETY
-from casadi_skin.zero.guesses import Guess
+from casadi_skin.zero.orbit import Guess
 from casadi_skin.zero.problem import Array, Indices
 from casadi_skin.zero.settings import ErrorEstimate, Point
 from casadi_skin.zero.stated_problem import BoundaryProblem, stated

@@ -28,8 +28,7 @@ from casadi_skin.optimise.search_problem import (
     free_names,
     sampled_starts,
 )
-from casadi_skin.zero.guesses import Guess, sampled
-from casadi_skin.zero.orbit import Sizes
+from casadi_skin.zero.orbit import Guess, Sizes, sampled
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.stated_problem import PERIOD, stated
 from casadi_skin.zero.statement import Statement, check_expressions, named_values

@@ -23,7 +23,7 @@ from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
     from casadi_skin.lattice.lattice import Lattice, LongLattice
-    from casadi_skin.zero.guesses import Guess
+    from casadi_skin.zero.orbit import Guess
     from casadi_skin.zero.statement import BoundaryValueProblem
 
 
@@ -298,7 +298,7 @@ def _of_perturbation(request: Request) -> Rules:
 
 def check_spectrum(request: Request) -> None:
     """Raises SceneError where linear frequencies cannot be shown; those of a lattice are written as they are."""
-    from casadi_skin.lattice.spectrum import linear_frequencies
+    from casadi_skin.zero.model_coordinates import linear_frequencies
 
     if request.scene.lattice is None:
         chain = request.scene.chain

@@ -225,9 +225,9 @@ def spectrum(arguments: argparse.Namespace) -> int:
     scene, text = _scene(arguments)
     frequencies = None if arguments.out is not None else _closed_form(scene)
     if frequencies is None:
-        from casadi_skin.lattice.spectrum import linear_frequencies
         from casadi_skin.runs.binding import bound, check_spectrum
         from casadi_skin.runs.rules import SceneError
+        from casadi_skin.zero.model_coordinates import linear_frequencies
 
         request = bound(scene, arguments.scene)
         try:

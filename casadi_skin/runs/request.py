@@ -20,7 +20,7 @@ from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
     from casadi_skin.optimise.family_search import FamilySearch
-    from casadi_skin.zero.guesses import Guess
+    from casadi_skin.zero.orbit import Guess
     from casadi_skin.zero.statement import BoundaryValueProblem
 
 Numbers = Sequence[float] | Mapping[str, float]  # states in order, or by name

@@ -14,7 +14,6 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.follow.special_points import SpecialPoint
-from casadi_skin.lattice.spectrum import linear_frequencies
 from casadi_skin.model.files import replacing
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.results import figures
@@ -37,6 +36,7 @@ from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.family import TWO_PI
+from casadi_skin.zero.model_coordinates import linear_frequencies
 from casadi_skin.zero.stated_problem import PERIOD
 
 if TYPE_CHECKING:

@@ -1,6 +1,7 @@
 """Families of any model of second order that rests at 0: its linear modes and the coordinates of their families.
 
-Positions are scaled so that couplings are symmetric, where there is such a scale.
+Positions are scaled so that couplings are symmetric, where there is such a scale. Linear spectra are those of chains,
+lattices and models alike.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -592,3 +594,85 @@ def _homogeneous(force: ca.SX, state: ca.SX) -> dict[int, ca.SX] | None:
         return {degree: part for degree, part in homogeneous_parts(force, state).items() if degree}
     except NotPolynomialError:
         return None
+
+
+# Linear spectra -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSpectrum:
+    """Linear modes about rest.
+
+    Attributes:
+        squares: of the frequencies, ascending, shape (modes,); none of a lattice of infinite length.
+        ends: squares of the lowest and the highest frequency.
+        mode: function of the number of a mode, from 1, to its displacements at all positions: of norm 1, the largest
+            positive.
+        cutoffs: squares of the limits of the frequencies of an infinitely long lattice; None where these are not known.
+        bands: squares of the ends of its bands, where there are several.
+    """
+
+    squares: Array
+    ends: tuple[float, float]
+    mode: Callable[[int], Array]
+    cutoffs: tuple[float, float] | None = None
+    bands: tuple[tuple[float, float], ...] = ()
+
+
+def linear_spectrum(model: Any, parameters: Mapping[str, float] | None = None) -> LinearSpectrum:
+    """The linear spectrum of a model.
+
+    Arguments:
+        model: a `Chain`, or an `OdeModel` of second order with an equilibrium at 0.
+        parameters: values of the parameters of an `OdeModel`, where they are not its nominal ones.
+
+    Returns:
+        Frequencies and modes.
+
+    Raises:
+        ValueError: the model has no such modes.
+    """
+    found: LinearSpectrum = model.linear_spectrum(parameters)
+    return found
+
+
+def spectrum_of_model(model: OdeModel, parameters: Mapping[str, float] | None = None) -> LinearSpectrum:
+    """`linear_spectrum` of an `OdeModel`."""
+    modes = modes_of(model, parameters or {})
+    scale = np.exp(modes.log_scale)
+
+    def displacements(mode: int) -> Array:
+        return of_norm_one(scale * modes.modes[:, mode - 1])
+
+    return LinearSpectrum(modes.squares, (float(modes.squares[0]), float(modes.squares[-1])), displacements)
+
+
+def of_norm_one(displacements: Array) -> Array:
+    """Displacements scaled to norm 1, the largest positive, shape (positions,)."""
+    largest = displacements[np.argmax(np.abs(displacements))]
+    return np.asarray(displacements / np.linalg.norm(displacements) * np.sign(largest))
+
+
+def linear_frequencies(model: Any, parameters: Mapping[str, float] | None = None) -> Array:
+    """Frequencies of all linear modes in ascending order.
+
+    Arguments:
+        model: a `Chain`, or an `OdeModel` of second order with an equilibrium at 0.
+        parameters: values of the parameters of an `OdeModel`, where they are not its nominal ones.
+
+    Returns:
+        Shape (modes,).
+
+    Raises:
+        ValueError: the model has no such modes, or the lowest does not oscillate.
+    """
+    return np.asarray(model.linear_frequencies(parameters), dtype=float)
+
+
+def frequencies_of_model(model: OdeModel, parameters: Mapping[str, float] | None = None) -> Array:
+    """`linear_frequencies` of an `OdeModel`."""
+    squares = spectrum_of_model(model, parameters).squares
+    if squares[0] < 0:
+        words = f"mode 1 of {model.name} does not oscillate: omega^2 = {squares[0]:.6g}"
+        raise ValueError(f"{words}; accepted: omega^2 >= 0")
+    return np.sqrt(squares)

@@ -176,7 +176,7 @@ def test_a_guess_in_the_layout_of_scipy() -> None:
     np.testing.assert_array_equal(ours, scipys)
     np.testing.assert_array_equal(WANTED.solve([list(t), rows.T.tolist()]).states, ours)
     two = np.array([[0.0, 2.0], [3.0, 5.0]])  # as many times as states: rows are times, as the documentation has it
-    from casadi_skin.zero.guesses import sampled
+    from casadi_skin.zero.orbit import sampled
 
     np.testing.assert_array_equal(sampled(WANTED, ([0.0, 1.0], two), np.array([0.0, 1.0])), two)
 

@@ -245,7 +245,7 @@ GUESSES: dict[str, tuple[Any, Any]] = {  # each with its states at T
 
 @pytest.mark.parametrize("kind", GUESSES)
 def test_every_kind_of_guess_is_what_it_says_and_leads_to_the_solution(kind: str) -> None:
-    from casadi_skin.zero.guesses import sampled
+    from casadi_skin.zero.orbit import sampled
 
     guess, states = GUESSES[kind]
     found = sampled(bratu(), guess, T)

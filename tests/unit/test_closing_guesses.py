@@ -12,7 +12,7 @@ from scipy.optimize import root
 
 from casadi_skin.follow.find import find_orbit
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.zero.guesses import over_its_own_period
+from casadi_skin.zero.orbit import over_its_own_period
 
 TWO_PI, ZERO = 2.0 * np.pi, np.zeros(2)
 NAMES = ("x", "y")

@@ -9,7 +9,6 @@ import numpy as np
 
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import Bands, bands, brillouin_zone, lattice_modes, winding_numbers
-from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.results.figures.style import (
     LINE_DASHES,
     MARKED_SITES,
@@ -21,6 +20,7 @@ from casadi_skin.results.figures.style import (
     style,
     title,
 )
+from casadi_skin.zero.model_coordinates import linear_spectrum
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

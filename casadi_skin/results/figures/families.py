@@ -10,7 +10,6 @@ import numpy as np
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.linear import band_edges, lattice_modes
-from casadi_skin.lattice.spectrum import linear_spectrum
 from casadi_skin.results.figures.branches import Pieces, draw_changes, draw_marks, draw_pieces, stability_pieces
 from casadi_skin.results.figures.multipliers import frequency_pieces, requested, shade_unresolved
 from casadi_skin.results.figures.style import (
@@ -29,6 +28,7 @@ from casadi_skin.results.figures.style import (
     style,
     title,
 )
+from casadi_skin.zero.model_coordinates import linear_spectrum
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
