@@ -14,7 +14,7 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.follow import Following, Walk, following_space, monitored_space
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.space import FAMILY, SolutionSpace
+from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.results.branch_records import (
     BranchRecord,
@@ -26,7 +26,7 @@ from casadi_skin.results.branch_records import (
     stability_record,
 )
 from casadi_skin.results.journal import Journal
-from casadi_skin.runs.parts import Offshoots, is_orbit
+from casadi_skin.runs.parts import Offshoots
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.solve.watch import watched
@@ -60,11 +60,6 @@ class Branches:
     def _with_stability(self) -> bool:
         return self.request.scene.stability is not None
 
-    @property
-    def _with_events(self) -> bool:
-        stability = self.request.scene.stability
-        return stability is not None and stability.events
-
     def follow_all(self, path: Path) -> None:
         """Follow every branch, with every solution in the journal at `path` before anything else happens to it."""
         with Journal(path, msgspec.msgpack.Decoder(BranchRecord)) as journal:
@@ -77,7 +72,7 @@ class Branches:
         try:
             for name, space in self._spaces(journal):
                 started = time.perf_counter()
-                with self.named(f"mode {name}: " if space.connects == FAMILY else ""):
+                with self.named(f"mode {name}: " if space.is_family else ""):
                     self._follow(name, space, journal)
                     self._seek_changes(name, self.branches[-1])
                 self.seconds.append(time.perf_counter() - started)
@@ -116,7 +111,7 @@ class Branches:
 
     def _seek_changes(self, name: str, branch: Branch) -> None:
         """Every change of stability of a family, and resonances passed over, where the scene requests events."""
-        if branch.with_events and branch.space.connects == FAMILY:
+        if branch.with_events and branch.space.is_family:
             self.progress.say(f"j = {name}: changes of stability")
             branch.diagram_of_changes  # noqa: B018  computed once, and kept by the branch
             branch.passed_resonances  # noqa: B018  likewise
@@ -176,6 +171,7 @@ class Branches:
 
         An interruption may come before a result is handed over: its row is added then.
         """
+        stability = self.request.scene.stability
         with interrupts_deferred():
             known = known_of(journal.records, name, space, self._with_stability and not space.stability_included)
         if known.fault:
@@ -187,7 +183,7 @@ class Branches:
             journal.append(point_record(name, point, walk, self._with_stability))
 
         following = Following(
-            space, self._with_stability, self._with_events, known.solutions,
+            space, self._with_stability, stability is not None and stability.events, known.solutions,
             waiting=known.waiting, missed=known.missed, keep=keep, unresolved=known.unresolved,
         )  # fmt: skip
         self.show(name, following.solutions, space)
@@ -198,7 +194,7 @@ class Branches:
             for result in following:
                 point = result.point  # one that its neighbours' multipliers lead to is sought again
                 sought_again = point.special and not (point.located or point.requested)
-                periodic = is_orbit(result) or result.known_floquet is not None
+                periodic = result.is_orbit or result.known_floquet is not None
                 if periodic and self._with_stability and not sought_again:
                     journal.append(stability_record(name, result))
                 self.show(name, following.solutions, space)

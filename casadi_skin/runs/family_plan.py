@@ -41,7 +41,7 @@ def chain_lines(scene: Scene) -> Lines | None:
     asked = [name for name in (*KNOWN_TABLES, *_OTHER_TABLES) if getattr(scene, name) is not None]
     if chain is None or family is None or not set(asked) <= set(KNOWN_TABLES) or scene.accuracy.certify:
         return None
-    modes = family.modes(chain.sites)
+    modes = [int(mode) for mode in scene.modes()]
     named = MethodTable(corrector=scene.method.corrector, flow=scene.method.flow)
     usual = scene.method == named and (scene.stability is None or scene.stability.sites is None)
     if not usual or not _has_full_chain(chain, family):

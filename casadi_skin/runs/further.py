@@ -17,7 +17,7 @@ from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.points.switch import leaving_space
 from casadi_skin.results.branch_records import EdgeRecord, Records
 from casadi_skin.results.saving import restored, saved
-from casadi_skin.runs.parts import Offshoots, ended_well, is_orbit, mode_of
+from casadi_skin.runs.parts import Offshoots, ended_well, mode_of
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.scene import ContinuationTable
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, TORUS
@@ -132,7 +132,7 @@ def further_spaces(
     for place, point in further.reached:
         passed = any(_passes(curve, point) for curve in curves)
         crossing = point.kind == BRANCH_POINT and point.mu is None
-        at_rest = point.kind == HOPF and is_orbit(point.solution)  # cycles have shrunk: their own branch has the curve
+        at_rest = point.kind == HOPF and point.solution.is_orbit  # cycles have shrunk: their own branch has the curve
         if table.curve is not None and (point.kind in FOLLOWED_KINDS or crossing) and not at_rest and not passed:
             try:
                 space = curve_space(point, table.curve.parameter, table.curve.to, at=(), **options)  # type: ignore[arg-type]

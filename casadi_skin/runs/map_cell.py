@@ -26,7 +26,7 @@ import numpy as np
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.optimise.names import FREE, NAMED
-from casadi_skin.optimise.search import SearchResult
+from casadi_skin.optimise.search import SearchResult, search
 from casadi_skin.results.quantities import (
     FAMILY_ERRORS,
     FAMILY_PROOFS,
@@ -304,9 +304,8 @@ class Computer:
         scene, meanings = scene_at(self.tables, task.settings, task.amplitudes), dict[str, str]()
         request = bind(started_at(scene, task), Path(self.path), self._files)
         if scene.search is not None:
-            from casadi_skin.runs.tasks import Search
-
-            result = Search(request).searched()
+            problem, table = request.searched, scene.search
+            result = search(problem, problem.starts(table.starts, table.seed), deflate=table.deflate)
             return [Row(_kept(_of_search(result), meanings), "" if result.found else result.reason)], meanings
         branches, fault = followed(request)
         return list(rows_of(branches, fault, task.amplitudes, self.growth, meanings)), meanings

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec
+from typing import TYPE_CHECKING, Any
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.space import FAMILY, ORBITS
 from casadi_skin.results.dataset import versions
 from casadi_skin.results.figures.style import save
 from casadi_skin.runs.request import Request
@@ -21,19 +19,11 @@ if TYPE_CHECKING:
 
     from casadi_skin.points.edges import EdgeCurve
 
-Arguments = ParamSpec("Arguments")
 
-
-def picture(
-    scene: Scene,
-    stem: Path,
-    draw: Callable[Arguments, Figure | None],
-    *arguments: Arguments.args,
-    **options: Arguments.kwargs,
-) -> None:
+def picture(scene: Scene, stem: Path, draw: Callable[..., Figure | None], *shown: Any, **options: Any) -> None:
     """Draw a figure and write it as `stem`.png and so on; a scene without formats draws nothing."""
     if scene.figures.formats:
-        figure = draw(*arguments, **options)
+        figure = draw(*shown, **options)
         if figure is not None:
             save(figure, stem, scene.figures.formats)
 
@@ -41,9 +31,8 @@ def picture(
 def origin(request: Request, scene_text: str, branch: Branch | None = None) -> dict[str, float | str]:
     """The request, its model, and the versions that computed it."""
     known: dict[str, float | str] = {"title": request.scene.title or "", "scene": scene_text, **versions()}
-    if branch is not None and branch.space.connects == FAMILY and request.scene.chain is not None:
-        space: Any = branch.space
-        return {**known, **space.coordinates.attributes}
+    if branch is not None and branch.space.is_family and request.scene.chain is not None:
+        return {**known, **branch.space.coordinates.attributes}
     if request.scene.chain is not None:
         chain = request.scene.chain
         return {**known, "sites": chain.sites, "alpha": chain.alpha, "gamma": chain.gamma, "g": chain.g}
@@ -54,30 +43,13 @@ def origin(request: Request, scene_text: str, branch: Branch | None = None) -> d
 
 def mode_of(branch: Branch) -> int:
     """Number of the linear mode of a family."""
-    space: Any = branch.space
-    return int(space.coordinates.mode_number)
+    return int(branch.space.coordinates.mode_number)
 
 
-def is_orbit(solution: Solution) -> bool:
-    """Whether a solution is a periodic orbit, of a family or of another branch."""
-    return solution.space.connects in (FAMILY, ORBITS)
-
-
-NATURAL = (
-    End.HOPF,
-    End.REJOINED,
-    End.UNBOUNDED,
-    End.BOUND,
-    End.TAKENS,
-    End.CLOSED,
-    End.RETURNED,
-    End.AWAY,
-    End.BAUTIN,
-    End.HOPF_HOPF,
-    End.ZERO_HOPF,
-    End.RESONANCE_ONE,
-    End.RESONANCE_TWO,
-)  # ends of branches that leave another one, or are followed in two parameters
+NATURAL = (  # ends of branches that leave another one, or are followed in two parameters
+    End.HOPF, End.REJOINED, End.UNBOUNDED, End.BOUND, End.TAKENS, End.CLOSED, End.RETURNED, End.AWAY, End.BAUTIN,
+    End.HOPF_HOPF, End.ZERO_HOPF, End.RESONANCE_ONE, End.RESONANCE_TWO,
+)  # fmt: skip
 
 
 def is_further(branch: Branch) -> bool:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import sys
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.space import FAMILY
 
 if TYPE_CHECKING:
     from rich.status import Status
@@ -29,9 +27,7 @@ class Progress:
             self._status.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
     def stop(self) -> None:
@@ -58,7 +54,7 @@ class Progress:
 def _place(solution: Solution) -> str:
     """Place of a solution on its branch, and the end of the branch."""
     space: Any = solution.space
-    if space.connects == FAMILY:
+    if space.is_family:
         S, end = space.value("S", solution.point), space.request.amplitude_max
         return f"j = {space.coordinates.mode_number}: S = {S:.6g} of {end:g}"
     if space.parameter:

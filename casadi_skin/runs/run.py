@@ -12,7 +12,7 @@ import numpy as np
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.space import FAMILY, SolutionSpace
+from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.files import replacing
 from casadi_skin.model.interrupts import interrupts_deferred
@@ -31,7 +31,7 @@ from casadi_skin.results.tables import (
 )
 from casadi_skin.runs.branches import Branches
 from casadi_skin.runs.directory import JOURNAL_FILE, SCENE_MODEL, renew
-from casadi_skin.runs.parts import ended_well, is_orbit, mode_of, origin, picture
+from casadi_skin.runs.parts import ended_well, mode_of, origin, picture
 from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.solve.watch import one_thread
@@ -68,7 +68,7 @@ class Run(Branches):
 
     def show(self, name: str, solutions: Sequence[Solution], space: SolutionSpace) -> None:
         """Add rows of more solutions to a table, which is replaced at most every TABLE_PERIOD."""
-        table, mode = ("family", int(name)) if space.connects == FAMILY else (name, 0)
+        table, mode = ("family", int(name)) if space.is_family else (name, 0)
         rows, known = self._rows.setdefault(table, []), self._shown.get(name, 0)
         for index, solution in enumerate(solutions[known:], start=known):
             quantities = columns_of(Branch(space, (solution,), with_stability=self._with_stability))
@@ -102,41 +102,25 @@ class Run(Branches):
             self.tasks = tasks_of(self.request)
         for task in self.tasks:
             task.run(self, self.directory, self.scene_text)
-        complete = all(self._ended_well(branch) for branch in self.branches) and not self._other_reasons()
+        complete = not self.reasons()
         if complete:
             journal.unlink(missing_ok=True)
         return complete
 
     def reasons(self) -> list[str]:
-        """Reasons why the run is not as requested, in a line each."""
-        reasons = []
+        """Reasons why the run is not as requested, in a line each; none where it is complete."""
+        scene, reasons = self.request.scene, list[str]()
         for branch in self.branches:
-            if branch.space.connects == FAMILY:
-                part = f"mode {mode_of(branch)}"
-            else:
-                part = "[continuation]" if branch.parameter else "[stability]"
-            if not self._reached_its_end(branch):
+            part = "[continuation]" if branch.parameter else "[stability]"
+            part = f"mode {mode_of(branch)}" if branch.space.is_family else part
+            if not (ended_well(branch) if scene.has_diagram else branch.complete):  # a natural end is one of a diagram
                 reasons.append(f"{part}: {branch.reason}")
             reasons += [f"{part}: not resolved: {stretch}" for stretch in branch.known_unresolved]
-        return [*reasons, *self._other_reasons()]
+        if scene.family is not None and scene.continuation is not None:
+            from casadi_skin.runs.further import reasons as of_offshoots
 
-    def _other_reasons(self) -> list[str]:
-        """Reasons why branches that leave families, or another part, are not as requested."""
-        if self.request.scene.family is None or self.request.scene.continuation is None:
-            return self.failures
-        from casadi_skin.runs.further import reasons
-
-        return [*reasons(self.offshoots), *self.failures]
-
-    def _ended_well(self, branch: Branch) -> bool:
-        """Whether a branch reached its end, and all of it was resolved."""
-        return self._reached_its_end(branch) and not branch.known_unresolved
-
-    def _reached_its_end(self, branch: Branch) -> bool:
-        """Whether a branch reached its requested end, or the natural end of a branch that leaves another one."""
-        if not self.request.scene.has_diagram:
-            return branch.complete
-        return ended_well(branch)
+            reasons += of_offshoots(self.offshoots)
+        return [*reasons, *self.failures]
 
     def _write_results(self) -> None:
         self.progress.say("writing tables and pictures")
@@ -166,7 +150,7 @@ class Run(Branches):
             return
         vectors = scene.stability is not None and scene.stability.vectors
         dataset = replace(dataset_of(branches, vectors), attributes=origin(self.request, self.scene_text, first))
-        if first.space.connects == FAMILY:
+        if first.space.is_family:
             write_netcdf(self.directory / "family.nc", dataset)
             self._write_families(branches)
         else:
@@ -214,7 +198,7 @@ class Run(Branches):
         """special_points.csv and the pictures of another branch, or of a single solution."""
         title = self.request.scene.title or ""
         if len(branch) > 1:
-            after = ["error", "period"] if is_orbit(branch.solutions[0]) else ["error"]
+            after = ["error", "period"] if branch.solutions[0].is_orbit else ["error"]
             columns = _columns(["kind"], [branch.parameter], after)
             write_csv(self.directory / "special_points.csv", list(columns), branch_rows(branch, columns))
             self._picture("branch", figures.branch_figure, branch, title)
@@ -276,7 +260,7 @@ class Run(Branches):
         if self.request.scene.stability is None:
             return
         solutions = [solution for branch in branches for solution in branch.solutions]
-        found = [s.floquet() for s in solutions if is_orbit(s) or s.known_floquet is not None]
+        found = [s.floquet() for s in solutions if s.is_orbit or s.known_floquet is not None]
         off = [f for f in found if f.trivial_deviation > f.allowed_deviation]
         if off:
             worst = max(off, key=lambda f: f.trivial_deviation / f.allowed_deviation)
@@ -311,7 +295,7 @@ def special_rows(name: str, branch: Branch, columns: Mapping[str, str]) -> Itera
     `columns` says what a column is by its name, parameters with PARAMETER; what a point does not have is empty.
     """
     for point in branch.special_points:
-        orbit: Any = point.solution if is_orbit(point.solution) else None
+        orbit: Any = point.solution if point.solution.is_orbit else None
         cells: dict[str, Cell] = {PARAMETER + each: float(value) for each, value in point.parameters.items()}
         cells |= {"branch": name, "kind": point.kind, "error": point.error}
         if orbit is not None:

@@ -290,12 +290,6 @@ class FamilyTable(Table, frozen=True):
     max_points: Count = 2000
     film: bool = False
 
-    def modes(self, sites: float) -> tuple[int, ...]:
-        """Numbers of the requested modes; "last" is -1 in an infinite chain, which has no other but "first"."""
-        requested = self.mode if isinstance(self.mode, tuple) else (self.mode,)
-        last = -1 if sites == math.inf else int(sites)
-        return tuple({"first": 1, "last": last}[mode] if isinstance(mode, str) else mode for mode in requested)
-
 
 class EquilibriumTable(Table, frozen=True):
     """An equilibrium of the model, near a guess.
@@ -669,11 +663,14 @@ class Scene(Table, frozen=True):
         return None if self.chain is None else self.chain.sites
 
     def modes(self) -> tuple[int | str, ...]:
-        """The modes whose families are followed, numbers where the chain's length is known."""
+        """The modes whose families are followed: numbers of a chain, -1 for the "last" of an endless one."""
         if self.family is None:
             return ()
         requested = self.family.mode if isinstance(self.family.mode, tuple) else (self.family.mode,)
-        return requested if self.sites is None else self.family.modes(self.sites)
+        ends: dict[object, int] = {}
+        if self.sites is not None:
+            ends = {"first": 1, "last": -1 if self.sites == math.inf else int(self.sites)}
+        return tuple(ends.get(mode, mode) for mode in requested)
 
     def given(self, *names: str) -> list[str]:
         """Which of the tables by these names the scene has."""

@@ -13,7 +13,7 @@ from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS
 from casadi_skin.results.quantities import certified, places_of
 from casadi_skin.results.tables import UNRESOLVED
 from casadi_skin.runs.output import print_table
-from casadi_skin.runs.parts import is_orbit, mode_of
+from casadi_skin.runs.parts import mode_of
 from casadi_skin.zero.kinds import count_in_words
 
 if TYPE_CHECKING:
@@ -161,7 +161,7 @@ def _points(run: Run, branches: Sequence[Branch]) -> tuple[list[str], Iterator[l
     branch = branches[0]
     first = branch.solutions[0]
     columns = ["point", "", *([branch.parameter] if branch.parameter else [])]
-    columns += ["period"] if is_orbit(first) else []
+    columns += ["period"] if first.is_orbit else []
     columns += [f"largest {first.space.state_names[0]}", "its error", *(["max |mult.|"] * branch.with_stability)]
 
     def rows() -> Iterator[list[str]]:
@@ -174,7 +174,7 @@ def _points(run: Run, branches: Sequence[Branch]) -> tuple[list[str], Iterator[l
                 continue
             row = [str(place.index), ", ".join(words) if len(branch) > 1 else "alone"]
             row += [f"{solution.parameters[branch.parameter]:.8g}"] if branch.parameter else []
-            row += [f"{solution.period:.10g}"] if is_orbit(solution) else []
+            row += [f"{solution.period:.10g}"] if solution.is_orbit else []
             row += [f"{place.extremes[1][0]:.8g}", f"{solution.error:.1e}"]
             if branch.with_stability:
                 moduli = np.abs(place.floquet.others)

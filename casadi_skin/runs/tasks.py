@@ -17,7 +17,6 @@ import numpy as np
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Orbit
-from casadi_skin.follow.space import FAMILY
 from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.model.interrupts import interrupts_deferred
@@ -222,7 +221,7 @@ def _origin_of(orbit: Orbit | None, dynamics: DynamicsTable) -> tuple[dict[str, 
         return start, f"{what} of ${number(size)}$ {_direction(dynamics)}"
     start = {"orbit_Omega": orbit.Omega}
     space: Any = orbit.space
-    if space.connects != FAMILY:
+    if not space.is_family:
         return start, f"period ${number(orbit.period)}$"
     mode = space.coordinates.mode_number
     return {"orbit_mode": mode, "orbit_S": orbit.S, **start}, f"$j = {mode}$, $S = {number(orbit.S)}$"
@@ -343,7 +342,7 @@ class Search(Task):
         from casadi_skin.results.tables import write_search
 
         scene = self.request.scene
-        found = self.result = self.searched(run.progress, directory / JOURNAL_FILE)
+        found = self.result = self._searched(run.progress, directory / JOURNAL_FILE)
         run.progress.say("writing the search")
         write_search(found, directory, scene_text, scene.title or "")
         if found.optima or found.others:
@@ -353,32 +352,25 @@ class Search(Task):
         if found.status not in (SearchStatus.FOUND, SearchStatus.ON_BOUND):
             run.failures.append(f"[search]: {found.reason}")
 
-    def searched(self, progress: Progress | None = None, journal: Path = Path()) -> SearchResult:
-        """The result; in a run starts that its journal holds are not run again."""
+    def _searched(self, progress: Progress, journal: Path) -> SearchResult:
+        """The result; starts that the journal holds are not run again."""
         from casadi_skin.optimise.search import search
-
-        problem = self.request.searched
-        starts = problem.starts(self.asked.starts, self.asked.seed)
-        if progress is None:
-            return search(problem, starts, deflate=self.asked.deflate)
         from casadi_skin.optimise.search_problem import Ending
         from casadi_skin.results.branch_records import OutcomeRecord, data_of, value_of
         from casadi_skin.results.journal import Journal
 
+        problem, asked = self.request.searched, self.asked
         progress.say("building")
         with Journal(journal, msgspec.msgpack.Decoder(OutcomeRecord)) as file:
             if file.fault:
                 progress.report(f"{journal}: {file.fault}; what follows it is dropped and computed again")
             known = [value_of(record.outcome) for record in file.records]
             return search(
-                problem,
-                starts,
-                deflate=self.asked.deflate,
+                problem, problem.starts(asked.starts, asked.seed), deflate=asked.deflate, workers=asked.workers,
                 known=[outcome for outcome in known if outcome.ending is not Ending.INTERRUPTED],
                 keep=lambda outcome: file.append(OutcomeRecord(data_of(outcome))),
                 progress=lambda where: progress.say(str(where)),
-                workers=self.asked.workers,
-            )
+            )  # fmt: skip
 
     def words(self) -> list[str]:
         """The optima, each with its numbers."""
