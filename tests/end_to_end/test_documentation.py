@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import math
 import os
 import re
 import sys
@@ -77,6 +78,14 @@ def test_the_programs_of_a_page_run_one_after_the_other(
             exec(compile(program, f"{page}.md", "exec"), names)
     plt.close("all")
     branch = names.get("branch")
+    if page == "equilibria":
+        fold, hopf, curve = (names[name] for name in ("fold", "hopf", "curve"))
+        assert repr(fold).startswith("<fold at p = 0.105738978272 +- ")
+        assert repr(hopf).startswith("<hopf at p = 0.13090004482 +- ")
+        assert (hopf.frequency, hopf.coefficient) == pytest.approx((4.0077747, -0.3889545), abs=5e-8)
+        assert curve.special_points[-1].kind == "cusp"
+        x = 0.5 * (1.0 - math.sqrt(1.0 - 12.0 / 14.0))
+        assert abs(fold.parameters["p"] - x * math.exp(-14.0 * x / 3.0) / (1.0 - x)) < 1e-16
     if page == "from_auto":
         assert [round(p.parameters["p1"], 7) for p in branch.special_points] == [0.105739, 0.0889318, 0.13090]  # type: ignore[union-attr]
     if page == "from_matcont":

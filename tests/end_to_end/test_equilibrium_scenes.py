@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -148,21 +146,6 @@ def test_check_tells_the_plan(run: Runs) -> None:
     printed = run(EXAMPLES / "prey_and_predators.toml", command="check").out
     assert "near x = 0.5, y = 0" in printed
     assert "branches at every branch point and hopf" in printed
-
-
-@pytest.mark.slow
-def test_the_lines_of_the_page_give_the_numbers_that_it_tells() -> None:
-    text = (EXAMPLES.parent / "docs" / "equilibria.md").read_text(encoding="utf-8")
-    names: dict[str, Any] = {}
-    exec(compile(text.split("```python\n")[1].split("```")[0], "equilibria.md", "exec"), names)
-    fold, hopf, curve = (names[name] for name in ("fold", "hopf", "curve"))
-    assert repr(fold).startswith("<fold at p = 0.105738978272 +- ")
-    assert repr(hopf).startswith("<hopf at p = 0.13090004482 +- ")
-    assert hopf.frequency == pytest.approx(4.0077747, abs=5e-8)
-    assert hopf.coefficient == pytest.approx(-0.3889545, abs=5e-8)
-    assert curve.special_points[-1].kind == "cusp"
-    x = 0.5 * (1.0 - np.sqrt(1.0 - 12.0 / 14.0))
-    assert abs(fold.parameters["p"] - x * np.exp(-14.0 * x / 3.0) / (1.0 - x)) < 1e-16
 
 
 @pytest.mark.slow

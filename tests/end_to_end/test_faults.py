@@ -8,7 +8,8 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,6 @@ from scenes import chain, family
 
 from casadi_skin.results.journal import Journal
 from casadi_skin.runs import run as writing
-from casadi_skin.runs.directory import MADE_BY_RUN
 from casadi_skin.runs.program import main
 
 SCENE = chain(4) + family([1, 4], at=[0.5]) + "[stability]\n"
@@ -52,10 +52,6 @@ def one_line(told: str, words: str) -> None:
 # Streams ------------------------------------------------------------------------------------------------------------
 
 
-def closed(descriptor: int) -> Callable[[], None]:
-    return lambda: os.close(descriptor)
-
-
 @needs_full
 @pytest.mark.parametrize(
     "word", ["run", *(pytest.param(w, marks=pytest.mark.slow) for w in ("spectrum", "check", "--help"))]
@@ -78,7 +74,7 @@ def test_a_standard_output_that_is_closed_or_has_gone_is_a_failure_unless_nothin
     reading, writing_end = os.pipe()
     os.close(reading)
     gone: dict[str, Any] = {"stdout": writing_end}
-    shut: dict[str, Any] = {"stdout": None, "preexec_fn": closed(1)}
+    shut: dict[str, Any] = {"stdout": None, "preexec_fn": partial(os.close, 1)}
     for options, words in ((shut, "it is closed"), (gone, "Broken pipe")):
         done = run("spectrum", scene, **options)
         assert done.returncode == 1
@@ -93,7 +89,7 @@ def test_a_standard_output_that_is_closed_or_has_gone_is_a_failure_unless_nothin
 def test_the_exit_status_does_not_depend_on_standard_error(scene: Path, tmp_path: Path) -> None:
     with FULL.open("w", encoding="utf-8") as full:
         assert run("check", tmp_path / "nothing.toml", stderr=full).returncode == 2
-    done = run("check", tmp_path / "nothing.toml", stderr=None, preexec_fn=closed(2))
+    done = run("check", tmp_path / "nothing.toml", stderr=None, preexec_fn=partial(os.close, 2))
     assert (done.returncode, done.stdout) == (2, "")
 
 
@@ -117,46 +113,23 @@ def test_warnings_of_other_packages_do_not_reach_the_terminal(
 # Files --------------------------------------------------------------------------------------------------------------
 
 
-def limited(size: int) -> Callable[[], None]:
-    return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [9_000, *(pytest.param(n, marks=pytest.mark.slow) for n in (512, 25_000))])
 def test_a_limit_on_the_size_of_files_keeps_what_was_computed(size: int, scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    done = run("run", scene, "--out", out, "--quiet", preexec_fn=limited(size))
+    done = run(
+        "run",
+        scene,
+        "--out",
+        out,
+        "--quiet",
+        preexec_fn=partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, size)),
+    )
     assert done.returncode == 1
     one_line(done.stderr, "File too large; what was computed is in")
     assert not list(out.glob(".*"))
     assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
     assert not (out / "journal.msgpack").exists()
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 40 kB; skipped where none can be mounted."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mount = shutil.which("mount")
-    if os.geteuid() != 0 or mount is None:
-        pytest.skip("needs to mount a disk")
-    if subprocess.run([mount, "-t", "tmpfs", "-o", "size=40k", "tmpfs", disk], check=False).returncode:
-        pytest.skip("needs to mount a disk")
-    yield disk
-    subprocess.run(["umount", disk], check=True)
-
-
-@pytest.mark.slow
-def test_a_full_disk_keeps_what_was_computed(small_disk: Path, scene: Path) -> None:
-    out = small_disk / "out"
-    done = run("run", scene, "--out", out, "--quiet")
-    assert done.returncode == 1
-    one_line(done.stderr, "No space left on device; what was computed is in")
-    kept = (out / "journal.msgpack").stat().st_size
-    assert kept > 10_000
-    subprocess.run(["mount", "-o", "remount,size=1m", small_disk], check=True)
-    assert main(["run", str(scene), "--out", str(out), "--resume", "--quiet"]) == 0
 
 
 @pytest.mark.slow
@@ -195,8 +168,3 @@ def test_a_directory_that_cannot_be_made_is_refused_before_anything_is_computed(
     assert done.out == ""
     one_line(done.line, out)
     assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
-
-
-def test_the_copy_of_the_scene_tells_what_made_the_directory(scene: Path, tmp_path: Path) -> None:
-    assert main(["spectrum", str(scene), "--out", str(tmp_path / "out")]) == 0
-    assert (tmp_path / "out" / "scene.toml").read_text(encoding="utf-8") == f"{MADE_BY_RUN}\n{SCENE}"

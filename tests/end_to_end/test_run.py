@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
-import time
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from apart import ended, killed
+from apart import ended, ended_from_outside, killed
 from outputs import read_rows
 from scenes import Runs, chain, column, family
 
+from casadi_skin.runs.directory import MADE_BY_RUN
 from casadi_skin.runs.program import main
 from casadi_skin.stability.family_stability import FLOWS
 
@@ -51,6 +49,7 @@ def test_run_writes_tables_pictures_and_netcdf(run: Runs) -> None:
     assert np.all(np.isfinite(run.columns("family", *table[0])))
     header = (run.out / "events.csv").read_text(encoding="utf-8").splitlines()[0]
     assert header.startswith("mode,S,Omega,kind,stable_before,stable_after")
+    assert (run.out / "scene.toml").read_text(encoding="utf-8").startswith(f"{MADE_BY_RUN}\n[chain]")
 
 
 def test_a_film_is_written_where_it_is_asked_for(run: Runs) -> None:
@@ -122,25 +121,6 @@ def test_a_softening_orbit_that_cannot_exist_ends_with_a_reason(method: str, lim
 
 SHORT = chain(3) + family([1, 2, 3], at=[0.2, 0.5, 1.0])
 LONG = chain(100) + family([1, 2, 3, 4, 57, 58, 59, 60], 3.0, at=[0.5, 2.0, 3.0])
-SECONDS_TO_SECOND_SIGNAL = 2.5  # a signal is lost in some runs, measured in 1 to 2 of 40: a user gives another
-
-
-def ended_from_outside(number: signal.Signals, scene: Path, out: Path) -> int:
-    """Exit status of a run in a process of its own that gets a signal when its journal has some length."""
-    command = [sys.executable, "-m", "casadi_skin.runs.program", "run", str(scene), "--out", str(out)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    journal = out / "journal.msgpack"
-    while not journal.exists() or journal.stat().st_size < 100_000:
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.01)
-    process.send_signal(number)
-    try:
-        told = process.communicate(timeout=SECONDS_TO_SECOND_SIGNAL)[1]
-    except subprocess.TimeoutExpired:
-        process.send_signal(number)
-        told = process.communicate()[1]
-    print(told, end="", file=sys.stderr)
-    return process.returncode
 
 
 @pytest.mark.usefixtures("interruptible")

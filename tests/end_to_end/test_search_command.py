@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from outputs import EXAMPLES, read_rows
+from apart import ended_from_outside
+from outputs import EXAMPLES
 from scenes import Runs, chain, table
 from scipy.io import netcdf_file
-
-from casadi_skin.runs.program import main
 
 pytestmark = pytest.mark.usefixtures("blank")
 
@@ -61,27 +56,20 @@ def test_an_infeasible_search_has_status_1(run: Runs) -> None:
 @pytest.mark.usefixtures("interruptible")
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
-def test_an_interrupted_search_keeps_its_best_and_resumes(workers: int, tmp_path: Path) -> None:
-    scene, out = tmp_path / "s.toml", tmp_path / "out"
-    scene.write_text(search(starts=60, workers=workers), encoding="utf-8")
-    command = [sys.executable, "-m", "casadi_skin.runs.program", "run", str(scene), "--out", str(out)]
-    journal = out / "journal.msgpack"
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 50
-    while not (journal.exists() and journal.stat().st_size > 8000) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
-    told, error = process.communicate(timeout=50)
-    assert process.returncode == 130, error
+def test_an_interrupted_search_keeps_its_best_and_resumes(
+    workers: int, run: Runs, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run.scene.write_text(search(starts=60, workers=workers), encoding="utf-8")
+    assert ended_from_outside(signal.SIGINT, run.scene, run.out, 8000) == 130
+    told, error = capsys.readouterr()
     assert "go on with --resume" in error
     assert "interrupted after" in told
     assert "best so far" in told
-    kept = len(read_rows(out / "starts.csv"))
-    assert 0 < kept < 60
-    assert float(read_rows(out / "search.csv")[0]["gamma"]) == pytest.approx(0.6, abs=1e-6)
-    assert main(["run", str(scene), "--out", str(out), "--resume"]) == 0
-    assert len(read_rows(out / "starts.csv")) == 60
-    assert not journal.exists()
+    assert 0 < len(run.rows("starts")) < 60
+    assert float(run.rows("search")[0]["gamma"]) == pytest.approx(0.6, abs=1e-6)
+    run("", "--resume")
+    assert len(run.rows("starts")) == 60
+    assert "journal.msgpack" not in run.files
 
 
 @pytest.mark.slow

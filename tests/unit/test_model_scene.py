@@ -11,8 +11,6 @@ import pytest
 from refusals import refusals
 
 from casadi_skin.model.loading import ModelFileError, named, read_source, run_file
-from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.saved import save_model
 from casadi_skin.results.quantities import Place, extremes
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.first_solution import cycle, first_solution
@@ -174,15 +172,6 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 # First orbits and solutions -------------------------------------------------------------------------------
 
 
-def test_a_transient_and_a_section_give_a_cycle_that_starts_at_the_section(folder: Path) -> None:
-    text = "[orbit]\nstart = [2.0, 0.0]\ntransient = 40.0\nsection = { y = 0.0 }\n"
-    request = bound(scene_of("makes", text, "mu = 1"), folder)
-    assert abs(cycle(request).evaluate(0.0)[1]) < 1e-3
-    orbit = first_solution(request)
-    assert abs(orbit.evaluate(0.0)[1]) < 1e-9
-    assert orbit.parameters["period"] == pytest.approx(6.6632868593231, abs=1e-9)
-
-
 def test_a_forced_orbit_is_that_of_the_linear_oscillator(folder: Path) -> None:
     text = "[orbit]\nstart = { x = 1.0 }\ntransient = 30.0\ncycles = 2\n"
     request = bound(scene_of("forced", text, "mu = 1.7"), folder)
@@ -209,19 +198,6 @@ def test_the_pendulum_has_the_period_of_the_elliptic_integral(select: str, folde
     assert "select" in orbit.parameters
     low, high = extremes(orbit)
     np.testing.assert_allclose([*low, *high], [-1.0, -2 * np.sin(0.5), 1.0, 2 * np.sin(0.5)], atol=1e-7)
-
-
-def test_a_saved_model_is_the_same_as_the_python_file(folder: Path) -> None:
-    made = bound(scene_of("makes", ORBIT, "mu = 1"), folder).model
-    save_model(made, folder / "saved.json")
-    text = '[model]\nfile = "saved.json"\nparameters = { mu = 1.0 }\n' + ORBIT
-    request = bound(text, folder)
-    assert isinstance(request.model, OdeModel)
-    np.testing.assert_array_equal(
-        np.array(request.model.vector_field(0.0, [0.3, 0.4], 2.0)), np.array(made.vector_field(0.0, [0.3, 0.4], 2.0))
-    )
-    (folder / "saved.json").write_text("{}", encoding="utf-8")
-    assert fault_of(text, folder).startswith("[model] saved.json: not a model saved by casadi_skin")
 
 
 @pytest.mark.slow
