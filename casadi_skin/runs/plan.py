@@ -1,55 +1,159 @@
-"""The plan of a scene: the equations that would be built and solved, and their expected cost."""
+"""The plan of a scene in words: the equations that would be built and solved, and their expected cost.
+
+That of the usual families of a chain is known from the scene alone; numerics are loaded where another one needs them.
+"""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
-from casadi_skin.follow.family import Family
+from casadi_skin.lattice.stiffness import stiffness
 from casadi_skin.model import methods
-from casadi_skin.model.conserved import SymmetryClass, symmetry_class
-from casadi_skin.runs.family_plan import SPECTRUM_LINE, FamilyPlan, chain_line, family_lines
 from casadi_skin.runs.output import Lines, listed, named
-from casadi_skin.runs.request import Request, state_of
-from casadi_skin.runs.scene import LEAVING, ContinuationTable, EquilibriumTable
-from casadi_skin.runs.tasks import tasks_of
-from casadi_skin.zero.butcher import TABLES
-from casadi_skin.zero.problem import Problem
-from casadi_skin.zero.settings import ErrorEstimate
+from casadi_skin.runs.scene import (
+    LEAVING,
+    ChainTable,
+    ContinuationTable,
+    EquilibriumTable,
+    FamilyTable,
+    MethodTable,
+    Scene,
+)
 
+if TYPE_CHECKING:
+    from casadi_skin.follow.family import Family
+    from casadi_skin.model.conserved import SymmetryClass
+    from casadi_skin.runs.request import Request
+    from casadi_skin.zero.problem import Problem
+    from casadi_skin.zero.settings import ErrorEstimate
+
+KNOWN_TABLES = {"chain", "family", "spectrum", "stability"}  # tables whose plan is known from the scene
+COMMON_TABLES = {"title", "figures", "accuracy", "method"}  # which any scene has
+SMALLEST_SCALED_S, LARGEST_SCALED_S = 1e-100, 1e100  # sizes of g S that are checked no further
+TO_MEASURE = "casadi-skin check --measure builds the equations, solves at the start and measures it"
+SPECTRUM_LINE = ("spectrum", "linear frequencies and modes")
+UNKNOWNS = {
+    methods.TRIGONOMETRIC: "positions only, as odd cosines",
+    methods.SHOOTING: "positions and velocities, integrated by CVODES",
+}
 TYPICAL_SAMPLES = (60, 450)  # orbits of a family that its changes of stability are sought with
 TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to end modes of long or steep ones
 
 
+def chain_lines(scene: Scene) -> Lines | None:
+    """The plan of a scene of a chain without numerics; None where it is not known without them, or not allowed."""
+    chain, family, asked = scene.chain, scene.family, set(scene.given(*Scene.__struct_fields__))
+    if chain is None or family is None or not asked <= KNOWN_TABLES | COMMON_TABLES or scene.accuracy.certify:
+        return None
+    known = MethodTable(corrector=scene.method.corrector, flow=scene.method.flow)
+    usual = scene.method == known and (scene.stability is None or scene.stability.sites is None)
+    if not usual or not _has_full_chain(chain, family):
+        return None
+    if scene.spectrum is not None and chain.alpha + stiffness(chain.sites, chain.gamma, 1) <= 0.0:
+        return None
+    words = {"symmetry": methods.QUARTER_PERIOD, "coordinates": methods.EVERY_SITE, "sites": int(chain.sites)}
+    lines = _family_lines(scene, scene.modes(), scene.methods, **words)  # type: ignore[arg-type]
+    spectrum = [SPECTRUM_LINE] if scene.spectrum is not None else []
+    return [_chain_line(int(chain.sites), chain.alpha, chain.gamma, chain.g), *spectrum, *lines]
+
+
+def _has_full_chain(chain: ChainTable, family: FamilyTable) -> bool:
+    """Whether all sites are unknowns, as `lattice.chain_coordinates` decides, and no limit of doubles is near."""
+    ends = [abs(chain.g) * S for S in (family.amplitude_max, *family.at)]
+    sizes = min(ends) >= SMALLEST_SCALED_S and max(*ends, family.amplitude_max) <= LARGEST_SCALED_S
+    return chain.sites < methods.PAYS_FROM and abs(chain.gamma) < 1.0 and sizes
+
+
+def _chain_line(sites: float, alpha: float, gamma: float, g: float) -> tuple[str, str]:
+    return "chain", f"N = {sites}, alpha = {alpha:g}, gamma = {gamma:g}, g = {g:g}"
+
+
+def _family_lines(
+    scene: Scene, modes: Sequence[Any], method: Any, *, symmetry: str, coordinates: str, localised: int | None = None,
+    sites: int | None = None, measured: Lines | None = None,
+) -> Lines:  # fmt: skip
+    """Families, their accuracy, methods and stability.
+
+    Arguments:
+        scene: the scene.
+        modes, method: as they are chosen for its model.
+        symmetry, coordinates: words for those of the model.
+        localised: sites that localised multipliers begin with, where stability is of that kind.
+        sites: those of a chain whose sites are all unknowns.
+        measured: lines on the problem, and last one on the cost, where these are measured.
+    """
+    family, stability, table, cosines = scene.family, scene.stability, scene.continuation, methods.FEWEST_COSINES
+    assert family is not None
+    wanted = (("S", family.at), ("Omega", family.at_Omega), ("period", family.at_period))
+    exactly = "; ".join(f"{name} = {', '.join(f'{v:g}' for v in values)}" for name, values in wanted if values)
+    end = f"S = {family.amplitude_max:g}"
+    if family.period_max is not None:
+        end += f" or a period of {family.period_max:g}, whichever comes first"
+    at = f", points exactly at {exactly}" if exactly else ""
+    lines = [
+        ("families", f"j = {', '.join(map(str, modes))}, to {end}{at}; {family.max_points} points at most"),
+        ("tolerance", f"{scene.accuracy.relative_tolerance:g}, relative, of Omega and the profile"),
+        ("symmetry", symmetry),
+        ("coordinates", coordinates),
+        ("transcription", f"{method.transcription}: {UNKNOWNS.get(method.transcription, 'positions and velocities')}"),
+        *(measured or [])[:-1],
+    ]
+    if not measured and sites is not None and method.transcription == methods.TRIGONOMETRIC:
+        start = f"{cosines * sites + 2} at the start ({cosines} odd cosines a site, Omega and S)"
+        lines.append(("unknowns", f"{start}; more where the tolerance asks for it"))
+    built = f"scaled model, collocation equations, {scene.method.corrector} corrector"
+    if stability is None:
+        lines += [("built", built), ("not built", "the variational system: the scene has no [stability]")]
+    else:
+        what = f"multipliers{' and every change of stability' if stability.events else ''}"
+        if localised is not None:
+            what = f"localised multipliers, on {localised} sites at the edge or more; waves have theirs in closed form"
+            if stability.events:
+                lines.append(("changes", "of localised multipliers; weak instabilities of waves depend on the length"))
+        lines.append(("built", f"{built}, variational system with the {method.flow} flow for {what}"))
+    if scene.accuracy.certify:
+        which = "every orbit" if scene.accuracy.certify == "all" else "the orbits asked for"
+        lines.append(("proofs", f"of {which}, in balls"))
+    if table is not None and table.switch:
+        lines.append(("leaving", f"branches at every {' and '.join(table.switch)}, to S = {table.to:g}"))
+    if table is not None and table.curve is not None:
+        lines.append(("curves", f"edges of tongues in {table.curve.parameter} to {table.curve.to:g}, with S free"))
+    return [*lines, measured[-1] if measured else ("cost", TO_MEASURE)]
+
+
+# Any scene with its model ---------------------------------------------------------------------------------------------
+
+
 def plan_lines(request: Request, measure: bool) -> Lines:
     """Pairs (subject, text) that describe the work of a run of the request; with `measure` of families the cost too."""
+    from casadi_skin.runs.tasks import tasks_of
+
     scene, lines = request.scene, _model_lines(request)
+    nothing = "[family], [equilibrium], [orbit] or [solution]" if scene.chain is None else "family"
+    not_built = ("not built", f"any boundary-value problem: the scene asks for no {nothing}")
     if scene.spectrum is not None:
         lines.append(SPECTRUM_LINE)
     if request.families:
-        lines += _family_lines(request, measure)
+        lines += _families(request, measure)
     elif scene.equilibrium is not None:
         lines += _equilibrium_lines(request, scene.equilibrium)
     elif scene.orbit is not None or request.problem is not None:
-        lines += _boundary_lines(request)
+        lines += _orbit_lines(request) if scene.orbit is not None else _problem_lines(request)
+        lines += _solved_lines(request) if scene.given("orbit", "solution") else [not_built]
     elif scene.search is None:
-        lines.append(("not built", _nothing(request)))
+        lines.append(not_built)
     for task in tasks_of(request):
         lines += task.plan()
-    if scene.time_limit is not None:
-        lines.append(("time limit", f"{scene.time_limit:g} s"))
-    return lines
-
-
-def _nothing(request: Request) -> str:
-    tables = "family" if request.scene.chain is not None else "[family], [equilibrium], [orbit] or [solution]"
-    return f"any boundary-value problem: the scene asks for no {tables}"
+    return lines if scene.time_limit is None else [*lines, ("time limit", f"{scene.time_limit:g} s")]
 
 
 def _model_lines(request: Request) -> Lines:
     model = request.model
     if request.scene.chain is not None:
-        return [chain_line(model.sites, model.alpha, model.gamma, model.g)]
+        return [_chain_line(model.sites, model.alpha, model.gamma, model.g)]
     if request.scene.lattice is not None:
         from casadi_skin.runs.lattices import lattice_lines, long_lattice_lines
 
@@ -70,23 +174,17 @@ def _model_lines(request: Request) -> Lines:
     ]
 
 
-# Families -------------------------------------------------------------------------------------------------------------
+def _families(request: Request, measure: bool) -> Lines:
+    from casadi_skin.follow.family import Family
 
-
-def _family_lines(request: Request, measure: bool) -> Lines:
     first, family = request.families[0], Family(request.families[0])
-    localised, method = first.coordinates.localised, first.method
-    full = first.coordinates.description == methods.EVERY_SITE
-    plan = FamilyPlan(
-        [int(known.mode) for known in request.families],
-        family.symmetry.reason,
-        first.coordinates.description,
-        str(method.transcription),
-        str(method.flow),
-        None if localised is None else localised.sites[0],
-        int(request.model.sites) if full and request.scene.chain is not None else None,
-    )
-    return family_lines(request.scene, plan, _measured(request, family) if measure else None)
+    localised, description = first.coordinates.localised, first.coordinates.description
+    full = description == methods.EVERY_SITE and request.scene.chain is not None
+    return _family_lines(
+        request.scene, [each.mode for each in request.families], first.method, symmetry=family.symmetry.reason,
+        coordinates=description, localised=None if localised is None else localised.sites[0],
+        sites=int(request.model.sites) if full else None, measured=_measured(request, family) if measure else None,
+    )  # fmt: skip
 
 
 def _measured(request: Request, family: Family) -> Lines:
@@ -150,6 +248,8 @@ def _cost(request: Request, family: Family, problem: Problem, building: float) -
 
 
 def _equilibrium_lines(request: Request, equilibrium: EquilibriumTable) -> Lines:
+    from casadi_skin.runs.request import state_of
+
     model, table = request.equations, request.scene.continuation
     names = model.state_names[: model.size]
     state = named(dict(zip(names, state_of(equilibrium.start, model.state_names), strict=False)))
@@ -179,27 +279,29 @@ def _branch_lines(table: ContinuationTable | None, located: Lines) -> Lines:
 # Orbits and solutions -------------------------------------------------------------------------------------------------
 
 
-def _boundary_lines(request: Request) -> Lines:
+def _solved_lines(request: Request) -> Lines:
+    """What an orbit and a solution have in common: the branch, the tolerance, unknowns and multipliers."""
     scene = request.scene
-    lines = _orbit_lines(request) if scene.orbit is not None else _problem_lines(request)
-    if scene.orbit is None and scene.solution is None:
-        return [*lines, ("not built", _nothing(request))]
-    lines += _branch_lines(scene.continuation, [])
-    lines.append(("tolerance", f"{request.tolerance:g}, relative, of each state and free parameter"))
-    lines.append(("unknowns", _unknowns(request)))
-    if scene.stability is not None:
-        lines.append(("stability", f"multipliers over the full period at every point, by {scene.methods.flow}"))
-    else:
-        lines.append(("not built", "multipliers: the scene has no [stability]"))
-    return lines
+    without = ("not built", "multipliers: the scene has no [stability]")
+    with_them = ("stability", f"multipliers over the full period at every point, by {scene.methods.flow}")
+    return [
+        *_branch_lines(scene.continuation, []),
+        ("tolerance", f"{request.tolerance:g}, relative, of each state and free parameter"),
+        ("unknowns", _unknowns(request)),
+        without if scene.stability is None else with_them,
+    ]
 
 
 def _symmetry(request: Request) -> SymmetryClass:
+    from casadi_skin.model.conserved import SymmetryClass, symmetry_class
+
     symmetric = request.scene.orbit is not None and request.scene.orbit.symmetric
     return symmetry_class(request.ode) if symmetric else SymmetryClass.FULL
 
 
 def _orbit_lines(request: Request) -> Lines:
+    from casadi_skin.runs.request import state_of
+
     orbit, model = request.scene.orbit, request.ode
     assert orbit is not None
     start = named(dict(zip(model.state_names, state_of(orbit.start, model.state_names), strict=True)))
@@ -210,7 +312,7 @@ def _orbit_lines(request: Request) -> Lines:
         after = f", after a transient of {orbit.transient:g} or little more" if orbit.transient else ""
         return [("orbit", what), ("guess", f"{times} simulated from {start}{after}")]
     symmetry, selected = _symmetry(request), "" if orbit.select is None else f", selected by {named(orbit.select)}"
-    if symmetry is SymmetryClass.FULL:
+    if symmetry.name == "FULL":
         phase = "an integral phase condition" if orbit.section is None else f"phase zero at {named(orbit.section)}"
         what = f"the full period, {phase}{selected}"
         what += ", unfolded by a damping that comes back as zero" if model.hamiltonian is not None else ""
@@ -236,6 +338,7 @@ def _problem_lines(request: Request) -> Lines:
 
 def _unknowns(request: Request) -> str:
     """States at the ends and stages of the intervals, and free parameters, on the first mesh."""
+    from casadi_skin.zero.butcher import TABLES
     from casadi_skin.zero.orbit import DEFAULT_DEGREE, FIRST_INTERVALS, UNFOLDING
     from casadi_skin.zero.stated_problem import PERIOD
 
@@ -243,7 +346,7 @@ def _unknowns(request: Request) -> str:
     intervals, degree = method.intervals or FIRST_INTERVALS, method.degree or DEFAULT_DEGREE
     table = TABLES[str(method.transcription)](degree)
     columns = intervals * table.ends.size + 1
-    unfolded = model.hamiltonian is not None and _symmetry(request) is SymmetryClass.FULL
+    unfolded = model.hamiltonian is not None and _symmetry(request).name == "FULL"
     orbit = () if model.forced else (PERIOD, UNFOLDING) if unfolded else (PERIOD,)
     free = orbit if problem is None else tuple(problem.free)
     mesh = f"{intervals} {method.transcription} intervals of degree {degree} at the start"

@@ -191,13 +191,12 @@ def check(arguments: argparse.Namespace) -> int:
 
     Example: casadi-skin check examples/fput_modes.toml
     """
-    from casadi_skin.runs.family_plan import chain_lines
+    from casadi_skin.runs.plan import chain_lines, plan_lines
 
     scene, _ = _scene(arguments)
     lines = None if arguments.measure else chain_lines(scene)
     if lines is None:
         request = _bound(scene, arguments)
-        from casadi_skin.runs.plan import plan_lines
         from casadi_skin.runs.rules import SceneError
 
         try:

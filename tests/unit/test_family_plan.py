@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from casadi_skin.runs.binding import bind
-from casadi_skin.runs.family_plan import chain_lines
-from casadi_skin.runs.plan import plan_lines
+from casadi_skin.runs.plan import chain_lines, plan_lines
 from casadi_skin.runs.reading import parse_scene
 
 FAMILY = """
