@@ -93,13 +93,14 @@ ERROR_MEANING = "its estimated absolute error"
 
 def known_names(request: Request) -> tuple[str, ...]:
     """Names of quantities without the suffix that distinguishes several branches."""
-    scene, ode = request.scene, request.ode
+    scene = request.scene
     if scene.search is not None:
         return ("objective", "optima", "end", "end_reason", "Omega", *FREE, *NAMED)
     if scene.family is not None:
         tables = (FAMILY_QUANTITIES, FAMILY_STABILITY, FAMILY_ERRORS, FAMILY_PROOFS)
         names = [quantity.name for table in tables for quantity in table]
         return (*names, "regime", "threshold", *STABILITY, *OF_ALL)
+    ode = request.ode
     special = [name for kind in KINDS for name in _special_names(kind)]
     extremes = [f"{name}_{end}" for name in ode.state_names for end in ("min", "max")]
     energy = ["energy"] if scene.orbit is not None and ode.hamiltonian is not None else []
