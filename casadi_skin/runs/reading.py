@@ -4,7 +4,9 @@ import re
 import sys
 import tomllib
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from decimal import Decimal
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -41,21 +43,12 @@ from casadi_skin.runs.scene import (
 
 MODEL_TABLES = ("chain", "lattice", "model")  # tables of which a scene has one
 PARTS = (SiteTable, BondTable, UniformTable, CurveTable, SearchCondition, RangeTable)  # of tables
-LATTICE_PARTS: Mapping[str, type[Table]] = {"site": SiteTable, "bond": BondTable}
+LATTICE_PARTS: Mapping[str, type[Table]] = {"[lattice] site": SiteTable, "[lattice] bond": BondTable}
 KEY_SYNONYMS = {  # letters of papers and words of other programs, in lower case, for keys
-    "n": "sites",
-    "length": "sites",
-    "s_max": "amplitude_max",
-    "smax": "amplitude_max",
-    "amplitude": "amplitude_max",
-    "j": "mode",
-    "tol": "tolerance",
-    "rtol": "tolerance",
-    "x0": "start",
-    "guess": "start",
-    "t": "period",
+    "n": "sites", "length": "sites", "s_max": "amplitude_max", "smax": "amplitude_max", "amplitude": "amplitude_max",
+    "j": "mode", "tol": "tolerance", "rtol": "tolerance", "x0": "start", "guess": "start", "t": "period",
     "n_starts": "starts",
-}
+}  # fmt: skip
 
 
 def read_scene(path: str | Path) -> Scene:
@@ -102,8 +95,7 @@ def _check_decimals(text: str) -> None:
 def scene_of(raw: dict[str, Any]) -> Scene:
     """The scene that tables of plain values ask for, checked; raises SceneError."""
     raw = with_axes(raw)
-    _check_names(raw)
-    scene = _convert(raw)
+    scene = _converted(raw)
     check_scene(scene)
     check_map(scene)
     return scene
@@ -149,71 +141,6 @@ def _parse_toml(text: str) -> dict[str, Any]:
     raise SceneError(f"not TOML: {reason}")
 
 
-def _check_names(raw: dict[str, Any]) -> None:
-    """Refuse unknown tables and keys, values in place of tables, and keys that are required but missing."""
-    check_unknown(_unknown_names(raw))
-    models = [name for name in MODEL_TABLES if name in raw]
-    if len(models) > 1:
-        raise refusal(f"[{models[0]}]", f"beside [{models[1]}]", "[chain], [lattice] or [model] in one scene")
-    if not models:
-        keys = ", ".join(ChainTable.__struct_fields__)
-        others = "a table [lattice] with cells and site, or a table [model] with file"
-        raise SceneError(f"[chain]: missing; accepted: a table with {keys}, {others}")
-    for place, table, given in _tables(raw):
-        if not isinstance(given, dict):
-            raise refusal(place, with_kind(given), f"one table {place}")
-        for key, value in given.items():
-            for number in _leaves(value):
-                # no key takes an integer beyond the floats, and msgspec up to 0.20 raises SystemError on it
-                if isinstance(number, int) and abs(number) > sys.float_info.max:
-                    raise refusal(f"{place} {key}", toml_repr(number), accepted_by(table, key))
-        for field in msgspec.structs.fields(table):
-            if field.required and field.encode_name not in given:
-                accepted = accepted_by(table, field.encode_name)
-                raise SceneError(f"{place} {field.encode_name}: missing; accepted: {accepted}")
-    for name in LATTICE_PARTS:
-        items = raw.get("lattice", {}).get(name, [])
-        if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
-            raise refusal(f"[lattice] {name}", with_kind(items), accepted_by(TABLES["lattice"], name))
-
-
-def _tables(raw: dict[str, Any]) -> Iterator[tuple[str, type[Table], Any]]:
-    """The place, the kind and the value of each table of a scene; of sites and bonds of a lattice those that are."""
-    for name, table in TABLES.items():
-        if name in raw:
-            yield f"[{name}]", table, raw[name]
-    lattice = raw.get("lattice")
-    for name, part in LATTICE_PARTS.items():
-        items = lattice.get(name) if isinstance(lattice, dict) else None
-        for i, item in enumerate(items if isinstance(items, list) else (), start=1):
-            if isinstance(item, dict):
-                yield f"[[lattice.{name}]] {i}", part, item
-
-
-def _unknown_names(raw: dict[str, Any]) -> Iterator[Unknown]:
-    """Tables and keys that no scene has, in the order of the file."""
-    places = {name: f"[{name}]" for name in TABLES} | {name: name for name in ("title", "time_limit")}
-    known = {place: (table, given) for place, table, given in _tables(raw)}
-    for name, value in raw.items():
-        if name not in places:
-            near, accepted = nearest(name, places), ", ".join(places.values())
-            fault = f"[{cut(name)}]: unknown table" if is_table(value) else f"{cut(name)}: unknown key"
-            yield Unknown(fault, near and places[near], accepted)
-        elif name in TABLES:
-            yield from _unknown_keys(places[name], *known.pop(places[name]))
-    for place, (table, given) in known.items():
-        yield from _unknown_keys(place, table, given)
-
-
-def _unknown_keys(place: str, table: type[Table], given: object) -> Iterator[Unknown]:
-    known = table.__struct_encode_fields__
-    for key in given if isinstance(given, dict) else ():
-        if key not in known:
-            other = KEY_SYNONYMS.get(key.lower())
-            near = other if other in known else nearest(key, known)
-            yield Unknown(f"{place} {cut(key)}: unknown key", near and f"'{near}'", ", ".join(known) or "no keys")
-
-
 def _leaves(value: object) -> Iterator[object]:
     """The values in a key, whatever tables and arrays they are in."""
     if not isinstance(value, list | dict):
@@ -223,25 +150,81 @@ def _leaves(value: object) -> Iterator[object]:
         yield from _leaves(item)
 
 
-def _convert(raw: dict[str, Any]) -> Scene:
-    """Let msgspec check types and bounds; the path in its message becomes our place."""
-    try:
-        return msgspec.convert(raw, Scene)
-    except msgspec.ValidationError as error:
-        message = str(error)
-    path = re.search(r"`\$\.(?:lattice\.(site|bond)\[(\d+)\]\.)?(\w+)(?:\.(\w+))?(?:\[(\d+)\])?", message)
-    if path is None:  # none is known; its own words are better than a wrong place
-        raise SceneError(message)
-    part, number, name, key, item = path.groups()
-    if part:
-        place, value = f"[[lattice.{part}]] {int(number) + 1} {name}", raw["lattice"][part][int(number)][name]
-        raise refusal(place, with_kind(value), accepted_by(LATTICE_PARTS[part], name))
-    value = raw[name][key] if key else raw[name]
-    accepted = accepted_by(TABLES[name], key) if key else accepted_by(Scene, name)
-    value, where = (value[int(item)], f" as item {int(item) + 1}") if item else (value, "")
-    given = with_kind(value) if ", got `" in message else toml_repr(value)
-    if isinstance(value, dict) and "a table" in accepted:  # a table it is, but what is in it is not accepted
-        given = inline(value)
-    near = nearest(value, re.findall(r'"(\w+)"', accepted)) if isinstance(value, str) else None
-    place = f"[{name}] {key}" if key else name
-    raise SceneError(f"{place}: given {given}{where}{did_you_mean(near and toml_repr(near), accepted)}")
+_keys = cache(msgspec.structs.fields)
+
+
+@dataclass
+class _Reading:
+    """One way through the tables of a scene, which are converted key by key, so that each fault has its place."""
+
+    unknown: list[Unknown] = field(default_factory=list)  # names that no scene has, which are reported first
+    faults: list[SceneError] = field(default_factory=list)
+
+    def table(self, kind: type[Table], place: str, given: Any) -> Any:
+        """A table from plain values; nothing where it has a fault."""
+        before, values = len(self.faults), dict[str, Any]()
+        if not isinstance(given, dict):
+            self.faults.append(refusal(place, with_kind(given), f"one table {place}"))
+            return None
+        keys = {key.encode_name: key for key in _keys(kind)}
+        known = {key: key if place or key not in TABLES else f"[{key}]" for key in keys}
+        for name, value in given.items():
+            if name not in keys:
+                other = KEY_SYNONYMS.get(name.lower()) if place else None
+                near = other if other in known else nearest(name, known)
+                shown = near and (f"'{near}'" if place else known[near])
+                table = not place and is_table(value)
+                fault = f"[{cut(name)}]: unknown table" if table else f"{place} {cut(name)}: unknown key".lstrip()
+                self.unknown.append(Unknown(fault, shown, ", ".join(known.values()) or "no keys"))
+            elif name in TABLES and not place:
+                values[name] = self.table(TABLES[name], f"[{name}]", value)
+            else:
+                values[keys[name].name] = self._value(kind, keys[name], f"{place} {name}".lstrip(), value)
+        for name in (name for name, key in keys.items() if key.required and name not in given):
+            self.faults.append(SceneError(f"{place} {name}: missing; accepted: {accepted_by(kind, name)}"))
+        return kind(**values) if len(self.faults) == before else None
+
+    def _value(self, kind: type[Table], key: msgspec.structs.FieldInfo, place: str, value: Any) -> Any:
+        """The value of a key; msgspec checks its type and bounds."""
+        part, message, where = LATTICE_PARTS.get(place), "", ""
+        if part and isinstance(value, list) and all(isinstance(item, dict) for item in value):
+            for i, item in enumerate(value, start=1):
+                self.table(part, f"[{place.replace('] ', '.')}]] {i}", item)
+        # no key takes an integer beyond the floats, and msgspec up to 0.20 raises SystemError on it
+        huge = (leaf for leaf in _leaves(value) if isinstance(leaf, int) and abs(leaf) > sys.float_info.max)
+        found = next(huge, None)
+        try:
+            if found is None:
+                return msgspec.convert(value, key.type)
+            value = found
+        except msgspec.ValidationError as error:
+            message = str(error)
+        accepted = accepted_by(kind, key.encode_name)
+        whole = part or kind in LATTICE_PARTS.values()  # of sites and bonds values are shown as they are
+        item = None if whole else re.search(r"`\$\[(\d+)\]", message)
+        if item:
+            value, where = value[int(item[1])], f" as item {int(item[1]) + 1}"
+        given = with_kind(value) if whole or ", got `" in message else toml_repr(value)
+        if isinstance(value, dict) and "a table" in accepted:  # a table it is, but what is in it is not accepted
+            given = inline(value)
+        near = nearest(value, re.findall(r'"(\w+)"', accepted)) if isinstance(value, str) else None
+        end = did_you_mean(near and toml_repr(near), accepted)
+        self.faults.append(SceneError(f"{place}: given {given}{where}{end}"))
+        return None
+
+
+def _converted(raw: dict[str, Any]) -> Scene:
+    """The scene of plain values; raises SceneError for names that no scene has, then for the model, then others."""
+    reading = _Reading()
+    scene: Scene = reading.table(Scene, "", raw)
+    check_unknown(reading.unknown)
+    models = [name for name in MODEL_TABLES if name in raw]
+    if len(models) > 1:
+        raise refusal(f"[{models[0]}]", f"beside [{models[1]}]", "[chain], [lattice] or [model] in one scene")
+    if not models:
+        keys = ", ".join(ChainTable.__struct_fields__)
+        others = "a table [lattice] with cells and site, or a table [model] with file"
+        raise SceneError(f"[chain]: missing; accepted: a table with {keys}, {others}")
+    for fault in reading.faults:
+        raise fault
+    return scene

@@ -17,7 +17,6 @@ from scenes import chain, family
 
 from casadi_skin.runs.program import _parser, main
 from casadi_skin.runs.reading import parse_scene, scene_schema
-from casadi_skin.runs.rules import SceneError
 
 Cli = Callable[..., Ended]
 CHAIN, FAMILY = chain(3), family(1, 0.1)
@@ -99,20 +98,6 @@ def test_a_study_is_quiet_or_prints_json(scene: str, cli: Cli) -> None:
     assert done.out == ""
     assert (done.status == 1) == bool(done.err)
     assert results(cli, *words, "--overwrite")["tables"]
-
-
-def test_several_unknown_names_are_told_at_once_with_the_names_that_papers_use() -> None:
-    text = "[chain]\nN = 3\nalpha = 1\ngamma = 0\ng = 1\n[family]\nmode = 1\nS_max = 1\n[stabilty]\n"
-    with pytest.raises(SceneError) as caught:
-        parse_scene(text, "a.toml")
-    assert str(caught.value) == (
-        "a.toml: [chain] N: unknown key, did you mean 'sites'?; [family] S_max: unknown key, did you mean "
-        "'amplitude_max'?; [stabilty]: unknown table, did you mean [stability]?"
-    )
-    many = "".join(f"{'x' * 50}{i} = 1\n" for i in range(40))
-    with pytest.raises(SceneError, match=r"; and 3\d more$") as caught:
-        parse_scene(CHAIN + many)
-    assert len(str(caught.value)) < 500
 
 
 def test_the_schema_has_no_null_and_is_written(here: Path, cli: Cli) -> None:
