@@ -617,7 +617,7 @@ class Orbit(Solution):
         if coordinates.without_vectors or not (splitting and coordinates.symplectic):
             raise ValueError("transient_growth: needs |gamma| < 1 and the splitting flow")
         whole("quarters", quarters, 1, MOST_QUARTERS)
-        transition, acceleration = family.transition_of_all(self.point)
+        transition, acceleration = family.transition(self.point, relative=False)
         free = coordinates.free_motions
         return transient_growth(transition, acceleration, coordinates.log_scale, self.period, quarters, free)
 

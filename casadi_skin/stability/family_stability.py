@@ -206,19 +206,14 @@ class FamilyStability(ABC):
         better = None if point.better is None else everywhere(point.better.problem, point.better.z)
         return replace(point, problem=here.problem, z=here.z, tangent=np.zeros(here.z.size), better=better)
 
-    def transition(self, point: Point) -> tuple[Transition, Array]:
-        """Transition matrix of relative positions, and q'' at phase zero."""
-        whole, all_positions = self.whole, self.on_all_positions(point)
-        acceleration = whole.accelerations([orbit_state(all_positions)])[0]
-        return whole.flow.transition(all_positions.problem, all_positions.z), np.asarray(acceleration)
-
-    def transition_of_all(self, point: Point) -> tuple[Transition, Array]:
-        """Transition matrix of all scaled positions, and q'' at phase zero."""
-        whole, all_positions = self.whole, self.on_all_positions(point)
-        acceleration = whole.accelerations([orbit_state(all_positions)])[0]
-        flow = FLOWS[str(self.request.method.flow)](whole.coordinates.scaled, self.tolerance, None)
-        lifted = acceleration if whole.frame is None else whole.frame @ acceleration
-        return flow.transition(all_positions.problem, all_positions.z), np.asarray(lifted)
+    def transition(self, point: Point, relative: bool = True) -> tuple[Transition, Array]:
+        """Transition matrix of relative positions, or of all scaled ones, and q'' at phase zero."""
+        whole, everywhere = self.whole, self.on_all_positions(point)
+        acceleration, flow = whole.accelerations([orbit_state(everywhere)])[0], whole.flow
+        if not relative and whole.frame is not None:
+            acceleration = whole.frame @ acceleration
+            flow = FLOWS[str(self.request.method.flow)](whole.coordinates.scaled, self.tolerance, None)
+        return flow.transition(everywhere.problem, everywhere.z), np.asarray(acceleration)
 
     def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
         """Floquet vectors (positions, velocities) at phase zero, shape (2n, 2n), in the order of the multipliers."""
@@ -230,7 +225,7 @@ class FamilyStability(ABC):
         if coordinates.symplectic:
             transition, acceleration = self.transition(point)
             return floquet_vectors(transition, acceleration, coordinates.scale, self.whole.frame)
-        transition, _ = self.transition_of_all(point)
+        transition, _ = self.transition(point, relative=False)
         return vectors_of_map(transition, floquet.multipliers, coordinates.scale)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.optimize import linear_sum_assignment
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow.family import Family
@@ -14,7 +13,6 @@ from casadi_skin.stability.flows import OrbitState
 from casadi_skin.stability.tongues import chebyshev
 from casadi_skin.stability.tongues.blocks import SERIES_DEGREE
 from casadi_skin.stability.tongues.chebyshev import Function, find_zeros
-from casadi_skin.stability.tongues.rotation import _to_the_nearest
 
 
 @pytest.fixture(scope="module")
@@ -79,16 +77,3 @@ def test_zeros_found_together_are_those_of_the_polynomials() -> None:
     assert width == pytest.approx(1e-11 / abs(slope), rel=1e-3)
     (_, width, _), *_ = functions[3].zeros or ()
     assert width == pytest.approx(np.sqrt(2.0 * 1e-11 / 2.0), rel=1e-3)
-
-
-def test_angles_go_where_the_sum_of_distances_is_smallest() -> None:
-    generator = np.random.default_rng(3)
-    for size in (2, 5, 9):
-        for spread in (0.01, 1.0):
-            distance = generator.uniform(-np.pi, np.pi, (size, size))
-            distance[np.arange(size), generator.permutation(size)] *= spread
-            rows, columns = linear_sum_assignment(np.abs(distance))
-            chosen = _to_the_nearest(np.zeros(size), np.zeros(size), distance)
-            assert sorted(chosen) == list(range(size))
-            best = np.sum(np.abs(distance[rows, columns]))
-            assert np.sum(np.abs(distance[np.arange(size), chosen])) == pytest.approx(best)

@@ -72,13 +72,6 @@ def test_a_real_window_is_found_however_narrow_between_zeros_of_either_form(widt
     assert diagram.tongues[0].growth == pytest.approx(width, rel=1e-3)
 
 
-@pytest.mark.parametrize("swapped", [False, True])
-def test_a_mode_that_begins_unstable_has_one_change(swapped: bool) -> None:
-    diagram = find_changes(SymplecticFamily([real(cubic(-0.3, 1.0)), FAR], swapped))
-    agree(diagram, [0.3], 1e-12)
-    assert diagram.tongues[0].open_start
-
-
 @pytest.mark.parametrize("middle", [0.25, 0.5, 0.625])
 @pytest.mark.parametrize("width", [1e-1, 1e-3, 1e-9])
 def test_an_edge_where_two_intervals_meet_is_there_once(middle: float, width: float) -> None:
@@ -94,19 +87,24 @@ def test_an_edge_where_two_intervals_meet_is_there_once(middle: float, width: fl
             assert not diagram.windows
 
 
-def test_two_crossings_of_one_pair_that_undo_each_other_in_one_interval() -> None:
-    """Squared frequencies (s - 1/2)^2 - 1e-6 apart, coupled by 1e-7."""
-    diagram = find_changes(SymplecticFamily([collision(cubic(0.25 - 1e-6, -1.0, 1.0), 1e-7), FAR]))
-    outer, inner = np.sqrt(1e-6 + 2e-7), np.sqrt(1e-6 - 2e-7)
-    agree(diagram, [0.5 - outer, 0.5 - inner, 0.5 + inner, 0.5 + outer], 1e-9)
+OUTER, INNER, TOUCH = np.sqrt(1e-6 + 2e-7), np.sqrt(1e-6 - 2e-7), np.sqrt(2e-7)
 
 
-def test_a_pair_that_touches_opens_one_window_and_one_that_nearly_does_none() -> None:
-    diagram = find_changes(SymplecticFamily([collision(cubic(0.25, -1.0, 1.0), 1e-7), FAR]))
-    agree(diagram, [0.5 - np.sqrt(2e-7), 0.5 + np.sqrt(2e-7)], 1e-9)
-    diagram = find_changes(SymplecticFamily([collision(cubic(0.25 + 3e-7, -1.0, 1.0), 1e-7), FAR]))
-    assert not diagram.changes
+@pytest.mark.parametrize(
+    ("block", "swapped", "expected"),
+    [
+        *((real(cubic(-0.3, 1.0)), swapped, [0.3]) for swapped in (False, True)),  # it begins unstable
+        # Two crossings of one pair in one interval: squared frequencies (s - 1/2)^2 - 1e-6 apart, coupled by 1e-7.
+        (collision(cubic(0.25 - 1e-6, -1.0, 1.0), 1e-7), False, [0.5 - OUTER, 0.5 - INNER, 0.5 + INNER, 0.5 + OUTER]),
+        (collision(cubic(0.25, -1.0, 1.0), 1e-7), False, [0.5 - TOUCH, 0.5 + TOUCH]),  # a pair that touches
+        (collision(cubic(0.25 + 3e-7, -1.0, 1.0), 1e-7), False, []),  # and one that nearly does
+    ],
+)
+def test_changes_are_where_squared_frequencies_meet(block: Entries, swapped: bool, expected: list[float]) -> None:
+    diagram = find_changes(SymplecticFamily([block, FAR], swapped))
+    agree(diagram, expected, 1e-9)
     assert not diagram.undecided
+    assert sum(tongue.open_start for tongue in diagram.tongues) == len(expected) % 2
 
 
 UNCOUPLED = [0.05, 0.125, 0.17, 0.25, 0.3228753, 0.375, 0.4, 0.458148, 0.5, 0.5371041, 0.75, 0.9326634]
@@ -125,12 +123,7 @@ def test_multipliers_of_one_signature_pass_without_instability() -> None:
 @pytest.mark.parametrize(
     ("kind", "block", "swapped", "within"),
     [
-        (
-            "complex",
-            lambda s: collision(cubic(-s, 1.0), 0.0),
-            False,
-            1e-12,
-        ),  # both functions are zero there
+        ("complex", lambda s: collision(cubic(-s, 1.0), 0.0), False, 1e-12),  # both functions are zero there
         ("complex", lambda s: collision(cubic(s**2, -2.0 * s, 1.0), 0.0), False, 1e-5),  # they touch
         ("real", lambda s: real(cubic(-s, 1.0), cubic(-s, 1.0)), False, 1e-12),  # omega^2 = (s - place)^2
         ("real", lambda s: real(cubic(-s, 1.0), cubic(-s, 1.0)), True, 1e-12),
