@@ -24,10 +24,9 @@ from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.watch import check_time_limit, one_thread
 from casadi_skin.stability.flows import OrbitState, Transition
 from casadi_skin.stability.result import Floquet
-from casadi_skin.stability.tongues.counts import EdgeHill, Sample
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.stability.tongues.find_changes import Entry, find_changes
-from casadi_skin.stability.tongues.hill import Hill, Layout
+from casadi_skin.stability.tongues.hill import EdgeHill, Hill, Layout, Sample
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError, Samples
 from casadi_skin.stability.tongues.localised import find_localised_changes
 from casadi_skin.zero.kinds import Unresolved

@@ -26,7 +26,7 @@ from casadi_skin.zero.settings import Point, Refinement
 
 if TYPE_CHECKING:
     from casadi_skin.stability.result import LocalisedFloquet
-    from casadi_skin.stability.tongues.counts import EdgeHill
+    from casadi_skin.stability.tongues.hill import EdgeHill
     from casadi_skin.zero.family import Localised
 
 STABILITY_BATCH = 32  # points whose stability is computed at a time: an interruption writes none that wait for it
@@ -168,7 +168,7 @@ class FamilyStability(ABC):
     @cached_property
     def _edge(self) -> EdgeHill:
         """Hill's equations of orbits at the edge of the tail."""
-        from casadi_skin.stability.tongues.counts import EdgeHill
+        from casadi_skin.stability.tongues.hill import EdgeHill
 
         return EdgeHill(self.coordinates)
 

@@ -20,9 +20,8 @@ from casadi_skin.follow.family_changes import EdgeOrbits, localised_changes
 from casadi_skin.native import eliminated
 from casadi_skin.runs.program import main
 from casadi_skin.stability.result import ContinuousSpectrum, LocalisedFloquet
-from casadi_skin.stability.tongues.counts import count, zeros_in
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
-from casadi_skin.stability.tongues.hill import Hill, Layout, Medium, Parity, crossings
+from casadi_skin.stability.tongues.hill import Hill, Layout, Medium, Parity, count, crossings, zeros_in
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
 from casadi_skin.stability.tongues.localised import find_localised_changes
 

@@ -18,18 +18,6 @@ from numpy.polynomial.chebyshev import chebroots
 from casadi_skin.stability.flows import FlowError
 from casadi_skin.stability.result import ContinuousSpectrum
 from casadi_skin.stability.tongues import chebyshev
-from casadi_skin.stability.tongues.counts import (
-    FILLED_GAP,
-    NARROW_GAP,
-    CountError,
-    Counts,
-    EdgeBranch,
-    Gap,
-    Sample,
-    function_of,
-    names_of,
-    names_of_arcs,
-)
 from casadi_skin.stability.tongues.diagram import (
     BAND_EDGE,
     COMPLEX,
@@ -40,7 +28,23 @@ from casadi_skin.stability.tongues.diagram import (
     StabilityDiagram,
     StabilityEdge,
 )
-from casadi_skin.stability.tongues.hill import HALF_END, START_END, Hill, Layout, crossings
+from casadi_skin.stability.tongues.hill import (
+    FILLED_GAP,
+    HALF_END,
+    NARROW_GAP,
+    START_END,
+    CountError,
+    Counts,
+    EdgeBranch,
+    Gap,
+    Hill,
+    Layout,
+    Sample,
+    crossings,
+    function_of,
+    names_of,
+    names_of_arcs,
+)
 from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.problem import Array
 
