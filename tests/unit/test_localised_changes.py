@@ -236,7 +236,7 @@ def test_bound_states_of_a_defect_are_counted(v: float) -> None:
         omega = math.sqrt(3.0 + v + s * s / v)
         sigma = omega % (2.0 * layout.Omega)
         expected = [min(sigma, 2.0 * layout.Omega - sigma)]
-    found = [sigma for start, end in layout.gaps if end.name != "Omega" for sigma in zeros_in(hill, start, end)]
+    found = [sigma for gap in layout.gaps if not gap.mirrored for sigma in zeros_in(hill, gap)]
     seen = [e for e in expected if not layout.covered(e)]
     assert found == pytest.approx(seen, abs=1e-10)
 

@@ -296,6 +296,41 @@ class Piece:
 
 
 @dataclass(frozen=True)
+class Gap:
+    """A gap between arcs in a variable x from -1 to 1 in which D is analytic; up to Omega with its mirror image."""
+
+    start: End
+    end: End
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether it ends at Omega, where the velocity of the flow makes a double zero."""
+        return self.end.name == HALF_END
+
+    @property
+    def half(self) -> float:
+        """Half its length, of both images."""
+        return (self.end.sigma - self.start.sigma) * (1.0 if self.mirrored else 0.5)
+
+    def sigma(self, x: Array) -> Array:
+        """Exponents at values of x."""
+        away = 2.0 * self.half * np.sin(0.25 * np.pi * (1.0 + x)) ** 2
+        return np.asarray(np.minimum(self.start.sigma + away, self.end.sigma))
+
+    def place(self, sigma: float) -> float:
+        """x of an exponent."""
+        return 4.0 / np.pi * float(np.arcsin(np.sqrt((sigma - self.start.sigma) / (2.0 * self.half)))) - 1.0
+
+    def values(self, hill: Hill, x: Array) -> Array:
+        """D at values of x, not at the mirrored end, divided by its double zero there."""
+        sigma = self.sigma(x)
+        logs, signs = hill.determinant(sigma)
+        if self.mirrored:
+            logs = logs - 2.0 * np.log((self.end.sigma - sigma) / self.half)
+        return np.asarray(np.real(signs) * np.exp(logs))
+
+
+@dataclass(frozen=True)
 class Layout:
     """Arcs and gaps of waves of `bands`, lowest and highest frequency of each, for orbits of frequency Omega."""
 
@@ -349,9 +384,9 @@ class Layout:
         return tuple(found)
 
     @cached_property
-    def gaps(self) -> tuple[tuple[End, End], ...]:
+    def gaps(self) -> tuple[Gap, ...]:
         """Intervals that no arc covers, ascending."""
-        return tuple((a, b) for a, b, covered in self.intervals if not covered)
+        return tuple(Gap(a, b) for a, b, covered in self.intervals if not covered)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -379,7 +414,7 @@ class Layout:
     @property
     def pinned(self) -> bool:
         """Whether the orbit's frequency, or an odd multiple of it, is at the edge of a band."""
-        return not any(b.name == HALF_END for _, b in self.gaps)
+        return not any(gap.mirrored for gap in self.gaps)
 
     def sums(self) -> tuple[float, ...]:
         """Frequencies Omega at which two ends meet, times 2 m."""
@@ -442,7 +477,7 @@ class Counts:
 
 def count(hill: Hill, layout: Layout) -> Counts:
     """Count localised multipliers; raises CountError where the argument does not turn by whole half turns."""
-    zeros = tuple(zeros_in(hill, start, end) for start, end in layout.gaps)
+    zeros = tuple(zeros_in(hill, gap) for gap in layout.gaps)
     rough = hill.coarser(ROUGH_STIFFNESS_RATIO)
     turned = sum(_turned(rough, a.sigma, b.sigma) for a, b, covered in layout.intervals if covered) / np.pi
     total = turned - sum(map(len, zeros)) - (0 if layout.pinned else 1) + hill.medium.bound.size
@@ -473,44 +508,8 @@ def _turned(hill: Hill, start: float, end: float) -> float:
         known = np.insert(known, wide + 1, phases(middle))
 
 
-@dataclass(frozen=True)
-class Gap:
-    """A gap between arcs in a variable x from -1 to 1 in which D is analytic; up to Omega with its mirror image."""
-
-    start: End
-    end: End
-
-    @property
-    def mirrored(self) -> bool:
-        """Whether it ends at Omega, where the velocity of the flow makes a double zero."""
-        return self.end.name == HALF_END
-
-    @property
-    def half(self) -> float:
-        """Half its length, of both images."""
-        return (self.end.sigma - self.start.sigma) * (1.0 if self.mirrored else 0.5)
-
-    def sigma(self, x: Array) -> Array:
-        """Exponents at values of x."""
-        away = 2.0 * self.half * np.sin(0.25 * np.pi * (1.0 + x)) ** 2
-        return np.asarray(np.minimum(self.start.sigma + away, self.end.sigma))
-
-    def place(self, sigma: float) -> float:
-        """x of an exponent."""
-        return 4.0 / np.pi * float(np.arcsin(np.sqrt((sigma - self.start.sigma) / (2.0 * self.half)))) - 1.0
-
-    def values(self, hill: Hill, x: Array) -> Array:
-        """D at values of x, not at the mirrored end, divided by its double zero there."""
-        sigma = self.sigma(x)
-        logs, signs = hill.determinant(sigma)
-        if self.mirrored:
-            logs = logs - 2.0 * np.log((self.end.sigma - sigma) / self.half)
-        return np.asarray(np.real(signs) * np.exp(logs))
-
-
-def zeros_in(hill: Hill, start: End, end: End) -> tuple[float, ...]:
+def zeros_in(hill: Hill, gap: Gap) -> tuple[float, ...]:
     """Exponents in a gap, all of them as zeros of a converged series."""
-    gap = Gap(start, end)
     values = np.empty(0)
     middle = [by_velocity(hill, gap.half)] if gap.mirrored else []
     for degree in SERIES_DEGREES:
@@ -545,7 +544,7 @@ def by_velocity(hill: Hill, gap: float) -> float:
 
 def names_of(layout: Layout) -> tuple[str, ...]:
     """Names of the real functions of an orbit that vanish where a localised multiplier passes an end of a gap."""
-    found = dict.fromkeys(end.name for gap in layout.gaps for end in gap)
+    found = dict.fromkeys(end.name for gap in layout.gaps for end in (gap.start, gap.end))
     if START_END in found:
         found |= dict.fromkeys((COSINE_START, SINE_START))
     if HALF_END in found:
@@ -563,7 +562,7 @@ def function_of(hill: Hill, layout: Layout, name: str) -> float:
     if name == COSINE_HALF:
         return hill.at_end(hill.Omega, "cosine")
     if name == HALF_VELOCITY:
-        return by_velocity(hill, Gap(*layout.gaps[-1]).half)
+        return by_velocity(hill, layout.gaps[-1].half)
     sigma = next((end.sigma for end in layout.ends if end.name == name), 0.0)
     logs, signs = hill.determinant(np.array([sigma]))
     return float(np.real(signs[0]) * np.exp(logs[0]))
@@ -610,8 +609,8 @@ def names_of_arcs(layout: Layout) -> tuple[str, ...]:
         return (FILLED_GAP,)
     if layout.pinned:
         return layout.names if layout.off_edge <= BAND_EDGE_RTOL else (NARROW_GAP,)
-    start, end = layout.gaps[-1]
-    return layout.names if end.sigma - start.sigma > NARROW_GAP_RATIO * layout.Omega else (NARROW_GAP,)
+    last = layout.gaps[-1]
+    return layout.names if last.end.sigma - last.start.sigma > NARROW_GAP_RATIO * layout.Omega else (NARROW_GAP,)
 
 
 class EdgeBranch(Protocol):

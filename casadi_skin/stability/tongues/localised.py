@@ -141,10 +141,6 @@ class Search:
         """Names of the arcs there."""
         return names_of_arcs(self.layout(coordinate))
 
-    def gap(self, coordinate: float, number: int) -> Gap:
-        """One of the gaps there."""
-        return Gap(*self.at(coordinate).layout.gaps[number])
-
     def counts(self, coordinate: float) -> Counts | None:
         """Numbers of multipliers there; None where they cannot be counted."""
         try:
@@ -435,13 +431,13 @@ def collision(
 ) -> tuple[float, float, float]:
     """Coordinate, error and exponent where two multipliers of a gap meet; raises MeetingError."""
     start, other, counts = (a, b, before) if before.off < after.off else (b, a, after)
-    zeros = [search.gap(start, gap).place(sigma) for sigma in counts.zeros[gap]]
+    zeros = [search.at(start).layout.gaps[gap].place(sigma) for sigma in counts.zeros[gap]]
     first, last = min(pairwise(zeros), key=lambda two: two[1] - two[0])
     pairs = {start: (0.5 * (first + last), 0.25 * (last - first) ** 2)}
 
     def square(c: float) -> float:
         near = min(pairs, key=lambda known: abs(known - c))
-        pairs[c] = _pair_near(search.at(c).hill, search.gap(c, gap), *pairs[near])
+        pairs[c] = _pair_near(search.at(c).hill, search.at(c).layout.gaps[gap], *pairs[near])
         return pairs[c][1]
 
     parts = (start + float(part) * (other - start) for part in np.linspace(0.0, 1.0, INTERVAL_PARTS + 1)[1:])
@@ -451,11 +447,11 @@ def collision(
 
     def moved(c: float) -> float:
         sample = search.at(c)
-        compared = [(hill, Gap(*layout_like(hill, sample).gaps[gap])) for hill in others(sample)]
-        return sum(abs(_pair_near(hill, there, *pairs[c])[1] - pairs[c][1]) for hill, there in compared)
+        pairs_there = (_pair_near(hill, layout_like(hill, sample).gaps[gap], *pairs[c]) for hill in others(sample))
+        return sum(abs(moved[1] - pairs[c][1]) for moved in pairs_there)
 
     at, error = zero_between(square, moved, min(start, end), max(start, end), 1.0)
-    return at, error, float(search.gap(at, gap).sigma(np.array([pairs[at][0]]))[0])
+    return at, error, float(search.at(at).layout.gaps[gap].sigma(np.array([pairs[at][0]]))[0])
 
 
 def resonance(search: Search, a: float, b: float) -> tuple[float, float, float]:
