@@ -109,29 +109,26 @@ def test_a_few_settings_and_what_an_interruption_leaves(
     assert [row["memory_MB"] for row in read_rows(tmp_path / "out" / "flows.csv")] == ["50"]
 
 
-def test_wrong_input_is_refused_in_one_line(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    texts = {
-        "bare": TINY,
-        "endless": TINY.replace("sites = 2", "sites = inf") + FAMILY.replace("[1, 2]", '"first"'),
-    }
-    for name, text in texts.items():
-        (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
-    out = tmp_path / "out"
-    for words, part in (
-        *(([str(tmp_path / f"{name}.toml")], f"{name}.toml: asks for no family") for name in texts),
-        ([str(scene), "--repeats", "0"], "--repeats 0"),
-        ([str(tmp_path / "none.toml")], "none.toml"),
-    ):
-        assert main(["tradeoff", *words, "--out", str(out)]) == 2
-        told = capsys.readouterr()
-        assert told.out == ""
-        assert told.err.count("\n") == 1
-        assert part in told.err
-        assert not out.exists()
-    assert main(["tradeoff", str(scene), "--out", str(tmp_path)]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert "--overwrite" in told
+@pytest.mark.parametrize(
+    ("text", "words", "told"),
+    [
+        (TINY, "", "tiny.toml: asks for no family"),
+        (TINY.replace("sites = 2", "sites = inf") + FAMILY.replace("[1, 2]", '"first"'), "", "asks for no family"),
+        (TINY + FAMILY, "--repeats 0", "--repeats 0"),
+        ("", "", "tiny.toml"),
+        (TINY + FAMILY, "--out .", "--overwrite"),
+    ],
+)
+def test_wrong_input_is_refused_in_one_line(
+    text: str, words: str, told: str, scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(scene.parent)
+    scene.write_text(text, encoding="utf-8")
+    assert main(["tradeoff", str(scene), "--out", "out", *words.split()]) == 2
+    out, line = capsys.readouterr()
+    assert (out, line.count("\n")) == ("", 1)
+    assert told in line
+    assert not Path("out").exists()
 
 
 def test_a_family_that_ends_early_is_told_in_one_line(
