@@ -150,7 +150,8 @@ class Map(WithVerbs):
         self.numbers, self.texts = dict[str, NDArray[np.float64]](), {REASON: on_disk(np.int32, (size,))}
         self._words, self._texts = {"": 0}, [""]
         self._first, self._counts = dict[str, tuple[int, int]](), set[str]()
-        self.meanings, self.seconds, self.finished = dict[str, str](), 0.0, 0
+        self.meanings = {STARTED_FROM: "the cell whose solution the second start began at"}
+        self.seconds, self.finished = 0.0, 0
         self._ends = dict[Path, int]()  # how far each journal is read
         self._journal: Journal[MapRecord] | None = None
         if own is not None:

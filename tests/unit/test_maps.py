@@ -331,6 +331,8 @@ good = OdeModel('logarithm', x, -ca.log(x - p), p, nominal=(0.0,))
     assert found["x"][:4] == pytest.approx([1.0, 1.5, 2.0, 2.5], abs=1e-12)
     assert found["started_from"].tolist() == ["", "", "", "p = 1.0", ""]
     assert found.failures()[0][0] == "p = 2.0"
+    with netcdf_file(tmp_path / "out" / "map.nc", mmap=False) as file:
+        assert file.variables["started_from"].long_name == b"the cell whose solution the second start began at"
 
 
 @pytest.mark.slow
@@ -424,6 +426,10 @@ def test_colours_survive_grey_and_failed_cells_are_crossed_out() -> None:
     assert (cross.get_xdata(), cross.get_ydata()) == ([1.0], [100.0])
     assert len(panel.collections) > 1  # contour lines
     assert panel.get_yscale() == "log"
+    on_a_line = np.arange(4)[:, None] == np.arange(3)  # of a refined map: there is no contour between these
+    even, numbers = [axes[0], MapAxis("b", np.arange(3.0))], np.arange(12.0).reshape(4, 3)
+    panel = map_figure("name", "title", even, [Panel("", numbers, failed, on_a_line)]).axes[0]
+    assert len(panel.collections) == 1
 
 
 LATTICE = """[lattice]

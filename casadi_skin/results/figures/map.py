@@ -169,7 +169,11 @@ def _draw_contours(place: Axes, axes: Sequence[MapAxis], panel: Panel) -> None:
         lines: Any = place.contour(x.values, y.values, np.ma.masked_invalid(panel.values.T), CONTOUR_COUNT, **look)
     else:
         i, j = np.nonzero(panel.known & np.isfinite(panel.values))
-        lines = place.tricontour(x.values[i], y.values[j], panel.values[i, j], CONTOUR_COUNT, **look)
+        places = np.stack([x.values[i], y.values[j]])
+        extents = np.ptp(places, axis=1, keepdims=True)
+        if np.linalg.matrix_rank((places - places[:, :1]) / np.where(extents > 0.0, extents, 1.0)) < 2:
+            return  # points on one line have no triangles between them
+        lines = place.tricontour(places[0], places[1], panel.values[i, j], CONTOUR_COUNT, **look)
     place.clabel(lines, fontsize=7, fmt="%.3g")
 
 
