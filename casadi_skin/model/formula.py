@@ -91,10 +91,6 @@ class Formula:
                 hint = f"{', '.join(known)}, pi" + (f" (did you mean {near}?)" if near else "")
                 raise FormulaError(column, f'the name "{cut(name)}"', hint)
 
-    def evaluate(self, values: Mapping[str, Any], operations: Mapping[str, Callable[..., Any]]) -> Any:
-        """The value where names have these values; "number" among the operations makes what numbers become."""
-        return evaluate(self.tree, values, operations)
-
 
 def walk(tree: Tree) -> Iterator[Tree]:
     """All parts of a tree, from left to right."""
@@ -104,7 +100,7 @@ def walk(tree: Tree) -> Iterator[Tree]:
 
 
 def evaluate(tree: Tree, values: Mapping[str, Any], operations: Mapping[str, Callable[..., Any]]) -> Any:
-    """The value of a tree; see `Formula.evaluate`."""
+    """The value where names have these values; "number" among the operations makes what numbers become."""
     if isinstance(tree, Number):
         return operations["number"](tree.value)
     if isinstance(tree, Name):

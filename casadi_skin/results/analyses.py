@@ -13,26 +13,13 @@ from casadi_skin.lattice.linear import Bands, LatticeModes
 from casadi_skin.optimise.kick import SmallestKick
 from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.optimise.search import ParetoFront, SearchResult
+from casadi_skin.results import words
 from casadi_skin.results.figures.bands import draw_bands
 from casadi_skin.results.figures.evolutions import sizes_of
 from casadi_skin.results.figures.multipliers import draw_moduli
 from casadi_skin.results.figures.search import draw_starts
 from casadi_skin.results.figures.style import AMPLITUDE_LABEL, draw_curves, number_sites, plain
 from casadi_skin.results.tables import EVENT_COLUMNS, edge_rows
-from casadi_skin.results.words import (
-    Columns,
-    Shown,
-    changes,
-    found,
-    listed,
-    model_words,
-    named,
-    range_of,
-    ranges,
-    samples,
-    show,
-    stretches,
-)
 from casadi_skin.stability.growth import TransientGrowth
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.zero.kinds import count_in_words
@@ -44,31 +31,31 @@ if TYPE_CHECKING:
 # Stability along a family, and the growth of perturbations ------------------------------------------------------------
 
 
-@show.register
-def _(result: StabilityDiagram) -> Shown:
+@words.show.register
+def _(result: StabilityDiagram) -> words.Shown:
     if result.localised:
         return _localised(result)
     first, last = (result.S(np.array([end]))[0] for end in (result.start, result.end))
     count = count_in_words(len(result.tongues), result.unresolved)
     deepest = max((tongue.growth for tongue in result.tongues), default=0.0)
     rows = [("S", f"{first:.8g} to {last:.8g}")]
-    rows += [("changes", found([f"{change.S:.8g}" for change in result.changes], result.unresolved))]
-    rows += [("tongues", f"{count}, deepest log |multiplier| {deepest:.6g}"), stretches(result.unresolved)]
+    rows += [("changes", words.found([f"{change.S:.8g}" for change in result.changes], result.unresolved))]
+    rows += [("tongues", f"{count}, deepest log |multiplier| {deepest:.6g}"), words.stretches(result.unresolved)]
 
     def draw(axes: Axes) -> None:
         colour = axes._get_lines.get_next_color()  # type: ignore[attr-defined]
         draw_moduli(axes, result, colour, "family")
         axes.set(xlabel=AMPLITUDE_LABEL, ylabel=r"largest $|\lambda|$ over a period")
 
-    def columns() -> Columns:
+    def columns() -> words.Columns:
         return _edges(result, result.changes, ("mode",))
 
-    return Shown("Stability along a family", rows, draw, "changes of stability", columns)
+    return words.Shown("Stability along a family", rows, draw, "changes of stability", columns)
 
 
-def _localised(result: StabilityDiagram) -> Shown:
-    rows = [("changes", found(changes(result.changes), result.unresolved))]
-    rows += [("further", listed(changes(result.further))), stretches(result.unresolved)]
+def _localised(result: StabilityDiagram) -> words.Shown:
+    rows = [("changes", words.found(words.changes(result.changes), result.unresolved))]
+    rows += [("further", words.listed(words.changes(result.further))), words.stretches(result.unresolved)]
 
     def draw(axes: Axes) -> None:
         for kind in dict.fromkeys(change.kind for change in result.all):
@@ -76,20 +63,20 @@ def _localised(result: StabilityDiagram) -> Shown:
             axes.plot([c.S for c in chosen], [c.angle for c in chosen], "o", label=kind)
         axes.set(xlabel=AMPLITUDE_LABEL, ylabel=r"angle of $\lambda$ over half a period", ylim=(-0.1, np.pi + 0.1))
 
-    def columns() -> Columns:
+    def columns() -> words.Columns:
         return _edges(result, result.all, ("mode", *(name for name in EVENT_COLUMNS if "tongue" in name)))
 
-    return Shown("Localised multipliers along a family", rows, draw, "changes of localised multipliers", columns)
+    return words.Shown("Localised multipliers along a family", rows, draw, "changes of localised multipliers", columns)
 
 
-def _edges(result: StabilityDiagram, edges: Sequence[Any], without: Collection[str]) -> Columns:
+def _edges(result: StabilityDiagram, edges: Sequence[Any], without: Collection[str]) -> words.Columns:
     rows = [*edge_rows(1, result, edges)]
     columns = {name: [row[name] for row in rows] for name in EVENT_COLUMNS if name not in without}
     return {"change": np.arange(1, len(rows) + 1), **columns}
 
 
-@show.register
-def _(result: TransientGrowth) -> Shown:
+@words.show.register
+def _(result: TransientGrowth) -> words.Shown:
     t, largest = result.t, int(np.argmax(result.log10_bounded))
     rows = [("times", f"{t.size}, from 0 to {t[-1]:g}")]
     rows += [("largest bounded", f"10^{result.log10_bounded[largest]:.6g} at t = {t[largest]:.6g}")]
@@ -102,14 +89,14 @@ def _(result: TransientGrowth) -> Shown:
         axes.set(xlabel="time $t$", ylabel=r"$\log_{10}$ of the largest gain", xlim=(t[0], t[-1]))
 
     meaning = "largest amplification of perturbations against time"
-    return Shown("Transient growth of perturbations", rows, draw, meaning, lambda: {"t": t, **gains})
+    return words.Shown("Transient growth of perturbations", rows, draw, meaning, lambda: {"t": t, **gains})
 
 
 # Proofs ---------------------------------------------------------------------------------------------------------------
 
 
-@show.register
-def _(result: Certificate) -> Shown:
+@words.show.register
+def _(result: Certificate) -> words.Shown:
     c, odd, rows = result.constants, "odd " if result.step == 2 else "", [("S", repr(result.S))]
     if result.proved:
         rows += [("Omega", f"{result.Omega_digits}; computed one within {result.Omega_error:.2g}")]
@@ -130,16 +117,16 @@ def _(result: Certificate) -> Shown:
         axes.semilogy(positions, largest - smallest, "_", ms=7, color="0.4", label="width of its enclosure")
         number_sites(axes, 1, low.size, "position $n$")
 
-    def columns() -> Columns:
+    def columns() -> words.Columns:
         low, high = result.profile
         return {"position": np.arange(1, low.size + 1), "lower": low, "upper": high}
 
     title = f"{'P' if result.proved else 'No p'}roof of an orbit"
-    return Shown(title, rows, draw, "enclosures of displacements", columns)
+    return words.Shown(title, rows, draw, "enclosures of displacements", columns)
 
 
-@show.register
-def _(result: ProvedStability) -> Shown:
+@words.show.register
+def _(result: ProvedStability) -> words.Shown:
     rows = [("S", repr(result.S)), ("verdict", result.verdict)]
     if result.signatures.size:
         plus = int(np.sum(result.signatures > 0))
@@ -159,15 +146,15 @@ def _(result: ProvedStability) -> Shown:
         axes.set(xlabel=r"exponent $\sigma$, enclosed", ylabel="number of the exponent")
         axes.set_yticks(range(1, result.signatures.size + 1, 1 + result.signatures.size // 10))
 
-    def columns() -> Columns:
+    def columns() -> words.Columns:
         low, high = result.brackets.T
         return {"exponent": np.arange(1, low.size + 1), "lower": low, "upper": high, "signature": result.signatures}
 
-    return Shown("Proof of stability", rows, draw, "enclosures of exponents", columns)
+    return words.Shown("Proof of stability", rows, draw, "enclosures of exponents", columns)
 
 
-@show.register
-def _(result: ProvedStretch) -> Shown:
+@words.show.register
+def _(result: ProvedStretch) -> words.Shown:
     ends = np.array([result.S_start, *result.breaks, result.S_end])
     columns = {"piece": np.arange(1, ends.size), "S_start": ends[:-1], "S_end": ends[1:]}
     rows = [("S", f"{result.S_start!r} to {result.S_end!r}"), ("pieces", str(result.pieces))]
@@ -180,14 +167,14 @@ def _(result: ProvedStretch) -> Shown:
         axes.set(xlabel=AMPLITUDE_LABEL, ylabel="length in $S$")
         axes.set_ylim(bottom=0.0)
 
-    return Shown("Proof that a family is one curve", rows, draw, "proved pieces of a family", lambda: columns)
+    return words.Shown("Proof that a family is one curve", rows, draw, "proved pieces of a family", lambda: columns)
 
 
 # Searches and kicks ---------------------------------------------------------------------------------------------------
 
 
-@show.register
-def _(result: SearchResult) -> Shown:
+@words.show.register
+def _(result: SearchResult) -> words.Shown:
     rows = [(f"optimum {k}", _optimum(optimum)) for k, optimum in enumerate(result.optima[:4], start=1)]
     rows += [("optima", f"{len(result.optima)}, and {len(result.others)} of other families")]
     rows += [("starts", str(len(result.outcomes))), ("end", result.reason)]
@@ -195,37 +182,37 @@ def _(result: SearchResult) -> Shown:
     def draw(axes: Axes) -> None:
         draw_starts(axes, result, "objective")
 
-    title = f"Search of {model_words(result.model)}"
-    return Shown(title, rows, draw, "optima of a search", lambda: _optima(result.optima))
+    title = f"Search of {words.model_words(result.model)}"
+    return words.Shown(title, rows, draw, "optima of a search", lambda: _optima(result.optima))
 
 
 def _optimum(optimum: Optimum) -> str:
     free = dict(list(optimum.parameters.items())[:4])
-    return f"objective {optimum.objective:.10g} at {named(free) if free else 'no free number'}"
+    return f"objective {optimum.objective:.10g} at {words.named(free) if free else 'no free number'}"
 
 
-def _optima(optima: Sequence[Optimum]) -> Columns:
+def _optima(optima: Sequence[Optimum]) -> words.Columns:
     names = list(optima[0].parameters) if optima else []
-    columns: Columns = {"optimum": np.arange(1, len(optima) + 1), "objective": [o.objective for o in optima]}
+    columns: words.Columns = {"optimum": np.arange(1, len(optima) + 1), "objective": [o.objective for o in optima]}
     columns |= {name: [o.parameters[name] for o in optima] for name in names}
     return columns | {"objective_error": [o.errors.get("objective", np.nan) for o in optima]}
 
 
-@show.register
-def _(result: ParetoFront) -> Shown:
+@words.show.register
+def _(result: ParetoFront) -> words.Shown:
     both = dict(zip(result.names, result.values.T, strict=True))
     rows = [("points", f"{len(result.points)}, and {result.dominated} that others dominate")]
-    rows += [(name, range_of(values)) for name, values in both.items()]
+    rows += [(name, words.range_of(values)) for name, values in both.items()]
 
     def draw(axes: Axes) -> None:
         axes.plot(*result.values.T, "o-", ms=4)
         axes.set(xlabel=plain(result.names[0]), ylabel=plain(result.names[1]))
 
-    return Shown("Pareto front", rows, draw, "a Pareto front", lambda: {**_optima(result.points), **both})
+    return words.Shown("Pareto front", rows, draw, "a Pareto front", lambda: {**_optima(result.points), **both})
 
 
-@show.register
-def _(result: SmallestKick) -> Shown:
+@words.show.register
+def _(result: SmallestKick) -> words.Shown:
     sites = np.arange(1, result.displacements.size + 1)
     columns = {"displacement": result.displacements, "velocity": result.velocities}
     rows = [("norm", f"{result.norm:.10g} ({result.norm_name})"), ("escapes", f"at t = {result.escape_time:.6g}")]
@@ -238,18 +225,18 @@ def _(result: SmallestKick) -> Shown:
         number_sites(axes, 1, sites.size, "site $n$")
         axes.set_ylabel("smallest kick")
 
-    title, table = f"Smallest kick of {model_words(result.orbit.model)}", {"site": sites, **columns}
-    return Shown(title, [*rows, ("status", result.status)], draw, "the smallest kick", lambda: table)
+    title, table = f"Smallest kick of {words.model_words(result.orbit.model)}", {"site": sites, **columns}
+    return words.Shown(title, [*rows, ("status", result.status)], draw, "the smallest kick", lambda: table)
 
 
 # Lattices: spreading of energy, linear modes, bands -------------------------------------------------------------------
 
 
-@show.register
-def _(result: Spreading) -> Shown:
+@words.show.register
+def _(result: Spreading) -> words.Shown:
     t, numbers = result.t, {"participation": result.participation, "second_moment": result.second_moment}
     centres = {f"centre_{k}": values for k, values in enumerate(result.centre.T, start=1)}
-    rows = [samples(t)]
+    rows = [words.samples(t)]
     rows += [("participation", f"{result.participation[0]:.4g} to {result.participation[-1]:.4g} sites")]
     rows += [("second moment", f"{result.second_moment[0]:.4g} to {result.second_moment[-1]:.4g}")]
 
@@ -259,14 +246,14 @@ def _(result: Spreading) -> Shown:
         axes.set_ylim(bottom=0.0)
 
     title, table = f"Energy over {result.energies.shape[1]} sites in time", {"t": t, "energy": result.total}
-    return Shown(title, rows, draw, "spreading of the energy", lambda: {**table, **centres, **numbers})
+    return words.Shown(title, rows, draw, "spreading of the energy", lambda: {**table, **centres, **numbers})
 
 
-@show.register
-def _(result: LatticeModes) -> Shown:
+@words.show.register
+def _(result: LatticeModes) -> words.Shown:
     omega, ends = result.frequencies, result.frequencies.real[[0, -1]]
     rows = [("frequencies", f"{ends[0]:.8g} to {ends[1]:.8g}" + ("" if result.real else ", some complex"))]
-    rows += [("participation", f"{range_of(result.participation, 4)} sites")]
+    rows += [("participation", f"{words.range_of(result.participation, 4)} sites")]
     columns = {"omega": omega.real, "growth": omega.imag, "participation": result.participation}
 
     def draw(axes: Axes) -> None:
@@ -274,14 +261,14 @@ def _(result: LatticeModes) -> Shown:
         axes.set(xlabel="participation ratio (sites)", ylabel=r"linear frequency $\omega$")
 
     table = {"mode": np.arange(1, omega.size + 1), **columns}
-    return Shown(f"Linear modes: {omega.size}", rows, draw, "linear modes", lambda: table)
+    return words.Shown(f"Linear modes: {omega.size}", rows, draw, "linear modes", lambda: table)
 
 
-@show.register
-def _(result: Bands) -> Shown:
+@words.show.register
+def _(result: Bands) -> words.Shown:
     low, high = result.squares.real.min(axis=0), result.squares.real.max(axis=0)
-    rows = [("omega^2", ranges(zip(low, high, strict=True))), ("gaps", ranges(result.gaps))]
-    rows += [("|beta|", listed([f"{beta:.6g}" for beta in result.beta]))]
+    rows = [("omega^2", words.ranges(zip(low, high, strict=True))), ("gaps", words.ranges(result.gaps))]
+    rows += [("|beta|", words.listed([f"{beta:.6g}" for beta in result.beta]))]
     columns = {"point": np.arange(len(result.wave_numbers))}
     columns |= {f"k_{i}": values for i, values in enumerate(result.wave_numbers.T, start=1)}
     columns |= {f"omega2_{i}": values.real for i, values in enumerate(result.squares.T, start=1)}
@@ -290,4 +277,4 @@ def _(result: Bands) -> Shown:
         draw_bands(axes, result)
         axes.set_xlabel(r"wave number $k/\pi$")
 
-    return Shown(f"Bands: {low.size}", rows, draw, "bands", lambda: columns)
+    return words.Shown(f"Bands: {low.size}", rows, draw, "bands", lambda: columns)

@@ -15,29 +15,13 @@ from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import check_name, short_repr
 from casadi_skin.points.diagram import Diagram
 from casadi_skin.points.edges import EdgeCurve
+from casadi_skin.results import words
 from casadi_skin.results.figures.branches import courses, draw_edge, draw_marks, draw_pieces, stability_pieces
 from casadi_skin.results.figures.families import family_path, family_pieces
 from casadi_skin.results.figures.multipliers import draw_plane
 from casadi_skin.results.figures.style import amplitude_label, draw_curves, plain
 from casadi_skin.results.quantities import numbers_of, unique_names
 from casadi_skin.results.tables import edge_columns
-from casadi_skin.results.words import (
-    Columns,
-    Rows,
-    Shown,
-    complex_numbers,
-    course,
-    found,
-    listed,
-    model_words,
-    named,
-    parameters,
-    ranges,
-    samples,
-    show,
-    special_points,
-    with_error,
-)
 from casadi_skin.stability.result import Floquet, LocalisedFloquet
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest import Spectrum
@@ -53,31 +37,31 @@ MOST_IN_COLUMN = 4  # words of a legend
 # States in time -------------------------------------------------------------------------------------------------------
 
 
-@show.register
-def _(result: Solution) -> Shown:
+@words.show.register
+def _(result: Solution) -> words.Shown:
     start, end = result.interval
-    rows = [("interval", f"{start:g} to {end:g}, {result.intervals} intervals"), *parameters(result.parameters)]
+    rows = [("interval", f"{start:g} to {end:g}, {result.intervals} intervals"), *words.parameters(result.parameters)]
     if result.optimum is not None:
         rows.append(("objective", f"{result.objective:.10g}: {result.status}"))
     return _in_time("Solution", result, [*rows, ("error", f"{result.error:.1e}, relative")])
 
 
-@show.register
-def _(result: Orbit) -> Shown:
+@words.show.register
+def _(result: Orbit) -> words.Shown:
     known = result.known_floquet or vars(result).get("_floquet")
-    rows: Rows = []
+    rows: words.Rows = []
     if result.space.connects == FAMILY:
-        rows = [("S", f"{result.S:.10g}"), ("Omega", with_error(result.Omega, result.Omega_error))]
-    rows += [("period", with_error(result.period, result.period_error)), *parameters(result.parameters)]
+        rows = [("S", f"{result.S:.10g}"), ("Omega", words.with_error(result.Omega, result.Omega_error))]
+    rows += [("period", words.with_error(result.period, result.period_error)), *words.parameters(result.parameters)]
     rows += [("error", f"{result.profile_error:.1e}, relative, of the state")]
     rows += [("stability", _stability(known) if known is not None else "not computed; see floquet()")]
     return _in_time("Orbit", result, rows)
 
 
-def _in_time(what: str, result: Any, rows: Rows) -> Shown:
+def _in_time(what: str, result: Any, rows: words.Rows) -> words.Shown:
     space, (start, end), in_family = result.space, result.interval, result.space.connects == FAMILY
 
-    def columns() -> Columns:
+    def columns() -> words.Columns:
         t = np.linspace(start, end, SAMPLES)
         return _states(t, space.state_names, result.evaluate(t, *([space.output_sites] if in_family else [])))
 
@@ -87,22 +71,22 @@ def _in_time(what: str, result: Any, rows: Rows) -> Shown:
         return _draw_states(axes, t, result.evaluate(t), names, states)
 
     meaning = "states over the interval or the period"
-    return Shown(f"{what} of {model_words(result.model)}", rows, draw, meaning, columns)
+    return words.Shown(f"{what} of {words.model_words(result.model)}", rows, draw, meaning, columns)
 
 
-@show.register
-def _(result: Evolution) -> Shown:
-    rows = [samples(result.t), ("states", listed(result.names)), *parameters(result.parameters)]
+@words.show.register
+def _(result: Evolution) -> words.Shown:
+    rows = [words.samples(result.t), ("states", words.listed(result.names)), *words.parameters(result.parameters)]
     rows += [("method", f"{result.method}, tolerance {result.tolerance:.1e}")]
 
     def draw(axes: Axes, states: Sequence[str] | None = None) -> int:
         return _draw_states(axes, result.t, result.states, result.names, states)
 
-    title = f"Time evolution of {model_words(result.model)}"
-    return Shown(title, rows, draw, "states in time", lambda: _states(result.t, result.names, result.states))
+    title = f"Time evolution of {words.model_words(result.model)}"
+    return words.Shown(title, rows, draw, "states in time", lambda: _states(result.t, result.names, result.states))
 
 
-def _states(t: Any, names: Iterable[Any], values: Any) -> Columns:
+def _states(t: Any, names: Iterable[Any], values: Any) -> words.Columns:
     return {"t": t, **dict(zip(unique_names(map(str, names), ["t"]), values.T, strict=False))}
 
 
@@ -122,41 +106,49 @@ def _draw_states(axes: Axes, t: Array, values: Array, names: Sequence[str], stat
 # Branches and their points --------------------------------------------------------------------------------------------
 
 
-@show.register
-def _(result: Equilibrium) -> Shown:
+@words.show.register
+def _(result: Equilibrium) -> words.Shown:
     values = dict(zip(result.space.state_names, result.positions.tolist(), strict=True))
     stable = "stable" if result.stable else f"unstable: {result.unstable} eigenvalues with a positive real part"
-    rows = [("state", named(values)), *parameters(result.parameters), ("error", f"{result.error:.1e}, relative")]
+    rows = [
+        ("state", words.named(values)),
+        *words.parameters(result.parameters),
+        ("error", f"{result.error:.1e}, relative"),
+    ]
 
-    def columns() -> Columns:
+    def columns() -> words.Columns:
         states = dict(zip(unique_names(values, ["error"]), values.values(), strict=True))
         known = {name: value for name, value in result.parameters.items() if name not in states}
         row = {"equilibrium": 0, **known, **states, "stable": result.stable, "error": result.error}
         return {name: [value] for name, value in row.items()}
 
-    title = f"Equilibrium of {model_words(result.model)}"
-    return Shown(title, [*rows, ("stability", stable)], show(result.spectrum).draw, "an equilibrium", columns)
+    title = f"Equilibrium of {words.model_words(result.model)}"
+    return words.Shown(
+        title, [*rows, ("stability", stable)], words.show(result.spectrum).draw, "an equilibrium", columns
+    )
 
 
-@show.register
-def _(result: Branch) -> Shown:
+@words.show.register
+def _(result: Branch) -> words.Shown:
     space, values = result.space, result.values if result.parameter else np.zeros(0)
     plural = {FAMILY: "Family of orbits", ORBITS: "Branch of orbits", EQUILIBRIA: "Branch of equilibria"}
     what = plural.get(space.connects, "Branch of solutions")
     rows = [("points", str(len(result)))]
     if values.size:
-        rows.append((result.parameter, course(values)))
+        rows.append((result.parameter, words.course(values)))
     if result.with_stability and not space.stability_included:
         rows.append(("stable", f"{int(np.count_nonzero(result.stable))} of {len(result)} points"))
         if result.with_events and result.changes_known:
-            rows.append(("changes of stability", found([f"{c.value:.8g}" for c in result.changes], result.unresolved)))
+            rows.append(
+                ("changes of stability", words.found([f"{c.value:.8g}" for c in result.changes], result.unresolved))
+            )
     elif result.solutions and not space.stability_included and space.closes:
         rows.append(("stability", "not computed; stability=True in follow computes it"))
     special = result.special_points if space.locates_folds else ()
     missing = result.not_located if "_sought" in vars(result) else ()
-    rows += [("special points", special_points(special))] if special else []
-    rows += [("unresolved", listed(result.known_unresolved))] if result.known_unresolved else []
-    rows += [("not located", listed(missing))] if missing else []
+    rows += [("special points", words.special_points(special))] if special else []
+    rows += [("unresolved", words.listed(result.known_unresolved))] if result.known_unresolved else []
+    rows += [("not located", words.listed(missing))] if missing else []
 
     def draw(axes: Axes, x: str | None = None, y: str | None = None, colour: Any = None) -> None:
         if not result.solutions:
@@ -178,7 +170,7 @@ def _(result: Branch) -> Shown:
         draw_marks(axes, result, path, colour)
         axes.set(xlabel=labels[0], ylabel=labels[1])
 
-    return Shown(f"{what} of {model_words(space.model)}", [*rows, ("end", result.reason)], draw)
+    return words.Shown(f"{what} of {words.model_words(space.model)}", [*rows, ("end", result.reason)], draw)
 
 
 def _next_colour(axes: Axes) -> Any:
@@ -209,46 +201,49 @@ def _along(branch: Branch, name: str) -> Array:
     return np.array([orbit.evaluate(0.0, branch.space.output_sites)[place] for orbit in branch.orbits])
 
 
-@show.register
-def _(result: Diagram) -> Shown:
+@words.show.register
+def _(result: Diagram) -> words.Shown:
     rows = [("branches", str(len(result))), ("points", str(sum(len(branch) for branch in result)))]
-    rows += [("special points", special_points(result.special_points)), ("not started", listed(result.failures))]
+    rows += [
+        ("special points", words.special_points(result.special_points)),
+        ("not started", words.listed(result.failures)),
+    ]
     first = result.branches[0]
 
     def draw(axes: Axes, x: str | None = None, y: str | None = None) -> None:
         colours = [_next_colour(axes), _next_colour(axes)]
         for branch in result.branches:
-            show(branch).draw(axes, x=x, y=y, colour=colours[branch.space.connects == ORBITS])
+            words.show(branch).draw(axes, x=x, y=y, colour=colours[branch.space.connects == ORBITS])
 
-    return Shown(f"Diagram of {model_words(first.space.model)} in {first.parameter}", rows, draw)
+    return words.Shown(f"Diagram of {words.model_words(first.space.model)} in {first.parameter}", rows, draw)
 
 
-@show.register
-def _(result: SpecialPoint) -> Shown:
+@words.show.register
+def _(result: SpecialPoint) -> words.Shown:
     name, values = result.parameter, result.parameters
-    rows = [(name, with_error(values[name], result.error)), *parameters(values, name)]
-    rows += [("loses", listed(result.lost))] if result.lost else []
+    rows = [(name, words.with_error(values[name], result.error)), *words.parameters(values, name)]
+    rows += [("loses", words.listed(result.lost))] if result.lost else []
 
-    def columns() -> Columns:
+    def columns() -> words.Columns:
         known = {name: [value] for name, value in values.items()}
         return {"special point": [0], "kind": [result.kind], **known, "error": [result.error]}
 
-    title = f"Special point ({result.kind}) of {model_words(result.solution.model)}"
-    return Shown(title, rows, show(result.solution).draw, f"a {result.kind}", columns)
+    title = f"Special point ({result.kind}) of {words.model_words(result.solution.model)}"
+    return words.Shown(title, rows, words.show(result.solution).draw, f"a {result.kind}", columns)
 
 
-@show.register
-def _(result: EdgeCurve) -> Shown:
+@words.show.register
+def _(result: EdgeCurve) -> words.Shown:
     rows = [("points", str(len(result))), ("kind", result.kind)]
-    rows += [(result.parameter, course(result[result.parameter])), ("S", course(result.S))]
+    rows += [(result.parameter, words.course(result[result.parameter])), ("S", words.course(result.S))]
     rows += [("error of S", f"up to {np.max(result.errors):.1e}"), ("end", result.reason)]
 
     def draw(axes: Axes, colour: Any = None) -> None:
         draw_edge(axes, result, ls="-" if result.kind == "real" else "--", lw=1.8, color=colour)
 
     meaning = "the edge of a tongue of instability"
-    return Shown(
-        f"Edge of a tongue of {model_words(result.points[0].orbit.model)}",
+    return words.Shown(
+        f"Edge of a tongue of {words.model_words(result.points[0].orbit.model)}",
         rows,
         draw,
         meaning,
@@ -259,22 +254,24 @@ def _(result: EdgeCurve) -> Shown:
 # Multipliers and eigenvalues ------------------------------------------------------------------------------------------
 
 
-@show.register
-def _(result: Floquet) -> Shown:
+@words.show.register
+def _(result: Floquet) -> words.Shown:
     rows = [("multipliers", f"{result.multipliers.size}, {result.trivial} of them trivial")]
-    rows += [("largest", complex_numbers(sorted(result.others, key=abs, reverse=True)))]
+    rows += [("largest", words.complex_numbers(sorted(result.others, key=abs, reverse=True)))]
     if (localised := result.localised) is not None:
-        words = f"{result.mu.size} pairs beside the trivial one, on {localised.sites} sites at the edge"
-        rows[0] = ("localised", words)
+        text = f"{result.mu.size} pairs beside the trivial one, on {localised.sites} sites at the edge"
+        rows[0] = ("localised", text)
         rows += _of_waves(localised)
     rows += [("error", f"{result.error:.1e}"), ("stability", _stability(result))]
 
-    def columns() -> Columns:
+    def columns() -> words.Columns:
         is_trivial = np.arange(result.multipliers.size) < result.trivial
         outside = np.append(np.zeros(result.trivial, dtype=bool), result.outside)
         return _plane("multiplier", result.multipliers, trivial=is_trivial, outside=outside)
 
-    return Shown("Floquet multipliers", rows, lambda axes: draw_plane(axes, result), "Floquet multipliers", columns)
+    return words.Shown(
+        "Floquet multipliers", rows, lambda axes: draw_plane(axes, result), "Floquet multipliers", columns
+    )
 
 
 def _stability(floquet: Floquet) -> str:
@@ -286,12 +283,12 @@ def _stability(floquet: Floquet) -> str:
     return f"unstable: {outside}, largest modulus {floquet.max_abs_multiplier:.8g}"
 
 
-def _of_waves(result: LocalisedFloquet) -> Rows:
+def _of_waves(result: LocalisedFloquet) -> words.Rows:
     """Arcs of the continuous spectrum, their overlaps, and pairs that depend on the number of sites."""
     overlaps = result.continuous.overlaps
-    words = f"at omega T from {ranges(o.angles for o in overlaps)}"
-    rows = [("waves", f"arcs of the circle, omega T from {ranges(result.continuous.arcs)}")]
-    rows += [("they overlap", words if overlaps else "nowhere with those of opposite signature")]
+    text = f"at omega T from {words.ranges(o.angles for o in overlaps)}"
+    rows = [("waves", f"arcs of the circle, omega T from {words.ranges(result.continuous.arcs)}")]
+    rows += [("they overlap", text if overlaps else "nowhere with those of opposite signature")]
     count = f"{result.finite_size.size} pairs off the circle, up to {result.finite_size_modulus:.6g}"
     rows.append(("finite-size", f"{count}; they depend on the number of sites"))
     if result.unresolved.size:
@@ -299,14 +296,14 @@ def _of_waves(result: LocalisedFloquet) -> Rows:
     if result.counted is None:
         rows.append(("not counted", f"stability is that of the cut problem of {result.sites} sites"))
     elif result.counted != result.listed:
-        words = f"{result.counted} outside the circle, {result.listed} in the list"
-        rows.append(("counted", f"{words}: too weakly localised to be resolved by the cut"))
+        text = f"{result.counted} outside the circle, {result.listed} in the list"
+        rows.append(("counted", f"{text}: too weakly localised to be resolved by the cut"))
     return rows
 
 
-@show.register
-def _(result: Spectrum) -> Shown:
-    rows = [("eigenvalues", complex_numbers(result.values)), ("error", f"{np.max(result.errors):.1e}")]
+@words.show.register
+def _(result: Spectrum) -> words.Shown:
+    rows = [("eigenvalues", words.complex_numbers(result.values)), ("error", f"{np.max(result.errors):.1e}")]
     rows += [("stability", "stable" if result.stable else "unstable")]
 
     def draw(axes: Axes) -> None:
@@ -319,9 +316,11 @@ def _(result: Spectrum) -> Shown:
         axes.set(xlabel="real part", ylabel="imaginary part")
 
     title = "Eigenvalues of the linearisation"
-    return Shown(title, rows, draw, "eigenvalues", lambda: _plane("eigenvalue", result.values, error=result.errors))
+    return words.Shown(
+        title, rows, draw, "eigenvalues", lambda: _plane("eigenvalue", result.values, error=result.errors)
+    )
 
 
-def _plane(index: str, values: Any, **more: Any) -> Columns:
+def _plane(index: str, values: Any, **more: Any) -> words.Columns:
     number = np.arange(1, values.size + 1)
     return {index: number, "real": values.real, "imaginary": values.imag, "modulus": np.abs(values), **more}

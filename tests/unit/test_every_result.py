@@ -34,6 +34,7 @@ from casadi_skin import (
     follow_family,
     read_result,
     search_orbit,
+    simulate,
     smallest_kick,
 )
 from casadi_skin.dynamics import evolve
@@ -324,3 +325,87 @@ def test_nothing_that_draws_or_tabulates_is_imported_before_it_is_asked_for() ->
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+# What a result has: every name of its class is a value or no attribute, and times, states and shapes agree ------------
+
+
+def member_by(**options: Any) -> Any:
+    return follow_family(Chain(3, 1.0, 0.25, -1.0), 1, 0.2, tolerance=1e-9, **options).at(S=0.2)
+
+
+def motion() -> Any:
+    return simulate(HOPF, [0.1, 0.0], np.linspace(0.0, 60.0, 601), parameters={"mu": 0.25})
+
+
+OTHERS: dict[str, Callable[[], Any]] = {
+    "orbit of a family by collocation": lambda: member_by(transcription="gauss"),
+    "orbit of a family by shooting": lambda: member_by(transcription="shooting"),
+    "orbit of an infinite chain": lambda: endless_family().orbits[-1],
+    "family": family,
+    "cycles": lambda: cycle().follow("mu", 0.5),
+    "solutions": lambda: solution().follow("mu", 2.0),
+}
+
+
+@pytest.mark.parametrize("name", [*SLOWER, *OTHERS])
+def test_every_name_of_a_result_is_a_value_or_no_attribute(name: str) -> None:
+    result = OTHERS[name]() if name in OTHERS else made(name)
+    for attribute in (name for name in dir(type(result)) if not name.startswith("_")):
+        if not hasattr(result, attribute):  # which itself raises what is no AttributeError
+            with pytest.raises(AttributeError) as reason:
+                getattr(result, attribute)
+            assert "\n" not in str(reason.value)
+
+
+def test_what_a_kind_of_result_has_not_is_named() -> None:
+    for result, missing in (
+        (rest(), ("t", "mesh", "states", "intervals", "objective")),
+        (cycle(), ("S", "energy", "objective", "Omega_shift")),
+        (member_by(), ("mesh", "intervals", "problem", "statement", "objective")),
+        (solution(), ("stable", "objective", "status")),
+    ):
+        assert [name for name in missing if hasattr(result, name)] == []
+    with pytest.raises(ValueError, match="energy: Hopf declares no hamiltonian"):
+        _ = cycle().energy
+    with pytest.raises(ValueError, match=r"mesh: the solution is not one of collocation; accepted: evaluate\(t\)"):
+        _ = member_by().mesh
+
+
+@pytest.mark.parametrize(
+    ("options", "least", "intervals"),
+    [({}, 4, False), ({"transcription": "gauss"}, 5, True), ({"transcription": "shooting"}, 2, False)],
+)
+def test_times_and_states_of_an_orbit_of_a_family(options: dict[str, Any], least: int, intervals: bool) -> None:
+    """Within the quarter that was unknown, and on the orbit that odd cosines give."""
+    orbit, exact = member_by(**options), member_by()
+    assert orbit.t.size >= least
+    assert np.all(np.diff(orbit.t) > 0.0)
+    assert 0.0 <= orbit.t[0] < orbit.t[-1] <= 0.25 * orbit.period * (1 + 1e-14)
+    assert orbit.states.shape == (orbit.t.size, 3)
+    np.testing.assert_allclose(orbit.states, exact.evaluate(orbit.t), atol=1e-8)
+    np.testing.assert_array_equal(orbit[orbit.space.state_names[1]], orbit.states[:, 1])
+    assert hasattr(orbit, "mesh") == intervals
+    if intervals:
+        assert orbit.mesh.size == orbit.intervals + 1
+        np.testing.assert_allclose(orbit.mesh[[0, -1]], [0.0, 0.25 * orbit.period], rtol=1e-14)
+        assert np.isin(np.round(orbit.mesh, 12), np.round(orbit.t, 12)).all()
+
+
+@pytest.mark.parametrize("make", [member, OTHERS["orbit of an infinite chain"], cycle, solution, motion])
+def test_one_time_gives_one_state_and_several_a_row_each(make: Callable[[], Any]) -> None:
+    result = make()
+    several = result.evaluate([0.1, 0.4, 0.7])
+    one = result.evaluate(0.4)
+    assert one.shape == several.shape[1:]
+    np.testing.assert_allclose(one, several[1], rtol=1e-14)
+    assert result.evaluate(np.float64(0.4)).shape == one.shape
+    assert result.evaluate([0.4]).shape == (1, *one.shape)
+
+
+def test_an_equilibrium_and_a_simulated_cycle_have_the_same_shapes() -> None:
+    guess = motion().last_cycle()
+    for result in (rest(), guess):
+        assert result.evaluate(0.5).shape == (2,)
+        assert result.evaluate([0.5]).shape == (1, 2)
+        assert result.evaluate([0.5, 1.0]).shape == (2, 2)

@@ -9,17 +9,7 @@ import numpy as np
 
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import Bands, bands, brillouin_zone, lattice_modes, winding_numbers
-from casadi_skin.results.figures.style import (
-    LINE_DASHES,
-    MARKED_SITES,
-    blank,
-    finished,
-    moving,
-    number_sites,
-    position_label,
-    style,
-    title,
-)
+from casadi_skin.results.figures import style
 from casadi_skin.zero.model_coordinates import linear_spectrum
 
 if TYPE_CHECKING:
@@ -54,8 +44,8 @@ def band_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None)
     """
     of_cell, ring = bands(lattice, parameters), bands(lattice, parameters, RING_POINTS, open_ends=False)
     modes = lattice_modes(lattice, parameters)
-    with style():
-        figure = blank(7.2, 3.2)
+    with style.style():
+        figure = style.blank(7.2, 3.2)
         panels = figure.subplot_mosaic("abc")
         draw_bands(panels["a"], of_cell)
         lean = ", ".join(f"{beta:.4g}" for beta in of_cell.beta)
@@ -68,8 +58,8 @@ def band_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None)
         panels["c"].plot(modes.squares.real, modes.squares.imag, "o", ms=3, mfc="white", color="black")
         panels["c"].set_xlabel(r"Re $\omega^2$ (dots: of a ring)")
         panels["c"].set_ylabel(r"Im $\omega^2$")
-        figure.suptitle(title(lattice, parameters))
-        return finished(figure, (), 1)
+        figure.suptitle(style.title(lattice, parameters))
+        return style.finished(figure, (), 1)
 
 
 # The skin effect of a lattice: its modes in the loops of the ring's spectrum, and the generalised Brillouin zone ------
@@ -94,8 +84,8 @@ def skin_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None)
     squares = lattice_modes(lattice, parameters).squares
     windings = winding_numbers(lattice, squares, parameters)
     zone = brillouin_zone(lattice, squares, parameters).ravel()
-    with style():
-        figure = blank(6.6, 3.2)
+    with style.style():
+        figure = style.blank(6.6, 3.2)
         panels = figure.subplot_mosaic("ab")
         panels["a"].plot(ring.squares.real, ring.squares.imag, ".", ms=1.0, color="0.6")
         markers = {0.0: "x", 1.0: "o", -1.0: "s"}
@@ -112,13 +102,13 @@ def skin_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None)
         panels["a"].set_xlabel(r"Re $\omega^2$ (dots: of a ring)")
         panels["a"].set_ylabel(r"Im $\omega^2$")
         circle = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 201))
-        panels["b"].plot(circle.real, circle.imag, color="0.6", lw=0.8, ls=LINE_DASHES[1])
+        panels["b"].plot(circle.real, circle.imag, color="0.6", lw=0.8, ls=style.LINE_DASHES[1])
         panels["b"].plot(zone.real, zone.imag, "o", ms=3, mfc="white", color="black")
         panels["b"].set_aspect("equal")
         panels["b"].set_xlabel(r"Re $\beta$ (dashed: $|\beta| = 1$)")
         panels["b"].set_ylabel(r"Im $\beta$")
-        figure.suptitle(title(lattice, parameters))
-        return finished(figure, (), 1)
+        figure.suptitle(style.title(lattice, parameters))
+        return style.finished(figure, (), 1)
 
 
 # The linear spectrum and its two end modes (paper, Fig. 2a) -----------------------------------------------------------
@@ -144,12 +134,12 @@ def spectrum_figure(model: Any, parameters: Mapping[str, float] | None = None) -
     N = spectrum.squares.size
     if N == 0:
         raise ValueError("sites: given an infinite chain; accepted for its spectrum: a whole number >= 1")
-    j, n = np.arange(1, N + 1), position_label(model)
+    j, n = np.arange(1, N + 1), style.position_label(model)
     frequencies = np.sqrt(np.where(spectrum.squares > 0, spectrum.squares, np.nan))
-    with style():
-        figure = blank(6.8, 3.6)
+    with style.style():
+        figure = style.blank(6.8, 3.6)
         panels = figure.subplot_mosaic("aab;aac" if N > 1 else "aab")
-        marker = "o" if N <= MARKED_SITES else ""
+        marker = "o" if N <= style.MARKED_SITES else ""
         panels["a"].plot(j, frequencies, marker=marker, ms=4, lw=0.8, color="black", mfc="white", zorder=3)
         cutoffs = zip(spectrum.cutoffs or (), ("min", "max"), (0.97, 0.03), (False, True), strict=False)
         for square, name, x, below in cutoffs:
@@ -160,13 +150,13 @@ def spectrum_figure(model: Any, parameters: Mapping[str, float] | None = None) -
                     rf"$\omega_\mathrm{{{name}}} = {omega:.4g}$", (x, omega), (0, -3 if below else 3),
                     panels["a"].get_yaxis_transform(), "offset points", ha=sides[0], va=sides[1],
                 )  # fmt: skip
-        number_sites(panels["a"], 1, N, "mode $j$")
+        style.number_sites(panels["a"], 1, N, "mode $j$")
         panels["a"].set_ylabel(r"linear frequency $\omega_j$")
         for letter, mode in zip("bc", (N, 1)[-len(panels) + 1 :], strict=False):
             u = spectrum.mode(mode)
             panels[letter].axhline(0.0, color="0.45", lw=0.5)
             panels[letter].plot(j, u, marker=marker, ms=2.5, lw=0.8, color="black")
             panels[letter].set_ylabel(rf"$u_{{{mode},n}}$")
-            number_sites(panels[letter], *moving(u[None]), n if mode == 1 else "")
-        figure.suptitle(title(model, parameters))
-        return finished(figure, (), 1, plain=True)
+            style.number_sites(panels[letter], *style.moving(u[None]), n if mode == 1 else "")
+        figure.suptitle(style.title(model, parameters))
+        return style.finished(figure, (), 1, plain=True)

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS, SOLUTIONS
-from casadi_skin.results.figures.style import amplitude_label, blank, colours, finished, plain, style
-from casadi_skin.results.figures.style import title as model_title
+from casadi_skin.results.figures import style
 from casadi_skin.results.quantities import extremes
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import End
@@ -246,7 +245,7 @@ def draw_marks(axes: Axes, branch: Branch, path: Array, colour: Any) -> None:
 def solution_title(solution: Solution, name: str = "", without: Iterable[str] = ()) -> str:
     """The model of a solution, or `name` in its place, and the values of its parameters but for some."""
     known = {key: value for key, value in solution.parameters.items() if key not in set(without)}
-    return model_title(solution.space.model, known, name)
+    return style.title(solution.space.model, known, name)
 
 
 # Branches in one parameter, and curves in two -------------------------------------------------------------------------
@@ -272,27 +271,27 @@ def branch_figure(branch: Branch, title: str = "") -> Figure:
         names = {FAMILY: "a family", EQUILIBRIA: "one of equilibria, see bifurcation_figure"}
         given = names.get(space.connects, "one without a parameter or solutions")
         raise ValueError(f"branch: given {given}; accepted: a branch of orbits or solutions in a parameter")
-    state = plain(space.state_names[0])
+    state = style.plain(space.state_names[0])
     from matplotlib.lines import Line2D
 
     panels = [(f"{state}: largest and smallest value", courses(branch, 0)), *_second_panel(branch)]
-    with style():
-        figure = blank(6.0, 3.6 if len(panels) == 1 else 5.6)
+    with style.style():
+        figure = style.blank(6.0, 3.6 if len(panels) == 1 else 5.6)
         axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
         for panel, (label, curves) in zip(axes, panels, strict=True):
-            for curve, colour in zip(curves, colours(len(curves)), strict=True):
+            for curve, colour in zip(curves, style.colours(len(curves)), strict=True):
                 path = np.column_stack([branch.values, curve])
                 pieces = stability_pieces(branch, path)
                 draw_pieces(panel, branch, path, pieces, colour, "" if space.connects == ORBITS else "solutions")
                 draw_changes(panel, branch, path, pieces)
                 draw_marks(panel, branch, path, "black")
             if len(curves) == 2:
-                handles = [Line2D([], [], color=colour, lw=2.0) for colour in colours(2)]
+                handles = [Line2D([], [], color=colour, lw=2.0) for colour in style.colours(2)]
                 panel.legend(handles, ["largest", "smallest"], loc="best")
             panel.set_ylabel(label)
-        axes[-1].set_xlabel(plain(space.parameter))
+        axes[-1].set_xlabel(style.plain(space.parameter))
         axes[0].set_title(solution_title(branch.solutions[0], title, (space.parameter, *space.free)), y=1.0)
-        return finished(figure, axes, 5, in_black=True, plain=True)
+        return style.finished(figure, axes, 5, in_black=True, plain=True)
 
 
 def _second_panel(branch: Branch) -> list[tuple[str, list[Array]]]:
@@ -323,10 +322,10 @@ def bifurcation_figure(branches: Sequence[Branch], title: str = "", state: int =
     if not held or any(branch.parameter != held[0].parameter for branch in held):
         raise ValueError("branches: given none, or several parameters; accepted: branches in one parameter")
     first = held[0].solutions[0]
-    name = plain(first.space.state_names[state])
-    rest, cycle = colours(2)
-    with style():
-        figure = blank(6.4, 4.2)
+    name = style.plain(first.space.state_names[state])
+    rest, cycle = style.colours(2)
+    with style.style():
+        figure = style.blank(6.4, 4.2)
         axes = figure.subplots()
         for branch in held:
             closed = branch.space.connects in (FAMILY, ORBITS)
@@ -338,9 +337,9 @@ def bifurcation_figure(branches: Sequence[Branch], title: str = "", state: int =
         equilibria = [branch.space.connects == EQUILIBRIA for branch in held]
         both = f"{name}, of cycles largest and smallest" if any(equilibria) else f"{name}: largest and smallest value"
         what = name if all(equilibria) else both
-        axes.set(xlabel=plain(held[0].parameter), ylabel=what)
+        axes.set(xlabel=style.plain(held[0].parameter), ylabel=what)
         axes.set_title(solution_title(first, title, (held[0].parameter, *held[0].space.free)), y=1.0)
-        return finished(figure, [axes], 3, plain=True)
+        return style.finished(figure, [axes], 3, plain=True)
 
 
 def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
@@ -360,19 +359,19 @@ def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
     if len(planes) != 1 or len(next(iter(planes))) != 2:
         raise ValueError("curves: given branches of other kinds or in other parameters; accepted: curves in one plane")
     second, first = next(iter(planes))
-    with style():
-        figure = blank(6.0, 4.4)
+    with style.style():
+        figure = style.blank(6.0, 4.4)
         axes = figure.subplots()
         looks = [(curve.space.kind, curve.space.connects == ORBITS) for curve in curves]
         order = [look for look in CURVE_LOOKS if look in looks]
         for curve, look in zip(curves, looks, strict=True):
             path = np.column_stack([curve[first], curve[second]])
-            colour = colours(max(2, len(order)))[order.index(look) if len(order) > 1 else int(look[0] == "hopf")]
+            colour = style.colours(max(2, len(order)))[order.index(look) if len(order) > 1 else int(look[0] == "hopf")]
             draw_pieces(axes, curve, path, [(None, path)], colour)
             draw_special(axes, curve, path, 6)
-        axes.set(xlabel=plain(first), ylabel=plain(second))
+        axes.set(xlabel=style.plain(first), ylabel=style.plain(second))
         axes.set_title(solution_title(curves[0].solutions[0], title, (first, second, *curves[0].space.free)), y=1.0)
-        return finished(figure, [axes], 4, plain=True)
+        return style.finished(figure, [axes], 4, plain=True)
 
 
 def edges_figure(curves: Sequence[EdgeCurve], title: str = "") -> Figure:
@@ -391,18 +390,18 @@ def edges_figure(curves: Sequence[EdgeCurve], title: str = "") -> Figure:
     if len({curve.parameter for curve in curves}) != 1:
         raise ValueError("curves: given edges in different parameters, or none; accepted: edges in one parameter")
     model, words = curves[0].points[0].orbit.model, {"real": "through 1 or -1", "complex": "Krein collisions"}
-    with style():
-        figure = blank(6.0, 4.4)
+    with style.style():
+        figure = style.blank(6.0, 4.4)
         axes = figure.subplots()
         kinds = [*words, *sorted({curve.kind for curve in curves} - set(words))]
         for curve in curves:
-            colour, label = colours(len(kinds))[kinds.index(curve.kind)], words.get(curve.kind, curve.kind)
+            colour, label = style.colours(len(kinds))[kinds.index(curve.kind)], words.get(curve.kind, curve.kind)
             draw_edge(axes, curve, lw=1.4, color=colour, label=label)
         axes.set_title(title or f"edges of tongues of {getattr(model, 'name', 'the chain')}", y=1.0)
-        return finished(figure, [axes], 4, plain=True)
+        return style.finished(figure, [axes], 4, plain=True)
 
 
 def draw_edge(axes: Axes, curve: EdgeCurve, **look: Any) -> None:
     """A curve of edges in the plane of its parameter and S."""
     axes.plot(*smooth(np.column_stack([curve[curve.parameter], curve.S])).T, **look)
-    axes.set(xlabel=plain(curve.parameter), ylabel=amplitude_label(curve.points[0].orbit.model))
+    axes.set(xlabel=style.plain(curve.parameter), ylabel=style.amplitude_label(curve.points[0].orbit.model))

@@ -17,8 +17,7 @@ from casadi_skin.dynamics.evolve import distance_from_orbit
 from casadi_skin.dynamics.starts import Spreading
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.results.figures.style import blank, colours, draw_curves, finished, plain, position_label, style
-from casadi_skin.results.figures.style import title as model_title
+from casadi_skin.results.figures import style
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
@@ -67,9 +66,9 @@ def spacetime_figure(
     """
     energy, few = energy and evolution.has_energy, _has_few_states(evolution)
     profile = profile and not few
-    with style():
+    with style.style():
         below = [draw for draw, wanted in ((_draw_energy, energy), (_distance_of(orbit), orbit is not None)) if wanted]
-        figure = blank(6.4 + 1.1 * profile, 3.4 + 1.1 * len(below))
+        figure = style.blank(6.4 + 1.1 * profile, 3.4 + 1.1 * len(below))
         widths, heights = ([1.0, 6.0] if profile else [1.0]), [3.0, *(1.0 for _ in below)]
         grid = figure.add_gridspec(len(heights), len(widths), width_ratios=widths, height_ratios=heights)
         main = last = figure.add_subplot(grid[0, -1])
@@ -91,9 +90,9 @@ def spacetime_figure(
         last.set_xlabel(_time_label(evolution))
         if kicked_site is not None and not few:
             main.plot(evolution.t[0], kicked_site, ">", ms=8, mfc="white", mec="black", clip_on=False, zorder=5)
-        model = model_title(evolution.model, evolution.parameters)
+        model = style.title(evolution.model, evolution.parameters)
         figure.suptitle("; ".join(words for words in (title, model) if words))
-        return finished(figure, (main,) if few else (), FEW_STATES)
+        return style.finished(figure, (main,) if few else (), FEW_STATES)
 
 
 def _has_few_states(evolution: Evolution) -> bool:
@@ -116,10 +115,10 @@ def _draw_states(axes: Axes, evolution: Evolution) -> None:
     """The few states as lines, in long runs as the range that each has in each window of time."""
     names, t = evolution.names, evolution.t
     if not _is_long(evolution):
-        draw_curves(axes, t, dict(zip(map(plain, names), evolution.states.T, strict=True)), lw=1.2)
+        style.draw_curves(axes, t, dict(zip(map(style.plain, names), evolution.states.T, strict=True)), lw=1.2)
     else:
-        for x, name, colour in zip(evolution.states.T, names, colours(len(names)), strict=True):
-            _draw_range(axes, t, x, color=colour, alpha=0.5, label=plain(name))
+        for x, name, colour in zip(evolution.states.T, names, style.colours(len(names)), strict=True):
+            _draw_range(axes, t, x, color=colour, alpha=0.5, label=style.plain(name))
     words = f"range of states in windows of {_window(evolution):.3g}" if _is_long(evolution) else "states"
     axes.set(xlim=(t[0], t[-1] if t.size > 1 else t[0] + 1.0), ylabel=words)
 
@@ -145,7 +144,7 @@ def draw_spacetime(axes: Axes, evolution: Evolution, orbit: Orbit | None = None)
 
 
 def _rows_label(evolution: Evolution) -> str:
-    return position_label(evolution.model) if evolution.equations.positions else "state $n$"
+    return style.position_label(evolution.model) if evolution.equations.positions else "state $n$"
 
 
 def _largest(evolution: Evolution, orbit: Orbit | None = None) -> float:
@@ -277,8 +276,8 @@ def spreading_figure(found: Spreading, lattice: Lattice) -> Figure:
     step = max(1, 2 * found.t.size // MOST_COLUMNS)
     energies = np.abs(found.energies[::step]).T
     largest = float(np.max(energies)) or 1.0
-    with style():
-        figure = blank(6.2, 6.0)
+    with style.style():
+        figure = style.blank(6.2, 6.0)
         panels = figure.subplot_mosaic([["a"], ["a"], ["b"], ["c"]], sharex=True)
         numbers, norm = np.arange(1, len(energies) + 1), LogNorm(largest * 10.0**-SPREADING_DECADES, largest)
         look: dict[str, Any] = {"cmap": COLOUR_MAP, "norm": norm, "shading": "nearest", "rasterized": True}
@@ -290,11 +289,11 @@ def spreading_figure(found: Spreading, lattice: Lattice) -> Figure:
         several = found.centre.shape[1] > 1
         names = [f"along direction {k}" if several else None for k in range(1, 1 + found.centre.shape[1])]
         for place, curves in (("b", dict(zip(names, found.centre.T, strict=True))), ("c", sizes_of(found))):
-            draw_curves(panels[place], found.t, curves, color="black", lw=0.9)  # type: ignore[arg-type]
+            style.draw_curves(panels[place], found.t, curves, color="black", lw=0.9)  # type: ignore[arg-type]
         panels["b"].set_ylabel("centre (cell)")
         for place in ("b", "c") if several else ("c",):
             panels[place].legend(loc="best")
         panels["c"].set_ylim(bottom=0.0)
         panels["c"].set_xlabel("time $t$")
-        figure.suptitle(model_title(lattice))
-        return finished(figure, (), 1)
+        figure.suptitle(style.title(lattice))
+        return style.finished(figure, (), 1)

@@ -10,24 +10,9 @@ import numpy as np
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.linear import band_edges, lattice_modes
+from casadi_skin.results.figures import style
 from casadi_skin.results.figures.branches import Pieces, draw_changes, draw_marks, draw_pieces, stability_pieces
 from casadi_skin.results.figures.multipliers import frequency_pieces, requested, shade_unresolved
-from casadi_skin.results.figures.style import (
-    MARKED_SITES,
-    amplitude_label,
-    blank,
-    colours,
-    common_model,
-    family,
-    finished,
-    is_sum_of_squares,
-    moving,
-    number,
-    number_sites,
-    position_label,
-    style,
-    title,
-)
 from casadi_skin.zero.model_coordinates import linear_spectrum
 from casadi_skin.zero.problem import Array
 
@@ -60,7 +45,7 @@ def family_pieces(branch: Branch, path: Array, shift: bool = False) -> Pieces:
 
 def _draw_theory(axes: Axes, branch: Branch, S: Array, shift: bool) -> None:
     """The frequency to first order in S, where there is a formula; of a shift its slope alone."""
-    coordinates = family(branch).coordinates
+    coordinates = style.family(branch).coordinates
     theory = coordinates.first_order_frequency(S)
     if theory is None:
         return
@@ -113,7 +98,7 @@ def label_ends(axes: Axes, branches: Sequence[Branch], ends: Array) -> None:
         places[i] = min(places[i], 1.0 - gap * (len(places) - 1 - i))
     leader = {"arrowstyle": "-", "lw": 0.5, "color": "0.45", "shrinkA": 0, "shrinkB": 0}
     common: dict[str, Any] = {"va": "center", "xycoords": "data", "annotation_clip": False}
-    names = [f"$j = {family(branch).coordinates.mode_number}$" for branch in branches]
+    names = [f"$j = {style.family(branch).coordinates.mode_number}$" for branch in branches]
     for i, place in zip(outside, places, strict=True):
         at = (1.045, float(place))
         axes.annotate(names[i], tuple(ends[i]), at, textcoords="axes fraction", arrowprops=leader, **common)
@@ -133,7 +118,7 @@ def _draw_shifts(axes: Axes, branches: Sequence[Branch]) -> None:
     ends = np.array([path[-1] for path in paths])
     sizes = np.abs(ends[:, 1])
     apart = bool(sizes.max() > LINEAR_SCALE_RATIO * sizes.min() > 0.0)
-    for branch, path, colour in zip(branches, paths, colours(len(branches)), strict=True):
+    for branch, path, colour in zip(branches, paths, style.colours(len(branches)), strict=True):
         pieces = family_pieces(branch, path, True)
         if apart:
             path, pieces = np.abs(path), [(stable, np.abs(piece)) for stable, piece in pieces]
@@ -141,7 +126,7 @@ def _draw_shifts(axes: Axes, branches: Sequence[Branch]) -> None:
         draw_changes(axes, branch, path, pieces)
         draw_marks(axes, branch, path, colour)
     right = float(ends[:, 0].max())
-    axes.set(xlabel=amplitude_label(branches[0].space.model), xlim=(0.0, right))
+    axes.set(xlabel=style.amplitude_label(branches[0].space.model), xlim=(0.0, right))
     if not apart:
         axes.set_ylabel(r"frequency shift $\Omega - \omega_j$")
         label_ends(axes, branches, ends)
@@ -151,7 +136,7 @@ def _draw_shifts(axes: Axes, branches: Sequence[Branch]) -> None:
     label = r"frequency shift $|\Omega - \omega_j|$"
     axes.set(xscale="log", yscale="log", xlim=(left, right), ylim=limits, ylabel=label)
     for branch, end, size in zip(branches, ends, sizes, strict=True):
-        name = f"$j = {family(branch).coordinates.mode_number}$"
+        name = f"$j = {style.family(branch).coordinates.mode_number}$"
         axes.annotate(name, (end[0], size), (6, 0), textcoords="offset points", va="center", annotation_clip=False)
 
 
@@ -170,17 +155,17 @@ def frequency_figure(branches: Sequence[Branch]) -> Figure:
     Raises:
         ValueError: there is no branch, one is no family, or they are of different models.
     """
-    model, parameters = common_model(branches)
-    with style():
+    model, parameters = style.common_model(branches)
+    with style.style():
         paths = [family_path(branch, False) for branch in branches]
         beside = _hardly_move(paths)
-        figure = blank(11.0 if beside else 6.0, 4.6)
+        figure = style.blank(11.0 if beside else 6.0, 4.6)
         axes = figure.add_subplot(1, 1 + beside, 1)
         shift = len(branches) == 1 and bool(np.ptp(paths[0][:, 1]) < 1e-4 * paths[0][0, 1])
         if shift:
             paths = [family_path(branches[0], True)]
         draw_band(axes, model, branches[0].start.Omega if shift else 0.0, parameters)
-        for branch, path, colour in zip(branches, paths, colours(len(branches)), strict=True):
+        for branch, path, colour in zip(branches, paths, style.colours(len(branches)), strict=True):
             pieces = family_pieces(branch, path, shift)
             draw_pieces(axes, branch, path, pieces, colour)
             draw_changes(axes, branch, path, pieces, strip=len(branches) == 1)
@@ -192,14 +177,14 @@ def frequency_figure(branches: Sequence[Branch]) -> Figure:
         low, high = points[:, 1].min(), points[:, 1].max()
         margin = 0.07 * (high - low) or 0.05 * (high or 1.0)
         axes.set(xlim=(0.0, points[:, 0].max() or 1.0), ylim=(low - margin, high + margin))
-        axes.set_title(title(model, parameters), y=1.0)
+        axes.set_title(style.title(model, parameters), y=1.0)
         label_ends(axes, branches, np.array([path[-1] for path in paths]))
         if beside:
             _draw_shifts(figure.add_subplot(1, 2, 2), branches)
-        mode = family(branches[0]).coordinates.mode_number
+        mode = style.family(branches[0]).coordinates.mode_number
         label = rf"frequency shift $\Omega - \omega_{{{mode}}}$" if shift else r"frequency $\Omega$"
-        axes.set(xlabel=amplitude_label(model), ylabel=label)
-        return finished(figure, [axes], 3, in_black=True, plain=True)
+        axes.set(xlabel=style.amplitude_label(model), ylabel=label)
+        return style.finished(figure, [axes], 3, in_black=True, plain=True)
 
 
 # Profiles of requested orbits beside their linear mode (paper, Fig. 3b, e) --------------------------------------------
@@ -220,17 +205,17 @@ def _logarithms(orbit: Orbit) -> Array:
 
 def _norm(orbit: Orbit) -> float:
     """||y|| at t = 0."""
-    return float(np.sqrt(orbit.S)) if is_sum_of_squares(orbit.model) else float(np.linalg.norm(orbit.profile))
+    return float(np.sqrt(orbit.S)) if style.is_sum_of_squares(orbit.model) else float(np.linalg.norm(orbit.profile))
 
 
 def _looks(keys: Sequence[tuple[float, int]], marked: bool) -> dict[tuple[float, int], dict[str, Any]]:
     """How profiles at each S are drawn: markers, which shrink so that those of coinciding profiles show, or dashes."""
     looks: dict[tuple[float, int], dict[str, Any]] = {}
-    for k, (key, colour) in enumerate(zip(keys, colours(len(keys)), strict=True)):
+    for k, (key, colour) in enumerate(zip(keys, style.colours(len(keys)), strict=True)):
         passage = f" (passage {key[1] + 1})" if key[1] else ""
         marker = {"marker": MARKERS[k % len(MARKERS)], "ms": 5.0 - 2.0 * k / len(keys), "mfc": "white"}
         dashes = marker if marked else {"ls": LINES[k % len(LINES)]}
-        looks[key] = {"color": colour, "lw": 0.9, "label": f"$S = {number(key[0])}${passage}", **dashes}
+        looks[key] = {"color": colour, "lw": 0.9, "label": f"$S = {style.number(key[0])}${passage}", **dashes}
     return looks
 
 
@@ -243,7 +228,7 @@ def _draw_profiles(
     """
     from matplotlib.ticker import MaxNLocator, NullLocator
 
-    coordinates = family(branch).coordinates
+    coordinates = style.family(branch).coordinates
     mode_logs, signs = coordinates.linear_profile
     n, mode = coordinates.output_sites, signs * 10.0**mode_logs
     dot = "o" if mode.size == 1 else None
@@ -290,28 +275,30 @@ def profile_figure(branches: Sequence[Branch]) -> Figure | None:
     Raises:
         ValueError: there is no branch, one is no family, or they are of different models.
     """
-    model, parameters = common_model(branches)
+    model, parameters = style.common_model(branches)
     chosen = [(branch, orbits) for branch in branches if (orbits := requested(branch, len(MARKERS)))]
     if not chosen:
         return None
-    shown = family(chosen[0][0]).coordinates.output_sites
+    shown = style.family(chosen[0][0]).coordinates.output_sites
     profiles = np.array([orbit.evaluate(0.0, shown) for _, orbits in chosen for orbit in orbits.values()])
     logs = np.array([_logarithms(orbit) for _, orbits in chosen for orbit in orbits.values()])
     steep = bool(np.any(np.nanmax(logs, axis=1) > np.nanmin(logs, axis=1) + 3.0))
     keys = sorted({key for _, orbits in chosen for key in orbits})
     rows, columns = len(chosen), 2 if steep else 1
-    with style():
-        looks = _looks(keys, shown.size <= MARKED_SITES)
-        figure = blank(3.7 * columns, 0.9 + (2.6 if rows == 1 else 1.5 * rows))
+    with style.style():
+        looks = _looks(keys, shown.size <= style.MARKED_SITES)
+        figure = style.blank(3.7 * columns, 0.9 + (2.6 if rows == 1 else 1.5 * rows))
         panels = figure.subplots(rows, columns, sharex="col", squeeze=False)
         for row, (branch, orbits) in zip(panels, chosen, strict=True):
             _draw_profiles(row, branch, orbits, looks)
-        low, high = moving(profiles)
+        low, high = style.moving(profiles)
         for axes, ends in zip(panels[-1], ((shown[low - 1], shown[high - 1]), (shown[0], shown[-1])), strict=False):
-            number_sites(axes, int(ends[0]), int(ends[1]), position_label(model))
-        figure.suptitle(title(model, parameters))
+            style.number_sites(axes, int(ends[0]), int(ends[1]), style.position_label(model))
+        figure.suptitle(style.title(model, parameters))
         figure.align_ylabels()
-        return finished(figure, panels[:, 0], columns * (2 if any(passage for _, passage in keys) else 3), plain=True)
+        return style.finished(
+            figure, panels[:, 0], columns * (2 if any(passage for _, passage in keys) else 3), plain=True
+        )
 
 
 # Orbits of a lattice in two dimensions: displacements in the plane, and their sizes -----------------------------------
@@ -332,13 +319,13 @@ def plane_figure(branch: Branch) -> Figure | None:
     Raises:
         ValueError: the branch is no family.
     """
-    lattice = family(branch).model
+    lattice = style.family(branch).model
     orbits = [orbit for orbit in branch.orbits if orbit.point.requested][-MOST_ORBITS:]
     if lattice.declaration is None or len(lattice.declaration.cells) != 2 or not orbits:
         return None
     rows, columns = lattice.declaration.cells[0], lattice.declaration.cells[1] * len(lattice.declaration.sites)
-    with style():
-        figure = blank(0.6 + 2.8 * len(orbits), 5.2)
+    with style.style():
+        figure = style.blank(0.6 + 2.8 * len(orbits), 5.2)
         panels = figure.subplots(2, len(orbits), squeeze=False)
         for k, orbit in enumerate(orbits):
             y = orbit.profile.reshape(rows, columns) / np.sqrt(orbit.S)
@@ -346,7 +333,7 @@ def plane_figure(branch: Branch) -> Figure | None:
             with np.errstate(divide="ignore"):
                 logs = np.maximum(np.log10(np.abs(y)), DEEPEST_PLANE)
             looks: Sequence[tuple[np.ndarray, str, float, float, str]] = (
-                (y, "RdBu", -largest, largest, rf"$y(0)/\|y\|$, $S = {number(orbit.S)}$"),
+                (y, "RdBu", -largest, largest, rf"$y(0)/\|y\|$, $S = {style.number(orbit.S)}$"),
                 (logs, "viridis", float(np.min(logs)), 0.0, r"$\log_{10}|y(0)|/\|y\|$"),
             )
             for panel, (values, colours, low, high, words) in zip(panels[:, k], looks, strict=True):
@@ -356,5 +343,5 @@ def plane_figure(branch: Branch) -> Figure | None:
                 panel.set_title(words)
                 panel.set_xlabel("cell $n$")
                 panel.set_ylabel("cell $m$" if len(lattice.declaration.sites) == 1 else "sites along $m$")
-        figure.suptitle(title(lattice, family(branch).coordinates.parameters))
-        return finished(figure, (), 1)
+        figure.suptitle(style.title(lattice, style.family(branch).coordinates.parameters))
+        return style.finished(figure, (), 1)

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casadi_skin.results.figures.style import amplitude_label, blank, colours, finished, number, plain, style
-from casadi_skin.results.figures.style import title as model_title
+from casadi_skin.results.figures import style
 from casadi_skin.stability.result import Floquet, LocalisedFloquet
 from casadi_skin.zero.problem import Array
 
@@ -166,7 +165,7 @@ def _draw_moduli(axes: Axes, branch: Branch, diagram: StabilityDiagram | None) -
         axes.plot(at, np.concatenate(off), ".", ms=3, color="0.25", zorder=3)
     axes.axhline(1.0, color="0.6", lw=0.8, zorder=1)
     if diagram is not None:
-        draw_moduli(axes, diagram, colours(1)[0], f"largest {MODULUS_LABEL}")
+        draw_moduli(axes, diagram, style.colours(1)[0], f"largest {MODULUS_LABEL}")
     else:
         _draw_between_points(axes, branch)
     largest = branch.max_abs_multiplier.max()
@@ -176,9 +175,9 @@ def _draw_moduli(axes: Axes, branch: Branch, diagram: StabilityDiagram | None) -
     elif largest == 1.0:
         axes.set_ylim(0.9, 1.1)
     if branch.space.is_family:
-        axes.set(xlim=(0.0, 1.03 * values.max()), xlabel=amplitude_label(branch.space.model))
+        axes.set(xlim=(0.0, 1.03 * values.max()), xlabel=style.amplitude_label(branch.space.model))
     else:
-        axes.set_xlabel(plain(branch.parameter))
+        axes.set_xlabel(style.plain(branch.parameter))
     axes.set_ylabel(f"{MODULUS_LABEL}{TRIVIAL_LEFT_OUT[branch.orbits[0].floquet().trivial]}")
 
 
@@ -190,7 +189,7 @@ def _draw_between_points(axes: Axes, branch: Branch) -> None:
         if i and stable[i] != stable[i - 1] and changes:  # multipliers leave the circle at the change itself
             line.append((changes.pop(0).value, 1.0))
         line.append((value, orbit.floquet().max_abs_multiplier))
-    axes.plot(*np.transpose(line), color=colours(1)[0], lw=1.3, label=f"largest {MODULUS_LABEL}", zorder=2)
+    axes.plot(*np.transpose(line), color=style.colours(1)[0], lw=1.3, label=f"largest {MODULUS_LABEL}", zorder=2)
     for change in branch.located:
         dashes = "-" if change.kind == "real" else "--"
         axes.axvline(
@@ -229,11 +228,11 @@ def draw_plane(axes: Axes, floquet: Floquet) -> None:
 def _draw_waves(axes: Axes, floquet: LocalisedFloquet) -> None:
     """Arcs of the continuous spectrum beside the circle, and on it their overlaps; multipliers of finite size."""
 
-    def draw(angles: Iterable[tuple[float, float]], radius: float, label: str, **style: Any) -> None:
+    def draw(angles: Iterable[tuple[float, float]], radius: float, label: str, **look: Any) -> None:
         for i, (start, end) in enumerate(angles):
             angle = np.linspace(start, min(end, start + 2.0 * np.pi), 181)
             words = label if i == 0 else "_"
-            axes.plot(radius * np.cos(angle), radius * np.sin(angle), label=words, solid_capstyle="butt", **style)
+            axes.plot(radius * np.cos(angle), radius * np.sin(angle), label=words, solid_capstyle="butt", **look)
 
     arcs = [(float(start), float(end)) for start, end in floquet.continuous.arcs]
     for sign, radius in ((1, 1.07), (-1, 0.93)):
@@ -282,7 +281,7 @@ def multiplier_figure(branch: Branch, title: str = "") -> Figure | None:
     if diagram is not None and not diagram.pieces:
         diagram = None
     with_angles = diagram is not None and diagram.symplectic
-    with style():
+    with style.style():
         figure, panels = _panels(len(chosen), with_angles)
         _draw_moduli(panels["a"], branch, diagram)
         panels["a"].set_title("(a)", loc="left", y=1.0)
@@ -293,7 +292,7 @@ def multiplier_figure(branch: Branch, title: str = "") -> Figure | None:
         for letter, ((value, passage), orbit) in zip("cde" if with_angles else "bcd", chosen.items(), strict=False):
             draw_plane(panels[letter], orbit.floquet())
             largest = orbit.floquet().max_abs_multiplier
-            words = rf"{_place(branch, value, passage)}, max $\left|\lambda\right| = {number(largest, 4)}$"
+            words = rf"{_place(branch, value, passage)}, max $\left|\lambda\right| = {style.number(largest, 4)}$"
             panels[letter].set_title(f"({letter})  {words}", loc="left", y=1.0)
             panels["a"].plot(value, largest, "o", ms=5, mfc="white", mec="black", zorder=5, clip_on=False)
             box = {"fc": "white", "ec": "none", "pad": 0.5}
@@ -301,16 +300,16 @@ def multiplier_figure(branch: Branch, title: str = "") -> Figure | None:
                 letter, (value, largest), (-5, 6), textcoords="offset points", ha="right", bbox=box, zorder=6
             )
         figure.suptitle(_title(branch, title))
-        return finished(figure, panels.values(), 3, plain=True)
+        return style.finished(figure, panels.values(), 3, plain=True)
 
 
 def _panels(planes: int, with_angles: bool) -> tuple[Figure, dict[str, Axes]]:
     """A figure with a panel of moduli (a), one of angles (b) where there is one, and complex planes."""
     if with_angles:
-        figure = blank(*((7.0, 8.6), (7.0, 8.4), (8.4, 8.0))[planes - 1])
+        figure = style.blank(*((7.0, 8.6), (7.0, 8.4), (8.4, 8.0))[planes - 1])
         rows = ("aaaaaa;bbbbbb;.cccc.", "aaaaaa;bbbbbb;cccddd", "aaaaaa;bbbbbb;ccddee")[planes - 1]
         return figure, figure.subplot_mosaic(rows, height_ratios=(0.8, 1.0, 1.0))
-    figure = blank(*((6.8, 3.9), (9.6, 3.9), (6.8, 7.0))[planes - 1])
+    figure = style.blank(*((6.8, 3.9), (9.6, 3.9), (6.8, 7.0))[planes - 1])
     panels = figure.subplot_mosaic(("ab", "abc", "ab;cd")[planes - 1])
     panels["a"].set_box_aspect(1)
     return figure, panels
@@ -318,12 +317,12 @@ def _panels(planes: int, with_angles: bool) -> tuple[Figure, dict[str, Axes]]:
 
 def _place(branch: Branch, value: float, passage: int) -> str:
     """A value of the quantity followed, in words, and how often it was passed before."""
-    name, again = plain(branch.parameter), f" (passage {passage + 1})" if passage else ""
+    name, again = style.plain(branch.parameter), f" (passage {passage + 1})" if passage else ""
     is_family = branch.space.is_family
-    return (f"$S = {number(value)}$" if is_family else f"{name} = ${number(value)}$") + again
+    return (f"$S = {style.number(value)}$" if is_family else f"{name} = ${style.number(value)}$") + again
 
 
 def _title(branch: Branch, name: str) -> str:
     known = {key: value for key, value in branch.orbits[0].parameters.items() if key != branch.parameter}
-    words = model_title(branch.space.model, known, name)
+    words = style.title(branch.space.model, known, name)
     return f"family $j = {branch.space.coordinates.mode_number}$; {words}" if branch.space.is_family else words

@@ -12,20 +12,8 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Orbit, Solution, cosine_curve
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS
 from casadi_skin.model.files import replacing
+from casadi_skin.results.figures import style
 from casadi_skin.results.figures.branches import solution_title
-from casadi_skin.results.figures.style import (
-    LINE_DASHES,
-    blank,
-    colours,
-    draw_curves,
-    finished,
-    number,
-    number_sites,
-    plain,
-    position_label,
-    style,
-)
-from casadi_skin.results.figures.style import title as model_title
 from casadi_skin.zero.problem import Array, Indices
 from casadi_skin.zero.stated_problem import BoundaryProblem
 
@@ -52,10 +40,10 @@ def orbit_figure(solution: Solution, title: str = "") -> Figure:
     """
     chosen, t, known = drawn_states(solution), times(solution), len(solution.space.state_names)
     names, x, plane = _names(solution, chosen), _states(solution, t, chosen), in_plane(solution, t)
-    with style():
-        figure = blank(5.0 if plane is None else 8.0, 3.6)
+    with style.style():
+        figure = style.blank(5.0 if plane is None else 8.0, 3.6)
         axes = figure.subplots(1, 1 if plane is None else 2, squeeze=False)[0]
-        draw_curves(axes[0], t, dict(zip(names, x.T, strict=True)), lw=1.4)
+        style.draw_curves(axes[0], t, dict(zip(names, x.T, strict=True)), lw=1.4)
         more = f" ({len(names)} of {known})" if known > len(names) else ""
         axes[0].set(xlabel="t", ylabel=f"states{more}", xlim=(t[0], t[-1]))
         if plane is not None:
@@ -65,7 +53,7 @@ def orbit_figure(solution: Solution, title: str = "") -> Figure:
             axes[1].plot(*points[0], "o", ms=5, mfc="white", mec="black", label=words)
             axes[1].set(xlabel=labels[0], ylabel=labels[1])
         figure.suptitle(orbit_title(solution, title))
-        return finished(figure, axes, STATES_SHOWN + 1, plain=True)
+        return style.finished(figure, axes, STATES_SHOWN + 1, plain=True)
 
 
 def drawn_states(solution: Solution) -> Indices:
@@ -77,7 +65,7 @@ def drawn_states(solution: Solution) -> Indices:
 
 
 def _names(solution: Solution, chosen: Indices) -> list[str]:
-    return [plain(solution.space.state_names[i]) for i in chosen]
+    return [style.plain(solution.space.state_names[i]) for i in chosen]
 
 
 def _states(solution: Any, t: Array, chosen: Indices) -> Array:
@@ -114,8 +102,8 @@ def orbit_title(solution: Any, name: str = "") -> str:
     """A solution in words: its model, with mode and S of an orbit of a family, or with the period of another orbit."""
     words, connects = solution_title(solution, name), solution.space.connects
     if connects == FAMILY:
-        return f"{words}, $j = {solution.space.coordinates.mode_number}$, $S = {number(solution.S)}$"
-    return f"{words}, period ${number(solution.period)}$" if connects == ORBITS else words
+        return f"{words}, $j = {solution.space.coordinates.mode_number}$, $S = {style.number(solution.S)}$"
+    return f"{words}, period ${style.number(solution.period)}$" if connects == ORBITS else words
 
 
 # Several solutions of one model side by side: their phase portrait, and a state over time -----------------------------
@@ -144,11 +132,11 @@ def portrait_figure(solutions: Sequence[Solution], title: str = "", states: tupl
     in_plane = len(names) > 1
     words, common = _words(solutions)
     longest = max((s.interval[1] for s in solutions), default=0.0) or 1.0
-    with style():
-        figure = blank(8.0 if in_plane else 5.0, 3.8)
+    with style.style():
+        figure = style.blank(8.0 if in_plane else 5.0, 3.8)
         axes = figure.subplots(1, 1 + in_plane, squeeze=False)[0]
         for solution, colour, dashes, label in zip(
-            solutions, colours(len(solutions)), LINE_DASHES, words, strict=False
+            solutions, style.colours(len(solutions)), style.LINE_DASHES, words, strict=False
         ):
             at_rest = solution.space.connects == EQUILIBRIA
             t = np.array([0.0, longest]) if at_rest else times(solution)
@@ -157,11 +145,11 @@ def portrait_figure(solutions: Sequence[Solution], title: str = "", states: tupl
             if in_plane:
                 look = {"marker": "o", "ms": 5, "mec": "black", "ls": "none"} if at_rest else {"ls": dashes, "lw": 1.4}
                 axes[1].plot(*x[:, list(states)].T, color=colour, label=label, **look)
-        axes[0].set(xlabel="t", ylabel=plain(names[states[0]]))
+        axes[0].set(xlabel="t", ylabel=style.plain(names[states[0]]))
         if in_plane:
-            axes[1].set(xlabel=plain(names[states[0]]), ylabel=plain(names[states[1]]))
-        figure.suptitle(model_title(solutions[0].space.model, common, title))
-        return finished(figure, axes, 3, plain=True)
+            axes[1].set(xlabel=style.plain(names[states[0]]), ylabel=style.plain(names[states[1]]))
+        figure.suptitle(style.title(solutions[0].space.model, common, title))
+        return style.finished(figure, axes, 3, plain=True)
 
 
 def chosen_solutions(branches: Sequence[Branch]) -> list[Solution]:
@@ -191,7 +179,7 @@ def _words(solutions: Sequence[Solution]) -> tuple[list[str], dict[str, float]]:
     labels = []
     for solution in solutions:
         own = {name: value for name, value in solution.parameters.items() if name in first and name not in shared}
-        values = ", ".join(f"{plain(name)} = {value:.4g}" for name, value in own.items())
+        values = ", ".join(f"{style.plain(name)} = {value:.4g}" for name, value in own.items())
         known = getattr(solution, "period", None)
         words = ", at rest" if known is None else f", period {known:.4g}"
         labels.append(f"{values}{words}".removeprefix(", "))
@@ -238,8 +226,8 @@ def animate(orbit: Orbit, path: Path | str, periods: int = 1, frames: int = FRAM
     if not animation.writers.is_available(writers[target.suffix]):
         raise RuntimeError(f"{target.name}: matplotlib finds no {writers[target.suffix]}; accepted: .gif")
     turns = np.arange(periods * frames) / frames
-    with style():
-        figure = blank(5.0, 3.0)
+    with style.style():
+        figure = style.blank(5.0, 3.0)
         axes = figure.subplots()
         positions = _positions(orbit)
         move = _lattice(axes, orbit, turns, positions) if positions else _plane(axes, orbit, turns)
@@ -269,7 +257,7 @@ def _lattice(axes: Axes, orbit: Orbit, turns: Array, positions: int) -> Show:
     y = orbit.evaluate(orbit.period * turns, n)
     limit = 1.08 * float(np.max(np.abs(y)))
     axes.set(xlim=(n[0] - 1, n[-1] + 1), ylim=(-limit, limit), ylabel=r"$y_n(t)$")
-    number_sites(axes, int(n[0]), int(n[-1]), position_label(orbit.model))
+    style.number_sites(axes, int(n[0]), int(n[-1]), style.position_label(orbit.model))
     axes.axhline(0.0, color="0.6", lw=0.6)
     stems = axes.vlines(n, 0.0, y[0], color="0.6", lw=0.8)
     (points,) = axes.plot(n, y[0], "o", ms=4, color="black", clip_on=False)
@@ -306,4 +294,7 @@ def _in_plane(orbit: Orbit, t: Array) -> tuple[Array, tuple[str, str]]:
     if plane is not None:
         return plane
     x = orbit.evaluate(t)
-    return np.column_stack([np.mod(t, orbit.period) / orbit.period, x]), ("$t/T$", plain(orbit.space.state_names[0]))
+    return np.column_stack([np.mod(t, orbit.period) / orbit.period, x]), (
+        "$t/T$",
+        style.plain(orbit.space.state_names[0]),
+    )
