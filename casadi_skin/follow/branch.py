@@ -460,27 +460,29 @@ class Branch(Result):
         Those of a family are located on first use: folds, then, where its changes of stability are sought, the
         points at which orbits of less symmetry leave it.
         """
-        return tuple(point for point in self._sought if isinstance(point, SpecialPoint))
+        return self._sought[0]
 
     @property
     def not_located(self) -> tuple[Unresolved, ...]:
         """Special points that a family passes and that are not among `special_points`, with the reason."""
-        return tuple(point for point in self._sought if isinstance(point, Unresolved))
+        return self._sought[1]
 
     @cached_property
-    def _sought(self) -> tuple[SpecialPoint | Unresolved, ...]:
+    def _sought(self) -> tuple[tuple[SpecialPoint, ...], tuple[Unresolved, ...]]:
+        """Special points, and what is known of those that are not located."""
         if self.space.locates_folds:
             special = (solution for solution in self.solutions if solution.point.special)
-            return tuple(special_point(self.space, solution) for solution in special)
-        diagram = self.diagram_of_changes
-        leaving = None if diagram is None else self._within_time(EDGE, lambda: tuple(self.edges_left()))
-        return (*self._folds, *(leaving or ()), *self._cut.values())
+            return tuple(special_point(self.space, solution) for solution in special), ()
+        diagram, (folds, gaps) = self.diagram_of_changes, self._folds
+        edges = None if diagram is None else self._within_time(EDGE, lambda: tuple(self.edges_left()))
+        leaving = tuple(edge for edge in edges or () if isinstance(edge, SpecialPoint))
+        others = (edge for edge in edges or () if isinstance(edge, Unresolved))
+        return (*folds, *leaving), (*gaps, *others, *self._cut.values())
 
     @cached_property
-    def _folds(self) -> tuple[SpecialPoint | Unresolved, ...]:
-        """Folds of a family: no changes of stability are sought for them."""
-        found = self._within_time(FOLD, lambda: tuple(folds_of_family(self.space, self.solutions)))
-        return found or ()
+    def _folds(self) -> tuple[list[SpecialPoint], list[Unresolved]]:
+        """Folds of a family, for which no changes of stability are sought, and stretches where one is not located."""
+        return self._within_time(FOLD, lambda: folds_of_family(self.space, self.solutions)) or ([], [])
 
     follow_all: ClassVar[Callable[..., Any]]
     """A `Diagram` of all branches that leave this one or each other: `casadi_skin.points.diagram.follow_all`."""
@@ -488,8 +490,8 @@ class Branch(Result):
     @property
     def folds(self) -> tuple[Solution, ...]:
         """Solutions at which the continuation parameter turns back."""
-        points = self.special_points if self.space.locates_folds else self._folds
-        return tuple(p.solution for p in points if isinstance(p, SpecialPoint) and p.kind == FOLD)
+        points = self.special_points if self.space.locates_folds else self._folds[0]
+        return tuple(point.solution for point in points if point.kind == FOLD)
 
     @cached_property
     def threshold(self) -> float | None:

@@ -143,16 +143,15 @@ class OrbitSampler:
             while last + 1 < len(points) and self._is_straight(finest, z[first : last + 2]):
                 last += 1
             section = self._longest_section(points[first : last + 1], offset)
-            if isinstance(section, Unresolved):
-                self.unknown.append(section)
-                first, offset = first + 1, section.coordinate_end
+            if section is None:
+                first, offset = first + 1, self.unknown[-1].coordinate_end
             else:
                 sections.append(section)
                 first, offset = first + section.places.size - 1, section.ends[1]
         return sections
 
-    def _longest_section(self, points: Sequence[Point], offset: float) -> _Section | Unresolved:
-        """A section of as many of these points as can be solved together; where not even two can, their stretch."""
+    def _longest_section(self, points: Sequence[Point], offset: float) -> _Section | None:
+        """A section of as many of these points as can be solved together; None, and `unknown`, where not even two."""
         try:
             return self._section(points, offset)
         except OrbitNotFoundError as error:
@@ -162,7 +161,8 @@ class OrbitSampler:
             S = (self._amplitude(start.parameter), self._amplitude(end.parameter))
             away = start.problem.prolong(start.z, end.problem) - end.z
             length = np.sqrt(np.sum(self.point_solver.metric(end.problem, end.z) * away**2))
-            return Unresolved(*S, str(error), coordinates=(offset, offset + float(length)))
+            self.unknown.append(Unresolved(*S, str(error), coordinates=(offset, offset + float(length))))
+            return None
 
     def _is_straight(self, problem: Problem, z: Array) -> bool:
         """Whether all chords from point to point go along the one from the first to the last."""

@@ -12,7 +12,7 @@ import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import fields, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -62,6 +62,9 @@ from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
 from casadi_skin.zero.statement import Bounds, Statement
 
+if TYPE_CHECKING:
+    from casadi_skin.lattice.chain import Chain
+
 TOLERANCE_RANGE = (1e-13, 1e-2)
 MOST_STARTS = 1_000_000
 # Of the sizes of the state: where a simulation ends, from the equilibrium that it is said to settle at.
@@ -71,17 +74,8 @@ SAME_EQUILIBRIUM_DISTANCE = 1e-6  # of the sizes: distance of two equilibria tha
 ACCEPTED_GUESSES = "numbers, one a state, numbers by state name, a simulation or another equilibrium"
 
 
-@runtime_checkable
-class Tunable(Protocol):
-    """A model that hands in an `OdeModel` with all its parameters, as `Chain` does."""
-
-    def tunable_model(self) -> OdeModel:
-        """The model with its parameters as symbols."""
-        ...
-
-
 def find_equilibrium(
-    model: OdeModel | Tunable,
+    model: OdeModel | Chain,
     guess: Any,
     *,
     parameters: Mapping[str, float] | None = None,
@@ -119,7 +113,7 @@ def find_equilibrium(
 
 
 def find_equilibria(
-    model: OdeModel | Tunable,
+    model: OdeModel | Chain,
     lower: ArrayLike,
     upper: ArrayLike,
     *,
@@ -171,7 +165,8 @@ def find_equilibria(
 
 def _statics(model: Any, parameters: Mapping[str, float] | None) -> Statics:
     """The equations of a model at rest; raises ValueError and TypeError for objects that are no model."""
-    model = model.tunable_model() if isinstance(model, Tunable) and not isinstance(model, type) else model
+    tunable = None if isinstance(model, type) else getattr(model, "tunable_model", None)
+    model = model if tunable is None else tunable()
     if not isinstance(model, OdeModel):
         raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel or a Chain")
     return Statics(model, dict(by_name("parameters", parameters)))

@@ -245,11 +245,14 @@ def special_point(space: SolutionSpace, solution: Solution) -> SpecialPoint:
     return SpecialPoint(point.special, name, values, space.parameter_error(point), solution)
 
 
-def folds_of_family(space: SolutionSpace, solutions: Sequence[Solution]) -> Iterator[SpecialPoint | Unresolved]:
-    """Folds between the points of a family."""
+def folds_of_family(space: SolutionSpace, solutions: Sequence[Solution]) -> tuple[list[SpecialPoint], list[Unresolved]]:
+    """Folds between the points of a family, and the stretches on which one is not located."""
+    found, gaps = list[SpecialPoint](), list[Unresolved]()
     for before, after in pairwise(solutions):
         try:
-            for found in space.special_between(before.point, after.point, []):
-                yield special_point(space, space.solution(found))
+            points = space.special_between(before.point, after.point, gaps)
+            found += [special_point(space, space.solution(point)) for point in points]
         except NotLocatedError as error:
-            yield Unresolved(before.value(space.parameter), after.value(space.parameter), str(error), FOLD)
+            ends = before.value(space.parameter), after.value(space.parameter)
+            gaps.append(Unresolved(*ends, str(error), FOLD))
+    return found, gaps
