@@ -1,10 +1,8 @@
 """A branch as computed: solutions in the order of arclength, special points, changes of stability, why it ended.
 
-Passages of a branch through a value of a quantity, corrected exactly there.
-
-What the equations can hold is held by them. Any other quantity is sought along the branch: every value is that of a
-corrected solution, between two neighbours on both sides of the value Brent's method has its zero, and where both lie
-on one side the extremum between them is looked for that the values around it let expect.
+A value of a quantity that the equations can hold is held by them. Any other quantity is sought along the branch: every
+value is that of a corrected solution, between two neighbours on both sides of the value Brent's method has its zero,
+and where both lie on one side an extremum between them is sought where the values around suggest one.
 """
 
 from __future__ import annotations

@@ -9,11 +9,6 @@ The events account for the change in the number n_u of multipliers outside the c
 
 and changes of stability are the events at which n_u becomes 0 or leaves it. A stretch on which the account does not
 balance, or that cannot be divided until it is resolved, is named.
-
-The account of a branch of orbits: its events in order, and the changes of stability that follow from them.
-
-At each orbit the number n_u of multipliers outside the unit circle is known within errors. The jumps of the events
-between two orbits account for its change; stability changes where n_u becomes 0 or leaves it, and nowhere else.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""Every change of stability of a family: the family's orbits and flow, given to the search for tongues.
-
-Orbits and transition matrices at any coordinate along a branch whose points are known.
+"""Every change of stability of a family: its orbits and their flow anywhere along it, given to the search for tongues.
 
 The coordinate is an arclength cut into sections: within one of them it is the component of z along a fixed direction,
 which grows along the branch also where the parameter folds. All orbits of a section are solved on one level of

@@ -1,9 +1,9 @@
-"""Finding equilibria: near a guess, where a simulation settles, from several starts.
+"""First solutions: equilibria and orbits near a guess, and solutions of boundary-value problems.
 
-Other ways to a first solution where the correctors do not reach it from the guess.
-
-Newton's method first, where it has not been tried; then a short continuation: the problem is solved at an easier value
-of one of its parameters, ten or a hundred times as large or as small, and followed from there to the requested values.
+A guess is sampled on meshes, and corrected on one after the other; the point is refined until its estimated error meets
+the tolerance. Where no corrector reaches a solution, Newton's method is next, where it has not been tried; then a short
+continuation: the problem is solved at an easier value of one of its parameters, ten or a hundred times as large or as
+small, and followed from there to the requested values.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""Following a family from a linear mode, or the branch through a solution: arguments checked, then continuation.
+"""Following a branch of any kind: its points, with stability, its changes and special points computed beside them.
 
-Following a branch of any kind: its points, with stability, its changes and bifurcations computed beside them.
+A continuation goes along the branch point by point; a `Walk` adds the special points between them, and the values
+that were requested; a `Following` makes solutions of the points, with their stability in batches, and keeps the ledger.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, Unresolved
 from casadi_skin.zero.problem import EPSILON, Scalar
 from casadi_skin.zero.settings import Continuation, End, Point, Target
 
-# Following a branch of any kind: its points, with stability, its changes and bifurcations computed beside them --------
+# Solutions of the points of a branch, with their stability and the ledger ---------------------------------------------
 
 
 class Following:
@@ -180,8 +181,6 @@ def run_following(following: Following, progress: Callable[[Any], None] | None) 
             progress(result)
     return following.branch()
 
-
-# The points of a branch in order, as its continuation reaches them, with the special points between them --------------
 
 # The points of one stretch of a branch in order: requested ones, and special ones, which may be the same --------------
 

@@ -1,8 +1,7 @@
 """Corrected points of a branch: near a guess, at a value of the parameter or Omega, between two other points.
 
-The corrector has the last word on every point, and the point is refined until its estimated error meets the tolerance.
-
-Polynomials of a branch in a coordinate along it: cubics through two points, series, and where a value is passed.
+The corrector confirms every point, which is refined until its estimated error meets the tolerance. Between two points a
+branch is a polynomial in a coordinate along it, z(sigma) = sum_k c_k sigma^k with c of shape (orders + 1, unknowns).
 """
 
 from __future__ import annotations

@@ -5,12 +5,11 @@ number of unstable eigenvalues is counted at many: 1024 over the range of the pa
 branch where the state changes in place of the parameter. A Hopf point changes it by two, a fold by one, a branch point
 by one or, on the branch that leaves to one side, by none.
 
-Special points on a stretch of a branch of equilibria: distinguished by their eigenvalues, then located one by one.
-
-The parameter turns back at a fold; the Jacobian closed by the tangent changes the sign of its determinant at a branch
-point; a pair of complex eigenvalues crosses the imaginary axis at a Hopf point. A stretch is sampled in between, and
-halved until each of these quantities has no root on it, or one simple root within the errors of the cubics through
-the samples (see `stretch`). Neutral saddles have no eigenvalue on the axis, and are not seen.
+Special points are distinguished by their eigenvalues, then located one by one. The parameter turns back at a fold; the
+Jacobian closed by the tangent changes the sign of its determinant at a branch point; a pair of complex eigenvalues
+crosses the imaginary axis at a Hopf point. A stretch is sampled in between, and halved until each of these quantities
+has no root on it, or one simple root within the errors of the cubics through the samples (see `search`). Neutral
+saddles have no eigenvalue on the axis, and are not seen.
 """
 
 from __future__ import annotations

@@ -1,18 +1,13 @@
-"""A stretch of a branch: quantities that change their sign on it, and whether it is resolved.
+"""The search for events on a stretch of a branch: points at which real quantities g_k(sigma) vanish.
 
-The rate of the parameter and the real parts of eigenvalues are known with their derivatives at both ends and at a place
-between. A cubic through the ends predicts the values in between; its error there bounds how far the cubics
-through neighbouring samples may be from the truth. A quantity is settled where no root, or one that is simple, is
-within that bound.
-
-A point of a branch with the quantities whose zeros are events: eigenvalues, or logarithms of multipliers.
-
-The search for special points on a stretch of a branch, which is divided until each part is resolved.
-
-Floquet exponents along a branch of orbits, as samples of the search for events (see `Search`).
+The quantities are the rate of the parameter, the real parts of eigenvalues, logarithms of multipliers, or monitors of
+users. Each is known with its derivative at both ends of a stretch and at a place between. A cubic through the ends
+predicts the value in between; by how much it fails there bounds the errors of the cubics through neighbouring samples,
+which have the shape 16 t^2 (1 - t)^2, 0 <= t <= 1, and the slope 32 t (1 - t) (1 - 2 t). A quantity is settled where no
+root, or one that is simple, is within that bound; the stretch is divided until all are.
 
 Multipliers mu_k, k = 1 ... m, the trivial ones left out, are smooth along the branch but where two of them meet.
-Where they move freely the sample holds, each of shape (m,),
+Where they move freely a sample holds, each of shape (m,),
 
     w_k = log mu_k = log |mu_k| + i arg mu_k,
 

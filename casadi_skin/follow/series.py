@@ -1,7 +1,7 @@
 """Walking along a branch on its own Taylor series: the asymptotic numerical method (Cochelin 1994).
 
 At each base point the series to high order costs one factorisation; as far as it converges the branch is a polynomial
-evaluation. The corrector has the last word on every point that is reported, and finds nothing to do.
+evaluation. The corrector confirms every point that is reported, and seldom moves it.
 """
 
 from __future__ import annotations
