@@ -149,15 +149,7 @@ class KickSearch:
 
     def solve(self, start: Start, monitor: Monitor | None = None) -> Outcome:
         """Outcome of a start, from a part of its kick too that escapes at another time; its objective is the norm."""
-        size = np.sqrt(self.flow.orbit.S) * self.scale  # the objective is the squared norm in these units
-
-        def solved(start: Start) -> Outcome:
-            outcome = solve_start(self, start, monitor and (lambda i, f, v: monitor(i, float(size * np.sqrt(f)), v)))
-            solution = outcome.solution
-            norm = solution and replace(solution, objective=float(size * np.sqrt(solution.objective)))
-            return replace(outcome, solution=norm)
-
-        found = solved(start)
+        found = solve_start(self, start, monitor)
         for _ in range(3):
             if found.ending is not Ending.CONVERGED:
                 break
@@ -165,7 +157,7 @@ class KickSearch:
             shorter = self.first(along := replace(start, free=tuple(kick.tolist())))
             if shorter is None or shorter.norm > SHORTER_KICK_FACTOR * np.linalg.norm(kick):
                 break
-            again = solved(along)
+            again = solve_start(self, along, monitor)
             if again.ending is not Ending.CONVERGED or again.objective > found.objective:
                 break
             found = replace(again, start=start)
@@ -174,7 +166,7 @@ class KickSearch:
     def optimum(self, outcome: Outcome) -> KickOptimum:
         """The optimum that a start led to."""
         assert outcome.solution is not None
-        return self.nlp.optimum(outcome.start.name, replace(outcome.solution, words=SOLVED_STATUS))
+        return self.nlp.optimum(outcome.start.name, outcome.solution, SOLVED_STATUS)
 
     def optima(self, outcomes: Sequence[Outcome]) -> list[KickOptimum]:
         """Optima that differ, ascending, each by the name of the first start that led to it.

@@ -259,17 +259,21 @@ class KickNlp(Nlp):
             parts.append(segment(ca.vertcat(before[:, column : column + many], ca.repmat(h, 1, many))))
         return ca.horzcat(*parts)
 
+    def shown(self, f: float) -> float:
+        """The norm in place of its square in units of `scale`."""
+        return float(np.sqrt(self.flow.orbit.S) * self.scale * np.sqrt(f))
+
     def packed(self, kick: Array, time: float) -> Array:
         """Unknowns of a kick (m,) that is at the distance after a time."""
         states = replace(self.flow, time=time).run((self.basis @ kick)[None])[0]
         nodes, phase = states[np.cumsum(self.steps)] / self._units.T, self.flow.nearest_phase(states[-1])
         return np.concatenate([kick / self.scale, nodes.ravel(), [time / self.flow.time, phase]])
 
-    def optimum(self, name: str, solution: Solution) -> KickOptimum:
-        """Where Ipopt ended, from the start of a name."""
+    def optimum(self, name: str, solution: Solution, words: str = "") -> KickOptimum:
+        """Where Ipopt ended, from the start of a name; `words` in place of its own."""
         kick, found = self.scale * solution.x[: self._kicks], optimality(self, solution)
         return KickOptimum(
             name, kick, norm=float(np.linalg.norm(kick)), time=float(solution.x[-2]) * self.flow.time,
             phase=float(solution.x[-1]), kkt=found.kkt.largest, violation=found.kkt.violation,
-            strict=found.curvature > 0, iterations=solution.iterations, words=solution.words,
+            strict=found.curvature > 0, iterations=solution.iterations, words=words or solution.words,
         )  # fmt: skip

@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -148,6 +148,10 @@ class Nlp:
         """Scale of each unknown, shape (size,)."""
         return np.ones(self.size)
 
+    def shown(self, f: float) -> float:
+        """The objective as it is reported, from that of Ipopt."""
+        return self.sign * f
+
     def fault(self, x: Array) -> str:
         """Why a point that satisfies all conditions is no solution, in words; empty where it is one."""
         return ""
@@ -177,7 +181,7 @@ class Nlp:
             self._solvers[warm] = self._built(WARM_START if warm else {})
         solver, callback = self._solvers[warm]
         with interrupts_deferred(end_solver=True):
-            callback.begin(limits.low, limits.high, monitor and (lambda i, f, v: monitor(i, self.sign * f, v)))
+            callback.begin(limits.low, limits.high, monitor and (lambda i, f, v: monitor(i, self.shown(f), v)))
             start = np.clip(x, limits.lower, limits.upper)
             bounds = {"lbx": limits.lower, "ubx": limits.upper, "lbg": limits.low, "ubg": limits.high}
             result = solver(x0=start, p=self.p, **bounds)
@@ -185,7 +189,7 @@ class Nlp:
             raise callback.failure
         stats = solver.stats()
         found, lam_g, lam_x = (np.array(result[name]).ravel() for name in ("x", "lam_g", "lam_x"))
-        value, words = self.sign * float(result["f"]), str(stats["return_status"])
+        value, words = self.shown(float(result["f"])), str(stats["return_status"])
         return Solution(found, lam_g, lam_x, value, words, int(stats["iter_count"]))
 
     def _built(self, more: Mapping[str, Any]) -> tuple[ca.Function, IterationCallback]:
@@ -227,7 +231,7 @@ class Nlp:
         elastic = self._elastic.solve(np.append(x, met))
         if elastic.words != SOLVED_STATUS:
             return None
-        value = self.sign * float(self._gradient(elastic.x[:n], self.p)[0])
+        value = self.shown(float(self._gradient(elastic.x[:n], self.p)[0]))
         return Solution(
             elastic.x[:n], np.zeros(self.limits.low.size), np.zeros(n), value, "nearest", elastic.iterations
         )
@@ -287,8 +291,9 @@ class Optimality:
     negative: float
 
 
+@lru_cache(maxsize=8)
 def optimality(nlp: Nlp, solution: Solution) -> Optimality:
-    """The conditions at a solution."""
+    """The conditions at a solution; the last few are kept."""
     g, J = nlp.residual(solution.x), nlp.jacobian(solution.x)
     words, unknowns, rows = _active(nlp, solution, g)
     curvature, negative = _curvature(nlp, solution, J, unknowns, rows) if nlp.exact else (np.nan, 0.0)

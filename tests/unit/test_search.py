@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -134,8 +135,8 @@ def test_wrong_multipliers_are_no_optimum() -> None:
     nlp, x = first_point(stated(objective="participation", bounds={"gamma": (0.1, 0.6)}), 8)
     solution = nlp.solve(x)
     assert optimality(nlp, solution).kkt.largest < 1e-9
-    solution.lam_g[0] += 1.0
-    assert optimality(nlp, solution).kkt.stationarity > 1e-3
+    wrong = replace(solution, lam_g=solution.lam_g + np.eye(solution.lam_g.size)[0])
+    assert optimality(nlp, wrong).kkt.stationarity > 1e-3
 
 
 def test_uneven_chain_meets_its_target() -> None:
