@@ -334,27 +334,20 @@ class LongLattice(WithOwnParameters):
     def _bound(self, tail: Tail, gap: int) -> list[EdgeMode]:
         from scipy.optimize import brentq
 
-        below, above = tail.sides(gap)
-        ends = []
-        for edge, direction in ((below, 1.0), (above, -1.0)):
-            width = ROUND_OFF * tail.edges[-1].square
-            square = tail.edges[edge].square + direction * width if edge is not None else None
-            ends.append(square)
-        low = ends[0] if ends[0] is not None else 0.0
-        high = ends[1] if ends[1] is not None else 1e3 * tail.edges[-1].square
+        (below, above), highest = tail.sides(gap), tail.edges[-1].square
+        low = 0.0 if below is None else tail.edges[below].square + ROUND_OFF * highest
+        high = 1e3 * highest if above is None else tail.edges[above].square - ROUND_OFF * highest
         if not 0.0 <= low < high:
             return []
 
         def together(square: float) -> float:
             return tail.angle(tail.place(square)) - self._missing(square)
 
-        first, last = together(low), together(high)
-        found = []
-        for turns in range(math.ceil(first / np.pi), math.floor(last / np.pi) + 1):
-            square = float(brentq(lambda x, n=turns: together(x) - n * np.pi, low, high, xtol=1e-300, rtol=1e-15))
-            place = tail.place(square)
-            found.append(EdgeMode(gap, place, square, tail.angle(place), False))
-        return found
+        turns = range(math.ceil(together(low) / np.pi), math.floor(together(high) / np.pi) + 1)
+        limits = low, high, (), 1e-300, 1e-15
+        squares = [float(brentq(lambda x, n=n: together(x) - n * np.pi, *limits)) for n in turns]
+        places = [tail.place(square) for square in squares]
+        return [EdgeMode(gap, at, square, tail.angle(at), False) for at, square in zip(places, squares, strict=True)]
 
     def _pinned(self, tail: Tail, gap: int) -> list[EdgeMode]:
         from scipy.optimize import brentq

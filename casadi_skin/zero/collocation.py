@@ -180,10 +180,8 @@ class CollocationEquations(Problem):
     def _interpolate(self, z: Array, fractions: Array) -> Array:
         """States at fractions of the interval, shape (len(fractions), components)."""
         values = z[: self.states].reshape(self.columns, self.formulation.states)
-        few = fractions.size <= FEW_PLACES
-        columns, weights = (_kept_weights if few else _weights)(
-            *(array.tobytes() for array in (self.constants, self.table.ends, fractions))
-        )
+        weights_at = _weights if fractions.size <= FEW_PLACES else _weights.__wrapped__
+        columns, weights = weights_at(*(array.tobytes() for array in (self.constants, self.table.ends, fractions)))
         return np.asarray(np.einsum("tk,tkn->tn", weights, values[columns]))
 
     def prolong(self, z: Array, finer: Problem) -> Array:
@@ -248,6 +246,7 @@ class CollocationEquations(Problem):
         return error * growth ** (self.degree + 1)
 
 
+@lru_cache(maxsize=32)
 def _weights(lengths: bytes, ends: bytes, fractions: bytes) -> tuple[Indices, Array]:
     """Columns of state values, and their weights in the states at fractions of the interval, one row for each."""
     h, support, places = np.frombuffer(lengths), np.append(0.0, np.frombuffer(ends)), np.frombuffer(fractions)
@@ -261,11 +260,6 @@ def _weights(lengths: bytes, ends: bytes, fractions: bytes) -> tuple[Indices, Ar
     weights[hit] = 1.0
     weights /= weights.sum(axis=1, keepdims=True)
     return interval[:, None] * (support.size - 1) + np.arange(support.size), weights
-
-
-@lru_cache(maxsize=32)
-def _kept_weights(lengths: bytes, ends: bytes, fractions: bytes) -> tuple[Indices, Array]:
-    return _weights(lengths, ends, fractions)
 
 
 def _barycentric(support: Array) -> Array:
