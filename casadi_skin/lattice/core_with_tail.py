@@ -66,10 +66,6 @@ class CoreWithTailProblem(TrigonometricProblem):
     def unknown_at(self, scalar: Scalar, value: float) -> float:
         return self.tail.of_frequency(value) if scalar is Scalar.OMEGA else value
 
-    def regime(self, z: Array) -> Regime:
-        """Regime of the tail at z."""
-        return self.tail.regime(self.values(z))
-
     @cached_property
     def core(self) -> TrigonometricProblem:
         """The same core, without the bond to the tail."""
@@ -376,9 +372,8 @@ class CoreWithTail(ModelCoordinates):
 
     def regime(self, point: Point) -> Regime:
         """Whether Omega, or three times it, is pinned to a band."""
-        problem: Any = point.problem
-        found: Regime = problem.regime(point.z)
-        return found
+        problem: CoreWithTailProblem = point.problem
+        return problem.tail.regime(problem.values(point.z))
 
     def band(self) -> tuple[float, float]:
         edges = self.tail.edges
@@ -507,8 +502,8 @@ class CoreWithTail(ModelCoordinates):
         Returns:
             Logarithms of a factor, shape (harmonics, cells), and the coefficients over it, (harmonics, cells, sites).
         """
-        places, values = self.parameter(problem.resolution).places(float(z[problem.Omega_index])), problem.values(z)
-        found = [self.tail.motion(place, phi, numbers) for place, phi in zip(places, values.phi, strict=True)]
+        values = problem.values(z)
+        found = [self.tail.motion(place, phi, numbers) for place, phi in zip(values.places, values.phi, strict=True)]
         signs = self.lattice.bond_sign ** np.asarray(numbers, dtype=float)
         sizes = problem.coefficients(z)[self.attached] / values.down
         parts = sizes[:, None, None] * signs[:, None] * np.stack([part for _, part in found])
@@ -551,15 +546,15 @@ class CoreWithTail(ModelCoordinates):
         Products of two harmonics add up to a term at the end of the tail (Green's identity).
         """
         core = super().energy(problem, z)
-        parameter, values = self.parameter(problem.resolution), problem.values(z)
-        places, s = parameter.places(float(z[problem.Omega_index])), self.tail.coupling
+        values, s = problem.values(z), self.tail.coupling
         site = problem.coefficients(z)[self.attached]
         size = site / values.down
         beside, squares = size * values.across, ((2.0 * np.arange(problem.resolution) + 1.0) * values.Omega) ** 2
         apart = squares[None, :] - squares[:, None]
         np.fill_diagonal(apart, 1.0)
         products = -s * (np.outer(beside, site) - np.outer(site, beside)) / apart
-        np.fill_diagonal(products, [a**2 * self.tail.squares(place) for a, place in zip(size, places, strict=True)])
+        squared = [a**2 * self.tail.squares(place) for a, place in zip(size, values.places, strict=True)]
+        np.fill_diagonal(products, squared)
         tail = 0.5 * float(np.sum(products @ squares)) - 0.5 * s * float(np.sum(site) * np.sum(beside))
         rest, moving = np.zeros(self.mode.size), np.eye(self.mode.size)[self.attached]
         parameter_value = float(z[problem.parameter_index])
@@ -568,14 +563,14 @@ class CoreWithTail(ModelCoordinates):
 
     def Omega_shift(self, problem: Any, z: Array) -> float:
         """From the distance to the edge of the band beside it, else by projection on the mode."""
-        place = self.parameter(problem.resolution).places(float(z[problem.Omega_index]))[0]
-        Omega, mode = problem.frequency(z), self.edge_mode.place
+        values, Omega, mode = problem.values(z), problem.frequency(z), self.edge_mode.place
+        place = values.places[0]
         outside = not self.tail.in_band(place) or not np.isfinite(self.lattice.cells)
         if mode.edge == place.edge and self.edge_mode.pinned and outside:
             return float((place.off - mode.off) / (Omega + self.frequency))
         theta, site = quarter_phases(2 * max(32, problem.resolution)), self.attached
         nonlinear, overlap, size = self.projections(problem, z, theta)
-        beyond = self._tail_overlap(place, problem.values(z).phi[0])
+        beyond = self._tail_overlap(place, values.phi[0])
         overlap += problem.coefficients(z)[site, 0] * self.mode[site] * beyond
         return float(shift_by_projection(Omega, self.frequency, nonlinear, overlap, size))
 

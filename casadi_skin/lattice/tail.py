@@ -181,11 +181,6 @@ class Tail:
         near, far = np.sin(inside), np.sin(inside - theta) * at_edge
         return near * first - far * self.wall, near * second - far
 
-    def vector(self, place: Place) -> tuple[float, float]:
-        """Amplitude across the bond and that of the core's site, up to a factor."""
-        across, down = self._vector(place, place.off)
-        return float(across), float(down)
-
     def decay(self, place: Place) -> float:
         """Logarithm by which amplitudes fall from cell to cell, away from the core; 0 in a band."""
         _, _, _, oi, _, beyond = (_value(p, place.off) for p in self._polynomials[place.edge])
@@ -201,7 +196,7 @@ class Tail:
         start = below if place.edge % 2 else above
         if place.off == 0.0:
             return start
-        turned = math.atan2(*self.vector(place))
+        turned = math.atan2(*map(float, self._vector(place, place.off)))
         if not self.in_band(place):
             upwards = 1.0 if place.gap else -1.0
             turn = upwards * (turned - below) % math.pi

@@ -35,8 +35,8 @@ class Regime(Enum):
 class TailValues:
     """Values at one u of the parameter that the core needs, and derivatives by u.
 
-    Harmonic k = 2 h + 1 has the amplitudes across[h] b beyond the bond to the tail and down[h] b before it: the sine
-    and the cosine of its angle phi[h].
+    Harmonic k = 2 h + 1 is at places[h]; it has the amplitudes across[h] b beyond the bond to the tail and down[h] b
+    before it: the sine and the cosine of its angle phi[h]. Harmonic number `resolved` from 0 is known best.
     """
 
     Omega: float
@@ -46,6 +46,8 @@ class TailValues:
     down: Array
     down_slope: Array
     phi: Array
+    places: list[Place]
+    resolved: int
 
 
 @dataclass(frozen=True)
@@ -178,11 +180,8 @@ class TailParameter:
         except ArithmeticError:
             return float("nan")
 
-    def places(self, u: float) -> list[Place]:
-        """Where all harmonics are; raises ArithmeticError where one that should be bound is not."""
-        return self._places(*self._resolved(u)[:2])
-
     def _places(self, resolved: int, place: Place) -> list[Place]:
+        """Where all harmonics are; raises ArithmeticError where one that should be bound is not."""
         squared, found = self.tail.square(place) / resolved**2, list[Place]()
         if not squared > 0.0:
             raise ArithmeticError("the frequency is not real")
@@ -214,15 +213,14 @@ class TailParameter:
         by_u[h] = 1.0 - np.sum(by_u[apart])
         Omega = float(np.sqrt(self.tail.square(place))) / resolved
         across, down = np.sin(phi), np.cos(phi)
-        return TailValues(Omega, squared_slope / (2.0 * Omega), across, down * by_u, down, -across * by_u, phi)
+        slope = squared_slope / (2.0 * Omega)
+        return TailValues(Omega, slope, across, down * by_u, down, -across * by_u, phi, places, h)
 
     def series(self, u: float, orders: int) -> TailSeries:
         """Power series of the same by changes of u; raises ArithmeticError as well where none is found."""
-        resolved, place, _ = self._resolved(u)
-        in_u = np.zeros(self.harmonics)
+        values, in_u = self.values(u), np.zeros(self.harmonics)
         in_u[: 2 if self._third else 1] = 1.0
-        places = self._places(resolved, place)
-        return Harmonics(self.tail, places, self.values(u).phi, (resolved - 1) // 2, in_u).series(orders)
+        return Harmonics(self.tail, values.places, values.phi, values.resolved, in_u).series(orders)
 
     def passed(self, values: TailValues) -> int:
         """Modes of the tail by itself that harmonics lie above, of high harmonics as counted from infinity."""
