@@ -401,7 +401,6 @@ def _roots(squares: ComplexArray, errors: Array) -> tuple[ComplexArray, Array]:
 
 SMALLEST_COMPONENT_RATIO = 1e-3  # of a component's size: changes of smaller components are measured by that
 KEPT_UNITS = 16  # places whose units are kept
-STATES_TOGETHER = 64  # states at which equations are evaluated by one call
 BESIDE_STATE_WEIGHT = 0.1  # weight of unknowns beside state and parameters in the length of a step
 
 
@@ -666,21 +665,7 @@ class AlgebraicProblem(Problem):
 
     def equations_at_all(self, z: Array) -> tuple[Array, Array]:
         """Residuals and Jacobians of the equations as they are written at states (k, size): (k, m) and (k, m, size)."""
-        if not self.statics.exact:  # a program is run for one state after the other
-            residual, nonzero = np.empty((len(z), self.size - 1)), np.empty((len(z), self.pattern[0].size))
-            for k, one in enumerate(z):
-                residual[k], nonzero[k] = self._buffers(one, self.constants)
-            return residual, self._matrix(nonzero)
-        padded = np.concatenate([z, np.repeat(z[:1], -len(z) % STATES_TOGETHER, axis=0)]).reshape(
-            -1, STATES_TOGETHER, self.size
-        )
-        numbers = np.tile(self.numbers[:, None], STATES_TOGETHER)
-        found = [self._together(some.T, numbers) for some in padded]
-        residuals = np.concatenate([np.array(residual).T for residual, _ in found])
-        nonzeros = np.concatenate([jacobians.nz[:].full().reshape(STATES_TOGETHER, -1) for _, jacobians in found])
-        return residuals[: len(z)], self._matrix(nonzeros[: len(z)])
-
-    @cached_property
-    def _together(self) -> ca.Function:
-        """The function at `TOGETHER` states, whose residuals and Jacobians are columns one beside the other."""
-        return self.compiled.map(STATES_TOGETHER)
+        residual, nonzeros = np.empty((len(z), self.size - 1)), np.empty((len(z), self.pattern[0].size))
+        for k, one in enumerate(z):
+            residual[k], nonzeros[k] = self._buffers(one, self.numbers)
+        return residual, self._matrix(nonzeros)
