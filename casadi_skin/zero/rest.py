@@ -400,7 +400,6 @@ def _roots(squares: ComplexArray, errors: Array) -> tuple[ComplexArray, Array]:
 # The problem of equilibria --------------------------------------------------------------------------------------------
 
 SMALLEST_COMPONENT_RATIO = 1e-3  # of a component's size: changes of smaller components are measured by that
-KEPT_UNITS = 16  # places whose units are kept
 BESIDE_STATE_WEIGHT = 0.1  # weight of unknowns beside state and parameters in the length of a step
 
 
@@ -590,15 +589,6 @@ class AlgebraicProblem(Problem):
 
     def units(self, z: Array) -> Array:
         """Units of the components of y at z, shape (n,): the same whatever the units of the model's states are."""
-        key = z.tobytes()
-        known: dict[bytes, Array] = self.shared.setdefault("units", {})
-        if key not in known:
-            if len(known) >= KEPT_UNITS:
-                del known[next(iter(known))]
-            known[key] = self._units_at(z)
-        return known[key]
-
-    def _units_at(self, z: Array) -> Array:
         x, p, statics = self.state(z), self.parameters(z), self.statics
         courses = [*self.free, *([] if self.walking is None else [self.walking])]
         try:
