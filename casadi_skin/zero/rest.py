@@ -339,27 +339,30 @@ class Statics:
             h = self.widening * SECOND_DERIVATIVE_STEP * self._scale(x, a)
             return np.asarray((self.jacobian(x + h * a, p) - self.jacobian(x - h * a, p)) @ b / (2.0 * h))
 
-        return real(u.real, v.real) - real(u.imag, v.imag) + 1j * (real(u.real, v.imag) + real(u.imag, v.real))
+        return self._by_parts(real, u, v)
 
     def third(
         self, x: Array, p: Array, u: ComplexArray | Array, v: ComplexArray | Array, w: ComplexArray | Array
     ) -> ComplexArray:
         """f_xxx u v w for complex directions, shape (n,)."""
-        total = np.zeros(self.size, complex)
-        for a, by_u in ((u.real, 1.0), (u.imag, 1j)):
-            for b, by_v in ((v.real, 1.0), (v.imag, 1j)):
-                for c, by_w in ((w.real, 1.0), (w.imag, 1j)):
-                    if np.any(a) and np.any(b) and np.any(c):
-                        total += by_u * by_v * by_w * self._real_third(x, p, a, b, c)
-        return total
 
-    def _real_third(self, x: Array, p: Array, a: Array, b: Array, c: Array) -> Array:
-        """f_xxx a b c, shape (n,)."""
-        if self.exact:
-            return np.array(self._third(x, p, a, b, c)).ravel()
-        h, k = (self.widening * THIRD_DERIVATIVE_STEP * self._scale(x, along) for along in (a, b))
-        ends = [(i * j, self.jacobian(x + i * h * a + j * k * b, p)) for i in (-1, 1) for j in (-1, 1)]
-        return np.asarray(sum(sign * matrix for sign, matrix in ends) @ c / (4.0 * h * k))
+        def real(a: Array, b: Array, c: Array) -> Array:
+            if self.exact:
+                return np.array(self._third(x, p, a, b, c)).ravel()
+            h, k = (self.widening * THIRD_DERIVATIVE_STEP * self._scale(x, along) for along in (a, b))
+            ends = [(i * j, self.jacobian(x + i * h * a + j * k * b, p)) for i in (-1, 1) for j in (-1, 1)]
+            return np.asarray(sum(sign * matrix for sign, matrix in ends) @ c / (4.0 * h * k))
+
+        return self._by_parts(real, u, v, w)
+
+    def _by_parts(self, form: Callable[..., Array], *directions: ComplexArray | Array) -> ComplexArray:
+        """A real multilinear form at complex directions, from their real and imaginary parts, shape (n,)."""
+        parts, total = [(v.real, v.imag) for v in directions], np.zeros(self.size, complex)
+        for choice in np.ndindex(*(2,) * len(parts)):
+            chosen = [part[c] for c, part in zip(choice, parts, strict=True)]
+            if all(map(np.any, chosen)):
+                total += 1j ** sum(choice) * form(*chosen)
+        return total
 
     def _scale(self, x: Array, along: Array) -> float:
         """A step along a direction that is the size of x, 1 at least."""
