@@ -353,16 +353,8 @@ def _sampling(harmonics: int, theta: bytes) -> Array:
 @lru_cache(maxsize=8)
 def _lifted(model: OdeModel) -> tuple[Program, Array] | None:
     """The force and the normalisation of a model without their numbers, and these; None where they are long."""
-    found = lifted(
-        [model.state, model.velocity, model.parameters], [model.rhs, model.normalisation], LONGEST_COMPARED_PROGRAM
-    )
-    return None if found is None else (_first(found[0]), found[1])
-
-
-@lru_cache(maxsize=KEPT_RESOLUTIONS)
-def _first(program: Program) -> Program:
-    """The first of all programs that are equal to this one, so that the others are not compared again."""
-    return program
+    symbols = [model.state, model.velocity, model.parameters]
+    return lifted(symbols, [model.rhs, model.normalisation], LONGEST_COMPARED_PROGRAM)
 
 
 @lru_cache(maxsize=8)
