@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from kernels import numpy_alone
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import linear_sum_assignment
+from variational import integrated
 
 from casadi_skin import Branch, Chain, OdeModel, Orbit, follow_family
 from casadi_skin.follow.family import Family
@@ -77,14 +77,10 @@ def variational(orbit: Orbit) -> Array:
     s = np.sqrt(1 - chain.gamma**2)
     L = (2 + chain.alpha) * np.eye(n) - s * (np.eye(n, k=1) + np.eye(n, k=-1))
 
-    def field(_: float, x: Array) -> Array:
-        q, X = x[:n], x[2 * n :].reshape(2 * n, 2 * n)
-        J = -L - 3 * kappa * np.diag(w * q**2)
-        return np.concatenate([x[n : 2 * n], -L @ q - kappa * w * q**3, X[n:].ravel(), (J @ X[:n]).ravel()])
-
-    x0 = np.concatenate([orbit.profile / np.sqrt(orbit.S * w), np.zeros(n), np.eye(2 * n).ravel()])
-    path = solve_ivp(field, (0, orbit.period / 4), x0, "DOP853", rtol=1e-13, atol=1e-14)
-    return np.asarray(path.y[2 * n :, -1].reshape(2 * n, 2 * n))
+    _, (matrix,) = integrated(
+        lambda q: -L @ q - kappa * w * q**3, orbit.profile / np.sqrt(orbit.S * w), [orbit.period / 4], 1e-13
+    )
+    return matrix
 
 
 # Maps in equal steps ------------------------------------------------------------------------------------------------

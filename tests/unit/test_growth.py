@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from variational import integrated
 
 from casadi_skin import Chain, Orbit, follow_family
 from casadi_skin.zero.problem import Array
@@ -17,16 +17,9 @@ def stable_orbit(sites: int, gamma: float, flow: str = "splitting") -> Orbit:
 
 
 def physical_flow(orbit: Orbit, times: Array) -> list[Array]:
-    """Transition matrices of z'' = -(D + 3 g y^2) z in physical coordinates, by DOP853."""
-    n, D, g = orbit.model.sites, orbit.model.dynamical_matrix(), orbit.model.g
-
-    def rate(t: float, x: Array) -> Array:
-        X = x.reshape(2 * n, 2 * n)
-        return np.vstack([X[n:], -D @ X[:n] - 3.0 * g * (orbit.evaluate(t) ** 2)[:, None] * X[:n]]).ravel()
-
-    start = np.eye(2 * n).ravel()
-    solution = solve_ivp(rate, (0.0, times[-1]), start, method="DOP853", rtol=1e-11, atol=1e-13, t_eval=times)
-    return [column.reshape(2 * n, 2 * n) for column in solution.y.T]
+    """Transition matrices in physical coordinates."""
+    D, g = orbit.model.dynamical_matrix(), orbit.model.g
+    return list(integrated(lambda y: -D @ y - g * y**3, orbit.profile, times, 1e-11, 1e-13)[1])
 
 
 @pytest.mark.parametrize("gamma", [0.25, -0.4])

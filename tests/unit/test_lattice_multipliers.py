@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from lattices import GAINS
-from scipy.integrate import solve_ivp
+from variational import integrated
 
 from casadi_skin import Bond, Lattice, Site, follow_family
 
@@ -77,15 +77,9 @@ def test_multipliers_are_those_of_the_variational_equations(
     coordinates: Any = branch.space.coordinates
     assert coordinates.symplectic is symplectic
 
-    def flow(_: float, x: np.ndarray) -> np.ndarray:
-        y, v, Z = x[:n], x[n : 2 * n], x[2 * n :].reshape(2 * n, 2 * n)
-        J = np.stack([force(y + 1e-30j * unit).imag / 1e-30 for unit in np.eye(n)], axis=1)
-        return np.concatenate([v, force(y), np.concatenate([Z[n:], J @ Z[:n]]).ravel()])
-
-    start = np.concatenate([orbit.profile, np.zeros(n), np.eye(2 * n).ravel()])
-    end = solve_ivp(flow, (0.0, orbit.period), start, "DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
-    assert end[: 2 * n] == pytest.approx(start[: 2 * n], abs=1e-8)
-    known = np.linalg.eigvals(end[2 * n :].reshape(2 * n, 2 * n))
+    (end,), (matrix,) = integrated(force, orbit.profile, [orbit.period], 1e-11, 1e-13)
+    assert end == pytest.approx(np.append(orbit.profile, np.zeros(n)), abs=1e-8)
+    known = np.linalg.eigvals(matrix)
     trivial = np.argsort(np.abs(known - 1.0))[:2]  # a double one: computed to half the digits
     found = orbit.floquet().multipliers
     others = np.delete(found, np.argsort(np.abs(found - 1.0))[:2])

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from orbit_problems import gauss_problem
-from scipy.integrate import solve_ivp
 from scipy.optimize import linear_sum_assignment
+from variational import integrated
 
 from casadi_skin import Branch, Chain, OdeModel, Orbit, SymmetryClass, follow_family
 from casadi_skin.solve.newton import NewtonCorrector
@@ -52,14 +52,8 @@ def physical_monodromy(orbit: Orbit) -> Array:
         + (1 - chain.gamma) * np.eye(n, k=1)
     )
 
-    def field(_: float, x: Array) -> Array:
-        y, X = x[:n], x[2 * n :].reshape(2 * n, 2 * n)
-        J = A - 3 * chain.g * np.diag(y**2)
-        return np.concatenate([x[n : 2 * n], A @ y - chain.g * y**3, X[n:].ravel(), (J @ X[:n]).ravel()])
-
-    x0 = np.concatenate([orbit.profile, np.zeros(n), np.eye(2 * n).ravel()])
-    path = solve_ivp(field, (0, orbit.period), x0, "DOP853", rtol=1e-12, atol=1e-14)
-    return np.asarray(path.y[2 * n :, -1].reshape(2 * n, 2 * n))
+    _, (matrix,) = integrated(lambda y: A @ y - chain.g * y**3, orbit.profile, [orbit.period])
+    return matrix
 
 
 def set_distance(a: ComplexArray, b: ComplexArray) -> float:
@@ -124,17 +118,13 @@ def test_a_reversible_orbit_that_is_not_odd_has_the_multipliers_of_its_monodromy
     assert result.power == 1
     assert result.trivial_deviation < 1e-9
 
-    def field(_: float, x: Array) -> Array:
-        a, b = x[:2]
-        X = x[4:].reshape(4, 4)
-        f = -K @ x[:2] - 0.8 * np.array([a * a + a * b, 0.5 * a * a - b * b])
-        J = -K - 0.8 * np.array([[2 * a + b, a], [a, -2 * b]])
-        return np.concatenate([x[2:4], f, X[2:].ravel(), (J @ X[:2]).ravel()])
+    def by_hand(x: Array) -> Array:
+        a, b = x
+        return -K @ x - 0.8 * np.array([a * a + a * b, 0.5 * a * a - b * b])
 
-    x0 = np.concatenate([start, np.zeros(2), np.eye(4).ravel()])
-    path = solve_ivp(field, (0, 2 * np.pi / Omega), x0, "DOP853", rtol=1e-12, atol=1e-14)
-    np.testing.assert_allclose(path.y[:4, -1], x0[:4], atol=1e-9)
-    expected = np.linalg.eigvals(path.y[4:, -1].reshape(4, 4))
+    (end,), (matrix,) = integrated(by_hand, start, [2 * np.pi / Omega])
+    np.testing.assert_allclose(end, np.append(start, np.zeros(2)), atol=1e-9)
+    expected = np.linalg.eigvals(matrix)
     assert set_distance(without_trivial_pair(result.multipliers), without_trivial_pair(expected)) < 1e-8
 
 
@@ -330,24 +320,6 @@ def test_real_instability_is_born_at_an_extremum_of_the_energy() -> None:
     near = roots[(np.abs(roots.imag) < 1e-9) & (np.abs(roots) < 0.08)].real
     assert near == pytest.approx([0.0], abs=2e-6)
     assert slope(-0.05) * slope(0.05) < 0
-
-
-def test_both_sides_of_a_change_are_as_it_says() -> None:
-    for branch in (with_changes(SOFT, 1, 0.6, 1e-11), with_changes(Chain(6, 1.0, 0.4, -1.0), 1, 2.5, 1e-10)):
-        assert branch.complete
-        assert branch.changes
-        edges = [0.0, *(change.S for change in branch.changes), branch.values[-1]]
-        for i, change in enumerate(branch.changes, start=1):
-            assert 0 < change.S_error <= 1e-8
-            apart = min(0.1 * (edges[i] - edges[i - 1]), 0.1 * (edges[i + 1] - edges[i]), 1e-5)
-            before, after = (branch.at(change.S + side * apart) for side in (-1, 1))
-            assert before.floquet().stable == change.stable_before
-            assert after.floquet().stable == change.stable_after
-            assert change.stable_before != change.stable_after
-            assert change.Omega == pytest.approx(0.5 * (before.Omega + after.Omega), abs=1e-8)
-            unstable = (after if change.stable_before else before).floquet()
-            counts = {"real": unstable.unstable_real, "complex": unstable.unstable_complex}
-            assert counts[change.kind] > 0
 
 
 def test_without_stability_nothing_of_it_is_built_and_without_events_there_are_no_changes() -> None:
