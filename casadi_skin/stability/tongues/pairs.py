@@ -328,57 +328,58 @@ def complex_blocks(those: Matrices) -> list[Block]:
 
 def real_blocks(those: Matrices) -> tuple[list[Block], Booleans, Booleans]:
     """Blocks of one or two real mu, which of them are stable throughout, and which intervals are too long for them."""
-    parts, errors, noise = those.parts, those.errors, those.noise + those.tails
-    fine = chebyshev.combined(chebyshev.refinement(SERIES_DEGREE, FINE_DEGREE), parts)
-    count, size = len(parts), parts.shape[-1]
-    signed = [(1, 0.0), (2, 0.0)] if those.symplectic else [(0, 0.0), (0, 1.0)]
-    ends = []
-    for index, shift in signed:
-        coarse = parts[:, :, index] + shift * np.eye(size)
-        change = _determinant_errors(coarse, errors[:, :, index], noise[:, [index]])
-        ends.append(_series(_determinants(fine[:, :, index] + shift * np.eye(size)), change))
-    mean = np.trace(fine[:, :, 0], axis1=2, axis2=3) / size
-    met, rho, usable = np.zeros((2, FINE_DEGREE + 1, count)), np.ones(fine.shape[:2]), np.ones(count, dtype=bool)
-    met_errors, vanish = np.zeros((2, count, SERIES_DEGREE + 1)), np.zeros((2, count), dtype=bool)
-    if size == 2:
-        rho[:], met[1, 0] = 2.0, 1.0
-        met[0], met_errors[0] = _discriminant(fine[:, :, 0], those)
-        vanish[0] = not those.symplectic
-    if size == 2 and those.symplectic:
-        usable, split = _by_null_vectors(fine, those, [each for each, _ in ends], met, met_errors, rho)
-        vanish[:] = split
+    fine = chebyshev.combined(chebyshev.refinement(SERIES_DEGREE, FINE_DEGREE), those.parts)
+    ends = _ends(those, fine)
+    met, met_errors, rho, vanish, usable = _meetings(those, fine, [coefficients for coefficients, _ in ends])
+    mean = np.trace(fine[:, :, 0], axis1=2, axis2=3) / fine.shape[-1]
     mean_and_rho = (chebyshev.transform(FINE_DEGREE) @ np.stack([mean, rho], axis=2)).swapaxes(0, 1)
-    all_series = np.concatenate([mean_and_rho, met.transpose(1, 2, 0), np.stack([e for e, _ in ends], axis=2)], axis=2)
+    series = np.concatenate([mean_and_rho, met.transpose(1, 2, 0), np.stack([e for e, _ in ends], axis=2)], axis=2)
     functions = [Function.several(*each) for each in (*zip(met, met_errors, strict=True), *ends)]
-    coefficients = chebyshev.combined(chebyshev.transform(SERIES_DEGREE), parts)
-    allowed = ERROR_SAFETY * np.max(np.abs(errors[:, :, 0]), axis=(1, 2, 3)) + noise[:, 0]
+    coefficients = chebyshev.combined(chebyshev.transform(SERIES_DEGREE), those.parts)
+    allowed = ERROR_SAFETY * np.max(np.abs(those.errors[:, :, 0]), axis=(1, 2, 3)) + (those.noise + those.tails)[:, 0]
     blocks = []
     for n, (bounds, coarse) in enumerate(zip(those.bounds.tolist(), those.coarse.tolist(), strict=True)):
         own = [f[n] for f, present in zip(functions, (*vanish[:, n], True, True), strict=True) if present]
-        k, series = coefficients[n], all_series[:, n]
-        blocks.append(Block(bounds[0], bounds[1], k, tuple(own), series, is_coarse=coarse, error=float(allowed[n])))
+        error = float(allowed[n])
+        blocks.append(
+            Block(bounds[0], bounds[1], coefficients[n], tuple(own), series[:, n], is_coarse=coarse, error=error)
+        )
     quiet = np.array([all(f.excludes_zero for f in block.functions) for block in blocks], dtype=bool)
     quiet &= _states(blocks, np.mean(those.bounds, axis=1)[:, None])[1][:, 0] == 0 if blocks else True
     return blocks, quiet, ~usable
 
 
-def _discriminant(fine: Array, those: Matrices) -> tuple[Array, Array]:
-    """(mu_1 - mu_2)^2, with errors where these are not of a symplectic map."""
-    k, change, noise = those.parts[:, :, 0], ERROR_SAFETY * those.errors[:, :, 0], (those.noise + those.tails)[:, [0]]
-    by_flow = np.abs(discriminants(k + change) - discriminants(k)) + np.abs(discriminants(change))
-    by_noise = 4.0 * noise * (np.linalg.norm(k, axis=(2, 3)) + noise)
-    return _series(discriminants(fine), by_flow + by_noise)
+def _ends(those: Matrices, fine: Array) -> list[tuple[Array, Array]]:
+    """Coefficients (FINE + 1, blocks) and errors (blocks, J) of det p and det q, or of det k and det (1 + k)."""
+    one, noise, found = np.eye(fine.shape[-1]), those.noise + those.tails, []
+    for index, shift in ((1, 0.0), (2, 0.0)) if those.symplectic else ((0, 0.0), (0, 1.0)):
+        coarse = those.parts[:, :, index] + shift * one
+        errors = _determinant_errors(coarse, those.errors[:, :, index], noise[:, [index]])
+        found.append(_series(_determinants(fine[:, :, index] + shift * one), errors))
+    return found
 
 
-def _by_null_vectors(
-    fine: Array, those: Matrices, ends: Sequence[Array], met: Array, met_errors: Array, rho: Array
-) -> tuple[Booleans, Booleans]:
-    """Put in f+ and f- and rho of pairs by the form, p or q, whose determinant has no zero.
+def _meetings(those: Matrices, fine: Array, ends: Sequence[Array]) -> tuple[Array, Array, Array, Booleans, Booleans]:
+    """The two functions whose product over rho^2 is the square of half the difference of two mu.
 
-    The results mark the pairs that have such a form, and those of them for which it is not definite.
+    These are f+ and f- by the form, p or q, whose determinant has no zero; where it is definite, or without a form, the
+    discriminant and 1.
+
+    Returns:
+        Coefficients (2, FINE + 1, blocks) and errors (2, blocks, J), both 0 of one mu; rho at the nodes (blocks, FINE +
+        1); which of the functions may vanish at edges, (2, blocks); which blocks are short enough for a form.
     """
     count = len(fine)
-    usable, indefinite = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+    met, errors = np.zeros((2, FINE_DEGREE + 1, count)), np.zeros((2, count, SERIES_DEGREE + 1))
+    rho, vanish, usable = np.ones(fine.shape[:2]), np.zeros((2, count), dtype=bool), np.ones(count, dtype=bool)
+    if fine.shape[-1] == 1:
+        return met, errors, rho, vanish, usable
+    met[1, 0], rho[:] = 1.0, 2.0
+    met[0], errors[0] = _discriminant(fine[:, :, 0], those)
+    if not those.symplectic:
+        vanish[0] = True
+        return met, errors, rho, vanish, usable
+    usable[:] = False
     for index in (1, 2):
         turn = np.linalg.eigh(_symmetric(fine[:, FINE_DEGREE // 2, index]))[1]
         form, _, s, *vectors = null_vectors(fine, index, turn)
@@ -388,11 +389,20 @@ def _by_null_vectors(
         split = regular & ~definite & chebyshev.excludes_zero(corner)
         coarse = null_vectors(those.parts[split], index, turn[split])
         for which, n in enumerate(vectors):
-            errors = _null_errors(coarse, which, index, turn[split], those.take(split))
-            met[which][:, split], met_errors[which][split] = _series(_value(s[split], n[split], n[split]), errors)
+            own = _null_errors(coarse, which, index, turn[split], those.take(split))
+            met[which][:, split], errors[which][split] = _series(_value(s[split], n[split], n[split]), own)
         rho[split] = _value(form[split], vectors[0][split], vectors[1][split])
-        usable, indefinite = usable | split | definite, indefinite | split
-    return usable, indefinite
+        vanish[:, split] = True
+        usable |= split | definite
+    return met, errors, rho, vanish, usable
+
+
+def _discriminant(fine: Array, those: Matrices) -> tuple[Array, Array]:
+    """(mu_1 - mu_2)^2, with errors where these are not of a symplectic map."""
+    k, change, noise = those.parts[:, :, 0], ERROR_SAFETY * those.errors[:, :, 0], (those.noise + those.tails)[:, [0]]
+    by_flow = np.abs(discriminants(k + change) - discriminants(k)) + np.abs(discriminants(change))
+    by_noise = 4.0 * noise * (np.linalg.norm(k, axis=(2, 3)) + noise)
+    return _series(discriminants(fine), by_flow + by_noise)
 
 
 def null_vectors(parts: Array, form: int, turn: Array) -> tuple[Array, Array, Array, Array, Array]:
