@@ -15,7 +15,6 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib import import_module
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -406,6 +405,8 @@ def new(arguments: argparse.Namespace) -> int:
 
     Example: casadi-skin new chain --out breather.toml
     """
+    from importlib.resources import files
+
     scene = _target(arguments, Path(f"{arguments.kind}.toml"), ".toml")
     names = {scene: f"{arguments.kind}.toml"}
     if arguments.kind == "model":
