@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import operator
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.model.arguments import cut, number, short_repr
 from casadi_skin.model.formula import FUNCTIONS, Formula, Name, Number, Operation, Tree, evaluate
+from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
 
 Expression: TypeAlias = ca.SX | ca.MX
 
@@ -126,7 +126,6 @@ def _called(label: str, function: Callable[..., Any], symbols: Sequence[Expressi
 
 # Formulas as CasADi expressions: values, and antiderivatives where there is a rule for them ---------------------------
 
-HIGHEST_DEGREE = 20  # of polynomials that are integrated
 FORMULA_OPERATIONS: Mapping[str, Callable[..., Any]] = {
     "number": ca.SX, "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "^": operator.pow,
     "neg": operator.neg, **{name: getattr(ca, "fabs" if name == "abs" else name) for name in FUNCTIONS},
@@ -169,43 +168,24 @@ def antiderivative(formula: Formula, name: str) -> ca.Function | None:
 
 
 def _integral(tree: Tree, x: ca.SX, values: Mapping[str, ca.SX]) -> ca.SX | None:
-    if _is_polynomial(tree, x, values):
-        return _integral_of_polynomial(expression(tree, values), x)
+    value = expression(tree, values)
+    try:
+        parts = homogeneous_parts(value, x, ca.vertcat(*(other for other in values.values() if other is not x)))
+        # A division by a double that is exact: proofs read the energy's coefficients as fractions.
+        return sum((part * x / (degree + 1) for degree, part in parts.items()), ca.SX(0))
+    except NotPolynomialError:
+        pass
     if isinstance(tree, Number | Name):
         return None
-    parts = [expression(part, values) for part in tree.parts]
+    arguments = [expression(part, values) for part in tree.parts]
     if tree.kind in ("+", "-", "neg"):
         integrals = [_integral(part, x, values) for part in tree.parts]
         return None if None in integrals else FORMULA_OPERATIONS[tree.kind](*integrals)
     if tree.kind in ("*", "/"):
-        return _multiple(tree, parts, x, values)
-    base = _integral_of_function(tree.kind, parts, x)
-    slope = _slope(parts[0], x)
+        return _multiple(tree, arguments, x, values)
+    base = _integral_of_function(tree.kind, arguments, x)
+    slope = _slope(arguments[0], x)
     return None if base is None or slope is None else base / slope
-
-
-def _is_polynomial(tree: Tree, x: ca.SX, values: Mapping[str, ca.SX]) -> bool:
-    if isinstance(tree, Number | Name) or not ca.depends_on(expression(tree, values), x):
-        return True
-    kind, last = tree.kind, tree.parts[-1]
-    if kind == "^":
-        whole = isinstance(last, Number) and last.value in range(HIGHEST_DEGREE + 1)
-        return whole and _is_polynomial(tree.parts[0], x, values)
-    if kind == "/" and ca.depends_on(expression(last, values), x):
-        return False
-    return kind in ("+", "-", "*", "/", "neg") and all(_is_polynomial(part, x, values) for part in tree.parts)
-
-
-def _integral_of_polynomial(value: ca.SX, x: ca.SX) -> ca.SX | None:
-    """From its derivatives at 0."""
-    total = ca.SX(0)
-    for degree in range(HIGHEST_DEGREE + 1):
-        # A division by a double that is exact: proofs read the energy's coefficients as fractions.
-        total += ca.substitute(value, x, 0) * x ** (degree + 1) / math.factorial(degree + 1)
-        value = ca.jacobian(value, x)
-        if value.is_zero():
-            return total
-    return None
 
 
 def _multiple(tree: Operation, parts: list[ca.SX], x: ca.SX, values: Mapping[str, ca.SX]) -> ca.SX | None:

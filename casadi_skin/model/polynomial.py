@@ -105,12 +105,13 @@ def constants(expression: ca.SX, inputs: list[ca.SX]) -> set[float]:
     return {float(function.instruction_constant(k)) for k in places}
 
 
-def homogeneous_parts(expression: ca.SX, state: ca.SX) -> dict[int, ca.SX]:
+def homogeneous_parts(expression: ca.SX, state: ca.SX, fixed: ca.SX | None = None) -> dict[int, ca.SX]:
     """Split a column of polynomials of `state` into homogeneous parts, without multiplying products out.
 
     Arguments:
-        expression: column of expressions in `state` alone.
+        expression: column of expressions in `state` and `fixed`.
         state: symbols, one a variable.
+        fixed: symbols that are constants.
 
     Returns:
         For each degree that occurs a column of the shape of `expression`; their sum is `expression`.
@@ -118,7 +119,10 @@ def homogeneous_parts(expression: ca.SX, state: ca.SX) -> dict[int, ca.SX]:
     Raises:
         NotPolynomialError: an operation is not one of a polynomial; the message names it.
     """
-    entries = list(_Ring(0, int.__add__, ca.SX).polynomials(expression, [state], lambda k: {1: state[k]}))
+    constants = ca.SX(0, 1) if fixed is None else fixed
+    n, symbols = state.numel(), ca.vertcat(state, constants)
+    ring = _Ring(0, int.__add__, ca.SX)
+    entries = list(ring.polynomials(expression, [state, constants], lambda k: {int(k < n): symbols[k]}))
     degrees = sorted({degree for entry in entries for degree in entry})
     parts = {d: ca.vertcat(*(entry.get(d, ca.SX(0)) for entry in entries)) for d in degrees}
     return {d: part for d, part in parts.items() if not part.is_zero()}
@@ -200,6 +204,10 @@ class _Ring:
             for _ in range(int(value)):
                 power = self._multiply(power, a)
             return power
+        constants = [polynomial.get(self.unit, ca.SX(0)) for polynomial in arguments if set(polynomial) <= {self.unit}]
+        if self.number is ca.SX and len(constants) == len(arguments):  # expressions in what is fixed
+            operate: Any = ca.SX.unary if len(constants) == 1 else ca.SX.binary
+            return {self.unit: operate(operation, *constants)}
         names = dict.fromkeys((ca.OP_DIV, ca.OP_INV), "a division by a variable") | dict.fromkeys(powers, "a power")
         name = names.get(operation, NAMES.get(operation, f"operation {operation} of CasADi"))
         raise NotPolynomialError(f"{name} is in the expression")
