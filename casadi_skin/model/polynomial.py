@@ -205,8 +205,8 @@ class _Ring:
                 power = self._multiply(power, a)
             return power
         constants = [polynomial.get(self.unit, ca.SX(0)) for polynomial in arguments if set(polynomial) <= {self.unit}]
+        operate: Any = ca.SX.unary if len(arguments) == 1 else ca.SX.binary
         if self.number is ca.SX and len(constants) == len(arguments):  # expressions in what is fixed
-            operate: Any = ca.SX.unary if len(constants) == 1 else ca.SX.binary
             return {self.unit: operate(operation, *constants)}
         names = dict.fromkeys((ca.OP_DIV, ca.OP_INV), "a division by a variable") | dict.fromkeys(powers, "a power")
         name = names.get(operation, NAMES.get(operation, f"operation {operation} of CasADi"))

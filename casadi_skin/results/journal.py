@@ -34,10 +34,7 @@ class Journal(Generic[Record]):
     """
 
     def __init__(
-        self,
-        path: Path,
-        decoder: msgspec.msgpack.Decoder[Record],
-        each: Callable[[int, Record], None] | None = None,
+        self, path: Path, decoder: msgspec.msgpack.Decoder[Record], each: Callable[[int, Record], None] | None = None
     ) -> None:
         self.path, self._encoder, self.records = path, msgspec.msgpack.Encoder(), list[Record]()
         keep = each or (lambda _, record: self.records.append(record))

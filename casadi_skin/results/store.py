@@ -23,16 +23,8 @@ from casadi_skin.model.arguments import short_repr
 from casadi_skin.zero.settings import Point, Refinement
 
 DAMAGED_FILE_ERRORS = (
-    ValueError,
-    TypeError,
-    KeyError,
-    IndexError,
-    AttributeError,
-    ArithmeticError,
-    AssertionError,
-    RuntimeError,
-    RecursionError,
-)
+    ValueError, TypeError, LookupError, AttributeError, ArithmeticError, AssertionError, RuntimeError,
+)  # fmt: skip
 ARRAY_KINDS = {"<f8", "<c16", "<i8", "|b1"}  # of arrays
 SAVED_CLASSES = {  # that a file may name, by module: "other=own" where the name in files is another one
     "certify.certificate": "Certificate Constants ProvedStability ProvedStretch",
@@ -186,10 +178,7 @@ class Reader:
     """
 
     def __init__(
-        self,
-        shared: Sequence[Any] = (),
-        model: Any = None,
-        words: Mapping[str, Any] = MappingProxyType({}),
+        self, shared: Sequence[Any] = (), model: Any = None, words: Mapping[str, Any] = MappingProxyType({})
     ) -> None:
         self.model, self.shared, self._words = model, list[Any](), {**READERS, **words}
         for data in shared:

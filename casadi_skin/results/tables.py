@@ -16,11 +16,7 @@ from casadi_skin.optimise.search_problem import Outcome
 from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.results.dataset import Dataset, Variable, versions, write_csv, write_netcdf
 from casadi_skin.results.quantities import PROFILE_PHASES, Cell, unique_names
-from casadi_skin.stability.tongues.diagram import (
-    StabilityDiagram,
-    StabilityEdge,
-    Tongue,
-)
+from casadi_skin.stability.tongues.diagram import StabilityDiagram, StabilityEdge, Tongue
 from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.problem import Array
 
@@ -74,9 +70,7 @@ UNRESOLVED = "unresolved"  # kind of the rows of stretches that are not known
 
 
 def event_rows(
-    mode: int,
-    diagram: StabilityDiagram,
-    prove: Callable[[Any], tuple[float, float] | None] | None = None,
+    mode: int, diagram: StabilityDiagram, prove: Callable[[Any], tuple[float, float] | None] | None = None
 ) -> list[dict[str, Cell]]:
     """Rows of events.csv: changes of stability in order, and stretches on which some may be missing.
 
@@ -146,11 +140,7 @@ def edge_columns(curve: EdgeCurve) -> dict[str, Any]:
 
 # Files of a search: search.csv (optima), starts.csv (where each start led), search.nc, and the journal's records ------
 
-COLUMN_MEANINGS = {
-    "S": "total amplitude: sum of y_n^2 at t = 0",
-    "Omega": "frequency",
-    "period": "period",
-}
+COLUMN_MEANINGS = {"S": "total amplitude: sum of y_n^2 at t = 0", "Omega": "frequency", "period": "period"}
 OF_CHAIN = {"gamma": "nonreciprocity of the optimum", "g": "cubic on-site coefficient of the optimum"}
 
 
