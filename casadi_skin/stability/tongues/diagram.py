@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.model.result import Result
+from casadi_skin.model.result import NoQuantityError, Result
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues.interpolation import Piece
 from casadi_skin.stability.tongues.pairs import growth_of
@@ -217,12 +217,18 @@ class StabilityDiagram(Result):
     @property
     def start(self) -> float:
         """Coordinate at which the computed branch begins."""
-        return self.pieces[0].matrices.start
+        return self._ends[0]
 
     @property
     def end(self) -> float:
         """Coordinate at which the computed branch ends."""
-        return self.pieces[-1].matrices.end
+        return self._ends[1]
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        if not self.pieces:
+            raise NoQuantityError("start, end: localised multipliers are looked at orbit by orbit; accepted: changes")
+        return self.pieces[0].matrices.start, self.pieces[-1].matrices.end
 
     def S(self, coordinates: Array) -> Array:
         """Amplitudes at coordinates, shape (points,)."""
