@@ -51,6 +51,7 @@ class Existing(Enum):
     REFUSE = "refuse"
     RESUME = "resume"
     OVERWRITE = "overwrite"
+    SHARE = "share"  # with processes that begin at the same time, and compute other shares of the same map
 
 
 def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) -> bool:
@@ -60,22 +61,28 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
     """
     names = (*WRITTEN_FILES, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURE_STEMS for kind in FORMATS), "*.fmu")
     check_writable(directory)
-    left = leftovers(directory, names) if directory.is_dir() else []
-    held = _check_free(
-        directory, existing is not Existing.REFUSE, "an empty or new directory, --resume or --overwrite", left
-    )
-    if held and existing is Existing.RESUME:
+    shared = existing is Existing.SHARE
+    left = leftovers(directory, names) if directory.is_dir() and not shared else []
+    accepted = "an empty or new directory, --resume or --overwrite"
+    held = _check_free(directory, existing is not Existing.REFUSE, accepted, left)
+    if shared:
+        held = [name for name in held if not name.startswith(".")]  # others write theirs
+        if held and not (directory / SCENE_FILE).exists():
+            words = "accepted: an empty or new directory, or that of the map"
+            raise DirectoryError(f"{directory}: holds {held[0]}; {words}")
+    if held and existing is not Existing.OVERWRITE:
         _check_same(directory, scene)
-        written = any((directory / name).exists() for name in ("family.nc", "search.nc", "branch.nc", "dynamics.nc"))
-        if written and not (directory / JOURNAL_FILE).exists():
-            _check_complete(directory)
-            return False
+    written = any((directory / name).exists() for name in ("family.nc", "search.nc", "branch.nc", "dynamics.nc"))
+    if written and existing is Existing.RESUME and not (directory / JOURNAL_FILE).exists():
+        _check_complete(directory)
+        return False
     if held and existing is Existing.OVERWRITE:
         _remove_results(directory, names[:-1])
     for path in left:
         path.unlink(missing_ok=True)
     make_directory(directory)
-    _write_scene(directory, scene_text)
+    if not (held and shared):
+        _write_scene(directory, scene_text)
     return True
 
 
@@ -88,23 +95,6 @@ def _check_complete(directory: Path) -> None:
             check_whole(path)
         except ValueError as error:
             raise DirectoryError(f"{error}; --overwrite computes it anew") from error
-
-
-def prepare_part(directory: Path, scene: Scene, scene_text: str) -> None:
-    """Make `directory` ready for one of several processes that share a scene, and begin at the same time.
-
-    Raises DirectoryError where the directory may not be used.
-    """
-    check_writable(directory)
-    make_directory(directory)
-    path = directory / SCENE_FILE
-    held = sorted(p.name for p in directory.iterdir() if not p.name.startswith("."))
-    if path.exists():
-        _check_same(directory, scene)
-    elif held:
-        raise DirectoryError(f"{directory}: holds {held[0]}; accepted: an empty or new directory, or that of the map")
-    else:
-        _write_scene(directory, scene_text)
 
 
 def renew(directory: Path, scene_text: str) -> None:
@@ -180,14 +170,14 @@ def prepare_study(directory: Path, overwrite: bool) -> None:
     make_directory(directory)
 
 
-def _check_free(directory: Path, may_hold: bool, accepted: str, left: Sequence[Path] = ()) -> bool:
-    """Whether a directory holds anything beside `left`; raises DirectoryError where it may not."""
+def _check_free(directory: Path, may_hold: bool, accepted: str, left: Sequence[Path] = ()) -> list[str]:
+    """What a directory holds beside `left`; raises DirectoryError where it may hold nothing."""
     paths = [path for path in directory.iterdir() if path not in left] if directory.exists() else []
     held = sorted(path.name for path in paths if not path.name.startswith(LOCK_PREFIX))
     if held and not may_hold:
         more = " and more" if len(held) > 1 else ""
         raise DirectoryError(f"{directory}: holds {held[0]}{more}; accepted: {accepted}")
-    return bool(held)
+    return held
 
 
 def check_writable(directory: Path) -> None:

@@ -36,7 +36,6 @@ from casadi_skin.runs.directory import (
     check_same_source,
     in_use,
     prepare,
-    prepare_part,
 )
 from casadi_skin.runs.map_cell import LOST, Computer, Result, check_quantities, compute
 from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Cells, Grid, Task, needed, plain, scene_at
@@ -308,10 +307,7 @@ class MapRun:
         request = self.request
         if request.path is not None and (self.shared or self.existing is Existing.RESUME):
             check_same_source(self.directory, request.path, request.source)
-        if self.shared:
-            prepare_part(self.directory, self.scene, self.text)
-        else:
-            prepare(self.directory, self.scene, self.text, self.existing)
+        prepare(self.directory, self.scene, self.text, Existing.SHARE if self.shared else self.existing)
         if request.path is not None:
             with replacing(self.directory / f"{SCENE_MODEL}{request.path.suffix}") as temporary:
                 temporary.write_text(request.source, encoding="utf-8")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -85,6 +86,7 @@ def test_workers_and_a_parent_that_are_killed_lose_no_finished_cell(
     out = tmp_path / "out"
     with command("map", scene, "--out", out, "--workers", 2, "--no-pictures", "--quiet") as process:
         until(lambda: tasks(out / JOURNAL))
+        time.sleep(0.2)  # both compute a cell of 0.4 s then: one that is killed between two is started again
         os.kill(workers_of(process.pid)[0], signal.SIGKILL)
         until(lambda: "died" in [task.kind for task in tasks(out / JOURNAL)])
         workers = workers_of(process.pid)
