@@ -281,13 +281,12 @@ def declared_chain(declaration: Declaration, autonomous: bool, values: Mapping[s
     one = len(declaration.sites) == len(declaration.bonds) == 1 and declaration.boundary == (FIXED,)
     if not one or not autonomous or declaration.differing:
         return None
+    fields = ("site", "mass"), ("site", "onsite"), ("bond", "force"), ("bond", "gain 1"), ("bond", "gain 2")
+    mass, onsite, force, *gains = (_powers(declaration, values, *field) for field in fields)
     along = declaration.bonds[0].offset[0]
-    mass, onsite = _powers(declaration, values, "site", "mass"), _powers(declaration, values, "site", "onsite")
-    force = _powers(declaration, values, "bond", "force")
-    gains = [_powers(declaration, values, "bond", f"gain {k}").get(0, 0.0) for k in (1, 2)]
-    right, left = gains[::along] if abs(along) == 1 else (0.0, 0.0)
-    if mass != {0: 1.0} or force != {1: 1.0} or not set(onsite) <= {1, 3}:
+    if mass != {0: 1.0} or force != {1: 1.0} or not set(onsite) <= {1, 3} or abs(along) != 1:
         return None
+    right, left = (gain.get(0, 0.0) for gain in gains[::along])
     tried = (*values.values(), *(-value for value in values.values()), 0.5 * (left - right))
     gamma = next((value for value in tried if (1 - value, 1 + value) == (right, left)), None)  # none is rounded
     if gamma is None or not abs(gamma) < 1:

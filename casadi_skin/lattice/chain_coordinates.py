@@ -59,16 +59,11 @@ def chain_coordinates(
         raise ValueError('tail: given "full" with an infinite chain; accepted: eliminated')
     cut = method.stability_sites
     if cut is not None and (obstacle or not sites <= cut <= chain.sites):
-        accepted = (
-            f"with {obstacle}"
-            if obstacle
-            else f"{sites} to {chain.sites}: so many sites are nonlinear, and so many there are"
-        )
-        raise ValueError(f"stability_sites: given {cut}; accepted: {accepted}")
+        within = f"{sites} to {chain.sites}: so many sites are nonlinear, and so many there are"
+        raise ValueError(f"stability_sites: given {cut}; accepted: {f'with {obstacle}' if obstacle else within}")
     eliminated = method.tail == "eliminated" or chain.infinite or cut is not None
-    if method.tail is None and not obstacle:
-        eliminated = eliminated or chain.sites >= max(PAYS_FROM, TAIL_PAYS_FACTOR * sites)
-    if not eliminated:
+    pays = method.tail is None and not obstacle and chain.sites >= max(PAYS_FROM, TAIL_PAYS_FACTOR * sites)
+    if not (eliminated or pays):
         check_harmonics(chain.linear_spectrum().squares, number, repr(chain), odd=True)
         return FullChain(chain, number)
     return LongChain(chain, sites, number, amplitude_max, cut)

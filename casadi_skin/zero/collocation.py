@@ -184,8 +184,7 @@ class CollocationEquations(Problem):
         columns, weights = weights_at(*(array.tobytes() for array in (self.constants, self.table.ends, fractions)))
         return np.asarray(np.einsum("tk,tkn->tn", weights, values[columns]))
 
-    def prolong(self, z: Array, finer: Problem) -> Array:
-        assert isinstance(finer, CollocationEquations)
+    def prolong(self, z: Array, finer: Self) -> Array:
         return np.concatenate([self._interpolate(z, finer._fractions()).ravel(), z[self.states :]])
 
     def improvement(self, z: Array, solve: Solve) -> tuple[Array, float] | None:

@@ -10,7 +10,7 @@ about that tolerance wherever CVODES steps otherwise: no corrector can be more a
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import casadi as ca
 import numpy as np
@@ -20,7 +20,7 @@ from casadi_skin.model.integrators import TIGHT_ITERATION, CvodesOptions, cvodes
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.collocation import FirstOrderProblem, orbit_formulation
-from casadi_skin.zero.problem import Array, Indices, Problem, SingularError
+from casadi_skin.zero.problem import Array, Indices, SingularError
 
 if TYPE_CHECKING:
     from scipy.integrate import OdeSolution
@@ -126,9 +126,7 @@ class ShootingProblem(FirstOrderProblem):
     def phases(self) -> Array:
         return self.symmetry.value * 2.0 * np.pi * np.arange(self.segments + 1) / self.segments
 
-    def prolong(self, z: Array, finer: Problem) -> Array:
-        assert isinstance(finer, ShootingProblem)
-        assert finer.segments == self.segments
+    def prolong(self, z: Array, finer: Self) -> Array:
         return z.copy()
 
     def resolution_in_words(self) -> str:
