@@ -25,8 +25,8 @@ from casadi_skin.solve.ipopt import SOLVED_STATUS, Monitor, nlp_reason
 from casadi_skin.solve.processes import Report, Runner
 from casadi_skin.zero.problem import Array, Indices
 
-PEAK_WINDOWS = np.array([0.125, 0.03, 0.01, 0.003])  # of a period, around a time of escape
-PEAK_SAMPLES = 17  # in them
+PEAK_WINDOWS = np.array([np.inf] * 4 + [0.03, 0.01, 0.003, 0.001])  # of a period, around a time of escape
+PEAK_SAMPLES = 17  # in the finite ones
 SIZE_RTOL = 1e-10  # of the size along one direction
 SAMPLES_PER_PERIOD = 64  # a period; the largest distance is that of the parabola through the three largest
 
@@ -72,9 +72,9 @@ def sampled(orbit: Orbit, time: float) -> Array:
 def size_to_escape(orbit: Orbit, direction: Array, time: float, distance: float) -> tuple[float, float]:
     """Smallest size of a kick along `direction` (2N,) that escapes, and its time of escape, by CVODES.
 
-    The size that is at the distance at a time, and the time near it at which that kick is farthest, in turn: there an
-    error of the time counts squared. They start from a scan of sizes around that of linear growth. Raises
-    ArithmeticError where none escapes.
+    The size that is at the distance at a time, and the time at which that kick is farthest, in turn, first of all times
+    and then near by: there an error of the time counts squared. They start from a scan of sizes around that of linear
+    growth. Raises ArithmeticError where none escapes.
     """
     flow = KickedFlow.up_to(orbit, time)
     in_gauge = direction / (np.sqrt(orbit.S) * np.tile(orbit.model.rho, 2))
@@ -88,10 +88,14 @@ def size_to_escape(orbit: Orbit, direction: Array, time: float, distance: float)
         def excess(size: float, at: float = at) -> float:
             return float(escape(orbit, size * direction, [at]).distance[-1]) - distance
 
-        size = float(newton(excess, size, rtol=SIZE_RTOL, tol=SIZE_RTOL * size))
-        around = np.linspace(max(0.0, at - window), min(at + window, time), PEAK_SAMPLES)
+        options: dict[str, Any] = {"rtol": SIZE_RTOL, "tol": SIZE_RTOL * size, "full_output": True, "disp": False}
+        size, found = newton(excess, size, **options)
+        if not found.converged:
+            raise ArithmeticError(f"size_to_escape: no size near {size:.3g} is at the distance {distance:g}")
+        near_by = np.linspace(max(0.0, at - window), min(at + window, time), PEAK_SAMPLES)
+        around = near_by if np.isfinite(window) else sampled(orbit, time)
         at = escape(orbit, size * direction, around).farthest[1]
-    return size, at
+    return float(size), float(at)
 
 
 # The search: where it starts, and where each start leads --------------------------------------------------------------
