@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from drawing import blank_pictures
 from outputs import EXAMPLES, read_rows
-from scenes import Runs, chain, column, written
+from scenes import Runs, chain, column, family, table, written
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
@@ -36,51 +36,18 @@ fput = lattice("fput", 5, lambda y, b: 0 * y, lambda d, b: d**2 / 2 + b * d**4 /
 x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
 van_der_pol = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu, nominal=(1.0,))
 """
-PAIR = """[spectrum]
-[family]
-mode = ["first", "last"]
-amplitude_max = 1.0
-at = [0.5]
-film = true
-[stability]
-vectors = true
-[dynamics]
-S = 0.5
-mode = 2
-periods = 2
-samples = 21
-size = 0.1
-vector = [1.0, 0.0, 0.0, 1.0]
-[export]
-c = ["rhs"]
-[accuracy]
-tolerance = 1e-9
-"""
-CYCLE = """[orbit]
-start = [2.0, 0.0]
-transient = 40.0
-section = { y = 0.0 }
-[dynamics]
-periods = 2
-samples = 9
-"""
+PAIR = (
+    "[spectrum]\n" + family(["first", "last"], at=[0.5], film=True) + table("stability", vectors=True)
+    + table("dynamics", S=0.5, mode=2, periods=2, samples=21, size=0.1, vector=[1.0, 0.0, 0.0, 1.0])
+    + table("export", c=["rhs"]) + table("accuracy", tolerance=1e-9)
+)  # fmt: skip
+CYCLE = table("orbit", start=[2.0, 0.0], transient=40.0, section={"y": 0.0}) + table("dynamics", periods=2, samples=9)
 CHAIN_ORBIT = (
     chain(3, gamma=0.1, g=1.0)
-    + """[orbit]
-start = [0.2, -0.4, 0.5, 0.0, 0.0, 0.0]
-period = 3.0
-select = { y_3 = 0.5 }
-symmetric = true
-[continuation]
-parameter = "gamma"
-to = 0.4
-at = [0.25]
-[stability]
-[dynamics]
-duration = 5.0
-samples = 6
-"""
-)
+    + table("orbit", start=[0.2, -0.4, 0.5, 0, 0, 0], period=3.0, select={"y_3": 0.5}, symmetric=True)
+    + table("continuation", parameter="gamma", to=0.4, at=[0.25]) + "[stability]\n"
+    + table("dynamics", duration=5.0, samples=6)
+)  # fmt: skip
 
 
 def pair_forces(y: np.ndarray) -> np.ndarray:
