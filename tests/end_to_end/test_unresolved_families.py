@@ -3,27 +3,13 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 
 import pytest
-from outputs import read_rows
+from scenes import Runs, chain, family
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow import family_changes
-from casadi_skin.runs.program import main
 from casadi_skin.stability.tongues.find_changes import find_changes
-
-SCENE = """[chain]
-sites = 24
-alpha = 1.0
-gamma = 0.25
-g = -1.0
-[family]
-mode = 1
-amplitude_max = 1.0
-[stability]
-events = true
-"""
 
 
 @pytest.fixture
@@ -44,15 +30,10 @@ def test_counts_of_changes_beside_something_unresolved_are_the_least() -> None:
 
 
 @pytest.mark.usefixtures("_little_work")
-def test_run_with_unresolved_changes_ends_with_status_1_and_says_why_in_a_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
-    out = tmp_path / "out"
-    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(out)]) == 1
-    printed, told = capsys.readouterr()
-    assert "at least 0" in printed
-    assert told.count("\n") == 1
-    assert "limit of work" in told
-    assert (out / "family.csv").is_file()
-    assert [row["kind"] for row in read_rows(out / "events.csv")] == ["unresolved"]
+def test_run_with_unresolved_changes_ends_with_status_1_and_says_why_in_a_line(run: Runs) -> None:
+    done = run(chain(24) + family() + "[stability]\nevents = true\n", status=1)
+    assert "at least 0" in done.out
+    assert done.err.count("\n") == 1
+    assert "limit of work" in done.err
+    assert "family.csv" in run.files
+    assert [row["kind"] for row in run.rows("events")] == ["unresolved"]
