@@ -103,6 +103,20 @@ def test_localised_multipliers_solve_hills_equations_with_exact_tails(
 
 
 @pytest.mark.slow
+def test_whole_chains_have_the_localised_multipliers() -> None:
+    """The others of a whole chain lie on the arcs but for weak instabilities, fewer per site the longer it is."""
+    whole = follow_family(Chain(300, 1.0, 0.25, -1.0), 1, 3.0, at=AT, tolerance=1e-9, tail="eliminated")
+    for S in AT[1:]:  # below the threshold orbits depend on the length
+        found, all_sites = localised(followed().at(S)), whole.at(S).floquet()
+        known = np.asarray(all_sites.mu)  # type: ignore[attr-defined]
+        for mu, error in zip(found.mu, found.mu_error, strict=True):
+            assert np.min(np.abs(known - mu)) <= error + all_sites.error
+        distance = found.continuous.distance(known)
+        far = [mu for mu in known[distance > 5e-3] if np.min(np.abs(found.mu - mu)) > 1e-6]
+        assert not far
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("S", AT)
 def test_the_error_of_the_cut_is_honest(S: float) -> None:
     """Few sites beside many: multipliers are within their errors, or are not counted as localised."""

@@ -230,19 +230,21 @@ def depths(groups: Sequence[Group]) -> tuple[Array, Array]:
     """Largest log |lambda(M)| on each group of segments, and the coordinates of it."""
     counts, segments = [len(g.segments) for g in groups], [segment for group in groups for segment in group.segments]
     starts, ends = (np.array([[getattr(segment, name)] for segment in segments]) for name in ("start", "end"))
-    bounds, blocks = np.cumsum(counts)[:-1], [segment.block for segment in segments]
+    bounds = np.cumsum(counts)[:-1]
     steps = np.array([[np.max(each)] for each in np.split(ends - starts, bounds)])
     growths, deepest, low, high = np.full(len(groups), -np.inf), np.zeros(len(groups)), starts, ends
     for zoom in range(DEPTH_ZOOMS + 1):
-        at = np.linspace(low[:, 0], high[:, 0], DEPTH_SAMPLES, axis=1)
-        parts = (np.split(each, bounds) for each in (evaluate(blocks, at)[1], at))
-        for i, (growth, where) in enumerate(zip(*parts, strict=True)):
-            k = np.argmax(growth)
-            if growth.flat[k] > growths[i]:
-                growths[i], deepest[i] = growth.flat[k], where.flat[k]
+        at, near = np.linspace(low[:, 0], high[:, 0], DEPTH_SAMPLES, axis=1), np.flatnonzero(low <= high)
+        growth = np.full(at.shape, -np.inf)
+        growth[near] = evaluate([segments[i].block for i in near.tolist()], at[near])[1]
+        parts = (np.split(each, bounds) for each in (growth, at))
+        for i, (values, where) in enumerate(zip(*parts, strict=True)):
+            k = np.argmax(values)
+            if values.flat[k] > growths[i]:
+                growths[i], deepest[i] = values.flat[k], where.flat[k]
         steps = steps * (2.0 if zoom else 1.0) / (DEPTH_SAMPLES - 1)
-        around = (np.repeat(deepest[:, None] + sign * steps, counts, axis=0) for sign in (-1.0, 1.0))
-        low, high = (np.clip(each, starts, ends) for each in around)
+        middle, reach = (np.repeat(each, counts, axis=0) for each in (deepest[:, None], steps))
+        low, high = np.maximum(starts, middle - reach), np.minimum(ends, middle + reach)
     return np.maximum(growths, 0.0), deepest
 
 

@@ -334,7 +334,9 @@ def real_blocks(those: Matrices) -> tuple[list[Block], Booleans, Booleans]:
     mean = np.trace(fine[:, :, 0], axis1=2, axis2=3) / fine.shape[-1]
     mean_and_rho = (chebyshev.transform(FINE_DEGREE) @ np.stack([mean, rho], axis=2)).swapaxes(0, 1)
     series = np.concatenate([mean_and_rho, met.transpose(1, 2, 0), np.stack([e for e, _ in ends], axis=2)], axis=2)
-    functions = [Function.several(*each) for each in (*zip(met, met_errors, strict=True), *ends)]
+    possible = [each for *each, vanishes in zip(met, met_errors, vanish, strict=True) if vanishes.any()]
+    functions = [Function.several(*each) for each in (*possible, *ends)]
+    vanish = vanish[vanish.any(axis=1)]
     coefficients = chebyshev.combined(chebyshev.transform(SERIES_DEGREE), those.parts)
     allowed = ERROR_SAFETY * np.max(np.abs(those.errors[:, :, 0]), axis=(1, 2, 3)) + (those.noise + those.tails)[:, 0]
     blocks = []
@@ -381,6 +383,8 @@ def _meetings(those: Matrices, fine: Array, ends: Sequence[Array]) -> tuple[Arra
         return met, errors, rho, vanish, usable
     usable[:] = False
     for index in (1, 2):
+        if usable.all():
+            break
         turn = np.linalg.eigh(_symmetric(fine[:, FINE_DEGREE // 2, index]))[1]
         form, _, s, *vectors = null_vectors(fine, index, turn)
         regular = chebyshev.excludes_zero(ends[index - 1]) & ~usable
