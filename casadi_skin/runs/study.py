@@ -103,14 +103,6 @@ def cell(value: object) -> Cell:
     return value if finite else str(value)  # type: ignore[return-value]
 
 
-def text_table(heads: Sequence[str], words: Sequence[int] = (0,)) -> Table:
-    """An empty table for the terminal; `words` are the places of columns that do not hold numbers."""
-    table = Table(box=None, header_style="bold", padding=(0, 1))
-    for place, head in enumerate(heads):
-        table.add_column(head, justify="left" if place in words else "right", no_wrap=True)
-    return table
-
-
 def letter(axes: Axes, name: str, words: str = "") -> None:
     """The panel's letter and a few words above it, at the left."""
     axes.set_title(f"({name})  {words}".rstrip(), loc="left")

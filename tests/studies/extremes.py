@@ -18,10 +18,11 @@ from rich.text import Text
 from casadi_skin.dynamics.resonances import threshold
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.results.figures.style import blank, finished, style
-from casadi_skin.runs.study import Study, letter, study_program, text_table
+from casadi_skin.runs.study import Study, letter, study_program
 from tests.studies import extreme_physical as physical
 from tests.studies.extreme_case import MOST_DIGITS, Case, Outcome, measure
 from tests.studies.extreme_cases import all_cases
+from tests.studies.honesty import text_table
 
 COLUMNS = (
     *("theme", "case", "asked", "check", "verdict", "got", "digits", "promised", "refused", "fault", "seconds"),

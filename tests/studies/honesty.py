@@ -15,7 +15,7 @@ from rich.table import Table
 
 from casadi_skin.results.figures.style import blank, finished, style
 from casadi_skin.runs.output import InputError
-from casadi_skin.runs.study import Study, letter, study_program, text_table
+from casadi_skin.runs.study import Study, letter, study_program
 from tests.studies.honesty_cases import Case, Outcome, Quantity, draw, measure
 
 COVERED = 0.95  # share of estimates that may not be below the true error
@@ -158,6 +158,14 @@ class ErrorCalibration(Study):
             counts = map(str, (far_off, missed, announced))
             table.add_row(label, f"{covered}/{judged}", share, f"{worst:.2g}", ratio, *counts)
         yield table
+
+
+def text_table(heads: Sequence[str], words: Sequence[int] = (0,)) -> Table:
+    """An empty table for the terminal; `words` are the places of columns that do not hold numbers."""
+    table = Table(box=None, header_style="bold", padding=(0, 1))
+    for place, head in enumerate(heads):
+        table.add_column(head, justify="left" if place in words else "right", no_wrap=True)
+    return table
 
 
 def row(outcome: Outcome) -> dict[str, object]:
