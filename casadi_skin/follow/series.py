@@ -120,12 +120,9 @@ class SeriesContinuation:
         self._most = np.inf  # length of the next stretch, in the metric, where its base is next to a corner
 
     def __iter__(self) -> Iterator[Point]:
-        known = known_end(self.settings, (*self.history, *self._reported))
-        count, batches = 0, self._batches()
-        self.end = known
-        while self.end is None:
-            batch = next(batches)
-            for reached, word in batch:
+        self.end, count = known_end(self.settings, (*self.history, *self._reported)), 0
+        while self.end is None:  # each time from the last point, which the corrector may have moved
+            for reached, word in self._confirmed():
                 point, self.detail = self._emitted(reached, word), reached.detail or self.detail
                 if point is None:
                     self._without(reached, word)
@@ -139,10 +136,8 @@ class SeriesContinuation:
                 self.end = self.end or reached.end
                 if self.end is None and count >= self.settings.max_points and self.history[-1] is point:
                     self.end, self.detail = End.POINTS, f"{self.settings.max_points} points"
-                if self.end is not None:
-                    return
-                if point is not None and point.walked and (reached.point is None or word is not reached.point):
-                    batches = self._batches()  # from the point that the corrector has moved
+                moved = point is not None and point.walked and (reached.point is None or word is not reached.point)
+                if self.end is not None or moved:
                     break
 
     def _emitted(self, reached: _Reached, word: Point | SingularError | None) -> Point | None:
@@ -162,30 +157,23 @@ class SeriesContinuation:
         elif reached.end is None:
             self.end = End.RESOLUTION if self.detail == "" else End.NO_STEP
 
-    def _batches(self) -> Iterator[list[tuple[_Reached, Point | SingularError | None]]]:
-        """Stops from the last point of the history on, with the corrector's last word on the points of each batch.
+    def _confirmed(self) -> Iterator[tuple[_Reached, Point | SingularError | None]]:
+        """Stops from the last point of the history on, each with what the corrector makes of its point.
 
-        A batch has points of one problem, as many as the corrector confirms at a time, from any number of stretches.
+        Points of one problem are confirmed as many at a time as the corrector does, from any number of stretches.
         """
-        some: list[_Reached] = []
-        problem: Problem | None = None
+        some, problem = list[_Reached](), None
         for reached in self._ahead(self.history[-1]):
             if reached.point is not None and reached.point.problem is not problem:
-                if some:
-                    yield self._confirmed(some)
+                yield from self._words(some)
                 some, problem = [], reached.point.problem
             some.append(reached)
-            if problem is None or len(some) >= self._together(problem):
-                yield self._confirmed(some)
+            if problem is None or len(some) >= self.point_solver.levels.corrector(problem).together:
+                yield from self._words(some)
                 some = []
-        yield self._confirmed(some)
+        yield from self._words(some)
 
-    def _together(self, problem: Problem) -> int:
-        """Number of points that the corrector confirms at a time."""
-        return self.point_solver.levels.corrector(problem).together
-
-    def _confirmed(self, some: list[_Reached]) -> list[tuple[_Reached, Point | SingularError | None]]:
-        """Stops with the corrector's last word on their points."""
+    def _words(self, some: list[_Reached]) -> list[tuple[_Reached, Point | SingularError | None]]:
         held = [None if one.stop.target is None else one.stop.target.held for one in some]
         found = [(one.point, what) for one, what in zip(some, held, strict=True) if one.point is not None]
         words = iter(self.point_solver.confirmed(found))
