@@ -136,16 +136,17 @@ def hopf_end(space: BoundarySpace, before: Point, after: Point) -> Point | None:
     statics = Statics(model, {**{key: values[key] for key in model.parameter_names}, name: space.begins})
     sizes = sizes_of([x, space.sizes.states[: x.size]])  # an equilibrium near zero has the size of the branch
     equilibria = EquilibriumSpace(statics, 1e-10, "newton", sizes, parameter=name, to=space.to)
-    y, u = x / sizes, orbit.parameter
-    found = locate_rest(equilibria, HOPF, y, u, 2j * np.pi / period)
+    guess = np.append(x / sizes, orbit.parameter)
+    found = locate_rest(equilibria, HOPF, guess, 2j * np.pi / period)
     if found is None:
         return None
     reach, born = SHRUNK_ORBIT_REACH * np.max(extent / sizes), TWO_PI / found.frequency
-    near = np.max(np.abs(found.y - y)) <= reach and abs(found.s - u) <= max(0.1, reach)
+    away, profile = np.abs(found.resting - guess), found.point.error.profile
+    near = np.max(away[:-1]) <= reach and away[-1] <= max(0.1, reach)
     if not near or abs(born - period) > SHRUNK_ORBIT_REACH * period:
         return None
-    z = at_rest(orbit.problem, equilibria.problem.state(np.append(found.y, found.s)), born, found.s)
-    error = ErrorEstimate(found.profile, found.profile, parameter=found.error / orbit.problem.parameter_size(z))
+    z = at_rest(orbit.problem, equilibria.problem.state(found.resting), born, found.value)
+    error = ErrorEstimate(profile, profile, parameter=found.error / orbit.problem.parameter_size(z))
     return replace(orbit, z=z, error=error, requested=False, walked=False, better=None, special=HOPF)
 
 

@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.follow.branch_points import double_between, interpolated
-from casadi_skin.follow.location import jacobian_of
 from casadi_skin.follow.normal_forms import (
     NullVectors,
     branching_terms,
@@ -53,7 +52,7 @@ from casadi_skin.follow.search import (
 )
 from casadi_skin.follow.space import Followed, SolutionSpace
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.zero.augmented import ExtendedSystem, HopfSystem
+from casadi_skin.zero.augmented import SingularRest
 from casadi_skin.zero.kinds import (
     BAUTIN,
     BRANCH_POINT,
@@ -338,35 +337,33 @@ class EquilibriumCurveSearch(CurveSearch):
         The left null vector itself may turn by more than a right angle within a step, in units in which its largest
         component passes through zero.
         """
-        system, names, sizes = (
-            cast(ExtendedSystem, self.ends[0].problem),
-            list(self.statics.values),
-            self.equations.sizes,
-        )
+        system, names, sizes = self.ends[0].problem, list(self.statics.values), self.equations.sizes
         courses = [course for course in (*system.free, system.walking) if course is not None]
-        ranges = np.array([course.to - course.start for course in courses])
+        ranges = np.array([course.extent for course in courses])
         columns = [names.index(course.name) for course in courses]
 
-        def left(point: Point) -> tuple[Array, Array]:
-            psi = _null_space(point).left[:, -1]
-            psi = psi / np.linalg.norm(psi) / sizes
-            return psi, np.asarray(psi @ self.statics.by_parameters(*_place(point))[:, columns] * ranges)
+        def vectors(point: Point) -> tuple[Array, Array, Array]:
+            found = _null_space(point)
+            psi = found.left[:, -1] / sizes
+            return found.right[:, -1], psi, psi @ self.statics.by_parameters(*_place(point))[:, columns] * ranges
 
-        first = left(self.ends[0])[1]
+        first = vectors(self.ends[0])[2]
 
         def test(point: Point) -> float:
-            (psi, normal), v = left(point), sizes * point.z[sizes.size : 2 * sizes.size]
-            return float(np.copysign(1.0, normal @ first) * (psi @ self.statics.second(*_place(point), v, v).real))
+            v, psi, normal = vectors(point)
+            d = sizes * v
+            return float(np.copysign(1.0, normal @ first) * (psi @ self.statics.second(*_place(point), d, d).real))
 
         return test
 
     def branching_terms(self, point: Point) -> tuple[Array, Array]:
         if not self.statics.exact:
             raise NotImplementedError
-        sizes, psi, (x, p) = self.equations.sizes, point.z[self.statics.size : 2 * self.statics.size], _place(point)
+        sizes, (x, p) = self.equations.sizes, _place(point)
+        psi = point.problem.border(point.z).left[:, 0]
         v = _null_space(point).right[:, -1]
         v = v / np.linalg.norm(v) * np.sign(v @ self._null_vector)
-        A, d = jacobian_of(cast(ExtendedSystem, point.problem), point.z), sizes * v
+        A, d = point.problem.rates(point.z), sizes * v
         twice = self.statics.second(x, p, d, d).real / sizes
         closed = np.block([[A, psi[:, None]], [v[None, :], np.zeros((1, 1))]])
         bent = sizes * np.linalg.solve(closed, np.append(-twice, 0.0))[:-1]
@@ -388,16 +385,14 @@ class EquilibriumCurveSearch(CurveSearch):
         """Places of the critical eigenvalues."""
         if self.kind != HOPF:
             return [int(np.argmin(np.abs(values)))]
-        system = cast(HopfSystem, point.problem)
-        omega = system.rate * np.sqrt(complex(system.kappa(point.z)))
+        omega = point.problem.singularity.rate * np.sqrt(complex(_kappa(point)))
         first = int(np.argmin(np.abs(values - 1j * omega)))
         rest = np.abs(values + 1j * omega)
         rest[first] = np.inf
         return [first, int(np.argmin(rest))]
 
     def others(self, point: Point) -> ComplexArray:
-        matrix = jacobian_of(cast(ExtendedSystem, point.problem), point.z)
-        values = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
+        values = np.asarray(np.linalg.eigvals(point.problem.rates(point.z)), dtype=np.complex128)
         critical = self._critical(point, values)
         others = np.delete(values, critical)
         if self.kind != HOPF:  # the sum with the zero of a fold is smooth where both are one
@@ -405,7 +400,7 @@ class EquilibriumCurveSearch(CurveSearch):
         return others
 
     def second_singular(self, point: Point) -> float:
-        matrix = jacobian_of(cast(ExtendedSystem, point.problem), point.z)  # in one scale: rows may vanish there
+        matrix = point.problem.rates(point.z)  # in one scale: rows may vanish there
         return float(np.linalg.svd(matrix, compute_uv=False)[-2])
 
     def error(self, point: Point, test: Test, slope: float, width: float) -> float:
@@ -413,12 +408,12 @@ class EquilibriumCurveSearch(CurveSearch):
 
     def lyapunov(self, point: Point, widening: float = 1.0) -> float:
         """Twice the frequency times the first Lyapunov coefficient; infinite where a pair is real."""
-        near, statics = cast(HopfSystem, point.problem), replace(self.statics, widening=widening)
+        statics = self.statics if widening == 1.0 else replace(self.statics, widening=widening)
         if _kappa(point) <= 0.0:
             return np.inf
         A = statics.jacobian(*_place(point))
         try:
-            omega, q, adjoint = critical_pair(A, near.rate * float(np.sqrt(near.kappa(point.z))))
+            omega, q, adjoint = critical_pair(A, point.problem.singularity.rate * float(np.sqrt(_kappa(point))))
             return float(np.sum(lyapunov_terms(statics, *_place(point), A, omega, q, adjoint)))
         except np.linalg.LinAlgError:  # at a pole, where another eigenvalue is zero to the last digit
             return np.inf
@@ -448,18 +443,17 @@ class EquilibriumCurveSearch(CurveSearch):
 
 def _place(point: Point) -> tuple[Array, Array]:
     """The state and the parameters of an equilibrium."""
-    problem = cast(ExtendedSystem, point.problem)
-    return problem.state(point.z), problem.parameters(point.z)
+    return point.problem.state(point.z), point.problem.parameters(point.z)
 
 
 def _null_space(point: Point) -> NullSpace:
     """Null vectors of dF/dy, in the sizes of the branch: tests along it have one scale."""
-    problem = cast(ExtendedSystem, point.problem)
-    return NullSpace.of_rates(jacobian_of(problem, point.z), np.ones(problem.statics.size))
+    matrix = point.problem.rates(point.z)
+    return NullSpace.of_rates(matrix, np.ones(len(matrix)))
 
 
 def _kappa(point: Point) -> float:
-    return cast(HopfSystem, point.problem).kappa(point.z)
+    return cast(SingularRest, point.problem).kappa(point.z)
 
 
 # Curves of orbits, and of solutions of boundary-value problems --------------------------------------------------------

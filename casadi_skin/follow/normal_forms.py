@@ -26,7 +26,7 @@ from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero import linearised
 from casadi_skin.zero.kinds import DOUBLING, FOLD, HOPF, TORUS
 from casadi_skin.zero.linearised import Linearised, Vector
-from casadi_skin.zero.problem import Array
+from casadi_skin.zero.problem import EPSILON, Array
 from casadi_skin.zero.rest import BalancedMatrix, ComplexArray, NullSpace, Statics, balanced, upper_pair
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import BoundaryProblem, Closure
@@ -129,8 +129,13 @@ def _hopf_form(statics: Statics, x: Array, p: Array) -> Critical:
 def lyapunov_terms(
     statics: Statics, x: Array, p: Array, A: Array, omega: float, q: ComplexArray, adjoint: ComplexArray
 ) -> Array:
-    """The three terms whose sum over 2 omega is the first Lyapunov coefficient, shape (3,)."""
+    """The three terms whose sum over 2 omega is the first Lyapunov coefficient, shape (3,).
+
+    Raises LinAlgError where another eigenvalue is zero, to rounding.
+    """
     unit = np.eye(len(A))
+    if not np.linalg.cond(balanced(A)[0]) < 1.0 / EPSILON:
+        raise np.linalg.LinAlgError
     cubic = adjoint.conj() @ statics.third(x, p, q, q, q.conj())
     steady = np.asarray(np.linalg.solve(A, statics.second(x, p, q, q.conj())), dtype=complex)
     double = np.asarray(np.linalg.solve(2j * omega * unit - A, statics.second(x, p, q, q)), dtype=complex)

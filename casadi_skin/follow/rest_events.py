@@ -27,11 +27,10 @@ from casadi_skin.follow.location import locate_rest
 from casadi_skin.follow.point import LocalCurve
 from casadi_skin.follow.search import Crossing, Sample, Search, Stretch
 from casadi_skin.follow.space import SolutionSpace
-from casadi_skin.follow.special_points import rate
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved
 from casadi_skin.zero.problem import EPSILON, Array, Indices, SingularError
 from casadi_skin.zero.rest import AlgebraicProblem, BalancedMatrix
-from casadi_skin.zero.settings import ErrorEstimate, Point
+from casadi_skin.zero.settings import Point
 
 LEDGER_PLACES = 1024  # over the range of the parameter
 OF_PROGRAMS = 128  # of a program, whose derivatives are differences and cost as much
@@ -323,24 +322,17 @@ class _Search(Search):
         equations, solver = self.equations, self.solver
         guess = stretch.curve.at(stretch.root({FOLD: 0, BRANCH_POINT: None}.get(kind, crossing.quantity + 1)))
         near = 1j * crossing.angle if kind == HOPF else None
-        found = locate_rest(equations, kind, guess[:-1], float(guess[-1]), near)
+        found = locate_rest(equations, kind, guess, near)
         if found is None:
-            point = None if equations.systems.get(kind, True) else self._by_root(stretch, kind, crossing)
-            return None if point is None else (self.sigma(point), 0.0, point)
-        z, first = np.append(found.y, found.s), stretch.first
+            return None
+        z, first = found.resting, stretch.first
         along = float(first.row @ (z - first.point.z))
         inside = -OUTSIDE_STRETCH * stretch.length <= along <= (1.0 + OUTSIDE_STRETCH) * stretch.length
         if solver.distance(equations.problem, guess, z) > FARTHEST_FROM_EXPECTED * stretch.length or not inside:
             return None
         slope = stretch.curve.slope(float(np.clip(along, 0.0, stretch.length)))
         tangent = slope / np.sqrt(np.sum(solver.metric(equations.problem, z) * slope**2))
-        error = ErrorEstimate(0.0, found.profile, parameter=found.error)
+        error = replace(found.point.error, parameter=found.error)
         step = solver.settings.first_step
         point = Point(equations.problem, z, np.asarray(tangent), error, step, 0, walked=False, special=kind)
-        return along, found.frequency, point
-
-    def _by_root(self, stretch: Stretch, kind: str, crossing: Crossing) -> Point | None:
-        """The special point as a root of its quantity, for models without second derivatives."""
-        tests = {FOLD: rate, BRANCH_POINT: lambda point: self.sample(point).orientation}
-        noise = 0.0 if kind in tests else float(np.max(stretch.first.noise))
-        return self.root_of(stretch, tests.get(kind) or self.quantity(stretch, crossing.quantity), noise, kind)
+        return along, found.frequency if kind == HOPF else 0.0, point

@@ -6,12 +6,12 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from casadi_skin.follow.codimension_two import EQUILIBRIUM_CURVES, EquilibriumCurveSearch, special_on_curve
-from casadi_skin.follow.location import EXTENDED_SYSTEMS, jacobian_of
+from casadi_skin.follow.location import REST_KINDS
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.rest_events import special_between
 from casadi_skin.follow.search import Sample
@@ -23,8 +23,8 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import NoQuantityError
 from casadi_skin.solve.levels import ExactLevels, Levels
 from casadi_skin.solve.newton import Correction
-from casadi_skin.zero.augmented import ExtendedSystem
-from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved
+from casadi_skin.zero.augmented import Singularity, SingularRest, singular_rest
+from casadi_skin.zero.kinds import BRANCH_POINT, HOPF, Unresolved
 from casadi_skin.zero.problem import EPSILON, Array, Scalar, SingularError
 from casadi_skin.zero.rest import (
     DERIVATIVE_ROUNDING,
@@ -33,7 +33,6 @@ from casadi_skin.zero.rest import (
     Course,
     Spectrum,
     Statics,
-    balanced,
     sizes_at,
 )
 from casadi_skin.zero.settings import ContinuationSettings, End, Point
@@ -132,11 +131,6 @@ class EquilibriumSpace(ParameterSpace):
         settings = self.settings or ContinuationSettings(1.0, self.tolerance)
         return PointSolver(self.levels, replace(settings, max_parameter_step=LONGEST_STEP))
 
-    @cached_property
-    def systems(self) -> dict[str, ExtendedSystem | None]:
-        """Extended systems that have been built, by kind; None where derivatives that they need are not there."""
-        return {}
-
     @of_last_points
     def sample(self, point: Point) -> Sample:
         """Eigenvalues and rates at a point."""
@@ -229,10 +223,9 @@ class EquilibriumSpace(ParameterSpace):
     floquets = floquet_vectors = energy
 
 
-# Folds, Hopf points and branch points followed in a second parameter, by extended systems that are regular there ------
+# Folds, Hopf points and branch points followed in a second parameter, by augmented problems --------------------------
 
-# Of the norm of the balanced Jacobian, in a step: an imperfection that grows along a curve.
-UNFOLDING_IMPERFECTION = 1e-7
+UNFOLDING_PUSH = 1e-7  # of the size of a push, in a step: one that grows along a curve of branch points
 
 
 class UnfoldingError(EquilibriumError):
@@ -244,23 +237,25 @@ class CurveSpace(EquilibriumSpace):
     """Special points of a model in two parameters, of which one is followed and the other one free.
 
     Attributes:
-        kind: "fold", "hopf" or "branch point".
+        singularity: what makes them special.
         second: course of the free parameter: 0 at its start, 1 after a change by its usual size.
-        rate: scale of omega.
     """
 
-    kind: str = FOLD
+    singularity: Singularity | None = None
     second: Course | None = None
-    rate: float = 1.0
+
+    @property
+    def kind(self) -> str:
+        """Of the special points."""
+        assert self.singularity is not None
+        return self.singularity.kind
 
     @cached_property
     def problem(self) -> AlgebraicProblem:
-        """The extended system, with u that follows the parameter."""
+        """The augmented problem, with u that follows the parameter."""
+        assert self.singularity is not None
         assert self.second is not None
-        system = EXTENDED_SYSTEMS[self.kind](self.statics, self.sizes, (self.second,), self.course, self.rate)
-        if self.first is not None:
-            return system.with_constants(self.first.problem.constants)
-        return system
+        return SingularRest(self.singularity, AlgebraicProblem(self.statics, self.sizes, (self.second,), self.course))
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -283,40 +278,24 @@ def curve_space(point: SpecialPoint, parameter: str, to: float, **options: Any) 
     started, or a branch point does not stay one.
     """
     solution = point.solution
-    if not solution.is_equilibrium or point.kind not in EXTENDED_SYSTEMS or solution.space.free:
+    if not solution.is_equilibrium or point.kind not in REST_KINDS or solution.space.free:
         raise ValueError(f"curve: given a {point.kind}; accepted: a fold, Hopf point or branch point of equilibria")
     check_second(point, parameter)
     settings = following_settings(solution, parameter, to, **options)
-    return replace(_started(point, parameter, float(to), tuple(map(float, options["at"]))), settings=settings)
-
-
-def _started(point: SpecialPoint, parameter: str, to: float, at: tuple[float, ...]) -> CurveSpace:
-    """The space of the curve through a special point; raises EquilibriumError where derivatives are not there."""
-    solution = point.solution
-    old = solution.space
-    statics = Statics(old.model, solution.parameters)
+    old, statics = solution.space, Statics(solution.space.model, solution.parameters)
     x, p0, course = solution.positions, solution.parameters[point.parameter], old.course
-    assert course is not None
-    sizes = sizes_at(statics, x, (course, Course(parameter, solution.parameters[parameter], to)), old.sizes)
-    second = Course(point.parameter, p0, p0 + (course.to - course.start))
-    rate = point.frequency if point.kind == HOPF else 1.0
+    own = Course(parameter, solution.parameters[parameter], float(to))
+    sizes, second = sizes_at(statics, x, (course, own), old.sizes), replace(course, start=p0, to=p0 + course.extent)
+    near = 1j * point.frequency if point.kind == HOPF else None
+    both = AlgebraicProblem(statics, sizes, (second,), own)
+    problem, z = singular_rest(point.kind, both, np.append(x / sizes, [0.0, 0.0]), near)
     space = CurveSpace(
-        statics, old.tolerance, old.corrector, sizes, point.kind, second, rate, parameter=parameter, to=to, at=at
-    )
-    try:
-        _ = space.problem.function
-    except (RuntimeError, NotImplementedError):
-        words = "the model has no second derivatives, which a curve in two parameters needs"
-        raise EquilibriumError(f"{old.model.name}: {words}") from None
-    z = np.concatenate([x / sizes, np.zeros(space.problem.size - x.size)])
-    matrix = jacobian_of(space.problem, z)
-    near = 1j * rate if point.kind == HOPF else None
-    problem, z = cast(ExtendedSystem, space.problem).started(matrix, x / sizes, np.zeros(1), near)
-    space = replace(space, first=replace(solution.point, problem=problem, z=z, special="", walked=True))
-    size = float(np.linalg.norm(balanced(matrix)[0]))
-    if (
-        point.kind == BRANCH_POINT and abs(space.start.tangent[problem.states + 1]) > UNFOLDING_IMPERFECTION * size
-    ):  # of beta
+        statics, old.tolerance, old.corrector, sizes, problem.singularity, second, parameter=parameter, to=float(to),
+        at=tuple(map(float, options["at"])), settings=settings,
+        first=replace(solution.point, problem=problem, z=z, special="", walked=True),
+    )  # fmt: skip
+    pushed = abs(space.start.tangent[problem.added_index]) > UNFOLDING_PUSH * problem.push_size(z)
+    if point.kind == BRANCH_POINT and pushed:
         why = "no symmetry, and no state that stays zero, keeps both branches together"
         raise UnfoldingError(f"{old.model.name}: the branch point is none at other values of {parameter}: {why}")
     return space

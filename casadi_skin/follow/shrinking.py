@@ -57,13 +57,13 @@ def _hopf_near(space: Followed, orbit: Point) -> SpecialPoint | None:
     statics = Statics(model, {key: values[key] for key in model.parameter_names})
     unit = float(space.sizes.scalars[len(space.statement.free)])
     equilibria = EquilibriumSpace(statics, 1e-10, "newton", sizes_of([x]), parameter=name, to=values[name] + unit)
-    found = locate_rest(equilibria, HOPF, x / equilibria.sizes, 0.0, 2j * np.pi / period)
+    found = locate_rest(equilibria, HOPF, np.append(x / equilibria.sizes, 0.0), 2j * np.pi / period)
     if found is None:
         return None
     course = equilibria.course
     assert course is not None
-    at = {**statics.values, name: float(course.at(found.s))}
-    resting = find_equilibrium(model, found.y * equilibria.sizes, parameters=at)
+    at = {**statics.values, name: float(course.at(found.value))}
+    resting = find_equilibrium(model, equilibria.problem.state(found.resting), parameters=at)
     resting = replace(resting, space=replace(resting.space, parameter=name, to=at[name] + unit))
     return SpecialPoint(HOPF, name, at, found.error * unit, resting)
 

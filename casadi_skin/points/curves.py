@@ -14,7 +14,7 @@ from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.codimension_two import ORBIT_CURVES, OrbitCurveSearch, special_on_curve
 from casadi_skin.follow.follow import Following, run_following
-from casadi_skin.follow.location import LocatedOrbit, locate, special_solutions
+from casadi_skin.follow.location import ORBIT_KINDS, Located, locate, special_solutions
 from casadi_skin.follow.normal_forms import on_circle
 from casadi_skin.follow.shrinking import shrunk
 from casadi_skin.follow.solution import Solution, following_settings
@@ -24,13 +24,12 @@ from casadi_skin.model.arguments import check_name
 from casadi_skin.points.edges import EdgeCurve, edge_curve, parameters_of
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.augmented import SingularProblem
-from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE, FOLD, TORUS, Unresolved
+from casadi_skin.zero.kinds import BRANCH_POINT, EDGE, FOLD, TORUS, Unresolved
 from casadi_skin.zero.linearised import Linearised
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import ContinuationSettings, End, Point
 from casadi_skin.zero.stated_problem import PERIOD, Closure
 
-CURVE_KINDS = (FOLD, DOUBLING, TORUS, BRANCH_POINT)
 UNFOLDING_PUSH = 1e-7  # of a step: a push that grows along a curve of branch points
 
 
@@ -193,9 +192,9 @@ def curve_space(
     options: dict[str, Any] = {"at": at, "max_points": max_points, "max_step": max_step, "back_to": back_to}
     solution = point.solution
     stated = solution.space.has_ledger
-    if not (stated and point.kind in CURVE_KINDS):
+    if not (stated and point.kind in ORBIT_KINDS):
         if solution.space.connects in (FAMILY, ORBITS):
-            raise ValueError(f"curve: given a {point.kind} of orbits; accepted: {', '.join(CURVE_KINDS)} of a branch")
+            raise ValueError(f"curve: given a {point.kind} of orbits; accepted: {', '.join(ORBIT_KINDS)} of a branch")
         return of_equilibria.curve_space(point, parameter, to, **options)
     check_second(point, parameter)
     settings = following_settings(solution, parameter, to, **options)
@@ -227,7 +226,7 @@ def _check_kept(space: OrbitCurveSpace) -> None:
 
 
 def _space(
-    orbits: BoundarySpace, located: LocatedOrbit, unit: float, parameters: Mapping[str, float], parameter: str,
+    orbits: BoundarySpace, located: Located, unit: float, parameters: Mapping[str, float], parameter: str,
     to: float, at: Sequence[float], settings: ContinuationSettings,
 ) -> OrbitCurveSpace:  # fmt: skip
     """The space of the curve through a located orbit, at the parameters of the branch that it was found on."""

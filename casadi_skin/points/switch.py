@@ -22,7 +22,15 @@ from casadi_skin.points.lost_symmetry import breaking_space, start_of
 from casadi_skin.zero.family import MAX_POINTS
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, HOPF
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest import ROUNDED_COMPONENT_RATIO, AlgebraicProblem, Course, Statics, power_of_two, sizes_at
+from casadi_skin.zero.rest import (
+    ROUNDED_COMPONENT_RATIO,
+    AlgebraicProblem,
+    Course,
+    Statics,
+    power_of_two,
+    sizes_at,
+    sizes_of,
+)
 from casadi_skin.zero.settings import ContinuationSettings, Point
 
 PROBE_STEP = 1e-2  # of the unit of length: a step along the branch that leaves, for the direction of its parameter
@@ -121,20 +129,26 @@ def leaving_space(
     if point.kind == HOPF and solution.is_equilibrium:
         space = solution.space
         statics = Statics(space.model, solution.parameters)
-        x = solution.positions  # what rounding leaves of a component that is zero has no size
-        x = np.where(np.abs(x) > ROUNDED_COMPONENT_RATIO * space.sizes, x, 0.0)
-        return born_at(statics, x, parameter, float(to), values, both, tolerance)
+        return born_at(statics, _seen(solution), parameter, float(to), values, both, tolerance)
     if not solution.is_equilibrium:
         leaving = doubled_solutions if point.kind == DOUBLING else other_solutions
         return leaving(solution, parameter, float(to), values, both, side)
     return other_branch(point, parameter, float(to), values, settings, side)
 
 
+def _seen(equilibrium: Equilibrium) -> Array:
+    """Its state; what rounding leaves of a component that is zero has no size."""
+    x = equilibrium.positions
+    return np.where(np.abs(x) > ROUNDED_COMPONENT_RATIO * equilibrium.space.sizes, x, 0.0)
+
+
 def _at_rest(orbit: Orbit) -> Equilibrium:
-    """The equilibrium that an orbit of amplitude zero is."""
+    """The equilibrium that an orbit of amplitude zero is, with the sizes of the branch of orbits."""
     space = orbit.space
     values = {name: orbit.parameters[name] for name in space.given.parameter_names}
-    return find_equilibrium(space.given, orbit.evaluate(0.0), parameters=values)
+    found = find_equilibrium(space.given, orbit.evaluate(0.0), parameters=values)
+    sizes = sizes_of([found.positions, space.sizes.states[: found.positions.size]])
+    return replace(found, space=replace(found.space, sizes=sizes))
 
 
 def _kind_of(solution: Solution) -> str:
@@ -158,7 +172,7 @@ def other_branch(
     statics = Statics(space.model, solution.parameters)
     old, value = space.course, solution.parameters[parameter]
     assert old is not None
-    n, span, x = statics.size, to - value, solution.positions
+    n, span, x = statics.size, to - value, _seen(solution)
     sizes = sizes_at(statics, x, (Course(parameter, value, to),), space.sizes)
     leaving, z, tangent = _towards(space, solution, direction, sizes, to, settings, at)
     reach = _reach(leaving, z, tangent)
@@ -199,7 +213,7 @@ def _towards(
         leaves=True,
     )
     tangent = np.append(direction[:n] * space.sizes / sizes, direction[-1] * (old.to - old.start) / span)
-    z = np.append(solution.positions / sizes, 0.0)
+    z = np.append(_seen(solution) / sizes, 0.0)
     weights = leaving.point_solver.metric(leaving.problem, z)
     tangent = tangent / np.sqrt(np.sum(weights * tangent**2)) * np.sign(tangent[np.argmax(np.abs(tangent[:n]))])
     return leaving, z, np.asarray(tangent)

@@ -1,7 +1,7 @@
 """Minimally augmented problems, whose regular solutions are special points.
 
-Orbits and solutions of boundary-value problems. Beside their own equations F = 0, of which one more parameter is free,
-stand the entries of a small matrix G(z), which vanishes where a matrix B(z) of their linearisation loses rank:
+Beside the equations F = 0 of the solutions, of which one more parameter is free, stand the entries of a small matrix
+G(z), which vanishes where a matrix B(z) of their linearisation loses rank:
 
     [ B    L ] [ V ]   [ 0 ]        [ B^T  R ] [ Psi ]   [ 0 ]
     [ R^T  0 ] [ G ] = [ I ],       [ L^T  0 ] [  H  ] = [ I ],        dG = -Psi^T dB V
@@ -14,169 +14,29 @@ the angle of the multipliers: real, and regular where kappa goes through 1 and -
 an autonomous orbit v2 closes up to a multiple of the velocity, across which v1 starts, as the trivial multiplier is 1
 as well. Products with F_xx are differences of F_x, which a Newton step needs to few digits.
 
-Extended systems whose regular solutions are folds, Hopf points and branch points of equilibria.
-
-Fold: F = 0, F_y v = 0, v W v = 1 (Moore and Spence 1980). Hopf point: F = 0, F_y v = w, F_y w + kappa v = 0, v W v = 1,
-d v = 0, with kappa = omega^2 (Roose and Hlavacek 1985), which stays regular where kappa goes through zero. Branch
-point: F + beta c = 0, psi F_y = 0, psi F_p = 0, c psi = 1 with beta = 0 (Griewank and Reddien 1984). W, c and d are
-constants that measure null vectors by the units of the state where the system is started.
+Equilibria are the same with F = f(x, p) at rest. At a Hopf point B is that of f_x v1 / rate = v2 and f_x v2 / rate =
+-kappa v1, with v1 across a vector, (2 n + 1, 2 n), and kappa = (omega / rate)^2: regular where kappa goes through zero
+(Roose and Hlavacek 1985).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casadi_skin.model.expressions import Expression
 from casadi_skin.zero.discretisation import Formulation
-from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, FOLD, TORUS
+from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, TORUS
 from casadi_skin.zero.linearised import Linearised, Vector, null_vectors, velocities
 from casadi_skin.zero.problem import EPSILON, Array, Indices, Problem, SingularError, Solve
-from casadi_skin.zero.rest import AlgebraicProblem, BalancedMatrix, ComplexArray, Course, NullSpace, Statics, upper_pair
+from casadi_skin.zero.rest import AlgebraicProblem, BalancedMatrix, upper_pair
 from casadi_skin.zero.stated_problem import ZERO_SOLUTION_SIZE, BoundaryProblem
 from casadi_skin.zero.statement import Statement
-
-# Extended systems whose regular solutions are folds, Hopf points and branch points of equilibria ----------------------
-
-
-class ExtendedSystem(AlgebraicProblem):
-    """Base of extended systems: their unknowns start from an approximate point, which sets their constants."""
-
-    def __init__(
-        self, statics: Statics, sizes: Array, free: Sequence[Course], walking: Course | None = None, rate: float = 1.0
-    ) -> None:
-        super().__init__(statics, sizes, free, walking)
-        n = statics.size
-        self.rate = float(2.0 ** np.round(np.log2(rate)))  # of time: the scale of omega
-        self.others, self.added = self.shape(n)
-        self.states = n + self.others
-        self.constants = np.zeros(self.constant_count(n))
-
-    @staticmethod
-    def shape(n: int) -> tuple[int, int]:
-        """Unknowns beside the state, and added scalars."""
-        raise NotImplementedError
-
-    @staticmethod
-    def constant_count(n: int) -> int:
-        """Number of constants."""
-        return n
-
-    def started(
-        self, matrix: Array, y: Array, scalars: Array, near: complex | None = None
-    ) -> tuple[AlgebraicProblem, Array]:
-        """The system with its constants, and its unknowns, from dF/dy at an approximate point; u is 0.
-
-        `near` selects the pair of eigenvalues, by default that nearest to the imaginary axis.
-        """
-        raise NotImplementedError
-
-    def _units_near(self, y: Array, scalars: Array) -> Array:
-        """Units of the state at an approximate point."""
-        return self.units(
-            np.concatenate([y, np.zeros(self.others), scalars, np.zeros(self.size - self.states - scalars.size)])
-        )
-
-    def units_beside(self, units: Array) -> Array:
-        return np.tile(units, self.others // units.size)
-
-
-class FoldSystem(ExtendedSystem):
-    """Folds, with the null vector v of F_y."""
-
-    @staticmethod
-    def shape(n: int) -> tuple[int, int]:
-        return n, 0
-
-    def _residual(self, y: Expression, others: Expression, scalars: Expression, c: Expression) -> Expression:
-        F = self.force(y, self.parameters_at(scalars))
-        return ca.vertcat(F, ca.jtimes(F, y, others), ca.dot(others, c * others) - 1)
-
-    def started(
-        self, matrix: Array, y: Array, scalars: Array, near: complex | None = None
-    ) -> tuple[AlgebraicProblem, Array]:
-        units = self._units_near(y, scalars)
-        v = NullSpace.of_rates(matrix, units).right[:, -1]
-        return self.with_constants(units**-2.0), np.concatenate([y, v, scalars, [0.0]])
-
-
-class BranchSystem(ExtendedSystem):
-    """Branch points, with the left null vector psi of (F_y, F_p) and the imperfection beta, which is zero."""
-
-    @staticmethod
-    def shape(n: int) -> tuple[int, int]:
-        return n, 1
-
-    def _residual(self, y: Expression, others: Expression, scalars: Expression, c: Expression) -> Expression:
-        F, beta = self.force(y, self.parameters_at(scalars)), scalars[1]
-        by_y, by_p = ca.jtimes(F, y, others, True), ca.dot(ca.jacobian(F, scalars)[:, 0], others)
-        return ca.vertcat(F + beta * c, by_y, by_p, ca.dot(c, others) - 1)
-
-    def started(
-        self, matrix: Array, y: Array, scalars: Array, near: complex | None = None
-    ) -> tuple[AlgebraicProblem, Array]:
-        units = self._units_near(y, scalars)
-        psi = NullSpace.of_rates(matrix, units).left[:, -1]
-        c = psi * units**2 / np.linalg.norm(psi * units)
-        return self.with_constants(c), np.concatenate([y, psi / (c @ psi), scalars, [0.0, 0.0]])
-
-    def units_beside(self, units: Array) -> Array:
-        return np.asarray(1.0 / units)
-
-
-class HopfSystem(ExtendedSystem):
-    """Hopf points, with v and w = F_y v / rate in the critical plane, and kappa = (omega/rate)^2."""
-
-    @staticmethod
-    def shape(n: int) -> tuple[int, int]:
-        return 2 * n, 1
-
-    def _residual(self, y: Expression, others: Expression, scalars: Expression, c: Expression) -> Expression:
-        n, rate, kappa = self.statics.size, self.rate, scalars[len(self.free)]
-        F = self.force(y, self.parameters_at(scalars))
-        v, w = others[:n], others[n:]
-        turned, back = ca.jtimes(F, y, v) / rate - w, ca.jtimes(F, y, w) / rate + kappa * v
-        return ca.vertcat(F, turned, back, ca.dot(v, c[n:] * v) - 1, ca.dot(c[:n], v))
-
-    @staticmethod
-    def constant_count(n: int) -> int:
-        return 2 * n
-
-    def started(
-        self, matrix: Array, y: Array, scalars: Array, near: complex | None = None
-    ) -> tuple[AlgebraicProblem, Array]:
-        linear, units = BalancedMatrix(matrix), self._units_near(y, scalars)
-        values = linear.eigensystem[0]
-        k = upper_pair(values, near)
-        v, d = plane(linear.vectors(k)[0] / units)
-        v, constants = v * units, np.concatenate([d / units, units**-2.0])
-        w = matrix @ v / self.rate
-        kappa = (values[k].imag / self.rate) ** 2
-        return self.with_constants(constants), np.concatenate([y, v, w, scalars, [kappa, 0.0]])
-
-    def kappa(self, z: Array) -> float:
-        """(omega/rate)^2 of a solution; negative where the eigenvalues are real with sum zero."""
-        return float(z[self.states + len(self.free)])
-
-
-def plane(q: ComplexArray) -> tuple[Array, Array]:
-    """An orthonormal basis of the plane of the real and imaginary parts of a vector, which may be turned freely."""
-    turned = q * np.exp(-0.5j * np.angle(np.sum(q * q)))  # real and imaginary parts are orthogonal now
-    v = turned.real / np.linalg.norm(turned.real)
-    size = np.linalg.norm(turned.imag)
-    if size > 1e-12:
-        return v, turned.imag / size
-    d = np.zeros_like(v)
-    d[np.argmin(np.abs(v))] = 1.0
-    d -= v * (v @ d)
-    return v, d / np.linalg.norm(d)
-
-
-# Special orbits and solutions, minimally augmented --------------------------------------------------------------------
 
 RESTING_COMPONENT_RATIO = 1e-5  # of the largest component: what a smaller one changes by is not known from its size
 LONG_ROW_FACTOR = 1e-2  # of the rows of a border, which are no pivots then
@@ -186,15 +46,16 @@ DIFFERENCE_STEP = EPSILON ** (1.0 / 3.0)  # of the sizes of unknowns: that of di
 
 @dataclass(frozen=True, eq=False)
 class Singularity:
-    """What makes an orbit or a solution special.
+    """What makes a solution special.
 
     Attributes:
-        kind: "fold", "period doubling", "torus" or "branch point".
+        kind: "fold", "hopf", "period doubling", "torus" or "branch point".
         first: name of the parameter that is found with the solution.
         sizes: units of the components of the state, shape (components,).
-        normal: of a torus, shape (components,): v1 is orthogonal to it at the start.
+        normal: of a torus or a Hopf point, shape (components,): v1 is orthogonal to it, at the start.
         turn: the matrix S of solutions that close as x(1) = S x(0), where it is not 1.
         autonomous: of a torus, whether the velocity is a Floquet function with the multiplier 1.
+        rate: of a Hopf point, the scale of omega.
     """
 
     kind: str
@@ -203,11 +64,12 @@ class Singularity:
     normal: Array
     turn: Array = field(default_factory=lambda: np.zeros((0, 0)))
     autonomous: bool = False
+    rate: float = 1.0
 
     @property
     def shape(self) -> tuple[int, int]:
         """The shape of G: numbers of left and of right null vectors."""
-        return (2, 1) if self.kind == TORUS else (1, 2) if self.kind == BRANCH_POINT else (1, 1)
+        return (2, 1) if self.kind in (TORUS, HOPF) else (1, 2) if self.kind == BRANCH_POINT else (1, 1)
 
     @property
     def added(self) -> int:
@@ -227,26 +89,55 @@ class Singularity:
         return replace(known, scalars=scalars, field=field, conditions=conditions, integrands=integrands)
 
 
-class SingularProblem(BoundaryProblem):
-    """Unknowns z = (states, free parameters, the first parameter, kappa or the push, u) of special solutions."""
+class Augmented(Problem):
+    """Unknowns z = (states, free parameters, the first parameter, kappa or the push, u) of special solutions.
 
-    def __init__(self, singularity: Singularity, statement: Statement, *arguments: Any) -> None:
-        super().__init__(statement.with_free(singularity.first), *arguments)
-        self.singularity, self.orbit = singularity, statement
-        self._last: tuple[bytes, tuple[Array, Array], Array] | None = None
+    The equations of the solutions themselves, then the entries of G.
+    """
 
-    def parameters(self, z: Array) -> Array:
-        last = self.states + len(self.statement.free)
-        scalars = np.append(z[self.states : last], z[-1])
-        return np.asarray(self.statement.parameters_at(scalars, self.walking, self.end), dtype=float)
+    singularity: Singularity
+    equations: int  # of the solutions
+    _last: tuple[bytes, tuple[Array, Array], Array] | None = None
+
+    @property
+    def first_index(self) -> int:
+        """Place of the first parameter among the unknowns."""
+        return self.size - 2 - self.singularity.added
 
     @property
     def added_index(self) -> int:
         """Place of kappa, or of the push, among the unknowns."""
         return self.size - 2
 
-    def kept(self, name: str, make: Callable[[], Any]) -> Any:
-        return super().kept(f"{name} of a {self.singularity.kind}", make)
+    @abstractmethod
+    def own(self, z: Array) -> tuple[Array, Array]:
+        """Residuals of the solution's own equations, and the values of their Jacobian."""
+
+    @property
+    @abstractmethod
+    def own_places(self) -> tuple[Indices, Indices]:
+        """Rows and columns of these values, column by column."""
+
+    @abstractmethod
+    def border(self, z: Array, nonzeros: Array | None = None) -> Border:
+        """The solution of the bordered equations of B, by the values of the Jacobian; raises SingularError."""
+
+    @property
+    @abstractmethod
+    def copies(self) -> tuple[int, int, int]:
+        """How often B holds the Jacobian, and how many rows and columns of it."""
+
+    def push_size(self, z: Array) -> float:
+        """The size of a push that matters."""
+        return 1.0
+
+    @abstractmethod
+    def rounding(self, z: Array) -> Array:  # type: ignore[override]
+        """Of each equation."""
+
+    @abstractmethod
+    def lengths(self, z: Array) -> Array:
+        """Scale of each unknown, shape (size,)."""
 
     @property
     def pattern(self) -> tuple[Indices, Indices]:
@@ -259,7 +150,7 @@ class SingularProblem(BoundaryProblem):
 
         def made() -> tuple[Indices, Indices, Indices]:
             own, size = self.equations, self.size
-            parts = [(self.discretisation.rows, self.discretisation.columns)]
+            parts = [self.own_places]
             if self.singularity.kind == BRANCH_POINT:
                 parts.append((np.arange(own), np.full(own, self.added_index)))
             more = np.arange(own, size - 1)
@@ -277,11 +168,90 @@ class SingularProblem(BoundaryProblem):
             self._last = at, *self._evaluated(z)
         return self._last[1]
 
+    def _evaluated(self, z: Array) -> tuple[tuple[Array, Array], Array]:
+        """The equations, and the size of the terms of G."""
+        residual, nonzeros = self.own(z)
+        border = self.border(z, nonzeros)
+        values = [nonzeros]
+        if self.singularity.kind == BRANCH_POINT:
+            residual = residual + z[self.added_index] * border.push
+            values.append(border.push)
+        values.append(self._slopes(z, border).ravel())
+        rows, _, slots = self._entries
+        found = np.bincount(slots, np.concatenate(values), rows.size).astype(float)
+        return (np.concatenate([residual, border.G.ravel()]), found), border.terms.ravel()
+
+    def _slopes(self, z: Array, border: Border) -> Array:
+        """The derivatives of G by all unknowns, shape (entries, size)."""
+        (copies, rows, width), (own_rows, own_columns) = self.copies, self.own_places
+        inside = np.flatnonzero(own_rows < rows)
+        own_rows, own_columns = own_rows[inside], own_columns[inside]
+        found = np.zeros((*border.G.shape, self.size))
+        for j, v in enumerate(border.right.T):
+            for copy in range(copies):
+                direction = np.zeros(self.size)
+                direction[:width] = v[copy * width :][:width]
+                change = self._change(z, direction)[inside]
+                for i, psi in enumerate(border.left.T):
+                    found[i, j] -= np.bincount(own_columns, psi[copy * rows :][own_rows] * change, self.size)
+            found[:, j] += self._further_slopes(z, border.left, v)
+        return found.reshape(-1, self.size)
+
+    def _further_slopes(self, z: Array, left: Array, v: Array) -> Array:
+        """The part of what is in B beside the Jacobian, shape (left, size)."""
+        return np.zeros((left.shape[1], self.size))
+
+    def _change(self, z: Array, direction: Array) -> Array:
+        """The derivatives of the values of the solution's own Jacobian in a direction, by differences."""
+        h = DIFFERENCE_STEP / max(float(np.max(np.abs(direction) / self.lengths(z))), 1e-300)
+        ahead, behind = (self.own(z + side * h * direction)[1] for side in (1.0, -1.0))
+        return np.asarray((ahead - behind) / (2.0 * h))
+
+    def _leading(self, nonzeros: Array, rows: int, columns: int) -> Triplets:
+        """The first rows and columns of the solution's own Jacobian."""
+        own_rows, own_columns = self.own_places
+        end = int(np.searchsorted(own_columns, columns))
+        chosen = np.flatnonzero(own_rows[:end] < rows)
+        return Triplets(nonzeros[chosen], own_rows[chosen], own_columns[chosen])
+
+
+class SingularProblem(Augmented, BoundaryProblem):
+    """Of special orbits and solutions of boundary-value problems."""
+
+    def __init__(self, singularity: Singularity, statement: Statement, *arguments: Any) -> None:
+        super().__init__(statement.with_free(singularity.first), *arguments)
+        self.singularity, self.orbit = singularity, statement
+
+    def parameters(self, z: Array) -> Array:
+        last = self.states + len(self.statement.free)
+        scalars = np.append(z[self.states : last], z[-1])
+        return np.asarray(self.statement.parameters_at(scalars, self.walking, self.end), dtype=float)
+
+    def kept(self, name: str, make: Callable[[], Any]) -> Any:
+        return super().kept(f"{name} of a {self.singularity.kind}", make)
+
+    def own(self, z: Array) -> tuple[Array, Array]:
+        return self.discretisation(z, self.numbers)
+
+    @property
+    def own_places(self) -> tuple[Indices, Indices]:
+        return self.discretisation.rows, self.discretisation.columns
+
+    def lengths(self, z: Array) -> Array:
+        return self.sizes(z)
+
     def rounding(self, z: Array) -> Array:  # type: ignore[override]
-        found = super().rounding(z)
+        found = BoundaryProblem.rounding(self, z)
         assert self._last is not None
         found[self.equations :] = SUM_ROUNDING * self.statement.model.rounding * self._last[2]
         return found
+
+    @property
+    def copies(self) -> tuple[int, int, int]:
+        kind, inner = self.singularity.kind, self.states - self.formulation.states
+        if kind in (DOUBLING, TORUS):
+            return 1 + (kind == TORUS), inner, self.states
+        return 1, self.equations, self.states + len(self.orbit.free) + (kind == BRANCH_POINT)
 
     def rests(self, z: Array) -> bool:
         """Whether the solution is constant, and its mesh says nothing about null vectors."""
@@ -294,25 +264,13 @@ class SingularProblem(BoundaryProblem):
     def improvement(self, z: Array, solve: Solve) -> tuple[Array, float] | None:
         return None
 
-    def _evaluated(self, z: Array) -> tuple[tuple[Array, Array], Array]:
-        """The equations, and the size of the terms of G."""
-        residual, nonzeros = self.discretisation(z, self.numbers)
-        border = self._border(z, nonzeros)
-        values = [nonzeros]
-        if self.singularity.kind == BRANCH_POINT:
-            residual = residual + z[self.added_index] * border.push
-            values.append(border.push)
-        values.append(self._slopes(z, border).ravel())
-        rows, _, slots = self._entries
-        found = np.bincount(slots, np.concatenate(values), rows.size).astype(float)
-        return (np.concatenate([residual, border.G.ravel()]), found), border.terms.ravel()
-
-    def _border(self, z: Array, nonzeros: Array) -> Border:
-        """The solution of the bordered equations of B, whose rows are measured by the components of the state."""
+    def border(self, z: Array, nonzeros: Array | None = None) -> Border:
+        """By rows that are measured by the components of the state."""
+        nonzeros = self.own(z)[1] if nonzeros is None else nonzeros
         given, sizes, n, k = self.singularity, self.sizes(z), self.formulation.states, self.states
         sizes[:k] = np.tile(given.sizes, self.columns)
         if given.kind in (FOLD, BRANCH_POINT):
-            width = k + len(self.orbit.free) + (given.kind == BRANCH_POINT)
+            width = self.copies[2]
             B, rows = self._leading(nonzeros, self.equations, width), np.full(self.equations, np.max(given.sizes))
             rows[: k - n] = sizes[: k - n]
             return Border.of(B, rows, sizes[:width], given.shape, self._order(1, width))
@@ -348,32 +306,11 @@ class SingularProblem(BoundaryProblem):
         order: Indices = self.kept("order", made)
         return order
 
-    def _leading(self, nonzeros: Array, rows: int, columns: int) -> Triplets:
-        """The first rows and columns of the solution's own Jacobian."""
-        end = int(np.searchsorted(self.discretisation.columns, columns))
-        chosen = np.flatnonzero(self.discretisation.rows[:end] < rows)
-        return Triplets(nonzeros[chosen], self.discretisation.rows[chosen], self.discretisation.columns[chosen])
-
-    def _slopes(self, z: Array, border: Border) -> Array:
-        """The derivatives of G by all unknowns, shape (entries, size)."""
-        kind, own = self.singularity.kind, self.equations
-        rows = self.states - self.formulation.states if kind in (DOUBLING, TORUS) else own
-        found = np.zeros((*border.G.shape, self.size))
-        for j, v in enumerate(border.right.T):
-            for copy in range(2 if kind == TORUS else 1):
-                width = self.states if kind in (DOUBLING, TORUS) else v.size
-                direction = np.zeros(self.size)
-                direction[:width] = v[copy * self.states :][:width]
-                change = self._change(z, direction)[:rows]
-                for i, psi in enumerate(border.left.T):
-                    found[i, j] -= psi[copy * rows :][:rows] @ change
-            if kind == TORUS:
-                found[:, j] += self._slopes_at_ends(z, border.left, v)
-        return found.reshape(-1, self.size)
-
-    def _slopes_at_ends(self, z: Array, left: Array, v: Array) -> Array:
-        """The part of the closing rows of a torus, by kappa and by the velocity at the start, shape (left, size)."""
+    def _further_slopes(self, z: Array, left: Array, v: Array) -> Array:
+        """That of the closing rows of a torus, by kappa and by the velocity at the start."""
         n, given = self.formulation.states, self.singularity
+        if given.kind != TORUS:
+            return super()._further_slopes(z, left, v)
         closing = left[2 * (self.states - n) + n :]
         found = np.zeros((left.shape[1], self.size))
         found[:, self.added_index] = 2.0 * closing[:n].T @ v[self.states :][:n]
@@ -384,19 +321,107 @@ class SingularProblem(BoundaryProblem):
             found[:, self.states :] += by_velocity @ np.array(at_start[2])
         return found
 
-    def _change(self, z: Array, direction: Array) -> Any:
-        """The derivative of the solution's own Jacobian in a direction, by differences, sparse."""
-        from scipy.sparse import csc_matrix
-
-        h = DIFFERENCE_STEP / max(float(np.max(np.abs(direction) / self.sizes(z))), 1e-300)
-        ahead, behind = (self.discretisation(z + side * h * direction, self.numbers)[1] for side in (1.0, -1.0))
-        places = self.discretisation.rows, self.discretisation.columns
-        return csc_matrix(((ahead - behind) / (2.0 * h), places), shape=(self.equations, self.size))
-
     def _place(self, equation: int, z: Array) -> str:
         if equation >= self.equations:
             return f"the condition of a {self.singularity.kind}"
         return super()._place(equation, z)
+
+
+class SingularRest(Augmented, AlgebraicProblem):
+    """Of special equilibria, whose own equations are those of `inner`, a problem without what is added, and without u
+    where nothing is followed.
+    """
+
+    def __init__(self, singularity: Singularity, inner: AlgebraicProblem) -> None:
+        first, *walking = (*inner.free, inner.walking)
+        super().__init__(inner.statics, inner.scale, (first,), *walking)
+        self.singularity, self.added, self.equations, self._inner = singularity, singularity.added, self.states, inner
+        self._kept = np.delete(np.arange(self.size), range(inner.size - len(walking), self.size - len(walking)))
+
+    def own(self, z: Array) -> tuple[Array, Array]:
+        residual, nonzeros = self._inner._values(z[self._kept], self._inner.numbers)
+        return residual.copy(), nonzeros.copy()
+
+    @cached_property
+    def own_places(self) -> tuple[Indices, Indices]:
+        rows, columns = self._inner.pattern
+        return rows, self._kept[columns]
+
+    @cached_property
+    def _entries(self) -> tuple[Indices, Indices, Indices]:
+        return super()._entries
+
+    def lengths(self, z: Array) -> Array:
+        return np.append(self.singularity.sizes, np.maximum(np.abs(z[self.equations :]), 1.0))
+
+    @property
+    def copies(self) -> tuple[int, int, int]:
+        kind, n = self.singularity.kind, self.equations
+        return 1 + (kind == HOPF), n, n + (kind == BRANCH_POINT)
+
+    def border(self, z: Array, nonzeros: Array | None = None) -> Border:
+        nonzeros = self.own(z)[1] if nonzeros is None else nonzeros
+        given, n = self.singularity, self.equations
+        width = self.copies[2]
+        B, rows, columns = self._leading(nonzeros, n, width), given.sizes, np.append(given.sizes, np.ones(width - n))
+        if given.kind == HOPF:
+            one, B = np.eye(n), Triplets(B.values / given.rate, B.rows, B.columns)
+            B = B + B.moved(n, n)
+            B = B + _blocks((0, n, -one), (n, 0, z[self.added_index] * one), (2 * n, 0, given.normal[None]))
+            columns = np.tile(columns, 2)
+            rows = np.append(columns, 1.0)
+        return Border.of(B, rows, columns, given.shape)
+
+    def push_size(self, z: Array) -> float:
+        n, units = self.equations, self.singularity.sizes
+        slopes = self._matrix(super().evaluate(z)[1])[n:] * self.lengths(z)
+        return float(np.linalg.norm(self.rates(z) * units / units[:, None]) + np.max(np.abs(slopes)))
+
+    def _further_slopes(self, z: Array, left: Array, v: Array) -> Array:
+        found, n = super()._further_slopes(z, left, v), self.equations
+        if self.singularity.kind == HOPF:
+            found[:, self.added_index] = -left[n : 2 * n].T @ v[:n]
+        return found
+
+    def _change(self, z: Array, direction: Array) -> Array:
+        found = super()._change(z, direction)
+        return found / self.singularity.rate if self.singularity.kind == HOPF else found
+
+    def evaluate(self, z: Array) -> tuple[Array, Array]:
+        return self._scaled(z, *super().evaluate(z))
+
+    def rounding(self, z: Array) -> Array:  # type: ignore[override]
+        found = np.full(self.size - 1, AlgebraicProblem.rounding(self, z))
+        largest = self._largest(z, super().evaluate(z)[1])[self.equations :]
+        assert self._last is not None
+        own = SUM_ROUNDING * max(EPSILON, self.statics.model.rounding) * self._last[2] / largest
+        found[self.equations :] = np.maximum(found[self.equations :], own)
+        return found
+
+    def jacobian(self, z: Array) -> Array:
+        return self._matrix(super().evaluate(z)[1])
+
+    def kappa(self, z: Array) -> float:
+        """(omega/rate)^2 of a Hopf point; negative where the eigenvalues are real with sum zero."""
+        return float(z[self.added_index])
+
+
+def singular_rest(kind: str, inner: AlgebraicProblem, z: Array, near: complex | None) -> tuple[SingularRest, Array]:
+    """The problem of a special equilibrium, and its unknowns, from an approximate one z in those of its own equations.
+
+    `near` selects the pair of eigenvalues of a Hopf point, by default that nearest to the imaginary axis.
+    """
+    n, units = inner.states, inner.units(z)
+    normal, rate, added = np.zeros_like(units), 1.0, [0.0] * (kind == BRANCH_POINT)
+    if kind == HOPF:
+        linear = BalancedMatrix(inner.rates(z))
+        values = linear.eigensystem[0]
+        k = upper_pair(values, near)
+        rate = float(2.0 ** np.round(np.log2(abs(near or values[k].imag))))
+        normal, added = normal_of(linear.vectors(k)[0], units), [(values[k].imag / rate) ** 2]
+    first: Any = (*inner.free, inner.walking)[0]
+    problem = SingularRest(Singularity(kind, first.name, units, normal, rate=rate), inner)
+    return problem, np.concatenate([z[: n + 1], added, [0.0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -439,33 +464,52 @@ class Border:
     push: Array
 
     @classmethod
-    def of(cls, B: Triplets, rows: Array, columns: Array, shape: tuple[int, int], order: Indices) -> Border:
-        """Of a matrix whose rows and columns have sizes, and its columns an order of elimination.
+    def of(
+        cls, B: Triplets, rows: Array, columns: Array, shape: tuple[int, int], order: Indices | None = None
+    ) -> Border:
+        """Of a matrix whose rows and columns have sizes; its columns an order of elimination, unless it is dense.
 
         Raises SingularError.
         """
-        from scipy.sparse import csc_matrix
-        from scipy.sparse.linalg import splu
-
         (nl, nr), p, q, generator = shape, rows.size, columns.size, np.random.default_rng(0)
         scaled = Triplets(B.values * columns[B.columns] / rows[B.rows], B.rows, B.columns)
         L, R = generator.normal(size=(p, nl)), generator.normal(size=(q, nr))
         K = scaled + _blocks((0, q, L), (p, 0, LONG_ROW_FACTOR * R.T))
-        places = np.empty(q + nl, dtype=np.int64)
-        places[np.append(order, np.arange(q, q + nl))] = np.arange(q + nl)
-        matrix = csc_matrix((K.values, (K.rows, places[K.columns])), shape=(p + nr, p + nr))
-        try:
-            factors = splu(matrix, permc_spec="NATURAL")
-        except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
-            raise SingularError(f"the linearised equations lose more rank than expected: {error}") from error
-        right = factors.solve(np.vstack([np.zeros((p, nr)), LONG_ROW_FACTOR * np.eye(nr)]))[places[:q]]
-        both = np.vstack([np.zeros((q, nl)), np.eye(nl)])
-        left = factors.solve(both, trans="T")[:p]  # type: ignore[call-overload]
+        solve, places = _dense_factors(K) if order is None else _sparse_factors(K, np.append(order, range(q, q + nl)))
+        right = solve(np.vstack([np.zeros((p, nr)), LONG_ROW_FACTOR * np.eye(nr)]), False)[places[:q]]
+        left = solve(np.vstack([np.zeros((q, nl)), np.eye(nl)]), True)[:p]
         if not (np.all(np.isfinite(right)) and np.all(np.isfinite(left))):
             raise SingularError("the linearised equations lose more rank than expected")
         products = scaled.values[:, None, None] * left[scaled.rows][:, :, None] * right[scaled.columns][:, None, :]
         G = -np.sum(products, axis=0)  # as good as both vectors together
         return cls(G, np.linalg.norm(products, axis=0), right * columns[:, None], left / rows[:, None], L[:, 0] * rows)
+
+
+def _sparse_factors(K: Triplets, order: Indices) -> tuple[Callable[[Array, bool], Array], Indices]:
+    """The solution with a square matrix, or its transpose, whose unknowns are eliminated in an order; their places."""
+    from scipy.sparse import csc_matrix
+    from scipy.sparse.linalg import splu
+
+    places = np.empty(order.size, dtype=np.int64)
+    places[order] = np.arange(order.size)
+    try:
+        factors = splu(csc_matrix((K.values, (K.rows, places[K.columns])), shape=(order.size,) * 2), "NATURAL")
+    except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
+        raise SingularError(f"the linearised equations lose more rank than expected: {error}") from error
+    solve: Any = factors.solve
+    return (lambda b, transposed: np.asarray(solve(b, "T" if transposed else "N"))), places
+
+
+def _dense_factors(K: Triplets) -> tuple[Callable[[Array, bool], Array], Indices]:
+    """The same of a small or full matrix."""
+    from scipy.linalg.lapack import dgetrf, dgetrs
+
+    size = int(K.rows.max()) + 1
+    matrix = np.bincount(K.columns * size + K.rows, K.values, size * size).reshape(size, size).T
+    factors, pivots, singular = dgetrf(matrix)
+    if singular:
+        raise SingularError("the linearised equations lose more rank than expected")
+    return (lambda b, transposed: np.asarray(dgetrs(factors, pivots, b, int(transposed))[0])), np.arange(size)
 
 
 def singularity_of(

@@ -7,7 +7,7 @@ that stiff models and components of any unit are solved alike.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -403,7 +403,6 @@ def _roots(squares: ComplexArray, errors: Array) -> tuple[ComplexArray, Array]:
 # The problem of equilibria --------------------------------------------------------------------------------------------
 
 SMALLEST_COMPONENT_RATIO = 1e-3  # of a component's size: changes of smaller components are measured by that
-BESIDE_STATE_WEIGHT = 0.1  # weight of unknowns beside state and parameters in the length of a step
 
 
 @dataclass(frozen=True)
@@ -417,6 +416,11 @@ class Course:
     def at(self, s: Any) -> Any:
         """The value at s, a number or an expression."""
         return self.start + s * (self.to - self.start)
+
+    @property
+    def extent(self) -> float:
+        """The change of the parameter, with its sign."""
+        return self.to - self.start
 
     def fraction(self, value: float) -> float:
         """The s of a value."""
@@ -471,21 +475,20 @@ def moving(statics: Statics, x: Array, p: Array, courses: Sequence[Course]) -> A
 
 
 class AlgebraicProblem(Problem):
-    """Unknowns z = (y, others, scalars, u): the state over its sizes, those of an extended system, free parameters, u.
+    """Unknowns z = (y, scalars, u): the state over its sizes, free parameters and what is added to them, u.
 
     Here F(y, p) = 0 alone, the model at rest in units of the sizes; u follows `walking`, or is held and does nothing.
-    Subclasses add unknowns and equations: `others` counts theirs beside the state, `added` their scalars.
+    A subclass adds scalars, as many as `added`, and equations.
     """
 
     resolution = 1
-    others = 0
     added = 0
 
     def __init__(
         self, statics: Statics, sizes: Array, free: Sequence[Course] = (), walking: Course | None = None
     ) -> None:
         self.statics, self.scale, self.free, self.walking = statics, sizes, tuple(free), walking
-        self.states = statics.size + self.others
+        self.states = statics.size
 
     @property
     def size(self) -> int:
@@ -503,12 +506,6 @@ class AlgebraicProblem(Problem):
 
     # Equations ------------------------------------------------------------------------------------------------------
 
-    @property
-    def force(self) -> Callable[[Expression, Expression], Expression]:
-        """F(y, p): the equations in units of the sizes."""
-        f, scale = self.statics.function, ca.DM(self.scale)
-        return lambda y, p: f(scale * y, p) / scale
-
     def parameters_at(self, scalars: Any) -> Any:
         """All parameters of the model, in its order, from the scalars among the unknowns."""
         known = {course.name: course.at(scalars[place]) for place, course in enumerate(self.free)}
@@ -516,31 +513,31 @@ class AlgebraicProblem(Problem):
             known[self.walking.name] = self.walking.at(scalars[len(self.free) + self.added])
         return in_order(self.statics.values | known, scalars)
 
-    def _residual(self, y: Expression, others: Expression, scalars: Expression, c: Expression) -> Expression:
-        """As many equations as y, others, free parameters and added scalars; c are the constants."""
-        return self.force(y, self.parameters_at(scalars))
-
     def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
-        kind, n = type(self.statics.model.state), self.statics.size
-        sizes = (n, self.states - n, self.size - self.states)
-        y, others, scalars = (kind.sym(name, size) for name, size in zip("yop", sizes, strict=True))
-        c = kind.sym("c", self.constants.size)
-        R = ca.densify(self._residual(y, others, scalars, c))
-        by_parts = [ca.jacobian(R, part) for part in (y, others, scalars)]
-        function = ca.Function("algebraic", [y, others, scalars, c], [R, ca.horzcat(*by_parts)])
+        kind, sizes = type(self.statics.model.state), (self.states, self.size - self.states)
+        y, scalars = (kind.sym(name, size) for name, size in zip("yp", sizes, strict=True))
+        scale = ca.DM(self.scale)
+        R = ca.densify(self.statics.function(scale * y, self.parameters_at(scalars)) / scale)
+        by_parts = [ca.jacobian(R, part) for part in (y, scalars)]
+        function = ca.Function("algebraic", [y, scalars], [R, ca.horzcat(*by_parts)])
         symbol = ca.MX.sym("z", self.size)
-        parts = ca.vertsplit(symbol, np.cumsum([0, *sizes]).tolist())
-        residual, jacobian = function(*parts, self.constants_symbol)
+        residual, jacobian = function(*ca.vertsplit(symbol, np.cumsum([0, *sizes]).tolist()))
         return symbol, residual, jacobian
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:
         """Residual and non-zeros of the Jacobian, each equation relative to its largest derivative."""
-        residual, nonzeros = super().evaluate(z)
+        return self._scaled(z, *super().evaluate(z))
+
+    def _scaled(self, z: Array, residual: Array, nonzeros: Array) -> tuple[Array, Array]:
+        largest = self._largest(z, nonzeros)
+        return residual / largest, nonzeros / largest[self.pattern[0]]
+
+    def _largest(self, z: Array, nonzeros: Array) -> Array:
+        """The largest derivative of each equation, by unknowns of their size; 1 of one that has none."""
         rows, columns = self.pattern
         largest = np.zeros(self.size - 1)
         np.maximum.at(largest, rows, np.abs(nonzeros) * np.maximum(np.abs(z), 1.0)[columns])
-        largest[~(largest > 0.0)] = 1.0
-        return residual / largest, nonzeros / largest[rows]
+        return np.where(largest > 0.0, largest, 1.0)
 
     # Values ---------------------------------------------------------------------------------------------------------
 
@@ -551,6 +548,11 @@ class AlgebraicProblem(Problem):
     def parameters(self, z: Array) -> Array:
         """All parameters of the model, in its order."""
         return np.asarray(self.parameters_at(z[self.states :]), dtype=float)
+
+    def rates(self, z: Array) -> Array:
+        """dF/dy, in units of the sizes, shape (n, n)."""
+        matrix = self.statics.jacobian(self.state(z), self.parameters(z))
+        return np.asarray(matrix * self.scale / self.scale[:, None])
 
     def named(self, z: Array) -> dict[str, float]:
         """All parameters by name."""
@@ -574,21 +576,18 @@ class AlgebraicProblem(Problem):
         return float(np.max(np.abs(step[:n]) / np.maximum(np.abs(z[:n]), SMALLEST_COMPONENT_RATIO)))
 
     def metric(self, z: Array, parameter_scale: float) -> Array:
-        """Diagonal of the mean of |dy|^2 relative to the sizes, and of the scalars; little of what is beside these.
+        """Diagonal of the mean of |dy|^2 relative to the sizes, and of the scalars.
 
         A balanced unit at z is none for a length: it vanishes where eigenvectors meet, as at a Bogdanov-Takens point.
         """
         weights, n = np.maximum(np.abs(z), 1.0) ** -2.0, self.statics.size
         weights[:n] /= n
-        weights[n : self.states] *= BESIDE_STATE_WEIGHT**2 / max(self.others, 1)
         weights[-1] = parameter_scale**-2.0
         return np.asarray(weights)
 
     def units_of_all(self, z: Array) -> Array:
         """Units of all unknowns at z, shape (size,)."""
-        n, units = self.statics.size, self.units(z)
-        usual = np.concatenate([self.units_beside(units), np.ones(self.size - self.states)])
-        return np.concatenate([units, np.maximum(np.abs(z[n:]), usual)])
+        return np.concatenate([self.units(z), np.maximum(np.abs(z[self.states :]), 1.0)])
 
     def units(self, z: Array) -> Array:
         """Units of the components of y at z, shape (n,): the same whatever the units of the model's states are."""
@@ -598,10 +597,6 @@ class AlgebraicProblem(Problem):
             return _units(statics, x, p, courses, self.scale, self.scale) / self.scale
         except ArithmeticError:  # where the equations are not defined
             return np.maximum(np.abs(z[: statics.size]), 1.0)
-
-    def units_beside(self, units: Array) -> Array:
-        """Units of the unknowns between the state and the scalars, shape (others,), by those of the state."""
-        return np.ones(self.others)
 
     def rounding(self, z: Array) -> float:
         return super().rounding(z) * (self.statics.model.rounding / EPSILON)

@@ -146,7 +146,7 @@ def test_a_branch_point_of_a_large_model_is_left_along_its_null_vector() -> None
     ("arguments", "words"),
     [
         (("q", 1.0), "parameter: given 'q'"),
-        (("r", 1.0), "to: given 1.0, where the branch starts"),
+        (("r", 1.0), r"to: given \S+, where the branch starts"),
         (("r", 2.0, 3), "side: given 3; accepted: 1 or -1"),
     ],
 )

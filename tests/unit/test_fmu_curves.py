@@ -13,7 +13,6 @@ from foreign_fmus import casadi_fmu
 from programs import Program
 
 from casadi_skin import OdeModel, find_equilibrium, find_orbit, import_fmu
-from casadi_skin.follow.space import EquilibriumError
 
 
 def reaction(x: ca.MX, y: ca.MX, p: ca.MX, p2: ca.MX, p3: ca.MX) -> tuple[ca.MX, ca.MX]:
@@ -83,13 +82,25 @@ def test_a_fold_of_cycles_of_an_fmu_is_followed(tmp_path: Path) -> None:
     assert np.max(np.abs(curve["mu"] + curve["a"] ** 2 / 4.0)) < 1e-9
 
 
-def test_a_program_without_second_derivatives_has_no_curves_which_one_line_says() -> None:
-    x, one, p = ca.MX.sym("x"), ca.MX.sym("one"), ca.MX.sym("p", 2)
-    program = Program(ca.Function("square", [x, one], [one - x**2]), orders=1)
-    model = OdeModel("square", x, program(x, p[0]) + p[1], p, nominal=(1.0, 0.0), parameter_labels=("p", "q"))
-    (fold,) = find_equilibrium(model, [1.0]).follow("p", -0.5).special_points
-    assert fold.parameters["p"] == pytest.approx(0.0, abs=1e-9)
-    with pytest.raises(EquilibriumError) as caught:
-        fold.curve("q", 0.5)
-    words = "square: the model has no second derivatives, which a curve in two parameters needs"
-    assert str(caught.value) == words
+@pytest.mark.slow
+def test_a_program_of_first_derivatives_alone_has_the_curves_of_its_formulas() -> None:
+    """Folds, a Hopf point and a pitchfork in two parameters, by differences of the Jacobian."""
+    state, p = ca.MX.sym("state", 2), ca.MX.sym("p", 3)
+    field = ca.Function("reaction", [state, p], [ca.vertcat(*reaction(*ca.vertsplit(state), *ca.vertsplit(p)))])
+    program, labels = Program(field, orders=1), ("p", "p2", "p3")
+    model = OdeModel("ab", state, program(state, p), p, nominal=(0, 14, 2), parameter_labels=labels)
+    points, known = (find_equilibrium(m, [0, 0]).follow("p", 0.2).special_points for m in (model, ab()))
+    assert [point.kind for point in points] == ["fold", "fold", "hopf"]
+    for point, exact in zip(points, known, strict=True):
+        assert point.parameters["p"] == pytest.approx(exact.parameters["p"], abs=1e-14)
+        curve, other = point.curve("p2", 13.9), exact.curve("p2", 13.9)
+        assert curve.complete
+        assert curve["p"][-1] == pytest.approx(other["p"][-1], abs=1e-13)
+
+    x, y = ca.MX.sym("x"), ca.MX.sym("y")
+    square = Program(ca.Function("square", [x, y], [x * y - x**3]), orders=1)
+    q = ca.MX.sym("q", 2)
+    model = OdeModel("pitchfork", x, square(x, q[0] - q[1] ** 2), q, nominal=(-1.0, 0.0), parameter_labels=("a", "b"))
+    (pitchfork,) = find_equilibrium(model, [0.0]).follow("a", 0.5).special_points
+    curve = pitchfork.curve("b", 0.6)
+    np.testing.assert_allclose(curve["a"], curve["b"] ** 2, atol=1e-13)
