@@ -104,7 +104,7 @@ def _solved(solver: PointSolver, problem: Augmented, z: Array, unit: float) -> L
         return None
     problem, better, z = found.problem, found.better, found.z
     assert better is not None
-    solve, index = solver.factor(problem, z, row), problem.first_index
+    solve, index = solver.factor(problem, z, problem.parameter_row()), problem.first_index
     step, rounding = solve(np.append(problem.evaluate(z)[0], 0.0)), problem.rounding(z)
     z = z - step
     signs = np.random.default_rng(0).choice([-1.0, 1.0], (ROUNDING_PROBES, rounding.size))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,14 @@ from casadi_skin.zero.stated_problem import PERIOD, stated
 IMAGE_PLACES = 65  # along an orbit at which it is compared with its image
 ZERO_DIFFERENCE_RTOL = 1e-9  # of the orbit: a difference that counts as zero
 OPPOSITE_COSINE = -0.5  # cosine of the angle between differences, below which their sign has changed
+
+
+def fitted(space: SolutionSpace, lengths: Array) -> Any:
+    """The discretisation with a mesh like intervals of these lengths, as many of them or a few more."""
+    resolutions = space.levels.resolutions
+    resolution = next((r for r in resolutions if r >= lengths.size), resolutions[-1])
+    problem = stated(space.levels.problem(resolution))
+    return problem.with_constants(mesh.resampled(lengths / np.sum(lengths), resolution))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +89,7 @@ class Left:
     def _mean(self, own: SolutionSpace, near: Point) -> Point:
         """Half the sum of an orbit and its image as a point of the branch that was left."""
         space, old = self.space, stated(near.problem)
-        parts = old.constants[: (old.constants.size + self.turns - 1) // self.turns]
-        fitting = [r for r in space.levels.resolutions if r >= parts.size]
-        resolution = fitting[0] if fitting else space.levels.resolutions[-1]
-        lengths = mesh.resampled(parts / np.sum(parts), resolution)
-        problem = stated(space.levels.problem(resolution).with_constants(lengths))
+        problem = fitted(space, old.constants[: (old.constants.size + self.turns - 1) // self.turns])
         places = problem._fractions() / self.turns
         reached = np.minimum(places, 1.0 - self.shift)  # beyond half a period: the image of half a period before
         states = self._parts(own, near, reached)[0]

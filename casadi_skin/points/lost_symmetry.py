@@ -10,7 +10,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -22,12 +21,12 @@ from casadi_skin.follow.solution import Orbit
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.zero import mesh
+from casadi_skin.points.ends import fitted
 from casadi_skin.zero.kinds import BRANCH_POINT
 from casadi_skin.zero.orbit import OrbitRequest, Periodic, Sizes, statement_of
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
-from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
+from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
 
 # Orbits that leave a family of reversible orbits where a real tongue of instability opens or closes -------------------
 
@@ -140,7 +139,9 @@ def breaking_space(
         statement, old.tolerance, method, sizes, Periodic(extended, first, symmetry),
         parameter=parameter, to=to, at=at, settings=settings, leaves=True,
     )  # fmt: skip
-    problem = _problem(space, start, symmetry.value * breaking.turns)
+    there = [start.problem.constants, start.problem.constants[::-1]]
+    parts = round(symmetry.value * breaking.turns / start.symmetry.value)
+    problem = fitted(space, np.concatenate([there[k % 2] for k in range(parts)]))
     t = length * symmetry.value * problem._fractions()
     free = [length if key == PERIOD else statement.values[key] for key in statement.free]
     z = np.concatenate([start.evaluate(t).ravel(), free, [0.0]])
@@ -156,17 +157,6 @@ def breaking_space(
     ):  # rounding, which would turn back next to the start
         tangent[problem.parameter_index] = 0.0
     return replace(space, first=replace(own, tangent=tangent))
-
-
-def _problem(space: BoundarySpace, start: Orbit, part: float) -> Any:
-    """The discretisation of a part of the period with the mesh of the orbit, mirrored and repeated."""
-    own = start.problem.constants / np.sum(start.problem.constants)
-    there = [own, own[::-1]]
-    lengths = np.concatenate([there[k % 2] for k in range(round(part / start.symmetry.value))])
-    fitting = [r for r in space.levels.resolutions if r >= lengths.size]
-    resolution = fitting[0] if fitting else space.levels.resolutions[-1]
-    lengths = mesh.resampled(lengths / np.sum(lengths), resolution)
-    return stated(space.levels.problem(resolution)).with_constants(lengths)
 
 
 def _course(orbit: Orbit, space: BoundarySpace, problem: BoundaryProblem, t: Array) -> Array:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
@@ -17,14 +16,13 @@ from casadi_skin.follow.solution import Equilibrium, Orbit, Solution, following_
 from casadi_skin.follow.space import EquilibriumError
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import duration
-from casadi_skin.points.leaving import DEFAULT_TOLERANCE, born_at, doubled_solutions, leaving_orbits, other_solutions
+from casadi_skin.points.leaving import DEFAULT_TOLERANCE, born_at, leaving_solutions
 from casadi_skin.points.lost_symmetry import breaking_space, start_of
 from casadi_skin.zero.family import MAX_POINTS
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, HOPF
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest import (
     ROUNDED_COMPONENT_RATIO,
-    AlgebraicProblem,
     Course,
     Statics,
     power_of_two,
@@ -37,6 +35,7 @@ PROBE_STEP = 1e-2  # of the unit of length: a step along the branch that leaves,
 SHORT = 1e-4  # of the range of the parameter: a step along the branch that leaves, for its units
 PROBE_TRIES = 20  # of such steps
 ROUNDED_TANGENT_RATIO = 1e-6  # of the largest: components of a tangent that are rounding
+DIFFERENCE_STEP = 1e-4  # of the units of the unknowns: that of second derivatives
 SAME_DIRECTION_DISTANCE = 1e-4  # of a direction: the difference that distinguishes two branches
 
 
@@ -123,16 +122,13 @@ def leaving_space(
     )
     values = tuple(float(value) for value in at)
     both = replace(settings, parameter_min=settings.parameter_min or -1.0, closing=False)
-    if solution.is_orbit:
+    if not solution.is_equilibrium:
         turns = 2 if point.kind == DOUBLING else 1
-        return leaving_orbits(solution, turns, parameter, float(to), values, both, side)
+        return leaving_solutions(solution, turns, parameter, float(to), values, both, side)
     if point.kind == HOPF and solution.is_equilibrium:
         space = solution.space
         statics = Statics(space.model, solution.parameters)
         return born_at(statics, _seen(solution), parameter, float(to), values, both, tolerance)
-    if not solution.is_equilibrium:
-        leaving = doubled_solutions if point.kind == DOUBLING else other_solutions
-        return leaving(solution, parameter, float(to), values, both, side)
     return other_branch(point, parameter, float(to), values, settings, side)
 
 
@@ -256,10 +252,10 @@ def _other_direction(space: EquilibriumSpace, point: Point) -> Array:
         why = f"{several} eigenvalues vanish at once; accepted: a branch point of one, as where less symmetry is left"
         raise EquilibriumError(f"{space.model.name}: more than two branches cross at the branch point: {why}")
     first, second, psi = found.right[:, -1], found.right[:, -2], found.left[:, -1]
-    quadratic = _second_derivatives(problem)
 
     def form(a: Array, b: Array) -> float:
-        return float(psi @ np.array(quadratic(z, a, b)).ravel())
+        h = DIFFERENCE_STEP / np.max(np.abs(a) / units)
+        return float(psi @ (problem.jacobian(z + h * a) - problem.jacobian(z - h * a)) @ b / (2.0 * h))
 
     a, b, c = form(first, first), 2.0 * form(first, second), form(second, second)
     discriminant = b * b - 4.0 * a * c
@@ -284,11 +280,3 @@ def _off(point: Point, units: Array) -> Array:
         else np.zeros_like(point.tangent)
     )
     return np.asarray(along + profile * units)
-
-
-def _second_derivatives(problem: AlgebraicProblem) -> ca.Function:
-    """Function (z, u, v) -> the second derivative of the equations in two directions."""
-    z, residual, _ = problem.symbols
-    u, v = ca.MX.sym("u", problem.size), ca.MX.sym("v", problem.size)
-    once = ca.jtimes(residual, z, u)
-    return ca.Function("second", [z, u, v], [ca.densify(ca.jtimes(once, z, v))])
