@@ -31,7 +31,6 @@ from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem
 # Orbits that leave a family of reversible orbits where a real tongue of instability opens or closes -------------------
 
 SINGULAR_BLOCK_RATIO = 1e-6  # smallest singular value of a block that is singular, relative to its largest
-INVERSE_ITERATION_SHIFT, ITERATION_ROUNDS = 1e-11, 4  # of inverse iteration, relative
 FAMILY_DIFFERENCE_STEP, TIME_DIFFERENCE_STEP = 1e-3, 1e-5  # along the family, and of the period, for differences
 ASKEW_TANGENT = 1e-6  # component of a tangent in the parameter: the branch leaves to both sides
 REPEATED_STATE_DISTANCE, MOST_PERIOD_PARTS, COMPARED_TIMES = (
@@ -146,7 +145,7 @@ def breaking_space(
     free = [length if key == PERIOD else statement.values[key] for key in statement.free]
     z = np.concatenate([start.evaluate(t).ravel(), free, [0.0]])
     error = ErrorEstimate(start.point.error.Omega, start.point.error.profile)
-    along = _family_tangent(space, problem, z) if breaking.lost else _course(orbit, space, problem, t)
+    along = _course(orbit, space, problem, t)
     own = Point(problem, z, along, error, settings.first_step, 0)
     tangent = other_tangent(space.point_solver, own)
     crosses = not breaking.lost and abs(float(tangent[problem.parameter_index])) > ASKEW_TANGENT
@@ -160,7 +159,7 @@ def breaking_space(
 
 
 def _course(orbit: Orbit, space: BoundarySpace, problem: BoundaryProblem, t: Array) -> Array:
-    """The tangent of the family where a branch of its own class crosses: by differences along the family."""
+    """The tangent of the family, by differences along it."""
     ends = []
     for side in (-1.0, 1.0):
         moved = Orbit(
@@ -174,30 +173,6 @@ def _course(orbit: Orbit, space: BoundarySpace, problem: BoundaryProblem, t: Arr
         ends.append(np.concatenate([states.ravel(), [known[key] for key in space.statement.free], [way]]))
     along = ends[1] - ends[0]
     return np.asarray(along / np.sqrt(np.sum(space.point_solver.metric(problem, ends[0]) * along**2)))
-
-
-def _family_tangent(space: BoundarySpace, problem: BoundaryProblem, z: Array) -> Array:
-    """The tangent of the family among the two directions that the equations leave open; of norm 1 in the metric.
-
-    By inverse iteration, once with the parameter held, once across the result of that.
-    """
-    from scipy.sparse import csc_matrix, diags, vstack
-    from scipy.sparse.linalg import splu
-
-    rows, columns = problem.pattern
-    sizes = 1.0 / np.sqrt(space.point_solver.metric(problem, z))
-    values = problem.evaluate(z)[1] * sizes[columns]
-    generator, size = np.random.default_rng(0), problem.size
-    J = csc_matrix((values, (rows, columns)), shape=(size - 1, size))
-    shift = diags(INVERSE_ITERATION_SHIFT * float(np.max(np.abs(values))) * generator.random(size))
-    row: Array = np.eye(1, size, size - 1)[0]
-    for _ in range(2):
-        factors = splu((vstack([J, csc_matrix(row[None, :])]) + shift).tocsc())
-        row = generator.normal(size=size)
-        for _ in range(ITERATION_ROUNDS):
-            row = np.asarray(factors.solve(row))
-            row /= np.linalg.norm(row)
-    return np.asarray(sizes * row)
 
 
 def start_of(orbit: Orbit) -> Orbit:
