@@ -27,12 +27,10 @@ from casadi_skin.follow.branch_points import double_between, interpolated
 from casadi_skin.follow.normal_forms import (
     NullVectors,
     branching_terms,
-    critical_functions,
     critical_pair,
     lyapunov_terms,
     quadratic_term,
     second_singular,
-    terms_of,
 )
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.search import (
@@ -479,23 +477,7 @@ class OrbitCurveSearch(CurveSearch):
     def coefficient_tests(self) -> dict[str, Test]:
         if self.kind == FOLD and self.space.periodic is None:
             return self.bounded(CUSP, quadratic_term(self.space, self.ends[0]))
-        return self.bounded(self.kinds.degenerate, self._coefficient) if self.closes else {}
-
-    def _coefficient(self, point: Point) -> float:
-        """The coefficient of the normal form, computed once for the last few points."""
-        space = self.space
-        for known, found in space.coefficients:
-            if known is point:
-                return float(found)
-        linear = space.linearised(point)
-        angle = float(np.arccos(np.clip(space.kappa(point), -1.0, 1.0))) if self.kind == TORUS else 0.0
-        assert space.singularity is not None
-        turn = space.singularity.turn
-        value = float(
-            np.sum(terms_of(self.kind, linear, angle, *critical_functions(self.kind, linear, angle, turn), turn))
-        )
-        space.coefficients[:] = [*space.coefficients[-7:], (point, value)]
-        return value
+        return self.bounded(self.kinds.degenerate, self.space.coefficient) if self.closes else {}
 
     def branching_terms(self, point: Point) -> tuple[Array, Array]:
         return branching_terms(self.space, point, self._null_vectors)

@@ -294,8 +294,14 @@ def curve_space(point: SpecialPoint, parameter: str, to: float, **options: Any) 
         at=tuple(map(float, options["at"])), settings=settings,
         first=replace(solution.point, problem=problem, z=z, special="", walked=True),
     )  # fmt: skip
-    pushed = abs(space.start.tangent[problem.added_index]) > UNFOLDING_PUSH * problem.push_size(z)
-    if point.kind == BRANCH_POINT and pushed:
-        why = "no symmetry, and no state that stays zero, keeps both branches together"
-        raise UnfoldingError(f"{old.model.name}: the branch point is none at other values of {parameter}: {why}")
+    check_kept(space, "no symmetry, and no state that stays zero,")
     return space
+
+
+def check_kept(space: Any, why: str) -> None:
+    """Raise UnfoldingError where branch points are none at other values of the second parameter."""
+    start, problem = space.start, space.start.problem
+    pushed = abs(float(start.tangent[problem.added_index]))
+    if space.kind == BRANCH_POINT and pushed > UNFOLDING_PUSH * problem.push_size(start.z):
+        where = f"{space.model.name}: the branch point is none at other values of {space.parameter}"
+        raise UnfoldingError(f"{where}: {why} keeps both branches together")

@@ -15,22 +15,20 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.codimension_two import ORBIT_CURVES, OrbitCurveSearch, special_on_curve
 from casadi_skin.follow.follow import Following, run_following
 from casadi_skin.follow.location import ORBIT_KINDS, Located, locate, special_solutions
-from casadi_skin.follow.normal_forms import on_circle
+from casadi_skin.follow.normal_forms import critical_functions, on_circle, terms_of
 from casadi_skin.follow.shrinking import shrunk
 from casadi_skin.follow.solution import Solution, following_settings
-from casadi_skin.follow.space import FAMILY, ORBITS, BoundaryError
+from casadi_skin.follow.space import FAMILY, ORBITS, BoundaryError, of_last_points
 from casadi_skin.follow.special_points import SpecialPoint, check_second
 from casadi_skin.model.arguments import check_name
 from casadi_skin.points.edges import EdgeCurve, edge_curve, parameters_of
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.augmented import SingularProblem
-from casadi_skin.zero.kinds import BRANCH_POINT, EDGE, FOLD, TORUS, Unresolved
+from casadi_skin.zero.kinds import EDGE, FOLD, TORUS, Unresolved
 from casadi_skin.zero.linearised import Linearised
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import ContinuationSettings, End, Point
 from casadi_skin.zero.stated_problem import PERIOD, Closure
-
-UNFOLDING_PUSH = 1e-7  # of a step: a push that grows along a curve of branch points
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,23 +109,19 @@ class OrbitCurveSpace(BoundarySpace):
         assert self.singularity is not None
         return np.asarray((states - states.mean(axis=0)) / self.singularity.sizes)
 
+    @of_last_points
     def floquet(self, point: Point) -> Floquet:
-        """Multipliers, computed once for the last few points."""
-        for known, found in self._known:
-            if known is point:
-                return found
-        found = self.floquets([point])[0]
-        self._known[:] = [*self._known[-7:], (point, found)]
-        return found
+        """Multipliers."""
+        return self.floquets([point])[0]
 
-    @cached_property
-    def coefficients(self) -> list[tuple[Point, float]]:
-        """Coefficients of the normal form at the last few points."""
-        return []
-
-    @cached_property
-    def _known(self) -> list[tuple[Point, Floquet]]:
-        return []
+    @of_last_points
+    def coefficient(self, point: Point) -> float:
+        """The coefficient of the normal form."""
+        assert self.singularity is not None
+        angle = float(np.arccos(np.clip(self.kappa(point), -1.0, 1.0))) if self.kind == TORUS else 0.0
+        linear, turn = self.linearised(point), self.singularity.turn
+        functions = critical_functions(self.kind, linear, angle, turn)
+        return float(np.sum(terms_of(self.kind, linear, angle, *functions, turn)))
 
 
 def curve(
@@ -164,65 +158,36 @@ def curve(
         ValueError: an argument is out of range, or the point is of another kind.
         EquilibriumError, BoundaryError: the curve cannot be started.
     """
-    if point.kind == EDGE:
-        return _curve_of_edges(point, parameter, to, at, max_points, max_step, back_to, until, progress)
-    space = curve_space(point, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to)
-    return run_following(Following(space, until=until), progress)
-
-
-def _curve_of_edges(
-    point: SpecialPoint, parameter: str, to: float, at: Sequence[float], max_points: int, max_step: float,
-    back_to: float | None, until: Callable[[Any], bool] | None, progress: Callable[[Any], None] | None,
-) -> EdgeCurve:  # fmt: skip
-    """The edge of a tongue of a family in a parameter of the model; raises ValueError as `curve` does."""
+    options: dict[str, Any] = {"at": at, "max_points": max_points, "max_step": max_step, "back_to": back_to}
+    if point.kind != EDGE:
+        return run_following(Following(curve_space(point, parameter, to, **options), until=until), progress)
     orbit = point.solution
     check_name("parameter", parameter, parameters_of(orbit.space))
-    settings = following_settings(
-        orbit, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
-    )
-    S = point.parameters[point.parameter]
+    settings, S = following_settings(orbit, parameter, to, **options), point.parameters[point.parameter]
     return edge_curve(orbit, S, parameter, float(to), at, settings, until, progress, back_to)
 
 
-def curve_space(
-    point: SpecialPoint, parameter: str, to: float, *, at: Sequence[float], max_points: int, max_step: float,
-    back_to: float | None = None,
-) -> Any:  # fmt: skip
-    """The space of the curve of a special point in a second parameter; raises ValueError as `curve` does."""
-    options: dict[str, Any] = {"at": at, "max_points": max_points, "max_step": max_step, "back_to": back_to}
+def curve_space(point: SpecialPoint, parameter: str, to: float, **options: Any) -> Any:
+    """The space of the curve of a special point in a second parameter; options are those of `curve`, checked here."""
     solution = point.solution
-    stated = solution.space.has_ledger
-    if not (stated and point.kind in ORBIT_KINDS):
+    if not (solution.space.has_ledger and point.kind in ORBIT_KINDS):
         if solution.space.connects in (FAMILY, ORBITS):
             raise ValueError(f"curve: given a {point.kind} of orbits; accepted: {', '.join(ORBIT_KINDS)} of a branch")
         return of_equilibria.curve_space(point, parameter, to, **options)
     check_second(point, parameter)
     settings = following_settings(solution, parameter, to, **options)
-    angle = np.pi
-    if point.kind == TORUS:
-        angle = abs(float(np.angle(on_circle(solution))))
+    angle = abs(float(np.angle(on_circle(solution)))) if point.kind == TORUS else np.pi
     orbits = solution.space
     located = locate(orbits, point.kind, solution.point, angle)
     if located is None:
         why = "its extended equations are not solved"
         raise BoundaryError(f"{orbits.model.name}: the {point.kind} cannot be followed: {why}")
     unit = abs(orbits.to - orbits.statement.values[point.parameter])
-    space = _space(orbits, located, unit, solution.parameters, parameter, to, at, settings)
+    space = _space(orbits, located, unit, solution.parameters, parameter, to, options["at"], settings)
     if orbits.closure is not None:
         space = replace(space, repeats=orbits.closure.goes_on(solution.problem, solution.point.z))
-    if point.kind == BRANCH_POINT:
-        _check_kept(space)
+    of_equilibria.check_kept(space, "no symmetry, and nothing else,")
     return space
-
-
-def _check_kept(space: OrbitCurveSpace) -> None:
-    """Raise UnfoldingError where branch points of orbits are none at other values of the second parameter."""
-    start = space.start
-    if abs(float(start.tangent[cast(SingularProblem, start.problem).added_index])) > UNFOLDING_PUSH:
-        why = "no symmetry, and nothing else, keeps both branches together"
-        raise of_equilibria.UnfoldingError(
-            f"{space.model.name}: the branch point is none at other values of {space.parameter}: {why}"
-        )
 
 
 def _space(

@@ -135,7 +135,7 @@ def further_spaces(
         at_rest = point.kind == HOPF and point.solution.is_orbit  # cycles have shrunk: their own branch has the curve
         if table.curve is not None and (point.kind in FOLLOWED_KINDS or crossing) and not at_rest and not passed:
             try:
-                space = curve_space(point, table.curve.parameter, table.curve.to, at=(), **options)  # type: ignore[arg-type]
+                space = curve_space(point, table.curve.parameter, table.curve.to, at=(), **options)
                 yield f"{CURVE}{place}", space
             except UnfoldingError:  # it is one at these values alone
                 continue
