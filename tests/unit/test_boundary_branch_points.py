@@ -79,28 +79,6 @@ def test_a_fold_and_a_branch_point_within_one_step_are_both_found(max_step: floa
     np.testing.assert_allclose([point.parameters["p"] for point in points], [0.0, 4e-4], atol=1e-9)
 
 
-@pytest.mark.slow
-def test_all_branch_points_are_found_in_order_where_several_lie_in_one_step(zero: Branch) -> None:
-    """The branch of zeros has one at every whole number, whatever the steps, which grow with the way to go."""
-    points = zero.solutions[0].follow("p", 12.3).special_points
-    assert [point.kind for point in points] == ["branch point"] * 12
-    for exact, point in enumerate(points, start=1):
-        assert abs(point.parameters["p"] - exact) <= point.error < 1e-6
-
-
-@pytest.mark.slow
-def test_two_branches_that_cross_in_one_place_are_found() -> None:
-    """Sine and cosine both solve the periodic linear problem at p = 1 and 2: the determinant changes no sign."""
-    u, v, p = symbols("u v p")
-    model = OdeModel("circle", ca.vertcat(u, v), ca.vertcat(v, -((p * np.pi) ** 2) * u + u**3), p)
-    conditions = [model.start(u) - model.end(u), model.start(v) - model.end(v)]
-    problem = BoundaryValueProblem(model, conditions, interval=(0, 2), parameters={"p": 0.5})
-    points = problem.solve([0.0, 0.0]).follow("p", 2.7).special_points
-    assert [point.kind for point in points] == ["branch point"] * 2
-    for exact, point in enumerate(points, start=1):
-        assert abs(point.parameters["p"] - exact) <= point.error < 1e-8
-
-
 def copies(fields: Sequence[Callable[[ca.SX, ca.SX], ca.SX]]) -> BoundaryValueProblem:
     """u'' = f(u, y), u = 0 at both ends, for each f; the constant y with y + y^3 = p bends the branch of zeros."""
     count = len(fields)

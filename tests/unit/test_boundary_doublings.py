@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import casadi as ca
 import numpy as np
 import pytest
-from critical_models import across_circle
 from equilibrium_models import symbols
 from scipy.integrate import solve_ivp
 
 from casadi_skin import BoundaryValueProblem, Branch, OdeModel, find_orbit
-from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import BoundaryError
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.settings import End
@@ -75,18 +71,6 @@ def test_tori_of_a_problem_that_closes_pass_the_resonances_of_their_angle(sign: 
     assert set(angles) <= ({"1:3 resonance"} if shift else set())
 
 
-def with_free_period(model: OdeModel, values: dict[str, float], guess: Callable[[float], list[float]]) -> Solution:
-    """The cycle near a guess of the period 2 pi as a problem on the unit interval, with the field times T.
-
-    Coefficients are T times those of `find_orbit`.
-    """
-    T = ca.SX.sym("T")
-    stated = OdeModel("stated", model.state, T * model.rhs, ca.vertcat(model.parameters, T))
-    ends = [stated.start(stated.state) - stated.end(stated.state), stated.start(stated.state)[1]]
-    problem = BoundaryValueProblem(stated, ends, parameters={**values, "T": 2.0 * np.pi}, free=["T"])
-    return problem.solve(lambda s: guess(2.0 * np.pi * s))
-
-
 @pytest.mark.slow
 def test_a_cycle_stated_with_its_free_period_doubles_as_an_orbit_does() -> None:
     """Roessler's cycle: places, periods, multipliers and the curve in two parameters are those of `find_orbit`."""
@@ -141,33 +125,6 @@ def test_coefficients_of_stated_problems_vanish_where_they_are_known_to(turn: fl
     assert abs(found.parameters["q"] - 0.3) <= 3.0 * found.error < 1e-9
 
 
-@pytest.mark.slow
-def test_tori_of_cycles_with_a_stated_free_period_are_followed_to_their_resonances() -> None:
-    """Bogdanov and Takens' normal form across a circle: a = -k^2, and the angle 2 pi sqrt(2 k) of the multipliers."""
-
-    def rates(xi: ca.SX, eta: ca.SX, a: ca.SX, k: ca.SX) -> tuple[ca.SX, ca.SX]:
-        turn = 1 + 0.7 * xi**2
-        return turn * eta, turn * (a + k * eta + xi**2 + xi * eta)
-
-    model, values = across_circle(rates, half=False), {"a": -0.0045, "k": 0.058}
-    guess = lambda t: [0.935 * np.cos(t), 0.935 * np.sin(t), 0.0]  # noqa: E731
-    cycle = with_free_period(model, values, guess)
-    orbit = find_orbit(model, guess, 2.0 * np.pi, parameters=values, corrector="newton")
-    (mine,), (known,) = (s.follow("a", -0.0028, stability=True).special_points for s in (cycle, orbit))
-    assert mine.kind == "torus"
-    assert abs(mine.parameters["a"] + 0.058**2) <= mine.error < 1e-13
-    unit = known.solution.period
-    assert mine.coefficient == pytest.approx(unit * known.coefficient, rel=1e-7)
-    assert mine.frequency == pytest.approx(unit * known.frequency, rel=1e-9)
-    curve = mine.curve("k", -0.1)
-    assert curve.end is End.RESONANCE_ONE
-    np.testing.assert_allclose(curve["a"], -(curve["k"] ** 2), rtol=0, atol=1e-9)
-    exact = {"1:3 resonance": 1.0 / 18.0, "1:4 resonance": 1.0 / 32.0, "1:1 resonance": 0.0}
-    assert [point.kind for point in curve.special_points] == list(exact)
-    for point, k in zip(curve.special_points, exact.values(), strict=True):
-        assert abs(point.parameters["k"] - k) <= 3.0 * point.error < 1e-9
-
-
 def blocks(first: str) -> tuple[BoundaryValueProblem, list[float]]:
     """Uncoupled blocks on an interval of length 1, the first critical at a = q/5; one with its zero for a start.
 
@@ -217,16 +174,3 @@ def test_other_multipliers_pass_the_circle_on_curves_of_problems_that_close(
     known = [*np.exp(0.4 + np.array([0.7j, -0.7j])), -np.exp(0.3), np.exp(0.2)]
     found = curve.solutions[-1].floquet().multipliers
     assert all(np.min(np.abs(found - value)) < 1e-8 for value in known)
-
-
-@pytest.mark.slow
-def test_curves_of_a_cycle_with_a_stated_period_have_the_points_of_those_of_the_orbit() -> None:
-    """On a band of Moebius det [[a, 1], [-k, -1]] = 0 along a = k, with trace zero at k = 1: two multipliers -1."""
-    model = across_circle(lambda xi, eta, a, k: (a * xi + eta - xi**3, -k * xi - eta), half=True)
-    cycle = with_free_period(model, {"a": 0.4, "k": 0.5}, lambda t: [np.cos(t), np.sin(t), 0.0])
-    (point,) = cycle.follow("a", 0.6, stability=True).special_points
-    assert point.kind == "period doubling"
-    (special,) = point.curve("k", 1.4).special_points
-    assert special.kind == "1:2 resonance"
-    assert abs(special.parameters["k"] - 1.0) <= 3.0 * special.error < 1e-9
-    np.testing.assert_allclose(special.solution.floquet().others, -1.0, rtol=0, atol=1e-5)

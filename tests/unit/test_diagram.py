@@ -70,14 +70,6 @@ def test_depth_and_limit_bound_a_diagram() -> None:
 
 
 @pytest.mark.slow
-def test_cycles_belong_to_a_diagram() -> None:
-    start = find_equilibrium(rosenzweig_macarthur(), [0.5, 0], parameters={"K": 0.5})
-    diagram = start.follow_all("K", 3.2)
-    assert diagram.names == ("", "_1", "_1b", "_1_1")
-    assert all(orbit.floquet().stable for orbit in diagram.branches[3].solutions[1:])
-
-
-@pytest.mark.slow
 def test_orbits_of_twice_the_period_belong_to_a_diagram_of_orbits() -> None:
     """Roessler's model with a = b = 0.2: the first period doubling at c = 2.8324."""
     x, y, z, c = symbols("x y z c")

@@ -129,18 +129,6 @@ def test_the_bogdanov_takens_normal_form_in_closed_form() -> None:
 
 
 @pytest.mark.slow
-def test_the_bautin_normal_form_in_closed_form() -> None:
-    """r' = r (b1 + b2 r^2 - r^4): Hopf points at b1 = 0, degenerate at b2 = 0."""
-
-    def rates(u: Any, v: Any, b1: Any, b2: Any) -> list[Any]:
-        growth = b1 + b2 * (u**2 + v**2) - (u**2 + v**2) ** 2
-        return [growth * u - 2 * v, 2 * u + growth * v]
-
-    (hopf,) = branch_of("u v", rates, [0.0, 0.0], 1.0, b1=-1.0, b2=-1.0).special_points
-    has_points(hopf.curve("b2", 1.0), [("generalized hopf", 0.0)], 1e-10)
-
-
-@pytest.mark.slow
 def test_hopf_hopf_and_zero_hopf_points_in_closed_form() -> None:
     p, q = ca.SX.sym("p"), ca.SX.sym("q")
     both = hopf_pairs([p, p - q], ca.vertcat(p, q), [1.0, 1.7])
