@@ -204,8 +204,8 @@ def matrices_of(family: Family, point: Point) -> tuple[Array, Array, Array]:
 
 # Edges followed in a parameter of the model with S free: one equation in both -------------------------------
 
-DIFFERENCE_STEP = 3e-4  # of S and of the way of the parameter: that of derivatives; not the offset of orbits
-SAME_SLOPES = 3e-7  # of these: a distance within which derivatives are the same
+DIFFERENCE_STEP = 2e-4  # of S and of the way of the parameter: that of derivatives; not the offset of orbits
+SAME_SLOPES = 1e-7  # of these: a distance within which derivatives are the same
 BEND_STEP = 1e-3  # of S: that of a second derivative
 LAST_NEWTON_STEP = 1e-8  # of these: a step of Newton's method after which an edge is one
 FIRST_STEP, SHORTEST_STEP = 0.05, 1e-5  # of these, along the curve
@@ -387,7 +387,7 @@ class EdgeProblem(Problem):
         if found.special:
             step = BEND_STEP * np.eye(3)[0]
             bend = abs(self.values(z + step)[1] + self.values(z - step)[1] - 2.0 * value) / BEND_STEP**2
-            S_error = FOLD_TOLERANCE + SAME_SLOPES + DIFFERENCE_STEP**2 + off / (DIFFERENCE_STEP * bend)
+            S_error = FOLD_TOLERANCE + 2.0 * SAME_SLOPES + 10.0 * DIFFERENCE_STEP**2 + off / (DIFFERENCE_STEP * bend)
             parameter_error = abs((self._course.to - self._course.start) / by_u) * (off + 0.5 * bend * S_error**2)
         else:
             S_error = off / abs(by_S)
