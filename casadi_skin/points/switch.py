@@ -94,42 +94,32 @@ def switch(
 
 
 def leaving_space(
-    point: SpecialPoint, parameter: str, to: float, *, side: int, at: Sequence[float], max_points: int,
-    max_step: float, tolerance: float, back_to: float | None = None,
-) -> Any:  # fmt: skip
-    """The space of the branch that leaves at a special point; raises ValueError as `switch` does."""
+    point: SpecialPoint, parameter: str, to: float, *, side: int, tolerance: float, **options: Any
+) -> Any:
+    """The space of the branch that leaves at a special point; options are those of `switch`, checked here."""
     solution = point.solution
     if side not in (1, -1):
         raise ValueError(f"side: given {side!r}; accepted: 1 or -1")
-    if point.mu is not None and solution.is_orbit:
-        start = start_of(solution)
-        chosen = following_settings(
-            start, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
-        )
-        both = replace(chosen, parameter_min=chosen.parameter_min or -1.0, closing=False)
-        return breaking_space(solution, point.mu, parameter, float(to), tuple(map(float, at)), both, side, start)
     if point.kind == HOPF and solution.is_orbit:
-        return following_space(
-            _at_rest(solution), parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
-        )
+        return following_space(_at_rest(solution), parameter, to, **options)
+    of_family = point.mu is not None and solution.is_orbit
     of_equilibria = point.kind == HOPF and solution.is_equilibrium
     of_orbits = point.kind == DOUBLING and not solution.is_equilibrium
-    if not (of_equilibria or of_orbits or point.kind == BRANCH_POINT):
+    if not (of_family or of_equilibria or of_orbits or point.kind == BRANCH_POINT):
         accepted = "a Hopf point of equilibria, a period doubling, or a branch point"
         raise ValueError(f"follow: given a {point.kind} of {_kind_of(solution)}; accepted: {accepted}")
-    settings = following_settings(
-        solution, parameter, to, at=at, max_points=max_points, max_step=max_step, back_to=back_to
-    )
-    values = tuple(float(value) for value in at)
+    start = start_of(solution) if of_family else solution
+    settings = following_settings(start, parameter, to, **options)
     both = replace(settings, parameter_min=settings.parameter_min or -1.0, closing=False)
+    to, at = float(to), tuple(float(value) for value in options["at"])
+    if of_family:
+        return breaking_space(solution, point.mu, parameter, to, at, both, side, start)  # type: ignore[arg-type]
     if not solution.is_equilibrium:
-        turns = 2 if point.kind == DOUBLING else 1
-        return leaving_solutions(solution, turns, parameter, float(to), values, both, side)
-    if point.kind == HOPF and solution.is_equilibrium:
-        space = solution.space
-        statics = Statics(space.model, solution.parameters)
-        return born_at(statics, _seen(solution), parameter, float(to), values, both, tolerance)
-    return other_branch(point, parameter, float(to), values, settings, side)
+        return leaving_solutions(solution, 2 if of_orbits else 1, parameter, to, at, both, side)
+    if of_equilibria:
+        statics = Statics(solution.space.model, solution.parameters)
+        return born_at(statics, _seen(solution), parameter, to, at, both, tolerance)
+    return other_branch(point, parameter, to, at, settings, side)
 
 
 def _seen(equilibrium: Equilibrium) -> Array:
@@ -198,16 +188,9 @@ def _towards(
     assert old is not None
     n, span = statics.size, to - solution.parameters[space.parameter]
     leaving = EquilibriumSpace(
-        statics,
-        space.tolerance,
-        space.corrector,
-        sizes,
-        parameter=space.parameter,
-        to=to,
-        settings=settings,
-        at=at,
-        leaves=True,
-    )
+        statics, space.tolerance, space.corrector, sizes,
+        parameter=space.parameter, to=to, settings=settings, at=at, leaves=True,
+    )  # fmt: skip
     tangent = np.append(direction[:n] * space.sizes / sizes, direction[-1] * (old.to - old.start) / span)
     z = np.append(_seen(solution) / sizes, 0.0)
     weights = leaving.point_solver.metric(leaving.problem, z)
