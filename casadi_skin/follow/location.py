@@ -109,6 +109,8 @@ def _solved(solver: PointSolver, problem: Augmented, z: Array, unit: float) -> L
     solve, index = solver.factor(problem, z, problem.parameter_row()), problem.first_index
     step, rounding = solve(np.append(problem.evaluate(z)[0], 0.0)), problem.rounding(z)
     z = z - step
+    if better.problem is problem:  # of one level, whose error steps make up for
+        z = z - solve(np.append(problem.evaluate(z)[0], 0.0))
     signs = np.random.default_rng(0).choice([-1.0, 1.0], (ROUNDING_PROBES, rounding.size))
     noise = np.array([solve(np.append(one * rounding, 0.0)) for one in signs])
     value, spread = float(z[index]), np.sqrt(np.mean(noise**2, axis=0))
@@ -118,7 +120,7 @@ def _solved(solver: PointSolver, problem: Augmented, z: Array, unit: float) -> L
         return None
     if singularity.kind == HOPF and not z[problem.added_index] > 0.0:
         return None  # a neutral saddle
-    if better.problem is problem:  # of one level: the step has made up for its error
+    if better.problem is problem:
         profile = problem.profile_change(z, step) + problem.profile_change(z, ROUNDING_DEVIATIONS * spread)
         found = replace(found, error=ErrorEstimate(0.0, profile))
     return Located(singularity, replace(found, z=z), value, error)
