@@ -39,7 +39,7 @@ from casadi_skin.zero.family import TWO_PI, Method, numbered
 from casadi_skin.zero.kinds import BOUND, BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, Unresolved
 from casadi_skin.zero.orbit import FIRST_INTERVALS, Periodic, Sizes
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
-from casadi_skin.zero.rest import Statics, sizes_of
+from casadi_skin.zero.rest import ROUNDED_COMPONENT_RATIO, Statics, sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point, Refinement
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, Closure, closure_of, stated
 from casadi_skin.zero.statement import Statement
@@ -145,7 +145,8 @@ def hopf_end(space: BoundarySpace, before: Point, after: Point) -> Point | None:
     near = np.max(away[:-1]) <= reach and away[-1] <= max(0.1, reach)
     if not near or abs(born - period) > SHRUNK_ORBIT_REACH * period:
         return None
-    z = at_rest(orbit.problem, equilibria.problem.state(found.resting), born, found.value)
+    seen = np.where(np.abs(found.resting) > ROUNDED_COMPONENT_RATIO, found.resting, 0.0)
+    z = at_rest(orbit.problem, equilibria.problem.state(seen), born, found.value)
     error = ErrorEstimate(profile, profile, parameter=found.error / orbit.problem.parameter_size(z))
     return replace(orbit, z=z, error=error, requested=False, walked=False, better=None, special=HOPF)
 

@@ -18,7 +18,6 @@ from casadi_skin.zero.augmented import Augmented, Singularity, SingularProblem, 
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, TORUS
 from casadi_skin.zero.orbit import Sizes
 from casadi_skin.zero.problem import EPSILON, Array, Scalar
-from casadi_skin.zero.rest import ROUNDED_COMPONENT_RATIO
 from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
 from casadi_skin.zero.stated_problem import stated
 from casadi_skin.zero.statement import Statement
@@ -49,9 +48,8 @@ class Located:
 
     @property
     def resting(self) -> Array:
-        """The state of an equilibrium over its sizes, zero where rounding hides it, and the fraction of the course."""
-        y = self.point.z[: self.point.problem.states]
-        return np.append(np.where(np.abs(y) > ROUNDED_COMPONENT_RATIO, y, 0.0), self.value)
+        """The state of an equilibrium over its sizes, and the fraction of the course."""
+        return np.asarray(self.point.z[: self.point.problem.first_index + 1])
 
     @property
     def frequency(self) -> float:
