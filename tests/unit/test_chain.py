@@ -227,6 +227,22 @@ def test_diagonalisation_in_the_gauge_gives_frequencies_and_eigenvectors_of_the_
         np.testing.assert_allclose(column / chain.rho, scale * closed_form / chain.rho, atol=1e-12)
 
 
+@pytest.mark.parametrize("gamma", [1 - 1e-15, -(1 - 1e-9), 0.5, 1e-8])
+def test_gauge_coupling_keeps_its_digits_near_one_way_coupling(gamma: float) -> None:
+    with mp.workdps(DIGITS):
+        assert off(closed_forms.gauge_coupling(gamma), mp.sqrt(1 - mp.mpf(gamma) ** 2)) < 2 * EPS
+
+
+@pytest.mark.parametrize("gamma", [0.25, -0.25, 1e-10, 0.9999999, -(1 - 1e-12)])
+def test_log_envelope_is_half_the_logarithm_of_r_times_the_distance_to_the_favoured_edge(gamma: float) -> None:
+    found, favoured = closed_forms.log_envelope(40, gamma), 40 if gamma > 0 else 1
+    with mp.workdps(DIGITS):
+        log_r = mp.log((1 + mp.mpf(gamma)) / (1 - mp.mpf(gamma)))
+        for n in range(1, 41):
+            exact = log_r * (n - favoured) / 2
+            assert abs(mp.mpf(float(found[n - 1])) - exact) <= 3 * EPS * abs(exact)
+
+
 @pytest.mark.parametrize("mode", [1, 5, 10])
 @pytest.mark.parametrize("gamma", [0.25, -0.7, 0.999, 0.0])
 def test_eigenvectors_have_the_papers_profiles_at_fifty_digits(gamma: float, mode: int) -> None:
@@ -296,6 +312,26 @@ def test_the_slope_of_the_frequency_is_that_of_the_papers_sums(
     assert off(closed_forms.frequency_slope(sites, alpha, gamma, -0.7, mode), exact) < (1e-12 if sites > 60 else 4e-14)
     relative = abs(exact) / mp.sqrt(exact_square(sites, alpha, gamma, mode))
     assert off(closed_forms.sensitivity(sites, alpha, gamma, -0.7, mode), relative) < 1e-12
+
+
+@pytest.mark.parametrize("mode", [1, 3, 6])
+@pytest.mark.parametrize("gamma", [0.25, -0.5])
+def test_the_slope_agrees_with_the_appendix_in_numerical_eigenvectors(gamma: float, mode: int) -> None:
+    """3 g/(8 omega) sum(v u^3)/(sum(u^2) sum(v u)), u and v diagonalise D and its transpose."""
+    matrix = paper_matrix(6, 1.0, gamma)
+    values, right = np.linalg.eig(matrix)
+    transposed_values, left = np.linalg.eig(matrix.T)
+    u, v = right[:, np.argsort(values)[mode - 1]], left[:, np.argsort(transposed_values)[mode - 1]]
+    omega = np.sqrt(np.sort(values)[mode - 1])
+    expected = 3 * 2.0 / (8 * omega) * (v @ u**3) / ((u @ u) * (v @ u))
+    assert closed_forms.frequency_slope(6, 1.0, gamma, 2.0, mode) == pytest.approx(expected, rel=1e-13)
+
+
+@pytest.mark.parametrize("mode", [1, 2, 3])
+def test_one_way_coupling_gives_the_limit_of_the_papers_sums(mode: int) -> None:
+    """As gamma -> 1 the edge site alone is left in both sums: the ratio is sin^2(N j pi/(N+1))."""
+    found = closed_forms.frequency_slope(3, 1.0, 1.0, 1.0, mode)
+    assert found == pytest.approx(3 / (4 * 4 * np.sqrt(3.0)) * np.sin(3 * mode * np.pi / 4) ** 2, rel=1e-14)
 
 
 def shoot(matrix: Array, g: float, mode: int, S: float) -> tuple[float, Array]:
