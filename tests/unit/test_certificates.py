@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from fractions import Fraction
 
 import casadi as ca
 import mpmath as mp
@@ -16,7 +17,7 @@ flint = pytest.importorskip("flint")
 
 from casadi_skin.certify import balls
 from casadi_skin.certify.bounds import Constants, FiniteInverse, holds, proved_radius, uniqueness_radius
-from casadi_skin.certify.certify import attempt_of, cosine_coefficients, distance, step_of
+from casadi_skin.certify.certify import attempt_of, computed_series, cosine_coefficients, distance, step_of
 from casadi_skin.certify.system import CosineSeries, system_of
 
 
@@ -85,6 +86,18 @@ def test_newton_with_forty_digits_is_inside_the_enclosures():
             assert inside(mp.fsum(x[n * H : (n + 1) * H]), certificate.profile[:, n])
         middle, radius = (mp.mpf(s) for s in certificate.Omega_digits.strip("[]").split("+/-"))
         assert abs(middle - mp.sqrt(x[2 * H])) <= radius + mp.mpf(10) ** -24
+
+
+def test_mirrored_chains_have_the_same_enclosures():
+    one, other = (orbit_of(Chain(5, 0.8, gamma, 1.0), 1.5, mode=5).certify() for gamma in (0.4, -0.4))
+    assert one.proved
+    assert other.proved
+    for name in ("Omega", "period", "energy"):
+        (a, b), (c, d) = getattr(one, name), getattr(other, name)
+        assert max(a, c) <= min(b, d)
+    signs = np.sign(one.profile[0] @ other.profile[0, ::-1])
+    mirrored = np.sort(signs * other.profile[:, ::-1], axis=0)
+    assert np.all(np.maximum(one.profile[0], mirrored[0]) <= np.minimum(one.profile[1], mirrored[1]))
 
 
 def quintic(with_normalisation=False):
@@ -213,6 +226,18 @@ def test_harmonics_that_are_left_out_count_in_the_radius():
     assert certificate.radius >= away > 2.0 * orbit.certify(harmonics=4, weight=1.1).radius
 
 
+def test_the_frequency_that_a_radius_is_measured_from_is_the_double_itself():
+    orbit = orbit_of(Chain(2, 1.0, 0.25, -1.0), 1.5)
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
+        series = computed_series(orbit, system_of(orbit.space.coordinates, orbit.S), 4)
+        square = Fraction(orbit.Omega) ** 2
+        assert series.square.overlaps(flint.arb(flint.fmpq(square.numerator, square.denominator)))
+        for row, column, d in zip(
+            series.coefficients, orbit.coefficients(series.harmonics).T, series.system.scale, strict=True
+        ):
+            assert all((a * d).contains(flint.arb(c)) for a, c in zip(row, column.tolist(), strict=True))
+
+
 @pytest.mark.parametrize("size", [1e-6, 1e-3])
 def test_disturbed_orbit_is_not_certified_to_less_than_the_disturbance(size):
     orbit = orbit_of(Chain(6, 1.0, 0.25, -1.0), 1.0)
@@ -301,6 +326,48 @@ def largest_change(bounds, directions, reach=1e-3):
     return max(norm(A @ (explicit(bounds, 40, shift)[1] - DF), weights) / reach for shift in shifts)
 
 
+@pytest.mark.parametrize(("model", "S"), [(Chain(3, 1.0, 0.25, -1.0), 2.0), (soft(3), 0.3)])
+def test_derivatives_of_forces_have_the_norms_of_their_columns(model, S):
+    """With weights near 1 a column far from both ends has the whole norm of the series that makes it."""
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
+        bounds = unrefined(orbit_of(model, S), 6, 1.0001)
+        bound = max(float(bounds.derivative_norm(n)) for n in range(3))
+    _, DF, weights = explicit(bounds, 40)
+    numbers = bounds.series.system.step * np.arange(1.0, 41.0) - 1.0
+    forces = DF[1:, 1:] - np.diag(float(bounds.series.square) * np.tile(numbers**2, 3))
+    found = np.max((weights[1:] @ np.abs(forces) / weights[1:])[[20, 60, 100]])
+    assert 0.99 * bound < found <= bound
+
+
+def test_finite_rows_of_z_are_those_of_the_operator():
+    """A third harmonic near the other mode makes columns beyond the finite part reach far into it."""
+    orbit = orbit_of(Chain(2, -0.7, 0.0, -0.3), 0.4)
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
+        bounds = unrefined(orbit, 2, 2.0)
+        finite, beyond = bounds.finite_columns(), float(bounds.beyond)
+        through_amplitude = (bounds.Z() - finite) * (1.0 - 1.0 / beyond)
+    A, DF, weights = explicit(bounds, 60)
+    rows = np.array([0, 1, 2, 61, 62])
+    off = weights[rows] @ np.abs((np.eye(len(DF)) - A @ DF)[rows]) / weights
+    assert 0.9 * finite < np.max(off) <= finite + through_amplitude
+
+
+@pytest.mark.parametrize(
+    ("chain", "S", "sharp"),
+    [
+        (Chain(1, -1.9, 0.0, 0.01), 1.0, 0.9),  # a soft oscillator: what Omega^2 does
+        (Chain(1, 0.1, 0.0, 40.0), 1.0, 0.3),  # a hard one: what the forces do
+        (Chain(3, 1.0, 0.25, -1.0), 2.0, 0.1),
+    ],
+)
+def test_w_bounds_differences_of_the_operator(chain, S, sharp):
+    orbit, reach = orbit_of(chain, S), 1e-3
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
+        bounds = unrefined(orbit, 5, 1.05)
+        W = bounds.W(reach)
+    assert sharp * W < largest_change(bounds, 5) <= W
+
+
 def test_w_is_its_formula():
     """For one cubic oscillator each part of W by hand, from the explicit inverse."""
     S, g = 1.7, 3.0
@@ -315,6 +382,23 @@ def test_w_is_its_formula():
     forces = np.max(columns[1:]) * 6.0 * g * unit**2 * (size + reach)
     by_hand = np.max(columns[1:] * odd**2) + columns[0] * 2.0 * unit**2 / 1.05**2 + forces
     assert by_hand * (1.0 - 1e-9) <= W <= 1.02 * by_hand
+
+
+def test_rounding_of_matrix_products_is_enclosed():
+    """Each column of I - A_f J in balls, where it is nothing but rounding, against its bound by doubles."""
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
+        bounds = unrefined(orbit_of(Chain(6, 1.0, 0.25, -1.0), 2.0), 12)
+        H, size = 12, bounds.inner
+        for n in range(6):
+            rows, block = bounds._column(n, H)
+            identity = np.zeros((size, H))
+            identity[1 + n * H + np.arange(H), np.arange(H)] = 1.0
+            found = bounds._image(rows, block, identity)
+            exact = flint.arb_mat(bounds.matrix[:, rows].tolist()) * flint.arb_mat(block.middle.tolist())
+            for j in range(H):
+                column = [abs(flint.arb(identity[i, j]) - exact[i, j]) for i in range(size)]
+                norm_ = sum(w * v for w, v in zip(bounds.rows_above.tolist(), column, strict=True))
+                assert norm_ < found[j] < 1e-8
 
 
 @pytest.mark.parametrize(

@@ -139,6 +139,17 @@ def test_chain_with_numbers_in_its_formulas_is_the_chain_of_decimals(name):
     assert max(one.energy[0], lean * other.energy[0]) <= min(one.energy[1], lean * other.energy[1]) * (1 + 1e-15)
 
 
+def test_long_chain_with_numbers_in_its_formulas_is_the_chain_of_decimals():
+    """The tail takes the exact gains and stiffness too: 1 - c and 0.7*2 for gamma = 0.4, 3*0.3 for alpha."""
+    site, bond = Site("a", "3*0.3*y - 1.3*y^3/1.3"), Bond("a", "a", 1, "d", ("1 - c", "0.7*2"))
+    lattice, chain = Lattice(900, [site], [bond], parameters={"c": 0.4}), Chain(900, 0.9, 0.4, -1.0)
+    one, other = (certificate_of(model, 1.5, True, 25) for model in (lattice, chain))
+    assert one.proved
+    with mp.workdps(DIGITS):
+        (a, r), (b, s) = ([mp.mpf(x) for x in c.Omega_digits.strip("[]").split("+/-")] for c in (one, other))
+        assert abs(a - b) <= r + s < 1e-20
+
+
 @pytest.mark.parametrize(
     ("onsite", "words"),
     [("sqrt(2)*y + y^3", "sqrt is in the expression"), ("pi*y + y^3", "pi is in the expression, which is no fraction")],

@@ -20,6 +20,7 @@ from casadi_skin import Chain, OdeModel, Orbit, export_c, find_orbit, follow_fam
 from casadi_skin.export.codegen import CodegenError, CompilerError, build_c, c_name, c_source
 from casadi_skin.export.exported_model import EXPORTED_PARTS
 from casadi_skin.runs.scene import C_PARTS
+from casadi_skin.stability.flows import srkn_coefficients
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not there (CI has it)")
 SOFT = Chain(24, 1.0, 0.25, -1.0)
@@ -113,6 +114,35 @@ def test_flow_of_the_chain_is_symplectic_and_that_of_the_physical_equations(libr
     np.testing.assert_allclose(Phi.T @ J @ Phi, J, atol=1e-12)
 
 
+def test_the_splitting_in_c_has_the_coefficients_of_python_and_its_order(library: Library) -> None:
+    for name, values in zip(("flow_drifts", "flow_kicks"), srkn_coefficients(), strict=True):
+        np.testing.assert_array_equal(library.doubles(name), values)
+    ends = []
+    for steps in (6, 12, 96):
+        x = np.concatenate([np.sin(np.arange(24.0)), np.zeros(24)])
+        library.call("flow", 0.0, 2.0, steps, x, None, np.array([-1.0]), library.work("FLOW_WORK"))
+        ends.append(x)
+    assert 5.5 < np.log2(np.abs(ends[0] - ends[2]).max() / np.abs(ends[1] - ends[2]).max()) < 7.5
+
+
+def test_multipliers_against_lapack(library: Library) -> None:
+    """Of random matrices: B^T C has real and complex eigenvalues, and lambda follows from the quadratic equation."""
+    for seed in range(5):
+        Phi = np.random.default_rng(seed).normal(size=(48, 48))
+        real, imaginary, largest, trivial = np.zeros(24), np.zeros(24), np.zeros(1), np.zeros(1)
+        work = library.work("MULTIPLIERS_WORK")
+        assert library.call("multipliers", Phi, 1e-10, real, imaginary, largest, trivial, work) == 0
+        matrix = Phi.T
+        mu = np.linalg.eigvals(matrix[:24, 24:].T @ matrix[24:, :24])
+        found = real + 1j * imaginary
+        assert np.abs(found[:, None] - mu).min(axis=0).max() < 1e-11 * np.abs(mu).max()
+        assert np.abs(found[:, None] - mu).min(axis=1).max() < 1e-11 * np.abs(mu).max()
+        rest = np.delete(mu, np.argmin(np.abs(mu + 1)))
+        lambdas = np.abs(np.concatenate([np.roots([1, -2 - 4 * m, 1]) for m in rest])) ** 2
+        np.testing.assert_allclose(largest[0], lambdas.max(), rtol=1e-10)
+        np.testing.assert_allclose(trivial[0], np.abs(mu + 1).min(), rtol=1e-9)
+
+
 def test_general_models_of_first_order(tmp_path: Path) -> None:
     model = forced_oscillator()
     assert printed(compiled(export_c(model, tmp_path / "c")))
@@ -186,6 +216,15 @@ def test_the_orbit_as_data(library: Library, orbit: Orbit) -> None:
         np.testing.assert_allclose(v, (after - before) / 2e-5, rtol=0, atol=1e-8)
     multipliers = library.doubles("orbit_multipliers_real") + 1j * library.doubles("orbit_multipliers_imaginary")
     np.testing.assert_array_equal(multipliers, orbit.floquet().multipliers)
+
+
+def test_an_orbit_without_multipliers(orbit: Orbit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of chains that are too long for them: the rest is written all the same."""
+    too_long = ValueError("sites: given 6000; accepted: up to 5000")
+    monkeypatch.setattr(Orbit, "floquet", Mock(side_effect=too_long))
+    directory = export_c(orbit, tmp_path / "c")
+    assert "multipliers are not here: sites: given 6000; accepted: up to 5000" in (directory / "chain.h").read_text()
+    assert "largest_multiplier 1" not in (directory / "README.md").read_text()
 
 
 def test_residual_and_newton(library: Library, orbit: Orbit) -> None:
@@ -299,6 +338,16 @@ def test_an_orbit_of_any_model(tmp_path: Path) -> None:
         export_c(cycle, tmp_path / "n", ["newton"])
 
 
+def test_an_orbit_of_a_family_of_any_model(tmp_path: Path) -> None:
+    """Positions alone are the orbit's data; the program takes the velocities from their series."""
+    q, v, k = ca.SX.sym("q", 2), ca.SX.sym("v", 2), ca.SX.sym("k")
+    force = ca.vertcat(-(1 + k) * q[0] + k * q[1] - q[0] ** 3, -(1 + k) * q[1] + k * q[0])
+    signs: dict[str, Any] = {"reversal": (1, 1, -1, -1), "half_period": (-1,) * 4}
+    model = OdeModel("pair", q, force, k, order=2, velocity=v, nominal=(0.3,), **signs)
+    orbit = follow_family(model, 1, 0.5, at=(0.5,), tolerance=1e-10).at(S=0.5)
+    agree(export_c(orbit, tmp_path / "c"), orbit, "pair", "-O0")
+
+
 def test_an_orbit_of_a_forced_model(tmp_path: Path) -> None:
     orbit = find_orbit(forced_oscillator(), lambda t: [np.cos(1.3 * t), -np.sin(1.3 * t)], tolerance=1e-10)
     assert orbit.period == pytest.approx(2 * np.pi / 1.3, rel=1e-14)
@@ -314,6 +363,14 @@ def test_no_compiler_warns_and_sanitizers_find_nothing(compiler: str, exported: 
     shutil.copytree(exported, tmp_path, dirs_exist_ok=True)
     found = printed(compiled(tmp_path, compiler, *sanitizers(compiler)))
     assert abs(found["largest_multiplier"] - 1.171275734790) < 1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not there")
+def test_valgrind_finds_nothing(exported: Path, tmp_path: Path) -> None:
+    shutil.copytree(exported, tmp_path, dirs_exist_ok=True)
+    program = compiled(tmp_path, "gcc", "-O1", "-g")
+    assert printed(program, "valgrind", "-q", "--error-exitcode=9", "--leak-check=full")["iterations"] <= 5
 
 
 @pytest.mark.slow
@@ -408,6 +465,25 @@ def test_directories_that_are_refused(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["empty", "held", "nowhere"]
 
 
+def test_an_empty_directory_is_filled_where_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The one in which the program runs, and one behind a link; an interruption leaves nothing in it."""
+    for name in ("here", "behind"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "behind")
+    monkeypatch.chdir(tmp_path / "here")
+    with monkeypatch.context() as patch:
+        patch.setattr("pathlib.Path.write_text", Mock(side_effect=KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            export_c(SOFT, ".", ["rhs"])
+    assert list(Path.cwd().iterdir()) == []
+    export_c(SOFT, ".", ["rhs"])
+    export_c(SOFT, tmp_path / "link", ["rhs"])
+    names = {"CMakeLists.txt", "README.md", "chain.c", "chain.h", "license.txt", "main.c"}
+    assert {path.name for path in Path.cwd().iterdir()} == names
+    assert {path.name for path in (tmp_path / "behind").iterdir()} == names
+    assert (tmp_path / "link").is_symlink()
+
+
 def test_what_is_no_c_is_refused_by_name(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     x, X = ca.SX.sym("x"), ca.MX.sym("x")
     cvodes = ca.integrator("motion", "cvodes", {"x": x, "ode": -x}, 0.0, 1.0)
@@ -444,6 +520,15 @@ def test_building_needs_a_compiler_and_an_export(tmp_path: Path) -> None:
         build_c(tmp_path / "c")
 
 
+def test_a_compiler_that_does_not_end_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "main.c").write_text("int main(void) { return 0; }")
+    (tmp_path / "cc").write_text("#!/bin/sh\nexec sleep 60\n")
+    (tmp_path / "cc").chmod(0o755)
+    monkeypatch.setattr("casadi_skin.export.codegen.SECONDS", 0.1)
+    with pytest.raises(CompilerError, match=r"cc takes more than 0\.1 s"):
+        build_c(tmp_path, str(tmp_path / "cc"))
+
+
 @pytest.mark.slow
 def test_the_part_of_ipopt_compiles_with_its_headers(tmp_path: Path) -> None:
     """CasADi's wheels bring headers and library of Ipopt with them."""
@@ -478,22 +563,3 @@ int main(void)
     return failed;
 }
 """
-
-
-def test_an_empty_directory_is_filled_where_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The one in which the program runs, and one behind a link; an interruption leaves nothing in it."""
-    for name in ("here", "behind"):
-        (tmp_path / name).mkdir()
-    (tmp_path / "link").symlink_to(tmp_path / "behind")
-    monkeypatch.chdir(tmp_path / "here")
-    with monkeypatch.context() as patch:
-        patch.setattr("pathlib.Path.write_text", Mock(side_effect=KeyboardInterrupt))
-        with pytest.raises(KeyboardInterrupt):
-            export_c(SOFT, ".", ["rhs"])
-    assert list(Path.cwd().iterdir()) == []
-    export_c(SOFT, ".", ["rhs"])
-    export_c(SOFT, tmp_path / "link", ["rhs"])
-    names = {"CMakeLists.txt", "README.md", "chain.c", "chain.h", "license.txt", "main.c"}
-    assert {path.name for path in Path.cwd().iterdir()} == names
-    assert {path.name for path in (tmp_path / "behind").iterdir()} == names
-    assert (tmp_path / "link").is_symlink()

@@ -20,7 +20,7 @@ from fmu_running import Array, Running, running
 from lxml import etree
 from scipy.integrate import solve_ivp
 
-from casadi_skin import Chain, OdeModel, follow_family
+from casadi_skin import Chain, OdeModel, find_orbit, follow_family
 from casadi_skin.dynamics import evolve
 from casadi_skin.export import codegen as compilers
 from casadi_skin.fmu.archive import export_fmu
@@ -100,6 +100,22 @@ def test_any_name_gives_an_fmu(name: str, tmp_path: Path) -> None:
     assert fmpy.read_model_description(str(path)).modelName == name
 
 
+@pytest.mark.parametrize("gamma", [-1.0, pytest.param(1.0, marks=pytest.mark.slow)])
+def test_a_chain_of_one_way_has_no_energy(gamma: float, tmp_path: Path) -> None:
+    path = export_fmu(Chain(4, 1.0, gamma, 1.0), tmp_path / "chain.fmu", S=0.5)
+    assert validate_fmu(str(path)) == []
+    result = fmpy.simulate_fmu(str(path))
+    assert result.dtype.names == ("time", *(f"{x}_{n}" for x in "yv" for n in range(1, 5)), "S")
+    assert np.all(np.isfinite(result["S"]))
+    with zipfile.ZipFile(path) as archive:
+        assert b"energy" not in archive.read("documentation/index.html")
+
+
+def test_license_inside_is_that_of_the_project() -> None:
+    inside = resources.files("casadi_skin.fmu").joinpath("sources", "license.txt").read_text(encoding="utf-8")
+    assert inside == (Path(__file__).parents[2] / "LICENSE").read_text(encoding="utf-8")
+
+
 def test_the_same_model_gives_the_same_file(tmp_path: Path) -> None:
     one, two = (export_fmu(CHAIN, tmp_path / f"{name}.fmu", binary=False).read_bytes() for name in "ab")
     assert one == two
@@ -118,6 +134,18 @@ def test_dependencies_are_those_of_the_equations(chain_fmu: Path) -> None:
     assert found["y_4"] == {"y_4"}
     initial = {u.variable.name: {v.name for v in u.dependencies} for u in description.initialUnknowns}
     assert initial["der(v_3)"] == {"y_2", "y_3", "y_4", "alpha", "gamma", "g"}
+
+
+def test_chain_in_vectors_is_the_chain() -> None:
+    generator = np.random.default_rng(0)
+    for sites, gamma in ((1, 0.3), (2, -0.4), (6, 0.5), (6, -0.5), (6, 0.0)):
+        chain = Chain(sites, 0.7, gamma, 1.3)
+        model, expected, gauge = chain_with_outputs(chain), chain.tunable_model(), chain.gauge_model()
+        x, p = generator.normal(size=2 * sites), np.array([0.7, gamma, 1.3])
+        np.testing.assert_allclose(model.vector_field(0, x, p), expected.vector_field(0, x, p), atol=1e-14)
+        hamiltonian = ca.Function("H", [gauge.state, gauge.velocity, gauge.parameters], [gauge.hamiltonian])
+        energy = float(hamiltonian(x[:sites] / chain.rho, x[sites:] / chain.rho, 1.3))
+        assert float(model.function("E", model.outputs["energy"])(0, x, p)) == pytest.approx(energy, rel=1e-13)
 
 
 # Simulations ----------------------------------------------------------------------------------------------------------
@@ -182,6 +210,32 @@ def test_orbit_closes_after_its_period(tmp_path: Path) -> None:
         assert fmu.get("energy")[0] == pytest.approx(orbit.energy, rel=1e-9)
         fmu.step(0.0, orbit.period)
         np.testing.assert_allclose(fmu.get(*names), orbit.profile, atol=1e-9)
+
+
+def test_orbit_of_any_model_closes_after_its_period(tmp_path: Path) -> None:
+    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
+    model = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu)
+    cycle = find_orbit(model, lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6, parameters={"mu": 1.0}, tolerance=1e-10)
+    path = export_fmu(cycle, tmp_path / "cycle.fmu", tolerance=1e-12)
+    assert validate_fmu(str(path)) == []
+    assert float(fmpy.read_model_description(str(path)).defaultExperiment.stopTime) == 10 * cycle.period
+    with running(path, tmp_path / "unpacked", "CoSimulation") as fmu:
+        fmu.initialise()
+        np.testing.assert_array_equal(fmu.get("x", "y"), cycle.evaluate(0.0))
+        assert fmu.get("mu")[0] == 1.0
+        fmu.step(0.0, cycle.period)
+        np.testing.assert_allclose(fmu.get("x", "y"), cycle.evaluate(0.0), atol=1e-8)
+
+
+def test_linear_mode_is_the_start_of_a_chain(tmp_path: Path) -> None:
+    path = export_fmu(CHAIN, tmp_path / "mode.fmu", mode="last", S=0.25, binary=False)
+    starts = {v.name: v.start for v in fmpy.read_model_description(str(path)).modelVariables}
+    y = np.array([float(starts[f"y_{n}"]) for n in range(1, 6)])
+    expected = CHAIN.right_eigenvector(5)
+    np.testing.assert_allclose(y / y[-1], expected / expected[-1], rtol=1e-13)
+    assert np.sum(y**2) == pytest.approx(0.25, rel=1e-14)
+    assert y[np.argmax(np.abs(y))] > 0
+    assert all(float(starts[f"v_{n}"]) == 0.0 for n in range(1, 6))
 
 
 # Derivatives ----------------------------------------------------------------------------------------------------------
@@ -346,6 +400,26 @@ def test_solution_that_runs_away_is_discarded_and_the_state_kept(chain_fmu: Path
         assert fmu.get("time")[0] == 0.2
 
 
+def test_coefficients_of_the_solver_meet_the_conditions_of_order_eight() -> None:
+    header = resources.files("casadi_skin.fmu").joinpath("sources", "dop853.h").read_text(encoding="utf-8")
+
+    def table(name: str) -> Array:
+        return np.array([float(word) for word in header.split(f" {name}[")[1].split("{")[1].split("}")[0].split(",")])
+
+    c, b, rows = table("NODES"), table("WEIGHTS"), table("STAGE_WEIGHTS")
+    A = np.zeros((12, 12))
+    A[np.tril_indices(12, -1)] = rows
+    np.testing.assert_allclose(A.sum(axis=1), c, atol=2e-15)
+    for k in range(8):  # trees with one node above the root, and two of each order with another level
+        assert b @ c**k == pytest.approx(1 / (k + 1), abs=2e-15)
+    for k in range(1, 7):
+        assert b @ A @ c**k == pytest.approx(1 / ((k + 1) * (k + 2)), abs=2e-14)
+        assert (b * c ** (6 - k)) @ A @ c**k == pytest.approx(1 / ((k + 1) * 8), abs=2e-14)
+    assert b @ A @ A @ c**5 == pytest.approx(1 / (6 * 7 * 8), abs=2e-14)
+    for name in ("ERROR_5", "ERROR_3"):
+        assert abs(table(name).sum()) < 2e-15
+
+
 # The sources ----------------------------------------------------------------------------------------------------------
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
@@ -369,6 +443,15 @@ def test_sources_compile_without_a_warning(chain_fmu: Path, tmp_path: Path, comp
         assert done.returncode == 0, done.stderr
 
 
+def test_library_exports_the_interface_alone(chain_fmu: Path, folder: Path) -> None:
+    fmpy.extract(str(chain_fmu), unzipdir=str(folder))
+    library = next(folder.glob("binaries/*/chain.so"))
+    listed = subprocess.run(["nm", "-D", "--defined-only", str(library)], capture_output=True, text=True, check=True)
+    names = [line.split()[-1] for line in listed.stdout.splitlines()]
+    assert len(names) > 40
+    assert all(name.startswith("fmi") for name in names)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["chain", "duffing"])
 def test_driver_in_c_runs_clean_under_sanitizers(tmp_path: Path, model: str) -> None:
@@ -384,6 +467,36 @@ def test_driver_in_c_runs_clean_under_sanitizers(tmp_path: Path, model: str) -> 
     done = subprocess.run([str(program)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout == "6 messages\n"
+
+
+@pytest.mark.slow
+def test_sources_alone_are_compiled_by_another_tool(tmp_path: Path) -> None:
+    from fmpy.build import build_platform_binary
+
+    path = export_fmu(CHAIN, tmp_path / "chain.fmu", start=START, binary=False, stop_time=5.0)
+    assert fmpy.supported_platforms(str(path)) == ["c-code"]
+    folder = tmp_path / "unpacked"
+    fmpy.extract(str(path), unzipdir=str(folder))
+    (tmp_path / "build").mkdir()
+    build_platform_binary(folder, tmp_path / "build", generator="Unix Makefiles")
+    result = fmpy.simulate_fmu(str(folder), fmi_type="CoSimulation", output_interval=1.0)
+    truth = evolve(CHAIN, START, None, result["time"], method="dop853", tolerance=1e-13)
+    np.testing.assert_allclose(result["y_3"], truth.displacements[:, 2], atol=1e-8)
+
+
+@pytest.mark.slow
+def test_two_hundred_sites_are_exported_in_seconds(tmp_path: Path) -> None:
+    import time
+
+    begun = time.perf_counter()
+    path = export_fmu(Chain(200, 1.0, 0.25, 1.0), tmp_path / "chain.fmu", mode="last", S=1.0, tolerance=1e-10)
+    assert time.perf_counter() - begun < 15.0
+    assert path.stat().st_size < 300_000
+    result = fmpy.simulate_fmu(str(path), fmi_type="CoSimulation", stop_time=5.0, output_interval=1.0)
+    start = Chain(200, 1.0, 0.25, 1.0).right_eigenvector(200)
+    start *= np.sign(start[np.argmax(np.abs(start))]) / np.linalg.norm(start)
+    truth = evolve(Chain(200, 1.0, 0.25, 1.0), start, None, result["time"], tolerance=1e-12)
+    np.testing.assert_allclose(result["y_200"], truth.displacements[:, -1], atol=1e-8)
 
 
 # Refusals -------------------------------------------------------------------------------------------------------------
@@ -421,37 +534,9 @@ def test_what_cannot_be_exported_is_refused_in_one_line(tmp_path: Path, monkeypa
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("gamma", [-1.0, pytest.param(1.0, marks=pytest.mark.slow)])
-def test_a_chain_of_one_way_has_no_energy(gamma: float, tmp_path: Path) -> None:
-    path = export_fmu(Chain(4, 1.0, gamma, 1.0), tmp_path / "chain.fmu", S=0.5)
-    assert validate_fmu(str(path)) == []
-    result = fmpy.simulate_fmu(str(path))
-    assert result.dtype.names == ("time", *(f"{x}_{n}" for x in "yv" for n in range(1, 5)), "S")
-    assert np.all(np.isfinite(result["S"]))
-    with zipfile.ZipFile(path) as archive:
-        assert b"energy" not in archive.read("documentation/index.html")
-
-
-def test_license_inside_is_that_of_the_project() -> None:
-    inside = resources.files("casadi_skin.fmu").joinpath("sources", "license.txt").read_text(encoding="utf-8")
-    assert inside == (Path(__file__).parents[2] / "LICENSE").read_text(encoding="utf-8")
-
-
-def test_coefficients_of_the_solver_meet_the_conditions_of_order_eight() -> None:
-    header = resources.files("casadi_skin.fmu").joinpath("sources", "dop853.h").read_text(encoding="utf-8")
-
-    def table(name: str) -> Array:
-        return np.array([float(word) for word in header.split(f" {name}[")[1].split("{")[1].split("}")[0].split(",")])
-
-    c, b, rows = table("NODES"), table("WEIGHTS"), table("STAGE_WEIGHTS")
-    A = np.zeros((12, 12))
-    A[np.tril_indices(12, -1)] = rows
-    np.testing.assert_allclose(A.sum(axis=1), c, atol=2e-15)
-    for k in range(8):  # trees with one node above the root, and two of each order with another level
-        assert b @ c**k == pytest.approx(1 / (k + 1), abs=2e-15)
-    for k in range(1, 7):
-        assert b @ A @ c**k == pytest.approx(1 / ((k + 1) * (k + 2)), abs=2e-14)
-        assert (b * c ** (6 - k)) @ A @ c**k == pytest.approx(1 / ((k + 1) * 8), abs=2e-14)
-    assert b @ A @ A @ c**5 == pytest.approx(1 / (6 * 7 * 8), abs=2e-14)
-    for name in ("ERROR_5", "ERROR_3"):
-        assert abs(table(name).sum()) < 2e-15
+@pytest.mark.parametrize("given", [{"mode": 1}, {"S": 1.0}])
+def test_mode_and_S_are_of_chains(given: dict[str, float], tmp_path: Path) -> None:
+    x = ca.SX.sym("x")
+    with pytest.raises(ValueError, match=f"{next(iter(given))}: given .*; accepted: with a Chain"):
+        export_fmu(OdeModel("decay", x, -x), tmp_path / "m.fmu", **given)
+    assert not list(tmp_path.iterdir())

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gc
 import pickle
 import re
 import stat
+import subprocess
 import sys
 import tempfile
 import zipfile
@@ -25,8 +27,10 @@ from casadi_skin import (
     Chain,
     OdeModel,
     find_orbit,
+    follow_family,
     import_fmu,
     save_model,
+    simulate,
 )
 from casadi_skin.dynamics import evolve
 from casadi_skin.fmu.archive import export_fmu
@@ -100,6 +104,22 @@ def test_functions_of_the_model_are_mapped_and_differentiated(chain_fmu: Path) -
         arguments = [0.0, x[:, 0], p, np.zeros(8), *seeds]
         for a, b in zip(ours.call(arguments), theirs.call(arguments), strict=True):
             np.testing.assert_allclose(a, b, rtol=0, atol=1e-13)
+
+
+def test_states_and_parameters_in_another_order(chain_fmu: Path) -> None:
+    order = ["v_2", "y_4", "y_1", "v_1", "v_3", "v_4", "y_3", "y_2"]
+    model, truth = (
+        import_fmu(chain_fmu, states=states, parameters=parameters)
+        for states, parameters in ((order, ["g", "alpha"]), (None, PARAMETERS))
+    )
+    places = [truth.state_names.index(name) for name in order]
+    x, p = points(1)[0]
+    found = jacobians(model)(0, x[places], [p[2], p[0]])
+    expected = jacobians(truth)(0, x, [p[0], 0.3, p[2]])
+    np.testing.assert_array_equal(found[0], np.array(expected[0])[places])
+    np.testing.assert_array_equal(found[1], np.array(expected[1])[np.ix_(places, places)])
+    np.testing.assert_array_equal(found[2], np.array(expected[2])[np.ix_(places, [2, 0])])
+    assert model.start_state == tuple(truth.start_state[i] for i in places)
 
 
 def test_differences_where_no_derivatives_are_offered_know_their_error(chain_fmu: Path, tmp_path: Path) -> None:
@@ -193,6 +213,13 @@ def test_trajectories_are_those_of_the_chain(chain_fmu: Path, integrator: object
     np.testing.assert_allclose(trajectory.states[:, :4], truth.displacements, rtol=0, atol=1e-9)
 
 
+def test_simulate_takes_it(chain_fmu: Path) -> None:
+    model = import_fmu(chain_fmu)
+    result = simulate(model, model.start_state, [0.0, 2.0], tolerance=1e-9)
+    truth = evolve(CHAIN, model.start_state[:4], None, [2.0], method="dop853", tolerance=1e-13)
+    np.testing.assert_allclose(result.states[-1, :4], truth.displacements[0], atol=1e-8)
+
+
 def circle(t: float) -> Array:
     return np.array([2.0 * np.cos(t), -2.0 * np.sin(t)])
 
@@ -212,6 +239,28 @@ def test_limit_cycle_of_a_foreign_fmu(foreign: Path) -> None:
     np.testing.assert_allclose(orbit.floquet("cvodes").multipliers, orbit.floquet().multipliers, atol=1e-7)
     further = orbit.follow("mu", 2.0, at=[2.0]).at(2.0)
     assert float(further.period) == pytest.approx(7.62987447, abs=1e-7)  # type: ignore[attr-defined]
+
+
+@pytest.mark.slow
+def test_family_through_the_binary_is_that_of_the_expressions(tmp_path: Path) -> None:
+    chain, values = Chain(8, 1.0, 0.25, -1.0), [0.2, 0.5, 1.0, 1.5, 2.0]
+    model = import_fmu(export_fmu(chain, tmp_path / "chain.fmu"), parameters=PARAMETERS)
+    model = dataclasses.replace(model, reversal=(1,) * 8 + (-1,) * 8, half_period=(-1,) * 16)
+    omega, shape = chain.linear_frequency(1), chain.right_eigenvector(1)
+    shape = shape / np.linalg.norm(shape)
+
+    def mode(t: float) -> Array:
+        return np.sqrt(values[0]) * np.concatenate([np.cos(omega * t) * shape, -omega * np.sin(omega * t) * shape])
+
+    family = follow_family(chain, mode=1, amplitude_max=2.0, at=values, tolerance=1e-11)
+    guess: object = mode
+    for S in values:
+        select = ca.sumsqr(model.state[:8]) - S
+        orbit = find_orbit(model, guess, 2 * np.pi / omega, select=select, symmetric=True, tolerance=1e-10)
+        known = family.at(S=S)
+        assert 2 * np.pi / orbit.period == pytest.approx(known.Omega, abs=1e-9)
+        np.testing.assert_allclose(np.array(orbit.evaluate(0.0)).ravel()[:8], known.profile, atol=1e-9)
+        guess = orbit
 
 
 @pytest.mark.slow
@@ -304,6 +353,19 @@ def test_hostile_archives_are_refused(chain_fmu: Path, own_temporary_folder: Pat
     path = archive_of(tmp_path / "wide.fmu", **{"modelDescription.xml": wide})
     assert "declares entities" in refusal(path)
     assert not (tmp_path / "evil.txt").exists()
+
+
+@pytest.mark.slow
+def test_bombs_are_refused(
+    chain_fmu: Path, own_temporary_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = archive_of(tmp_path / "bomb.fmu", **{"modelDescription.xml": b"", "resources/zeros": bytes(1 << 27)})
+    assert path.stat().st_size < 200_000
+    assert refusal(path).endswith("134217728 bytes when unpacked; accepted: up to 67108864")
+    for module, name, most in (("unzip", "MOST_FILES", 50), ("unzip", "LONGEST_DIRECTORY", 1000)):
+        monkeypatch.setattr(f"casadi_skin.fmu.{module}.{name}", most)
+        path = archive_of(tmp_path / "many.fmu", **{f"resources/{i}": b"" for i in range(60)})
+        assert f"accepted: up to {most}" in refusal(path)
 
 
 @pytest.mark.slow
@@ -416,6 +478,21 @@ def test_folder_goes_with_the_model(chain_fmu: Path, own_temporary_folder: Path)
     del model
     gc.collect()
     assert left_behind() == set()
+
+
+@pytest.mark.parametrize("chain_fmu", ["3.0", pytest.param("2.0", marks=pytest.mark.slow)], indirect=True)
+def test_folder_goes_at_the_end_of_the_program(chain_fmu: Path, tmp_path: Path) -> None:
+    program = f"""
+import tempfile, pathlib
+tempfile.tempdir = {str(tmp_path)!r}
+from casadi_skin import import_fmu
+model = import_fmu({str(chain_fmu)!r})
+assert len(list(pathlib.Path({str(tmp_path)!r}).iterdir())) == 1
+print(model.vector_field(0, model.start_state, []).shape)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_program_is_neither_saved_nor_written_as_c(chain_fmu: Path, tmp_path: Path) -> None:

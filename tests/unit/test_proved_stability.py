@@ -76,6 +76,13 @@ def test_signatures_are_those_of_linear_modes_at_small_amplitude():
         assert signature == sign
 
 
+def test_one_site_is_stable_without_any_other_multiplier():
+    proof = (
+        follow_family(Chain(1, 1.0, 0.0, 1.0), mode=1, amplitude_max=2.0, tolerance=1e-10).at(S=2.0).proved_stability
+    )
+    assert (proof.verdict, len(proof.brackets)) == ("stable", 0)
+
+
 def test_a_change_of_stability_is_proved_and_the_unstable_side_agrees_with_an_integration():
     chain = Chain(3, 1.0, 0.25, 1.0)
     branch = follow_family(chain, mode=2, amplitude_max=1.0, tolerance=1e-9, stability=True)
@@ -127,6 +134,20 @@ def test_stability_of_sums_of_all_cosines_agrees_with_an_integration_over_the_pe
             assert proof.verdict == "unstable"
             assert np.min(np.abs(others - np.exp(2j * np.pi * proof.exponent))) < 1e-6 + 10.0 * proof.radius
     assert {branch.at(S=S).proved_stability.verdict for S in (0.02, 0.45)} == {"stable", "unstable"}
+
+
+def test_rounding_of_sums_that_cancel_is_enclosed():
+    """G_0 is nearly -lambda sigma^2: the rounding of the large terms counts, not that of their small sum."""
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
+        sigma, square = 0.123456789, 1.7
+        problem = replace(hill([[[-square * sigma**2]], [[1e-9]]]), square=flint.arb(square))
+        pair = _Pair.near(problem, complex(sigma), 4)
+        J, unsure = pair.finite_part(_toeplitz(problem, 4, 4), square)
+        for i, m in enumerate((-4, -2, 0, 2, 4)):
+            exact = flint.arb(problem.blocks[0, 0, 0]) + square * (flint.acb(pair.sigma.real, pair.sigma.imag) + m) ** 2
+            off = abs(exact - flint.acb(J[1 + i, 1 + i].real, J[1 + i, 1 + i].imag))
+            assert off <= unsure[1 + i, 1 + i]
+        assert unsure[3, 3] > 1e-18
 
 
 # The bounds -----------------------------------------------------------------------------------------------------------

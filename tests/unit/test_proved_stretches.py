@@ -43,6 +43,15 @@ def test_a_chain_s_family_is_proved_from_its_linear_mode(g):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("g", "mode"), [(-1.0, 18), (1.0, 6)])
+def test_families_of_figure_3_are_one_curve_each(g, mode):
+    """In the first the largest site changes, and with it the sign of what is shown."""
+    proof = family(Chain(24, 1.0, 0.25, g), 3.0, mode=mode).certify(0.0, 3.0)
+    assert proof.complete
+    assert proof.pieces < 8
+
+
+@pytest.mark.slow
 def test_a_stretch_ends_before_a_branch_point():
     """Two equal sites in antiphase: v = cn dn solves the linearised equations (Lame's) where m = 1/8, S = 8/3."""
     branch = family(Chain(2, 1.0, 0.0, 1.0), 4.0, mode=2)
@@ -162,6 +171,50 @@ def test_y_counts_the_harmonics_beyond_the_finite_part():
     curve = replace(curve, centre=np.array([[3.0 + 0.75 * middle, 1.0], [0.75 * half, 0.0], [0.0, 0.0]]))
     Y = piece_constants(curve, stretch.nu).Y
     assert 0.8 * Y < largest_along(curve, stretch.nu)[0] <= Y
+
+
+def test_rounding_of_the_inverse_is_counted():
+    """A_f has an entry in which large terms cancel: in doubles to nothing, or to something else than in truth."""
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
+        stretch = stretch_of(family(Chain(1, 1.0, 0.0, 1.0), 0.4), 0.4)
+        flat = stretch.curve(0.1, 0.12, 1)
+        centre, factor = np.vstack([flat.centre[:1], np.zeros((3, 2))]), np.append(flat.factor[:1], np.zeros(3))
+        largest = 0.0
+        for i in range(1, 23):
+            x = flint.arb(i) / 23
+            T1, T3 = x, 4 * x**3 - 3 * x
+            inverse = np.concatenate([flat.inverse[:1], np.zeros((3, 2, 2))])
+            inverse[:, 1, 1] = 0.0, -(2.0**50) * float(T3), 0.0, 2.0**50 * float(T1)
+            exact = inverse[0].copy()
+            exact[1, 1] = 2.0**50 * float(T3 * float(T1) - T1 * float(T3))
+            largest = max(largest, abs(exact[1, 1]))
+            curve = replace(flat, centre=centre, inverse=inverse, factor=factor)
+            A, DF, weights = explicit(FiniteInverse(curve.at(x), stretch.nu, exact), 6)
+            node = curve.bounds_at(x, stretch.nu)
+            assert norm((np.eye(len(DF)) - A @ DF)[:2, :2], weights[:2]) <= node.finite
+            assert np.all(weights[:2] @ np.abs(exact) <= node.norms)
+        assert largest > 0.01
+
+
+def test_a_polynomial_between_nodes_is_bounded():
+    """cos(d phi) shifted to be largest between two nodes attains the factor nearly."""
+    from casadi_skin.certify.stretch import _Uniform
+
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
+        for count, degree in ((8, 5), (20, 13), (20, 19)):
+            nodes = np.cos(np.pi * (2 * np.arange(count) + 1) / (2 * count))
+            x = np.linspace(-1.0, 1.0, 20001)
+            worst = 0.0
+            for shift in np.linspace(0.0, np.pi, 50):
+                p = np.polynomial.Chebyshev([0.0] * degree + [1.0]) * np.cos(shift)
+                p -= np.polynomial.Chebyshev([0.0] * (degree - 1) + [1.0]) * np.sin(shift)
+                worst = max(worst, np.max(np.abs(p(x))) / np.max(np.abs(p(nodes))))
+            factor = float(_Uniform(None, None, [], count).between(degree))
+            assert worst <= factor * (1.0 + 1e-9)
+        # T_d at the nodes of T_M is largest where d/M is near 1: 1/cos(pi d/(2 M)) is attained by T_d for odd M
+        assert np.isclose(float(_Uniform(None, None, [], 9).between(3)), 1.0 / np.cos(np.pi / 6.0))
+        with pytest.raises(ArithmeticError, match="not bounded by 5 values"):
+            _Uniform(None, None, [], 5).between(5)
 
 
 @pytest.mark.slow

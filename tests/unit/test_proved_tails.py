@@ -171,6 +171,26 @@ def test_bounds_hold_the_operator_of_all_sites(core, S, harmonics):
     assert 0.05 * W < largest <= W
 
 
+def test_each_size_of_a_tail_enters_the_bounds():
+    """Of a small part of a sum no operator shows that it is counted: each is made large, as in a tail that is."""
+    with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
+        bounds = tailed(16, 3, 2.0, 4, 1.05)[0]
+        small = bounds.tailed
+        least = {
+            ("residual", "Y"): small.factor,
+            ("cubic_derivative", "Z"): small.factor,
+            ("slope", "Z"): flint.arb(float(bounds.norms[0])),
+            ("derivative", "Z"): bounds.tail_factor * bounds.beyond,
+            ("factor", "W"): small.curvature(1e-3),
+            ("square_factor", "W"): flint.arb(1),
+            ("first", "W"): 6 * small.cubic * small.factor,
+        }
+        for (part, bound), share in least.items():
+            bounds.tailed = replace(small, **{part: flint.arb(1000)})
+            value = bounds.W(1e-3) if bound == "W" else getattr(bounds, bound)()
+            assert value >= 1000.0 * float(share), part
+
+
 def test_closed_forms_of_a_finite_tail():
     """Sums and shares of a tail of seven sites by solving its linear equations."""
     with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
