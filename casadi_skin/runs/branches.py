@@ -74,7 +74,11 @@ class Branches:
                 started = time.perf_counter()
                 with self.named(f"mode {name}: " if space.is_family else ""):
                     self._follow(name, space, journal)
-                    self._seek_changes(name, self.branches[-1])
+                    branch = self.branches[-1]
+                    if branch.with_events and branch.space.is_family:
+                        self.progress.say(f"j = {name}: changes of stability")
+                        branch.diagram_of_changes  # noqa: B018  computed once, and kept by the branch
+                        branch.passed_resonances  # noqa: B018  likewise
                 self.seconds.append(time.perf_counter() - started)
             self._from_families(journal)
         except (ArithmeticError, ValueError) as error:  # no first orbit exists
@@ -108,13 +112,6 @@ class Branches:
             self.failures.append(f"{where}numbers leave the range of double precision ({error})")
         except (ArithmeticError, ValueError) as error:
             self.failures.append(f"{where}{error}")
-
-    def _seek_changes(self, name: str, branch: Branch) -> None:
-        """Every change of stability of a family, and resonances passed over, where the scene requests events."""
-        if branch.with_events and branch.space.is_family:
-            self.progress.say(f"j = {name}: changes of stability")
-            branch.diagram_of_changes  # noqa: B018  computed once, and kept by the branch
-            branch.passed_resonances  # noqa: B018  likewise
 
     def _spaces(self, journal: Records) -> Iterator[tuple[str, SolutionSpace]]:
         """Names and spaces of the branches to follow; a single orbit or solution is kept at once."""

@@ -155,7 +155,8 @@ def _from_section(found: Cycle, section: Expression) -> Cycle:
     """The cycle from the first place on at which the section's expression passes zero; as it is where it never does."""
     evolution = found.evolution
     t = np.linspace(0.0, found.period, CYCLE_SAMPLES)
-    values = _along(evolution, section, found.evaluate(t))
+    function, parameters = evolution.equations.physical.function("section", section), evolution.equations.values
+    values = np.array([float(function(0.0, state, parameters)) for state in found.evaluate(t)])
     crossed = np.flatnonzero(values[:-1] * values[1:] < 0.0)
     if crossed.size == 0:
         return found
@@ -165,12 +166,6 @@ def _from_section(found: Cycle, section: Expression) -> Cycle:
     while start + found.period > end:  # the cycle has to lie in the simulated time
         start -= found.period
     return Cycle(evolution, start, found.period) if start >= 0.0 else found
-
-
-def _along(evolution: Evolution, expression: Expression, states: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """An expression of the model at states, shape (states,)."""
-    function, values = evolution.equations.physical.function("section", expression), evolution.equations.values
-    return np.array([float(function(0.0, state, values)) for state in states])
 
 
 def with_selected(model: OdeModel, expression: Expression) -> tuple[OdeModel, Expression]:

@@ -101,14 +101,9 @@ def write_lattice_spectrum(scene: Scene, lattice: Lattice, parameters: Mapping[s
     if modes.real and lattice.order == 2:
         picture(scene, directory / "spectrum", figures.spectrum_figure, lattice, parameters)
     if alike:
-        _write_bands(scene, lattice, parameters, directory)
-
-
-def _write_bands(scene: Scene, lattice: Lattice, parameters: Mapping[str, float], directory: Path) -> None:
-    """bands.csv and its picture, of a lattice whose cells are all alike."""
-    found = bands(lattice, parameters)
-    columns = {f"k_{name}": k for name, k in zip(CELL_INDICES, found.wave_numbers.T, strict=False)}
-    for b, squares in enumerate(found.squares.T, start=1):
-        columns |= {f"omega_squared_{b}": squares.real, f"imaginary_part_{b}": squares.imag}
-    write_columns(directory / "bands.csv", columns)
-    picture(scene, directory / "bands", band_figure, lattice, parameters)
+        found = bands(lattice, parameters)
+        columns = {f"k_{name}": k for name, k in zip(CELL_INDICES, found.wave_numbers.T, strict=False)}
+        for b, squares in enumerate(found.squares.T, start=1):
+            columns |= {f"omega_squared_{b}": squares.real, f"imaginary_part_{b}": squares.imag}
+        write_columns(directory / "bands.csv", columns)
+        picture(scene, directory / "bands", band_figure, lattice, parameters)

@@ -52,14 +52,10 @@ NATURAL = (  # ends of branches that leave another one, or are followed in two p
 )  # fmt: skip
 
 
-def is_further(branch: Branch) -> bool:
-    """Whether a branch left another one, or is a curve in two parameters."""
-    return bool(getattr(branch.space, "leaves", False) or branch.space.kind)
-
-
 def ended_well(branch: Branch) -> bool:
     """Whether a branch reached its requested end, or its natural end where it left another one."""
-    return branch.complete or (is_further(branch) and branch.end in NATURAL and not any(branch.misses.values()))
+    further = getattr(branch.space, "leaves", False) or branch.space.kind  # it left another one, or is a curve
+    return branch.complete or bool(further and branch.end in NATURAL and not any(branch.misses.values()))
 
 
 @dataclass

@@ -176,8 +176,10 @@ class Run(Branches):
                 ("tongues", TONGUE_COLUMNS, tongue_rows),
             ):
                 write_csv(directory / f"{name}.csv", names, [row for b, d in known for row in make(mode_of(b), d)])
-            passed = [row for branch in branches if branch.with_events for row in _passed_rows(branch)]
-            write_csv(directory / "passed_resonances.csv", PASSED_COLUMNS, passed)
+            sought = ((mode_of(b), p) for b in branches if b.with_events for p in b.passed_resonances or ())
+            passed: list[tuple[Cell, ...]] = [(mode, *p.S, *p.Omega, p.changes, p.met) for mode, p in sought]
+            rows = (dict(zip(PASSED_COLUMNS, row, strict=True)) for row in passed)
+            write_csv(directory / "passed_resonances.csv", PASSED_COLUMNS, rows)
         self._picture("frequency", figures.frequency_figure, branches)
         self._picture("profile", figures.profile_figure, branches)
         for branch in branches:
@@ -278,12 +280,6 @@ PARAMETER = "parameter "  # before its name
 DIAGRAM_COLUMNS = ("error", "period", "frequency", "coefficient", "criticality")
 EMPTY_CELL: Cell = ""
 PASSED_COLUMNS = ("mode", "S_before", "S_after", "Omega_before", "Omega_after", "changes", "meetings")
-
-
-def _passed_rows(branch: Branch) -> list[dict[str, Cell]]:
-    """Rows of passed_resonances.csv."""
-    rows = [(mode_of(branch), *p.S, *p.Omega, p.changes, p.met) for p in branch.passed_resonances or ()]
-    return [dict(zip(PASSED_COLUMNS, row, strict=True)) for row in rows]
 
 
 # Special points: a row each, of a single branch, of the branches of a diagram, and of those that leave families -------
