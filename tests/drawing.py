@@ -33,6 +33,7 @@ def blank_pictures(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("casadi_skin.results.figures.style._write", write)
     patch.setattr("matplotlib.animation.Animation.save", write)
     patch.setattr("matplotlib.layout_engine.ConstrainedLayoutEngine.execute", lambda *_: None)
+    patch.setattr("casadi_skin.results.figures.style.lay_out", lambda *_: None)
 
 
 def lines(axes: Axes, label: str) -> list[Line2D]:

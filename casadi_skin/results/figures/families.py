@@ -184,7 +184,7 @@ def frequency_figure(branches: Sequence[Branch]) -> Figure:
         mode = style.family(branches[0]).coordinates.mode_number
         label = rf"frequency shift $\Omega - \omega_{{{mode}}}$" if shift else r"frequency $\Omega$"
         axes.set(xlabel=style.amplitude_label(model), ylabel=label)
-        return style.finished(figure, [axes], 3, in_black=True)
+        return style.finished(figure, [axes], 3, in_black=True, plain=True)
 
 
 # Profiles of requested orbits beside their linear mode (paper, Fig. 3b, e) --------------------------------------------
@@ -296,7 +296,8 @@ def profile_figure(branches: Sequence[Branch]) -> Figure | None:
             style.number_sites(axes, int(ends[0]), int(ends[1]), style.position_label(model))
         figure.suptitle(style.title(model, parameters))
         figure.align_ylabels()
-        return style.finished(figure, panels[:, 0], columns * (2 if any(passage for _, passage in keys) else 3))
+        several = any(passage for _, passage in keys)
+        return style.finished(figure, panels[:, 0], columns * (2 if several else 3), plain=True)
 
 
 # Orbits of a lattice in two dimensions: displacements in the plane, and their sizes -----------------------------------

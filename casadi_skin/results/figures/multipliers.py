@@ -300,7 +300,7 @@ def multiplier_figure(branch: Branch, title: str = "") -> Figure | None:
                 letter, (value, largest), (-5, 6), textcoords="offset points", ha="right", bbox=box, zorder=6
             )
         figure.suptitle(_title(branch, title))
-        return style.finished(figure, panels.values(), 3)
+        return style.finished(figure, panels.values(), 3, plain=True)
 
 
 def _panels(planes: int, with_angles: bool) -> tuple[Figure, dict[str, Axes]]:
