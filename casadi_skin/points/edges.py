@@ -78,11 +78,16 @@ def between(branch: Branch, edge: StabilityEdge) -> Orbit | None:
 
 def along_curve(space: SolutionSpace, before: Point, after: Point, S: float) -> Point:
     """The orbit at S by the curve from an orbit on one side to one on the other; raises ValueError without one."""
-    curve, _ = space.point_solver.curve(before, after)
+    curve, length = space.point_solver.curve(before, after)
+    if length < 0.0:  # tangents point the other way
+        before, after = after, before
+        curve, _ = space.point_solver.curve(before, after)
     index, value = space.target("S", S).unknown(after.problem)
     ((place, _),) = curve.crossings(index, [value])
     tangent = curve.slope(place) * np.linalg.norm(after.tangent) / np.linalg.norm(curve.slope(place))
-    return replace(after, z=curve.at(place), tangent=tangent, better=None)
+    one, other = before.error, after.error
+    error = replace(other, Omega=one.Omega + other.Omega, profile=one.profile + other.profile)
+    return replace(after, z=curve.at(place), tangent=tangent, error=error, better=None)
 
 
 def edge(branch: Branch, number: int = 0, further: bool = False) -> SpecialPoint:
