@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 from effort import examples
@@ -99,6 +101,26 @@ def test_variational_matrices_are_similar_and_the_gauge_one_is_hamiltonian(chain
     zero, one = np.zeros((chain.sites, chain.sites)), np.eye(chain.sites)
     J = np.block([[zero, -one], [one, zero]])
     np.testing.assert_array_equal(W.T @ J + J @ W, np.zeros_like(W))
+
+
+@quick
+@given(chain=chains, seed=seeds)
+def test_the_opposite_nonreciprocity_is_the_mirror_image(chain: Chain, seed: int) -> None:
+    (q,) = points(chain, seed)
+    size = np.abs(q)
+    neighbours = np.append(size[1:], 0.0) + np.insert(size[:-1], 0, 0.0)
+    scale = (2 + chain.alpha) * size + 2 * neighbours + abs(chain.g) * size**3
+    mirrored = replace(chain, gamma=-chain.gamma)
+    for form in (Chain.physical_model, Chain.gauge_model):
+        model, image = form(chain), form(mirrored)
+        there = evaluate(model, model.rhs, q, chain.g)
+        back = evaluate(image, image.rhs, q[::-1], chain.g)[::-1]
+        assert np.all(np.abs(there - back) <= 1e-15 * scale)
+    np.testing.assert_array_equal(mirrored.rho[::-1], chain.rho)
+    np.testing.assert_array_equal(mirrored.linear_frequencies(), chain.linear_frequencies())
+    mode = 1 + seed % chain.sites
+    there, back = chain.right_eigenvector(mode), mirrored.right_eigenvector(mode)[::-1]
+    np.testing.assert_allclose(back / chain.rho, (-1) ** (mode + 1) * there / chain.rho, atol=5e-15)
 
 
 @quick

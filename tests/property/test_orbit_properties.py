@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 from effort import examples
@@ -12,12 +13,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from casadi_skin import Branch, Chain, Orbit, follow_family
+from casadi_skin import Branch, Chain, Orbit, SymmetryClass, follow_family
 from casadi_skin.lattice import closed_forms as multiple_scales
 
 Array = NDArray[np.float64]
 
 few = examples(20)
+fewer = examples(10)
 
 
 @st.composite
@@ -35,13 +37,13 @@ def families(draw: st.DrawFn, largest_gamma: float = 0.8, sites: int = 8) -> tup
 
 
 @cache
-def branch_to(chain: Chain, mode: int, S: float, tolerance: float = 1e-12) -> Branch:
-    return follow_family(chain, mode, S, tolerance=tolerance, corrector="newton")
+def branch_to(chain: Chain, mode: int, S: float, tolerance: float = 1e-12, **options: Any) -> Branch:
+    return follow_family(chain, mode, S, tolerance=tolerance, corrector="newton", **options)
 
 
-def orbit_at(chain: Chain, mode: int, S: float, tolerance: float = 1e-12) -> Orbit:
+def orbit_at(chain: Chain, mode: int, S: float, tolerance: float = 1e-12, **options: Any) -> Orbit:
     """The last orbit of a family that is followed up to S."""
-    branch = branch_to(chain, mode, S, tolerance)
+    branch = branch_to(chain, mode, S, tolerance, **options)
     assume(branch.complete)
     orbit = branch.orbits[-1]
     assert orbit.S == S
@@ -197,6 +199,20 @@ def test_energy_is_conserved_along_the_orbit_and_is_the_one_reported(family: tup
     assert kinetic.max() > 0.1 * abs(orbit.energy)
 
 
+@fewer
+@given(family=families(largest_gamma=0.6, sites=4))
+def test_quarter_half_and_full_period_find_the_same_orbit(family: tuple[Chain, int, float]) -> None:
+    chain, mode, S = family
+    cosines = orbit_at(chain, mode, S)
+    for symmetry in SymmetryClass:
+        orbit = orbit_at(chain, mode, S, 1e-7, transcription="gauss", symmetry=symmetry)
+        assert abs(orbit.Omega / cosines.Omega - 1) < 1e-7
+        t = np.linspace(0, orbit.period, 17)
+        sign = np.sign(orbit.profile @ cosines.profile)
+        difference = sign * orbit.evaluate(t) - cosines.evaluate(t)
+        assert np.abs(difference).max() < 1e-6 * np.abs(cosines.profile).max()
+
+
 @few
 @given(family=families())
 @example(family=(Chain(8, 1.0, 0.8, -1.0), 1, 1.0))
@@ -217,3 +233,14 @@ def test_the_shift_is_the_difference_of_frequencies_and_a_tiny_one_that_of_multi
     small = orbit_at(chain, mode, 1e-6, 1e-8)
     assert abs(small.Omega_shift / (slope * 1e-6) - 1) < 1e-2
     assert abs(small.Omega_shift - (small.Omega - chain.linear_frequency(mode))) < 2e-14
+
+
+@few
+@given(family=families(largest_gamma=0.9))
+def test_the_linear_mode_is_the_limit_of_small_amplitude(family: tuple[Chain, int, float]) -> None:
+    chain, mode, _ = family
+    orbit, u = orbit_at(chain, mode, 1e-10, 1e-8), chain.right_eigenvector(mode)
+    moving = np.abs(u) > 1e-9 * np.exp(chain.log_rho)
+    ratio = orbit.profile[moving] / np.sqrt(orbit.S) / (u[moving] / np.linalg.norm(u))
+    np.testing.assert_allclose(ratio, np.sign(ratio[0]), rtol=1e-5)
+    assert orbit.floquet().multipliers.shape == (2 * chain.sites,)

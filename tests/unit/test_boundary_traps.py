@@ -146,6 +146,16 @@ def test_a_maximum_is_no_minimum(start: float) -> None:
     assert problem.with_parameters(mu=0.1).solve([0.1]).status == "a local optimum"  # type: ignore[attr-defined]
 
 
+@pytest.mark.parametrize("size", [1e-11, 1e-9, 1e-6])
+@pytest.mark.parametrize("corrector", ["ipopt", "newton"])
+def test_a_small_solution_is_found_from_zeros(size: float, corrector: str) -> None:
+    """Bratu's problem in other units: u(1/2) = 0.140539214400 of them."""
+    model = OdeModel("small", ca.vertcat(X, Y), ca.vertcat(Y, -size * ca.exp(X / size)))
+    solution = BoundaryValueProblem(model, [model.start(X), model.end(X)]).solve([0.0, 0.0], corrector=corrector)
+    assert solution.evaluate(0.5)[0] / size == pytest.approx(0.1405392144, abs=1e-9)
+    assert solution.error < 1e-8
+
+
 def test_optima_at_one_place_with_other_values_are_two() -> None:
     """Two orbits of a forced model may share period and parameters."""
     place, none = np.array([1.0, 6.0]), np.zeros(0)

@@ -375,6 +375,20 @@ def test_periods_at_small_amplitude_are_those_that_the_paper_states(g: float, mo
     assert float(found) == pytest.approx(period, abs=0.006)
 
 
+@pytest.mark.parametrize("gamma", [0.25, -0.25, 0.0])
+def test_displacement_is_the_normalised_mode_times_a_cosine(gamma: float) -> None:
+    sites, mode, S, t = 5, 2, 0.3, np.linspace(0.0, 20.0, 13)
+    u = ((1 + gamma) / (1 - gamma)) ** (np.arange(1, 6) / 2) * np.sin(np.arange(1, 6) * mode * np.pi / 6)
+    slope = exact_slope(sites, 1.0, gamma, 1.0, mode)
+    Omega = float(mp.sqrt(exact_square(sites, 1.0, gamma, mode)) + S * slope)
+    expected = np.sqrt(S) * np.outer(np.cos(Omega * t), u / np.linalg.norm(u))
+    found = closed_forms.displacement(sites, 1.0, gamma, 1.0, mode, S, t)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
+    assert closed_forms.displacement(sites, 1.0, gamma, 1.0, mode, S, 3.0).shape == (1, sites)
+    grid = closed_forms.frequency(sites, 1.0, gamma, 1.0, mode, [[0.0, S], [S, 1.0]])
+    np.testing.assert_allclose(grid[:, 1], [Omega, Omega + (1.0 - S) * float(slope)], rtol=1e-15)
+
+
 @pytest.mark.parametrize(("gamma", "limit"), [(0.25, 320.2), (0.4, 106.2), (0.55, 44.1), (0.7, 19.4)])
 def test_sensitivity_falls_as_the_inverse_cube_of_the_size_in_the_end(gamma: float, limit: float) -> None:
     """Near the favoured edge sin(m pi/(N+1)) ~ m pi/(N+1); sums of m^4 r^-m and m^2 r^-m are rational in r."""

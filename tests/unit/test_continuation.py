@@ -119,6 +119,23 @@ def test_end_breathers_have_the_reference_frequencies(
         assert abs(orbit.Omega - Omega) <= orbit.Omega_error + ROUND_OFF
 
 
+@pytest.mark.parametrize(
+    ("tolerance", "method"),
+    [
+        (1e-4, "trigonometric"),
+        (1e-8, "trigonometric"),
+        pytest.param(1e-4, "gauss", marks=pytest.mark.slow),
+        pytest.param(1e-8, "gauss", marks=pytest.mark.slow),
+    ],
+)
+def test_the_tolerance_holds_at_the_reference_values(tolerance: float, method: str) -> None:
+    branch = followed(Chain(24, 1.0, 0.25, -1.0), 1, 3.0, tolerance, tuple(SOFTENING_END), method)
+    for S, Omega in SOFTENING_END.items():
+        orbit = branch.at(S)
+        assert abs(orbit.Omega - Omega) <= orbit.Omega_error + ROUND_OFF
+        assert orbit.Omega_error <= tolerance * Omega
+
+
 def test_a_long_chain_stays_on_its_family_where_others_lie_close() -> None:
     """With steps in S alone Omega(3) = 1.0314, on another family, and every solve reports success."""
     branch = followed(Chain(200, 1.0, 0.25, -1.0), 1, 3.0, 1e-10, (0.2,))

@@ -7,6 +7,7 @@ import pytest
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.point import predicting
 
 CHAIN = Chain(19, 0.405, 0.019, -1.0)
 OUT, BACK = 0.116823, 0.083189  # S at which the first excursion of its first family turns
@@ -65,6 +66,17 @@ def test_corners_that_lie_elsewhere_on_coarser_levels_are_walked_round() -> None
     known = [0.015447, 0.011112, 0.059918, 0.030412, 1.457849, 0.324977]
     for found in folds:
         assert found == pytest.approx(known, abs=1e-6)
+
+
+def test_a_prediction_goes_along_the_tangent_where_rounding_spoils_the_polynomial() -> None:
+    """A line whose places are off by 1e-9 and the steps 1e-6; a circle keeps its history."""
+    noise = np.random.default_rng(0).normal(size=(5, 2))
+    line = [(np.array([1e-6 * k, 0.0]) + 1e-9 * noise[k], np.array([1.0, 0.0]) + 1e-4 * noise[k]) for k in range(5)]
+    angles = 0.2 * np.arange(5)
+    circle = [(np.array([np.sin(a), np.cos(a)]), np.array([np.cos(a), -np.sin(a)])) for a in angles]
+    for points, kept in ((line, 0), (circle, 4)):
+        z, t = points[-1]
+        assert len(predicting(z, points[-2::-1], t, np.ones(2))) == kept
 
 
 @pytest.mark.slow

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import mpmath as mp
 import numpy as np
 import pytest
@@ -52,6 +54,32 @@ def test_orbits_agree_with_the_energy_integral_and_with_direct_integration(
     )  # fmt: skip
     found = duffing_displacement(omega_squared, g, amplitude, t)
     np.testing.assert_allclose(found, integrated.y[0], rtol=0, atol=3e-10 * amplitude)
+
+
+@pytest.mark.parametrize("g", [0.5, -0.5])
+def test_signs_shapes_and_scales(g: float) -> None:
+    """The sign of the amplitude is that of the displacement; only g a^2 matters; shapes are those of the times."""
+    t = np.linspace(0.0, 5.0, 12).reshape(3, 4)
+    y = duffing_displacement(2.0, g, 0.8, t)
+    np.testing.assert_array_equal(duffing_displacement(2.0, g, -0.8, t), -y)
+    np.testing.assert_array_equal(duffing_displacement(2.0, 4.0 * g, 0.4, t), 0.5 * y)
+    assert y.shape == (3, 4)
+    assert np.shape(duffing_displacement(2.0, g, 0.8, 1.0)) == ()
+    assert duffing_frequency(2.0, g, -0.8) == duffing_frequency(2.0, g, 0.8) == duffing_frequency(2.0, 4.0 * g, 0.4)
+
+
+@pytest.mark.parametrize("g", [1e-14, 0.0, -1e-14])
+def test_a_vanishing_cubic_term_leaves_the_cosine(g: float) -> None:
+    t = np.linspace(0.0, 10.0, 41)
+    np.testing.assert_allclose(duffing_displacement(4.0, g, 1.5, t), 1.5 * np.cos(2.0 * t), atol=1e-13)
+
+
+def test_the_frequency_of_a_soft_oscillator_falls_to_zero_at_the_separatrix() -> None:
+    gaps = [1e-2, 1e-6, 1e-10, 1e-14]
+    found = [duffing_frequency(1.0, -1.0, float(np.sqrt(1.0 - gap))) for gap in gaps]
+    # K(m) grows like the logarithm of the gap: slowly, and without a jump.
+    assert all(a > b > 0 for a, b in pairwise(found))
+    assert found[-1] < 0.2
 
 
 @pytest.mark.parametrize(

@@ -115,6 +115,15 @@ def test_the_symplectic_method_is_of_order_six() -> None:
         assert np.log2(coarse / halved) == pytest.approx(6.0, abs=0.35)
 
 
+def test_samples_do_not_disturb_the_symplectic_trajectory() -> None:
+    chain, (y, v) = Chain(5, 1.0, 0.3, 1.0), random_start(5)
+    alone = evolve(chain, y, v, [20.0], "symplectic", step=0.13)
+    among = evolve(chain, y, v, np.append(np.linspace(0.0, 19.99, 777), 20.0), "symplectic", step=0.13)
+    np.testing.assert_array_equal(alone.displacements[0], among.displacements[-1])
+    other = evolve(chain, y, v, among.t, "dop853", 1e-12)
+    np.testing.assert_allclose(among.displacements, other.displacements, rtol=0, atol=5e-6)
+
+
 def test_the_step_of_the_symplectic_method_follows_growing_amplitudes() -> None:
     """A kick from the far end stiffens a hardening chain when it arrives: a step fit for the start is then too long."""
     chain = Chain(24, 1.0, 0.25, 1.0)

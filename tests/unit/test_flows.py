@@ -195,6 +195,21 @@ def test_flows_are_within_their_estimates_of_an_independent_integration(
     assert np.linalg.norm(transition.truncation) <= transition.error
 
 
+@pytest.mark.parametrize("tolerance", [1e-8, 1e-10, 1e-12])
+@pytest.mark.parametrize(
+    ("chain", "mode", "S"),
+    # The last have no stiffness at phase zero: g S = -1 with alpha = 1, df/dq = -3 + 3.
+    [*ORBITS, *((Chain(1, 1.0, 0.0, -1.0), 1, S) for S in (0.999, 1.0, 1.001))],
+)
+def test_the_extrapolated_splitting_is_within_its_estimate_of_a_splitting_of_many_steps(
+    chain: Chain, mode: int, S: float, tolerance: float
+) -> None:
+    orbit = followed(chain, mode, S).at(S)
+    transition = transition_of(SplittingFlow, orbit, tolerance)
+    assert transition.error <= tolerance + 1e-12
+    assert np.linalg.norm(transition.matrix - matrix_in(orbit, 256)) <= transition.error + 1e-13
+
+
 # Batches and steps ---------------------------------------------------------------------------------------------------
 
 
@@ -412,3 +427,16 @@ def test_without_a_better_orbit_the_points_own_errors_count() -> None:
     assert true <= bare.multiplier_error <= 1e3 * true
     np.testing.assert_array_equal(bare.floquet().mu, orbit.floquet().mu)
     assert orbit.multiplier_error <= 10 * true
+
+
+def test_a_looser_tolerance_claims_no_instability_that_a_tight_one_denies() -> None:
+    """The end breather gains a real instability at S = 0.43174."""
+    chain = Chain(24, 1.0, 0.25, -1.0)
+    for tolerance in (1e-3, 1e-5, 1e-9):
+        branch = follow_family(
+            chain, 1, 0.45, at=(0.4, 0.431), tolerance=tolerance, corrector="newton", stability=True, events=False
+        )
+        assert branch.at(0.4).floquet().stable
+        assert branch.at(0.431).floquet().stable
+        assert np.all(branch.multiplier_error < 100 * tolerance)
+    assert not branch.orbits[-1].floquet().stable

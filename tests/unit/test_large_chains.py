@@ -80,6 +80,20 @@ def test_closed_form_of_the_tail_in_and_beside_the_band() -> None:
     np.testing.assert_allclose(signs * np.exp(logs), waves.sum(axis=0)[1:-1], rtol=1e-10, atol=1e-13)
 
 
+@pytest.mark.parametrize(
+    ("sites", "gamma"),
+    [(24, 0.99), pytest.param(200, 0.7, marks=pytest.mark.slow), pytest.param(200, -0.25, marks=pytest.mark.slow)],
+)
+def test_shift_at_the_smallest_amplitude(sites: int, gamma: float) -> None:
+    for mode in (1, sites):
+        chain = Chain(sites, 1.0, gamma, 1.0)
+        for walker in ("series", "arclength"):
+            branch = follow_family(chain, mode, 1.0, at=(1e-14,), corrector="newton", walker=walker)
+            slope = frequency_slope(sites, 1.0, gamma, 1.0, mode)
+            found = next(orbit for orbit in branch.orbits if orbit.S == 1e-14)
+            assert abs(found.Omega_shift / (1e-14 * slope) - 1.0) < 1e-9
+
+
 @pytest.mark.usefixtures("pictures")
 def test_files_and_pictures_of_a_steep_chain(tmp_path: Path) -> None:
     branch = follow_family(Chain(200, 1.0, 1.0 - 1e-9, 1.0), 200, 1.0, at=(0.5,), corrector="newton", tolerance=1e-4)
@@ -109,6 +123,16 @@ def test_tables_refuse_what_is_not_finite(tmp_path: Path) -> None:
     with pytest.raises(ArithmeticError, match=r"^Omega: nan in row 2 \(mode 1, point 1, S 0.1\); it is not written$"):
         write_csv(tmp_path / "family.csv", ("mode", "point", "S", "Omega"), rows)
     assert not (tmp_path / "family.csv").exists()
+
+
+@pytest.mark.parametrize("corrector", ["newton", pytest.param("ipopt", marks=pytest.mark.slow)])
+def test_only_the_product_of_g_and_S_matters(corrector: str) -> None:
+    for sites, gamma, mode in ((24, 0.25, 1), (6, 0.7, 3)):
+        found = [
+            follow_family(Chain(sites, 1.0, gamma, -g), mode, 1.0 / g, corrector=corrector).orbits[-1].Omega
+            for g in (1e-8, 1.0, 1e8)
+        ]
+        np.testing.assert_allclose(found, found[0], rtol=1e-12)
 
 
 @pytest.mark.parametrize("alpha", [1e6, *(pytest.param(soft, marks=pytest.mark.slow) for soft in (0.0, 1e-8))])

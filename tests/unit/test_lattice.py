@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 import pickle
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -18,6 +20,18 @@ def accelerations(model: OdeModel, y: Any, parameters: Any = ()) -> Any:
     """The accelerations at positions, by the model's nominal parameters unless others are given."""
     rhs = ca.Function("f", [model.state, model.parameters], [model.rhs])
     return np.array(rhs(y, parameters or model.nominal)).ravel()
+
+
+def by_hand(name: str) -> OdeModel:
+    """A model of examples/models/lattices.py."""
+    file = Path(__file__).parents[2] / "examples" / "models" / "lattices.py"
+    specification = importlib.util.spec_from_file_location("hand", file)
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    model: OdeModel = getattr(module, name)()
+    return model
 
 
 # The same numbers -----------------------------------------------------------------------------------------------------
@@ -77,6 +91,26 @@ def test_what_is_not_the_chain_is_not_taken_for_it(
 
 
 @pytest.mark.parametrize(
+    ("name", "mode", "S", "lattice"),
+    [
+        ("fput", "last", 1.0, fput(24, "fixed")),
+        (
+            "pendula",
+            "first",
+            10.0,
+            Lattice(16, [Site("a", "sin(y)")], [Bond("a", "a", (1,), "k*d")], "fixed", {"k": 0.2}),
+        ),
+    ],
+)
+def test_models_by_hand_have_the_numbers_of_lattices(name: str, mode: str, S: float, lattice: Lattice) -> None:
+    options = {"mode": mode, "amplitude_max": S, "at": (S,), "stability": True, "events": False, "tolerance": 1e-9}
+    a, b = (follow_family(model, **options).at(S=S) for model in (by_hand(name), lattice))
+    assert b.Omega == pytest.approx(a.Omega, rel=1e-14)
+    assert b.energy == pytest.approx(a.energy, rel=1e-13)
+    assert max(abs(b.floquet().multipliers)) == pytest.approx(max(abs(a.floquet().multipliers)), abs=1e-9)
+
+
+@pytest.mark.parametrize(
     ("sites", "energy"), [(8, 0.5320603626), pytest.param(32, 0.1043149731, marks=pytest.mark.slow)]
 )
 def test_the_pi_mode_of_fput_loses_stability_at_the_published_energy(sites: int, energy: float) -> None:
@@ -108,6 +142,15 @@ def test_values_by_cell_and_boundaries_against_sums_by_hand() -> None:
         force = d + d**3
         expected = (-onsite + 2.0 * force[1:] - 3.0 * force[:-1]) / (2.0 * (1 + n / 4))
         assert accelerations(lattice, y) == pytest.approx(expected, rel=1e-14)
+
+
+def test_a_plane_against_sums_by_hand() -> None:
+    lattice, y = plane((3, 2)), np.random.default_rng(1).normal(size=(3, 2))
+    padded = np.pad(y, 1)
+    dx, dy = np.diff(padded[:, 1:-1], axis=0), np.diff(padded[1:-1], axis=1)
+    expected = -(y - y**3) + 0.7 * dx[1:] - 1.3 * dx[:-1] + 0.85 * dy[:, 1:] - 1.15 * dy[:, :-1]
+    assert accelerations(lattice, y.ravel()) == pytest.approx(expected.ravel(), rel=1e-13)
+    assert lattice.state_names[:3] == ("y_1_1", "y_1_2", "y_2_1")
 
 
 # What lattices find out -----------------------------------------------------------------------------------------------

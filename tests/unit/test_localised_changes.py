@@ -432,6 +432,17 @@ def test_a_multiplier_of_a_dimer_that_passes_the_edge_of_a_band_is_listed() -> N
 
 
 @pytest.mark.slow
+def test_counts_are_those_of_cut_problems() -> None:
+    """At single orbits of a short stretch: on the circle and off it."""
+    branch = follow_family(SOFT, "first", 0.2, at=(0.08, 0.2), tolerance=1e-7)
+    orbits = EdgeOrbits(branch.space, [branch.at(S).point for S in (0.08, 0.2)])  # type: ignore[arg-type]
+    for place, expected in ((0.0, 0), (1.0, 1)):
+        sample = orbits.sample(place)
+        assert sample.counts.off == expected
+        assert count(sample.hill.with_more(3), sample.layout) == sample.counts
+
+
+@pytest.mark.slow
 def test_scenes_write_changes_of_infinite_chains(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = tmp_path / "long.toml"
     scene.write_text(

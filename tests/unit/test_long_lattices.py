@@ -267,3 +267,9 @@ def test_modes_and_harmonics_without_a_linear_tail_are_refused() -> None:
     leaning = long(DIMER, math.inf, edge="first", **{**VALUES, "u": 0.6, "gamma": 0.9})
     with pytest.raises(ValueError, match=r"mode: given one that falls by 0 a cell; accepted: 2000 nonlinear sites"):
         follow_family(leaning, 1, 0.1)
+
+
+def test_a_family_that_ended_early_says_why() -> None:
+    branch = follow_family(long(DIMER, math.inf, edge="last", **VALUES), 1, 0.3, tolerance=1e-6, max_points=3)
+    assert not branch.complete
+    assert "points" in branch.reason

@@ -6,14 +6,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.sparse import csc_matrix
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.follow.corners import PassedResonance, _counted, passed_resonances
+from casadi_skin.follow.corners import PassedResonance, _counted, passed_resonances, positive_eigenvalues
 from casadi_skin.follow.family import Family
 from casadi_skin.lattice.chain_coordinates import LongChain
 from casadi_skin.lattice.core_with_tail import CoreWithTailProblem
 from casadi_skin.runs.program import main
 from casadi_skin.zero.family import family_request
+
+
+def test_positive_eigenvalues_of_bands_are_those_of_the_matrices() -> None:
+    generator = np.random.default_rng(1)
+    for matrix in (np.triu(np.tril(m + m.T, 4), -4) for m in generator.normal(size=(20, 23, 23))):
+        assert positive_eigenvalues(csc_matrix(matrix)) == np.count_nonzero(np.linalg.eigvalsh(matrix) > 0.0)
 
 
 def test_a_family_outside_the_band_passes_none() -> None:

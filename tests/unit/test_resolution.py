@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from casadi_skin import Branch, Chain, follow_family
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.follow import Following
 from casadi_skin.lattice.closed_forms import duffing_frequency
 
 
@@ -56,6 +58,18 @@ def test_the_error_expected_of_fewer_harmonics_is_about_the_error_found() -> Non
         ratios.append(levels.error(coarser, correction.z).relative(point.Omega) / expected)
     assert min(ratios) > 0.1
     assert max(ratios) < 3.0  # less than 1/COARSEN: or a coarser level would be left as soon as it is tried
+
+
+def test_a_walk_that_comes_down_is_broken_off_and_goes_on_as_if_it_had_not_been() -> None:
+    chain, mode, amplitude_max = HARDEST_AMID
+    branch = followed(chain, mode, amplitude_max, 1e-8)
+    resolutions = [o.point.problem.resolution for o in branch.orbits]
+    # just before the last step down
+    kept = 1 + max(k for k in range(len(resolutions) - 1) if resolutions[k + 1] < resolutions[k])
+    again = Following(Family(branch.space.request), solutions=branch.orbits[:kept])
+    list(again)
+    np.testing.assert_array_equal(again.branch().S, branch.S)
+    np.testing.assert_array_equal(again.branch().Omega, branch.Omega)
 
 
 # Round-off ----------------------------------------------------------------------------------------------------------

@@ -16,9 +16,13 @@ from hypothesis import strategies as st
 from programs import Program
 
 from casadi_skin import (
+    Bond,
+    BoundaryValueProblem,
     Branch,
     Chain,
+    Lattice,
     OdeModel,
+    Site,
     find_equilibrium,
     find_orbit,
     follow_family,
@@ -26,6 +30,7 @@ from casadi_skin import (
     save_result,
     simulate,
 )
+from casadi_skin.certify.certificate import ProvedStability
 from casadi_skin.model.ode import OdeModel as Model
 from casadi_skin.results.journal import framed
 from casadi_skin.results.saving import FORMAT
@@ -74,6 +79,14 @@ def test_a_family_goes_on_from_a_file_as_if_it_had_not_been_saved(tmp_path: Path
     assert [o.known_floquet is not None for o in read.orbits] == [True] * len(read)
 
 
+def test_an_orbit_is_followed_from_a_file_as_if_it_had_not_been_saved(tmp_path: Path) -> None:
+    read = again(cycle(), tmp_path)
+    assert read.period == cycle().period
+    one, two = (orbit.follow("mu", 0.4, max_points=4) for orbit in (cycle(), read))
+    same(one, two)
+    same(one, again(one, tmp_path))
+
+
 def test_a_file_is_a_file_in_a_directory(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"^path: given .*, which is a directory; accepted: the path of a file$"):
         family().save(tmp_path)
@@ -96,6 +109,35 @@ def test_special_points_lead_on_from_a_file(tmp_path: Path) -> None:
     curve = point.curve("nu", 2.0)
     same(curve, again(curve, tmp_path))
     same(curve, again(branch, tmp_path).special_points[0].curve("nu", 2.0))
+
+
+@pytest.mark.slow
+def test_other_problems_lead_on_from_a_file(tmp_path: Path) -> None:
+    z, p, T = ca.SX.sym("z", 2), ca.SX.sym("p"), ca.SX.sym("T")
+    bratu = OdeModel("Bratu", z, ca.vertcat(z[1], -p * ca.exp(z[0])), ca.vertcat(p, T))
+    problem = BoundaryValueProblem(
+        bratu, [bratu.start(z[0]), bratu.end(z[0])], interval=(0.0, T), parameters={"p": 1.0, "T": 1.0}
+    )
+    solution = problem.solve([0.1, 0.0])
+    same(solution.follow("p", 4.0), again(solution, tmp_path).follow("p", 4.0))
+    ring = Lattice(6, [Site("a")], [Bond("a", "a", (1,), "d + beta*d^3")], "periodic", {"beta": 1.0})
+    modes = follow_family(ring, "last", 0.3)
+    read = again(modes, tmp_path)
+    same(modes, read)
+    followed = modes.orbits[-1].follow("beta", 1.2)
+    same(followed, read.orbits[-1].follow("beta", 1.2))
+    same(followed, again(followed, tmp_path))
+
+
+def test_numbers_beside_branches_come_back(tmp_path: Path) -> None:
+    evolution = simulate(VAN_DER_POL, [2.0, 0.0], np.linspace(0, 1, 5), parameters={"mu": 1.0})
+    read = again(evolution, tmp_path)
+    assert read.states.tobytes() == evolution.states.tobytes()
+    assert dict(read.parameters) == {"mu": 1.0}
+    proved = ProvedStability("unstable", np.zeros((0, 2)), np.zeros(0, dtype=np.int64), 0.5 + 0.1j, 1e-9, 1.0)
+    assert again(proved, tmp_path).exponent == proved.exponent
+    floquet = cycle().floquet()
+    assert again(floquet, tmp_path).multipliers.tobytes() == floquet.multipliers.tobytes()
 
 
 def test_what_is_no_result_is_refused(tmp_path: Path) -> None:

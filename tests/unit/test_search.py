@@ -77,6 +77,22 @@ def test_quantities_of_an_orbit_are_those_of_its_family(gamma: float, g: float) 
     assert np.max(np.abs(nlp.residual(x)[nlp.limits.equations])) < 1e-8
 
 
+def test_derivatives_are_exact() -> None:
+    problem = stated(objective="energy_slope", free=("S", "gamma", "alpha", "g"), constraints=[("above_band", 0, 0)])
+    (nlp, x), rng = first_point(problem, 6), np.random.default_rng(0)
+    lam, way = rng.normal(size=nlp.residual(x).size), rng.normal(size=nlp.size)
+    h = 1e-6
+    ahead, behind = x + h * way, x - h * way
+    moved = (nlp.residual(ahead) - nlp.residual(behind)) / (2 * h)
+    np.testing.assert_allclose(nlp.jacobian(x) @ way, moved, rtol=0, atol=1e-6 * np.max(np.abs(moved)))
+
+    def slope(z: np.ndarray) -> np.ndarray:
+        return np.asarray(nlp.gradient(z) + nlp.jacobian(z).T @ lam)
+
+    turned = (slope(ahead) - slope(behind)) / (2 * h)
+    np.testing.assert_allclose(nlp.hessian(x, lam) @ way, turned, rtol=0, atol=1e-6 * np.max(np.abs(turned)))
+
+
 # Searches ------------------------------------------------------------------------------------------------------------
 
 

@@ -23,6 +23,7 @@ from casadi_skin.follow.follow import Following, follow_family
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.model.conserved import SymmetryClass
+from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import Status
 from casadi_skin.zero.family import family_request
@@ -55,6 +56,17 @@ def test_the_residual_is_what_an_independent_integrator_leaves() -> None:
     weights = Chain(2, 0.8, 0.3, 1.0).weights
     conditions = [*states[0, 2:], *states[-1, :2], weights @ states[0, :2] ** 2 - 1]
     np.testing.assert_allclose(problem.evaluate(z)[0], np.concatenate([*jumps, conditions]), atol=1e-10)
+
+
+def test_the_size_of_the_states_does_not_change_what_digits_mean() -> None:
+    """A linear oscillator in other units: the residual scales to round-off, as local tolerances are relative."""
+    q, v, p = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("p")
+    model = OdeModel("linear", q, -(1 + p) * q, p, 2, v, reversal=(1, -1), half_period=(-1, -1), normalisation=q - 1)
+    problem = ShootingProblem(model, 6, QUARTER, 2)
+    z = problem.pack(np.ones(1), 1.2, 0.0)
+    scaled = np.concatenate([1e-9 * z[: problem.states], z[problem.states :]])
+    expected, found = problem.evaluate(z)[0][:4], problem.evaluate(scaled)[0][:4]
+    np.testing.assert_allclose(1e9 * found, expected, rtol=0, atol=1e-13)
 
 
 # Orbits ---------------------------------------------------------------------------------------------------------------

@@ -161,6 +161,18 @@ def test_a_family_of_exactly_as_many_points_is_complete() -> None:
     assert not follow_family(chain, 1, 1.0, corrector="newton", max_points=len(whole) - 1).complete
 
 
+@WALKERS
+def test_points_before_an_interruption_count(walker: str) -> None:
+    request = family_request(WANDERING, 1, 6.0, corrector="newton", walker=walker, max_points=60)
+    whole = list(Following(Family(request)))
+    cut = max(i for i, o in enumerate(whole[:40]) if isinstance(o, Orbit) and o.point.walked)
+    again = Following(Family(request), solutions=[o for o in whole[: cut + 1] if isinstance(o, Orbit)])
+    list(again)
+    assert len(again.solutions) == 60
+    assert again.branch().end is End.POINTS
+    assert again.branch().S[-1] == pytest.approx(whole[-1].S, rel=1e-9)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("walker", [pytest.param("arclength", marks=pytest.mark.slow), "series"])
 def test_a_run_that_is_taken_up_again_has_the_same_points_at_Omega_with_the_same_errors(walker: str) -> None:

@@ -67,6 +67,11 @@ def test_tables_agree_with_forty_digits(degree: int) -> None:
         check_table(radau, [*nodes, mp.mpf(1)], [*nodes, mp.mpf(1)])
 
 
+def test_the_known_radau_method_of_two_stages() -> None:
+    np.testing.assert_allclose(radau_table(2).extended, [[5 / 12, -1 / 12], [3 / 4, 1 / 4]], rtol=1e-15)
+    np.testing.assert_allclose(radau_table(2).nodes, [1 / 3, 1.0], rtol=1e-15)
+
+
 # Equations ------------------------------------------------------------------------------------------------------------
 
 
