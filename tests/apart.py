@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import pytest
 
-from casadi_skin.results.journal import Journal
+from casadi_skin.results.store import Journal
 from casadi_skin.runs.program import main
 
 BLANK = "import pytest; from drawing import blank_pictures; blank_pictures(pytest.MonkeyPatch())\n"

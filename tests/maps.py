@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 
 from casadi_skin import run_map
-from casadi_skin.results.journal import read_records
+from casadi_skin.results.store import read_records
 from casadi_skin.runs.map_cell import Result, Row
 from casadi_skin.runs.map_grid import Task
 from casadi_skin.runs.map_result import Map, MapRecord, TaskRecord

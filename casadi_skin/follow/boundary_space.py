@@ -12,13 +12,12 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.branch_points import ONE_PLACE, branch_points_between
-from casadi_skin.follow.location import locate_rest, special_orbit
 from casadi_skin.follow.period_limit import joined_words, unbounded
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.search import MonitorSearch
 from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.space import ORBITS, SOLUTIONS, BoundaryError, FamilyError, ParameterSpace
-from casadi_skin.follow.special_points import fold_between, turning
+from casadi_skin.follow.special_points import fold_between, locate_rest, special_orbit, turning
 from casadi_skin.model.arguments import check_name
 from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
 from casadi_skin.model.integrators import IntegrationError

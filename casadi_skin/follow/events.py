@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.location import special_orbit
 from casadi_skin.follow.search import Exponents, ExponentSampler, Sample, Search, Stretch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import snapped, target_of
+from casadi_skin.follow.special_points import special_orbit
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.watch import TimeLimitError
 from casadi_skin.stability.reduction import ComplexArray

@@ -23,10 +23,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.follow.location import locate_rest
 from casadi_skin.follow.point import LocalCurve
 from casadi_skin.follow.search import Crossing, Sample, Search, Stretch
 from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.special_points import locate_rest
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved
 from casadi_skin.zero.problem import EPSILON, Array, Indices, SingularError
 from casadi_skin.zero.rest import AlgebraicProblem, BalancedMatrix

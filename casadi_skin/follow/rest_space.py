@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 
 from casadi_skin.follow.codimension_two import EQUILIBRIUM_CURVES, EquilibriumCurveSearch, special_on_curve
-from casadi_skin.follow.location import REST_KINDS
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.rest_events import special_between
 from casadi_skin.follow.search import Sample
 from casadi_skin.follow.solution import Equilibrium, Solution, following_settings
 from casadi_skin.follow.space import EQUILIBRIA, EquilibriumError, ParameterSpace, corrector_of, of_last_points
-from casadi_skin.follow.special_points import SpecialPoint, check_second
+from casadi_skin.follow.special_points import REST_KINDS, SpecialPoint, check_second
 from casadi_skin.model.jumps import PARAMETER, STATE
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import NoQuantityError

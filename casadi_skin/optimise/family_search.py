@@ -16,11 +16,13 @@ from casadi_skin.model.arguments import accepted_names, number, short_repr
 from casadi_skin.model.expressions import is_comparison, real_array
 from casadi_skin.optimise.families import FreeNumber, ModelFamily, Observables
 from casadi_skin.optimise.nlp import FLAT_CURVATURE, Limits, Nlp, Solution, optimality
-from casadi_skin.optimise.optimum import CosineOrbit, Optimum, PlainCheck
 from casadi_skin.optimise.search_problem import (
     Condition,
+    CosineOrbit,
     Ending,
+    Optimum,
     Outcome,
+    PlainCheck,
     Start,
     checked_bounds,
     checked_conditions,

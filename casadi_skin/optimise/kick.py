@@ -18,9 +18,8 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.arguments import check_name, number, short_repr, whole
 from casadi_skin.model.result import Result
 from casadi_skin.optimise.kick_nlp import KickedFlow, KickNlp, KickOptimum, reach
-from casadi_skin.optimise.optimum import CosineOrbit
 from casadi_skin.optimise.search import distinct
-from casadi_skin.optimise.search_problem import Ending, Outcome, Start, solve_start
+from casadi_skin.optimise.search_problem import CosineOrbit, Ending, Outcome, Start, solve_start
 from casadi_skin.solve.ipopt import SOLVED_STATUS, Monitor, nlp_reason
 from casadi_skin.solve.processes import Report, Runner
 from casadi_skin.zero.problem import Array, Indices

@@ -23,7 +23,7 @@ import numpy as np
 
 from casadi_skin.follow.solution import Curve, Orbit, cosine_curve
 from casadi_skin.optimise.nlp import Limits, Nlp, Solution, optimality
-from casadi_skin.optimise.optimum import CosineOrbit
+from casadi_skin.optimise.search_problem import CosineOrbit
 from casadi_skin.solve.ipopt import SOLVED_STATUS
 from casadi_skin.stability.flows import srkn_step
 from casadi_skin.zero.problem import Array

@@ -18,10 +18,11 @@ from casadi_skin.model.conserved import symmetry_class
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.optimise.boundary_nlp import BoundaryNlp, Refined, refined
-from casadi_skin.optimise.optimum import Optimum, PlainCheck
 from casadi_skin.optimise.search_problem import (
     Condition,
+    Optimum,
     Outcome,
+    PlainCheck,
     Start,
     checked_bounds,
     checked_conditions,

@@ -22,11 +22,11 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import Result
 from casadi_skin.optimise.family_search import FamilySearch
 from casadi_skin.optimise.nlp import FLAT_CURVATURE
-from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.optimise.orbit_search import OrbitSearch
 from casadi_skin.optimise.search_problem import (
     FEASIBLE_VIOLATION,
     Ending,
+    Optimum,
     Outcome,
     Start,
     nearest,

@@ -15,12 +15,19 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.codimension_two import ORBIT_CURVES, OrbitCurveSearch, special_on_curve
 from casadi_skin.follow.find import find_equilibrium
 from casadi_skin.follow.follow import Following, run_following
-from casadi_skin.follow.location import ORBIT_KINDS, Located, locate, locate_rest, special_solutions
 from casadi_skin.follow.normal_forms import critical_functions, on_circle, terms_of
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Solution, following_settings
 from casadi_skin.follow.space import FAMILY, ORBITS, BoundaryError, Followed, of_last_points
-from casadi_skin.follow.special_points import SpecialPoint, check_second
+from casadi_skin.follow.special_points import (
+    ORBIT_KINDS,
+    Located,
+    SpecialPoint,
+    check_second,
+    locate,
+    locate_rest,
+    special_solutions,
+)
 from casadi_skin.model.arguments import check_name
 from casadi_skin.points.edges import EdgeCurve, edge_curve, parameters_of
 from casadi_skin.stability.result import Floquet

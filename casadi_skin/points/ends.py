@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.follow.location import special_orbit
 from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.follow.special_points import special_orbit
 from casadi_skin.zero import mesh
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING
 from casadi_skin.zero.problem import Array

@@ -11,13 +11,13 @@ from casadi_skin.certify.certificate import Certificate, ProvedStability, Proved
 from casadi_skin.dynamics.starts import Spreading
 from casadi_skin.lattice.linear import Bands, LatticeModes
 from casadi_skin.optimise.kick import SmallestKick
-from casadi_skin.optimise.optimum import Optimum
 from casadi_skin.optimise.search import ParetoFront, SearchResult
+from casadi_skin.optimise.search_problem import Optimum
 from casadi_skin.results import words
 from casadi_skin.results.figures.bands import draw_bands
 from casadi_skin.results.figures.evolutions import sizes_of
+from casadi_skin.results.figures.map import draw_starts
 from casadi_skin.results.figures.multipliers import draw_moduli
-from casadi_skin.results.figures.search import draw_starts
 from casadi_skin.results.figures.style import AMPLITUDE_LABEL, draw_curves, number_sites, plain
 from casadi_skin.results.tables import EVENT_COLUMNS, edge_rows
 from casadi_skin.stability.growth import TransientGrowth

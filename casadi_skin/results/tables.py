@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.optimise.optimum import CosineOrbit, Optimum
 from casadi_skin.optimise.search import SearchProblem, SearchResult
-from casadi_skin.optimise.search_problem import Outcome
+from casadi_skin.optimise.search_problem import CosineOrbit, Optimum, Outcome
 from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.results.dataset import Dataset, Variable, versions, write_csv, write_netcdf
 from casadi_skin.results.quantities import PROFILE_PHASES, Cell, unique_names

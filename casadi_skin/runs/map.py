@@ -41,8 +41,8 @@ from casadi_skin.runs.map_cell import LOST, Computer, Result, check_quantities, 
 from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Cells, Grid, Task, needed, plain, scene_at
 from casadi_skin.runs.map_lines import boundaries, check_boundary
 from casadi_skin.runs.map_result import DONE, FAILED, MOST_ATTEMPTS, WATCHED, Map
+from casadi_skin.runs.output import Progress
 from casadi_skin.runs.parts import origin
-from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.reading import parse_scene, read_text
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.rules import SceneError

@@ -41,8 +41,8 @@ from casadi_skin.results.quantities import (
 from casadi_skin.runs.binding import Files, bind
 from casadi_skin.runs.branches import Branches
 from casadi_skin.runs.map_grid import Grid, Tables, Task, scene_at
+from casadi_skin.runs.output import Progress
 from casadi_skin.runs.parts import mode_of
-from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.rules import SceneError, check_known
 from casadi_skin.runs.scene import Scene

@@ -39,14 +39,14 @@ from casadi_skin.results.dataset import (
 )
 from casadi_skin.results.figures.map import MapAxis, Panel, draw_maps, map_figure, panel_title
 from casadi_skin.results.figures.style import save
-from casadi_skin.results.journal import Journal, mapped, record_at, scan
 from casadi_skin.results.quantities import Cell
+from casadi_skin.results.store import Journal, mapped, record_at, scan
 from casadi_skin.results.words import Columns, Shown, listed, show
 from casadi_skin.runs.axes import Axis
 from casadi_skin.runs.directory import SCENE_FILE, DirectoryError
 from casadi_skin.runs.map_cell import OUTSIDE_FAULTS, Result, Row, Value
 from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Cells, Grid, Labels, Task, needed
-from casadi_skin.runs.progress import Progress
+from casadi_skin.runs.output import Progress
 from casadi_skin.runs.reading import parse_scene, read_text
 from casadi_skin.runs.rules import SceneError
 from casadi_skin.runs.scene import Scene

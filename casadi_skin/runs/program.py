@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from casadi_skin.model.interrupts import TimeLimit
     from casadi_skin.runs.directory import Existing
     from casadi_skin.runs.map_result import Map
-    from casadi_skin.runs.progress import Progress
+    from casadi_skin.runs.output import Progress
     from casadi_skin.runs.request import Request
     from casadi_skin.runs.scene import Scene
 
@@ -137,7 +137,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"{arguments.scene}: asks for nothing to compute; accepted: {accepted}")
     request = _bound(scene, arguments)
     from casadi_skin.runs.directory import in_use
-    from casadi_skin.runs.progress import Progress
+    from casadi_skin.runs.output import Progress
 
     directory, existing = _place(arguments)
     with Progress(arguments.quiet) as progress, in_use(directory, progress.report):
@@ -278,7 +278,7 @@ def map_(arguments: argparse.Namespace) -> int:
     _name_program(scene, arguments)
     from casadi_skin.model.interrupts import TimeLimit, time_limited
     from casadi_skin.runs.map import MapRun
-    from casadi_skin.runs.progress import Progress
+    from casadi_skin.runs.output import Progress
 
     directory, existing = _place(arguments)
     options = arguments.workers, arguments.scheduler, None, part, arguments.collect, existing

@@ -24,8 +24,7 @@ from casadi_skin.results.dataset import write_csv
 from casadi_skin.results.figures.style import save
 from casadi_skin.results.quantities import Cell
 from casadi_skin.runs.directory import prepare_study
-from casadi_skin.runs.output import DONE, FAILED, INTERRUPTED, add_study_options, exit_status, print_results
-from casadi_skin.runs.progress import Progress
+from casadi_skin.runs.output import DONE, FAILED, INTERRUPTED, Progress, add_study_options, exit_status, print_results
 
 Case = TypeVar("Case")
 

@@ -8,7 +8,7 @@ from outputs import EXAMPLES
 from scenes import Runs, written
 from scipy.special import ellipk
 
-from casadi_skin.runs.progress import Progress
+from casadi_skin.runs.output import Progress
 
 MODEL = """
 import casadi as ca

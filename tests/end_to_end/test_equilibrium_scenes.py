@@ -69,7 +69,7 @@ def test_the_example_of_prey_and_predators(run: Runs) -> None:
 
 @pytest.mark.slow
 def test_an_interrupted_diagram_goes_on_where_it_was(run: Runs, monkeypatch: pytest.MonkeyPatch) -> None:
-    from casadi_skin.runs.progress import Progress
+    from casadi_skin.runs.output import Progress
 
     scene, seen = EXAMPLES / "prey_and_predators.toml", iter(range(25))
     run(scene, QUIET)

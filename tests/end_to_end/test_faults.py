@@ -18,7 +18,7 @@ from apart import BLANK, Ended
 from outputs import read_rows as rows
 from scenes import chain, family
 
-from casadi_skin.results.journal import Journal
+from casadi_skin.results.store import Journal
 from casadi_skin.runs import run as writing
 from casadi_skin.runs.program import main
 

@@ -22,7 +22,7 @@ from casadi_skin.follow.solution import cosine_curve
 from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.optimise.kick import KickError, SmallestKick, kick_norm
 from casadi_skin.optimise.kick_nlp import reach
-from casadi_skin.optimise.optimum import CosineOrbit
+from casadi_skin.optimise.search_problem import CosineOrbit
 from casadi_skin.solve.processes import SearchProgress
 
 

@@ -19,8 +19,8 @@ from casadi_skin.runs.map import MapRun
 from casadi_skin.runs.map_cell import FAILED, LATE, Computer, Result, Row
 from casadi_skin.runs.map_grid import Grid, Task, plain
 from casadi_skin.runs.map_result import Map
+from casadi_skin.runs.output import Progress
 from casadi_skin.runs.program import main
-from casadi_skin.runs.progress import Progress
 from casadi_skin.runs.reading import parse_scene
 from casadi_skin.solve.processes import Pool, Worker, WorkerEndedError, in_worker
 

@@ -32,8 +32,8 @@ from casadi_skin import (
 )
 from casadi_skin.certify.certificate import ProvedStability
 from casadi_skin.model.ode import OdeModel as Model
-from casadi_skin.results.journal import framed
 from casadi_skin.results.saving import FORMAT
+from casadi_skin.results.store import framed
 
 X, Y, MU, NU = (ca.SX.sym(name) for name in ("x", "y", "mu", "nu"))
 VAN_DER_POL = OdeModel("van der Pol", ca.vertcat(X, Y), ca.vertcat(Y, MU * (1 - X**2) * Y - X), MU)
