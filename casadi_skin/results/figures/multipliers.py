@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # Stability along a family as its diagram has it: the frequency curve, multipliers through tongues, their angles -------
 
-FAMILY_POINTS = 201  # along a family, evenly
+FAMILY_POINTS = 300  # along a family, evenly: with 201 lines of angles that meet are joined wrongly
 IN_TONGUE, FEW_IN_TONGUE = 17, 7  # in a tongue, and in one of as many as these
 MANY_TONGUES = 40
 CLOSE_ANGLES = 0.1  # of pi: angles farther apart at neighbouring places are not joined
