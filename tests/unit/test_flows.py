@@ -230,6 +230,18 @@ def test_a_batch_is_its_members(kind: type[FlowMap]) -> None:
     assert np.abs(along - better).max() > 0.05
 
 
+def test_steps_go_up_and_down_with_the_orbits() -> None:
+    branch = followed(Chain(5, 1.0, 0.3, -1.0), 1, 2.5)
+    easy = state(branch.orbits[0])
+    slow = easy.z.copy()
+    slow[easy.problem.Omega_index] *= 0.3  # no orbit, which is not the flow's business
+    flow = SplittingFlow(branch.space.coordinates.scaled, 1e-8)
+    orbits = (easy, replace(easy, z=slow), easy, easy, easy, easy)
+    most = [flow.transitions([orbit], alike=True)[0].steps for orbit in orbits]
+    assert most[1] > most[0]
+    assert most[0] <= most[-1] < most[1]
+
+
 def test_a_flow_gives_up_by_name_where_its_steps_do_not_suffice(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SplittingFlow, "step_numbers", (3, 4, 6))
     orbit = followed(*ORBITS[0]).at(1.5)
