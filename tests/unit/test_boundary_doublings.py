@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import casadi as ca
 import numpy as np
 import pytest
+from critical_models import across_circle
 from equilibrium_models import symbols
 from scipy.integrate import solve_ivp
 
 from casadi_skin import BoundaryValueProblem, Branch, OdeModel, find_orbit
+from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import BoundaryError
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.settings import End
@@ -107,6 +111,45 @@ def test_a_cycle_stated_with_its_free_period_doubles_as_an_orbit_does() -> None:
     curves = [point.curve("a", 0.22) for point in (mine, known_point)]
     assert curves[0].end is End.REACHED
     assert curves[0]["c"][-1] == pytest.approx(curves[1]["c"][-1], abs=1e-9)
+
+
+def with_free_period(model: OdeModel, values: dict[str, float], guess: Callable[[float], list[float]]) -> Solution:
+    """The cycle near a guess of the period 2 pi as a problem on the unit interval, with the field times T.
+
+    Coefficients are T times those of `find_orbit`.
+    """
+    T = ca.SX.sym("T")
+    stated = OdeModel("stated", model.state, T * model.rhs, ca.vertcat(model.parameters, T))
+    ends = [stated.start(stated.state) - stated.end(stated.state), stated.start(stated.state)[1]]
+    problem = BoundaryValueProblem(stated, ends, parameters={**values, "T": 2.0 * np.pi}, free=["T"])
+    return problem.solve(lambda s: guess(2.0 * np.pi * s))
+
+
+@pytest.mark.slow
+def test_tori_of_cycles_with_a_stated_free_period_are_followed_to_their_resonances() -> None:
+    """Bogdanov and Takens' normal form across a circle: a = -k^2, and the angle 2 pi sqrt(2 k) of the multipliers."""
+
+    def rates(xi: ca.SX, eta: ca.SX, a: ca.SX, k: ca.SX) -> tuple[ca.SX, ca.SX]:
+        turn = 1 + 0.7 * xi**2
+        return turn * eta, turn * (a + k * eta + xi**2 + xi * eta)
+
+    model, values = across_circle(rates, half=False), {"a": -0.0045, "k": 0.058}
+    guess = lambda t: [0.935 * np.cos(t), 0.935 * np.sin(t), 0.0]  # noqa: E731
+    cycle = with_free_period(model, values, guess)
+    orbit = find_orbit(model, guess, 2.0 * np.pi, parameters=values, corrector="newton")
+    (mine,), (known,) = (s.follow("a", -0.0028, stability=True).special_points for s in (cycle, orbit))
+    assert mine.kind == "torus"
+    assert abs(mine.parameters["a"] + 0.058**2) <= mine.error < 1e-13
+    unit = known.solution.period
+    assert mine.coefficient == pytest.approx(unit * known.coefficient, rel=1e-7)
+    assert mine.frequency == pytest.approx(unit * known.frequency, rel=1e-9)
+    curve = mine.curve("k", -0.1)
+    assert curve.end is End.RESONANCE_ONE
+    np.testing.assert_allclose(curve["a"], -(curve["k"] ** 2), rtol=0, atol=1e-9)
+    exact = {"1:3 resonance": 1.0 / 18.0, "1:4 resonance": 1.0 / 32.0, "1:1 resonance": 0.0}
+    assert [point.kind for point in curve.special_points] == list(exact)
+    for point, k in zip(curve.special_points, exact.values(), strict=True):
+        assert abs(point.parameters["k"] - k) <= 3.0 * point.error < 1e-9
 
 
 @pytest.mark.parametrize("turn", [0.0, 1.0])

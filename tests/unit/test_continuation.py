@@ -16,7 +16,7 @@ from casadi_skin import Branch, Chain, Orbit, SymmetryClass, follow_family
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.follow import Following
-from casadi_skin.follow.point import LocalCurve, PointSolver
+from casadi_skin.follow.point import LocalCurve, PointSolver, predictor
 from casadi_skin.lattice.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.solve.ipopt import ArbitratedCorrector
 from casadi_skin.solve.newton import Correction, HeldState, Status
@@ -479,6 +479,29 @@ def test_ipopt_that_refuses_one_of_several_points_leaves_it_named(
     monkeypatch.setattr(ArbitratedCorrector, "confirm_all", confirm_all)
     branch = follow_family(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, at=[0.3, 0.6], walker="series")
     check_missed(branch, wanted)
+
+
+def test_a_prediction_from_four_points_is_exact_to_degree_seven() -> None:
+    """Checked on the graph of a polynomial; with fewer points the degree falls by two a point."""
+    graph = np.polynomial.Polynomial([0.3, -1.0, 0.5, 0.2, -0.4, 0.1, 0.3, -0.2])
+
+    def point(x: float) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([x, graph(x)]), 1.7 * np.array([1.0, graph.deriv()(x)])  # tangents of any length
+
+    row = np.array([1.0, 0.0])
+    before = [point(x) for x in (-0.2, -0.5, -0.6)]
+    np.testing.assert_allclose(predictor(*point(0.0), before, row)(0.4), point(0.4)[0], atol=1e-12)
+    misses = [abs(predictor(*point(0.0), before[:n], row)(0.1)[1] - graph(0.1)) for n in range(4)]
+    assert misses[0] > 5 * misses[1]
+    assert misses[1] > misses[2] > 1e6 * misses[3]
+
+
+def test_a_prediction_leaves_out_points_that_lie_behind_a_turn() -> None:
+    z, t, row = np.array([0.0, 0.0]), np.array([1.0, 0.0]), np.array([1.0, 0.0])
+    good = (np.array([-0.1, 0.01]), np.array([1.0, -0.2]))
+    behind = (np.array([-0.05, 1.0]), np.array([-1.0, 0.0]))
+    with_all, with_good = (predictor(z, t, before, row) for before in ([good, behind], [good]))
+    np.testing.assert_array_equal(with_all(0.1), with_good(0.1))
 
 
 def check_missed(branch: Branch, wanted: float) -> None:

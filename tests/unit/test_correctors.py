@@ -18,6 +18,9 @@ from casadi_skin.follow.find import packed, space_of
 from casadi_skin.follow.point import LocalCurve
 from casadi_skin.follow.space import BoundaryError
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.lattice.core_with_tail import CoreWithTailProblem
+from casadi_skin.lattice.tail import Place, Tail
+from casadi_skin.lattice.tail_parameter import TailParameter
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve import ipopt, watch
 from casadi_skin.solve.bordered import BorderedSolver
@@ -277,6 +280,19 @@ def test_the_band_is_solved_at_the_linear_mode_where_alone_it_is_singular(sites:
     inner = dense(problem, problem.evaluate(z)[1], row)[: problem.states, : problem.states]
     assert np.linalg.norm(inner @ z[: problem.states]) < 1e-12 * np.linalg.norm(z)  # the mode is its null vector
     check_solved(problem, z, row)
+
+
+@needs_kernels
+@pytest.mark.usefixtures("only_the_band")
+@pytest.mark.parametrize("attached", [0, 18, 37])
+def test_the_band_is_wider_next_to_a_tail(attached: int) -> None:
+    """Rows of the site at a tail are those of its harmonics: entries of its neighbours are farther off than others."""
+    chain = Chain(38, 1.0, 0.4, -1.0)
+    tail = TailParameter(Tail(399.0, np.array([[3.0]]), chain.coupling), Place(0, 0, 0.0), 6)
+    problem = CoreWithTailProblem(chain.gauge_model(), 6, tail, attached)
+    assert problem.half_bandwidth == 11
+    z, row = random_state(problem, attached)
+    check_solved(problem, z, row, np.random.default_rng(attached).normal(size=problem.pattern[0].size))
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -8,9 +8,10 @@ import casadi as ca
 import numpy as np
 import pytest
 from critical_models import across_circle, cycles_with_fold
-from equilibrium_models import symbols
+from equilibrium_models import lorenz, symbols
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, minimize_scalar
+from test_orbit_bifurcations import _cycle
 
 from casadi_skin import Branch, Chain, OdeModel, find_equilibrium, find_orbit, follow_family, read_result, save_result
 from casadi_skin.follow.special_points import SpecialPoint
@@ -235,6 +236,20 @@ def test_a_fold_and_a_period_doubling_meet_at_a_fold_flip() -> None:
     fold = orbit.follow("mu", -0.26, until=lambda found: found.point.special == "fold").special_points[0]
     curve = fold.curve("a", 1.5)
     _codimension_two(curve, {"fold-flip": 1.2})
+
+
+@pytest.mark.slow
+def test_places_of_period_doublings_and_tori_are_within_their_errors_and_these_are_not_large() -> None:
+    """Each at a coarse tolerance against a fine one: the error covers the difference, and is no more than rounding."""
+    model, start = lorenz(), _cycle(lorenz(), 240.0)
+    found = []
+    for tolerance in (1e-4, 1e-10):
+        orbit = find_orbit(model, start, parameters={"r": 240.0}, tolerance=tolerance)
+        found.append(orbit.follow("r", 225.0, stability=True).special_points[0])
+    coarse, fine = found
+    apart = abs(coarse.parameters["r"] - fine.parameters["r"])
+    assert apart <= coarse.error + fine.error
+    assert coarse.error <= max(10.0 * apart, 1e-10)
 
 
 @pytest.mark.slow

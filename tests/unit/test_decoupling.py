@@ -8,6 +8,7 @@ from kernels import needs_kernels, numpy_alone
 from numpy.polynomial import chebyshev as chebyshev_polynomial
 from numpy.polynomial.chebyshev import chebroots
 
+from casadi_skin import native
 from casadi_skin.stability.tongues import blocks as decoupling
 from casadi_skin.stability.tongues import chebyshev
 from casadi_skin.stability.tongues.blocks import SERIES_DEGREE
@@ -72,6 +73,19 @@ def test_kernel_and_numpy_find_the_same(size: int, dtype: type) -> None:
     assert np.array_equal(compiled[1], plain[1])
     assert apart.tolist() == also.tolist()
     np.testing.assert_allclose(compiled[0][:5], plain[0][:5], rtol=0, atol=1e-12)
+
+
+@needs_kernels
+@pytest.mark.parametrize("dtype", [float, complex])
+def test_steps_from_the_identity_give_all_mu(dtype: type) -> None:
+    """Within the square of the last step, which is small but not zero."""
+    K, same, _ = random_intervals(6, dtype)
+    K = K[2:, decoupling.PROBE_NODES]
+    values, fine = native.contracts(K, same[2:], decoupling.MOST_STEPS, 1e-9, decoupling.LARGEST_STEP)
+    assert fine.tolist() == [True] * 3 + [False]
+    for here, matrices in zip(values[:3], K[:3], strict=True):
+        exact = np.linalg.eigvals(matrices)
+        assert np.sort_complex(here) == pytest.approx(np.sort_complex(exact), abs=1e-9)
 
 
 def test_forms_have_the_eigenvalues_of_their_columns() -> None:

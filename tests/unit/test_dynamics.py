@@ -164,6 +164,15 @@ def test_the_energy_of_a_reciprocal_chain_is_the_mechanical_one() -> None:
         assert energy == pytest.approx(expected, rel=1e-11)
 
 
+def test_energy_that_is_not_kept_shows() -> None:
+    chain, (y, v) = Chain(5, 1.0, 0.3, 1.0), random_start(5)
+    t = np.linspace(0.0, 50.0, 101)
+    crude, good = (np.abs(evolve(chain, y, v, t, "dop853", tol).energy_drift).max() for tol in (1e-4, 1e-11))
+    assert crude > 1e-4
+    assert good < 1e-9
+    assert evolve(chain, np.zeros(5), None, t).energy_drift == pytest.approx(0.0)
+
+
 @pytest.mark.slow
 def test_over_ten_thousand_periods_the_symplectic_method_alone_does_not_drift(orbit: Orbit) -> None:
     t = np.linspace(0.0, 10_000 * orbit.period, 3931)  # no small multiple of the period between two samples

@@ -211,7 +211,9 @@ def test_a_resonance_loses_stability_between_its_folds(resonance: Branch) -> Non
 def test_a_change_that_was_not_located_is_drawn_at_the_fold(resonance: Branch) -> None:
     top = branch_figure(dataclasses.replace(resonance, located=())).axes[0]
     folds = {tuple(row) for line in lines(top, "fold") for row in points(line)}
-    for line in lines(top, "unstable"):
+    unstable = lines(top, "unstable")
+    assert unstable
+    for line in unstable:
         assert {tuple(points(line)[0]), tuple(points(line)[-1])} <= folds
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ import pytest
 from foreign_fmus import state_space
 
 from casadi_skin import import_fmu
+from casadi_skin.fmu.fmu_archive import FmuWarning
 from casadi_skin.fmu.fmu_component import Component
 
 STATE = np.array([0.3, -0.7])
@@ -78,3 +81,16 @@ def test_an_instance_for_each_shifted_value(arrays: Path, monkeypatch: pytest.Mo
     assert started[0] == 7
     model.vector_field.map(nodes)(0.0, values, -3.0)
     assert started[0] == 7
+
+
+@pytest.mark.slow
+def test_files_named_twice_that_are_not_unpacked_are_accepted_with_a_word(arrays: Path, tmp_path: Path) -> None:
+    path = shutil.copy(arrays, tmp_path / "twice.fmu")
+    with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):
+        archive.writestr("documentation/index.html", "two")
+    with pytest.warns(FmuWarning, match="in it more than once, and not unpacked: documentation/index.html"):
+        assert import_fmu(path).state_names == ("x[1]", "x[2]")
+    with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):
+        archive.writestr("modelDescription.xml", "<x/>")
+    with pytest.raises(ValueError, match=r"'modelDescription.xml' is in it more than once; accepted: once"):
+        import_fmu(path)

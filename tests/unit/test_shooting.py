@@ -6,6 +6,7 @@ import os
 import signal
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -25,7 +26,7 @@ from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.levels import Levels
-from casadi_skin.solve.newton import Status
+from casadi_skin.solve.newton import NewtonCorrector, Status
 from casadi_skin.zero.family import family_request
 from casadi_skin.zero.problem import SingularError
 from casadi_skin.zero.settings import End
@@ -255,3 +256,16 @@ def test_a_tolerance_out_of_reach_ends_the_family_by_name() -> None:
     told = all(o.point.at_round_off or o.point.error.relative(o.Omega) <= 1e-13 for o in beyond.orbits)
     assert told
     assert beyond.complete or beyond.end is End.RESOLUTION
+
+
+def test_a_corrector_is_not_asked_for_less_than_the_noise() -> None:
+    tools = Family(family_request(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, tolerance=1e-6, transcription="shooting"))
+    assert tools.levels.resolutions == CVODES_DIGITS
+    assert CVODES_DIGITS[-3:] == (12, 14, 15)
+    newton = Family(
+        replace(tools.request, method=replace(tools.request.method, corrector="newton"), tolerance=1e-10)
+    ).levels
+    assert newton.resolutions == (12, 14, 15)
+    corrector = newton.corrector(ShootingProblem(tools.coordinates.scaled, 9, QUARTER))
+    assert isinstance(corrector, NewtonCorrector)
+    assert corrector.tolerance == pytest.approx(1e-8)
