@@ -18,6 +18,7 @@ from casadi_skin.follow.search import MonitorSearch
 from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.space import ORBITS, SOLUTIONS, BoundaryError, FamilyError, ParameterSpace
 from casadi_skin.follow.special_points import fold_between, locate_rest, special_orbit, turning
+from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import check_name
 from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
 from casadi_skin.model.integrators import IntegrationError
@@ -320,10 +321,18 @@ class BoundarySpace(ParameterSpace):
         return self.statement.values[self.parameter]
 
     def value(self, name: str, point: Point) -> float:
+        """A quantity of a solution, also one that cannot be held; S is that of the positions at phase zero.
+
+        Raises NoQuantityError for S of an orbit of a model without positions.
+        """
+        if name == "S":
+            if not self.positions:
+                raise NoQuantityError("S: an orbit of a model of first order has no amplitude of positions")
+            return amplitude_square(self.given).value(self.states_at(point, np.zeros(1), None)[0, : self.positions])
         if name == self.parameter:
             return super().value(name, point)
-        period = self.parameters(point)[PERIOD]
-        return period if name == PERIOD else TWO_PI / period
+        start, end = self.interval(point)
+        return end - start if name == PERIOD else TWO_PI / (end - start)
 
     @property
     def solution_class(self) -> type[Solution]:

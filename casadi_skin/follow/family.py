@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from casadi_skin.follow.point import PointSolver, with_small_components
 from casadi_skin.follow.series import CONFIRMED_TOGETHER, SeriesContinuation
 from casadi_skin.follow.solution import Orbit
-from casadi_skin.follow.space import FAMILY, SolutionSpace
+from casadi_skin.follow.space import FAMILY, SolutionSpace, of_last_points
 from casadi_skin.follow.special_points import folds_between
 from casadi_skin.model import methods
 from casadi_skin.model.conserved import SymmetryClass, symmetry_class
@@ -47,6 +47,7 @@ SERIES_PRECISION = 1e-6  # of a residual before Newton's step
 SERIES_ORDERS = 24  # cost of a step over its length is flat between 20 and 35
 JUMP_PHASES = np.linspace(0.0, TWO_PI, 401)  # at which an orbit is looked at for jumps
 SLOW_PERIOD_FACTOR = 3.0  # times the period of the linear mode
+TIE_RTOL = 1e-10  # relative difference of displacements that count as equal
 UNCHANGED_S_RATE = 1e-13  # a relative change of S, per that of Omega, that no longer shows
 
 
@@ -228,13 +229,44 @@ class Family(FamilyStability, SolutionSpace):
         """The conserved quantity; raises ValueError where the model declares none."""
         return self.value("S", point) * self.coordinates.energy(point.problem, point.z)
 
+    def free_error(self, point: Point) -> float:
+        return point.error.Omega / point.Omega
+
+    def times(self, point: Point) -> Array:
+        """Times of the phases at which the equations are solved."""
+        return np.asarray(point.problem.phases() / point.Omega)
+
+    def states(self, point: Point) -> Array:
+        """Displacements at `times` and `output_sites`, shape (time, site)."""
+        return self.states_at(point, point.problem.phases(), self.output_sites)
+
+    def states_at(self, point: Point, theta: Array, sites: Indices | None) -> Array:
+        """Displacements at phases, shape (len(theta), sites)."""
+        return np.asarray(self._scale(point) * self.positions(point, theta, sites))
+
+    @of_last_points
+    def _scale(self, point: Point) -> float:
+        """sqrt(S) with the sign that makes the largest displacement at t = 0 positive; the site can change in a family.
+
+        Of sites that tie, as in a reciprocal chain, the last one decides; an orbit whose model is not odd has no image
+        of the other sign. The corrector's residual of the normalisation is divided out, so that the amplitude is
+        sqrt(S) to round-off.
+        """
+        coordinates, S = self.coordinates, self.value("S", point)
+        start = coordinates.scale * point.problem.sample(point.z, np.zeros(1))[0]
+        if coordinates.scaled.half_period is None:
+            return float(np.sqrt(S) / coordinates.amplitude(start))
+        tied = np.flatnonzero(np.abs(start) >= (1.0 - TIE_RTOL) * np.max(np.abs(start)))
+        return float(np.sign(start[tied[-1]]) * np.sqrt(S) / coordinates.amplitude(start))
+
     def positions(self, point: Point, theta: Array, sites: Indices | None = None) -> Array:
         """Positions over sqrt(S) at phases theta, shape (len(theta), sites)."""
         return self.coordinates.displacements(point.problem, point.z, theta, sites)
 
     def log_displacements(self, point: Point, sites: ArrayLike | None) -> tuple[Array, Array]:
-        """Natural logarithms of |y_n(0)| over sqrt(S), and signs, also far below the smallest double."""
+        """Natural logarithms of |y_n(0)|, and signs, also far below the smallest double."""
         z, smallest = with_small_components(self.point_solver, point)
         coordinates = self.coordinates
         solved = coordinates.log_solved(point, z, smallest)
-        return coordinates.log_displacements(point, solved, site_numbers(sites))
+        logs, signs = coordinates.log_displacements(point, solved, site_numbers(sites))
+        return logs + np.log(abs(self._scale(point))), signs * np.sign(self._scale(point))

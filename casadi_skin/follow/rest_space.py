@@ -207,6 +207,10 @@ class EquilibriumSpace(ParameterSpace):
         """Estimated absolute error of the parameter followed at a special point."""
         return abs(point.error.parameter * (self.to - self.begins)) if self.parameter else 0.0
 
+    def free_error(self, point: Point) -> float:
+        """0: no parameter is found with the state."""
+        return 0.0
+
     @of_last_points
     def spectrum(self, point: Point) -> Spectrum:
         """Eigenvalues at a point."""

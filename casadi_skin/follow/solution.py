@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.model.amplitude import amplitude_square
+from casadi_skin.follow.space import collocation_of
 from casadi_skin.model.arguments import check_name, number, numbers, whole
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.declarations import check_forcing_period
@@ -20,7 +20,6 @@ from casadi_skin.model.result import NoQuantityError, Result
 from casadi_skin.stability.growth import TransientGrowth, transient_growth
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero import mesh
-from casadi_skin.zero.collocation import CollocationEquations
 from casadi_skin.zero.cosines import cosine_matrix, quarter_phases
 from casadi_skin.zero.family import LOG10
 from casadi_skin.zero.problem import Array, Indices, Scalar
@@ -137,28 +136,19 @@ class Solution(Result):
         return stated(self.point.problem)
 
     @property
-    def _collocation(self) -> CollocationEquations:
-        problem = self.point.problem
-        if not isinstance(problem, CollocationEquations):
-            raise NoQuantityError("mesh: the solution is not one of collocation; accepted: evaluate(t)")
-        return problem
-
-    @property
     def statement(self) -> Statement:
         """The boundary-value problem that is solved."""
         return self.problem.statement
 
     @cached_property
     def t(self) -> Array:
-        """Times of the unknowns: ends and stages of the intervals."""
-        start, end = self.space.span(self.point)
-        return np.asarray(start + self._collocation._fractions() * (end - start))
+        """Times of the unknowns: ends and stages of the intervals; of a family the phases of its equations."""
+        return np.asarray(self.space.times(self.point))
 
     @cached_property
     def states(self) -> Array:
-        """States at `t`, shape (time, component)."""
-        values = self.point.z[: self.problem.states].reshape(self.problem.columns, -1)
-        return np.array(values[:, : len(self.space.state_names)])
+        """States at `t`, shape (time, component); of an orbit of a family displacements at `output_sites`."""
+        return np.asarray(self.space.states(self.point))
 
     @property
     def mesh(self) -> Array:
@@ -168,12 +158,12 @@ class Solution(Result):
         equilibrium.
         """
         start, end = self.space.span(self.point)
-        return np.asarray(start + mesh.edges(self._collocation.constants) * (end - start))
+        return np.asarray(start + mesh.edges(collocation_of(self.point).constants) * (end - start))
 
     @property
     def intervals(self) -> int:
         """Number of intervals."""
-        return self._collocation.resolution
+        return collocation_of(self.point).resolution
 
     # Errors -----------------------------------------------------------------------------------------------------------
 
@@ -192,7 +182,7 @@ class Solution(Result):
 
         Values count as no less than a thousandth of their guess, or than 1 where that is 0.
         """
-        return self.point.error.Omega if self.statement.free else 0.0
+        return float(self.space.free_error(self.point))
 
     @property
     def at_round_off(self) -> bool:
@@ -356,17 +346,11 @@ class Equilibrium(Solution):
         """Number of eigenvalues with a positive real part, by more than estimated errors."""
         return int(np.sum(self.spectrum.values.real > self.spectrum.errors))
 
-    @property
-    def parameter_error(self) -> float:
-        """0: no parameter is found with the state."""
-        return 0.0
-
 
 # One periodic orbit of any model in the coordinates of the model, with its stability on demand ------------------------
 
 MOST_QUARTERS = 10_000  # periods are followed as products of matrices
 MOST_HARMONICS = 4096  # of coefficients
-TIE_RTOL = 1e-10  # relative difference of displacements that count as equal
 
 
 @dataclass(frozen=True, eq=False)
@@ -381,7 +365,7 @@ class Orbit(Solution):
 
     def __repr__(self) -> str:
         name = getattr(self.model, "name", None) or repr(self.model)
-        S = f"S = {self.S:.6g}, " if self.space.is_family else ""
+        S = f"S = {self.S:.6g}, " if "S" in self.space.held_names else ""
         return f"<Orbit of {name}: {S}Omega = {self.Omega:.10g}, period = {self.period:.10g}; error {self.error:.1e}>"
 
     @property
@@ -392,31 +376,22 @@ class Orbit(Solution):
     @property
     def Omega(self) -> float:
         """Frequency."""
-        return self.point.Omega if self.space.is_family else 2.0 * np.pi / self.period
+        return self.value("Omega")
 
     @property
     def period(self) -> float:
         """Period; in a forced model that of the forcing or a multiple."""
-        if "period" in self.exact:
-            return self.exact["period"]
-        start, end = self.interval
-        return end - start
+        return self.value("period")
 
     @property
     def Omega_error(self) -> float:
         """Estimated absolute error of Omega."""
-        return self.point.error.Omega if self.space.is_family else self.parameter_error * self.Omega
+        return self.parameter_error * self.Omega
 
     @property
     def period_error(self) -> float:
         """Estimated absolute error of the period; 0 in a forced model."""
         return self.Omega_error / self.Omega * self.period
-
-    @property
-    def parameter_error(self) -> float:
-        if self.space.is_family:
-            return self.point.error.Omega / self.point.Omega
-        return super().parameter_error
 
     @property
     def S_error(self) -> float:
@@ -443,16 +418,6 @@ class Orbit(Solution):
         """Parameters of the model itself, in its order."""
         return np.array([self.parameters[name] for name in self.model.parameter_names])
 
-    @cached_property
-    def t(self) -> Array:
-        """Times of the unknowns: of an orbit of a family those of the phases at which its equations are solved."""
-        return np.asarray(self.point.problem.phases() / self.Omega) if self.space.is_family else super().t
-
-    @cached_property
-    def states(self) -> Array:
-        """States at `t`, shape (time, component); of an orbit of a family displacements at `output_sites`."""
-        return self.evaluate(self.t, self.output_sites) if self.space.is_family else super().states
-
     # Shape ----------------------------------------------------------------------------------------------------------
 
     def evaluate(self, t: ArrayLike, sites: ArrayLike | None = None) -> Array:
@@ -473,25 +438,7 @@ class Orbit(Solution):
         return at_instants(t, self._at_phases(2.0 * np.pi / self.period * instants(t), sites))
 
     def _at_phases(self, theta: Array, sites: ArrayLike | None = None) -> Array:
-        numbers = site_numbers(sites)
-        if self.space.is_family:
-            return np.asarray(self._scale * self._family().positions(self.point, theta, numbers))
-        return np.asarray(self.space.states_at(self.point, theta, numbers))
-
-    @cached_property
-    def _scale(self) -> float:
-        """sqrt(S) with the sign that makes the largest displacement at t = 0 positive; the site can change in a family.
-
-        Of sites that tie, as in a reciprocal chain, the last one decides; an orbit whose model is not odd has no image
-        of the other sign. The corrector's residual of the normalisation is divided out, so that the amplitude is
-        sqrt(S) to round-off.
-        """
-        coordinates = self._family().coordinates
-        start = coordinates.scale * self.point.problem.sample(self.point.z, np.zeros(1))[0]
-        if coordinates.scaled.half_period is None:
-            return float(np.sqrt(self.S) / coordinates.amplitude(start))
-        tied = np.flatnonzero(np.abs(start) >= (1.0 - TIE_RTOL) * np.max(np.abs(start)))
-        return float(np.sign(start[tied[-1]]) * np.sqrt(self.S) / coordinates.amplitude(start))
+        return np.asarray(self.space.states_at(self.point, theta, site_numbers(sites)))
 
     @cached_property
     def S(self) -> float:
@@ -500,13 +447,7 @@ class Orbit(Solution):
         A model with a normalisation has the S of that in its place. Raises ValueError for an orbit of a model
         without positions.
         """
-        if self.space.is_family:
-            return self.value("S")
-        space = self.space
-        positions = space.positions
-        if not positions:
-            raise NoQuantityError("S: an orbit of a model of first order has no amplitude of positions")
-        return amplitude_square(space.given).value(self.evaluate(0.0)[:positions])
+        return self.value("S")
 
     @property
     def output_sites(self) -> Indices:
@@ -542,7 +483,7 @@ class Orbit(Solution):
         one of a family.
         """
         logs, signs = self._family().log_displacements(self.point, sites)
-        return (logs + np.log(abs(self._scale))) / LOG10, signs * np.sign(self._scale)
+        return logs / LOG10, signs
 
     @cached_property
     def log10_profile(self) -> Array:

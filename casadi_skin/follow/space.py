@@ -25,13 +25,16 @@ import numpy as np
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.search import Monitor
+from casadi_skin.model.result import NoQuantityError
 from casadi_skin.solve.ipopt import CORRECTORS
 from casadi_skin.solve.newton import Correction, Corrector, RoundedCorrector
 from casadi_skin.stability.result import Floquet
+from casadi_skin.zero.collocation import CollocationEquations
 from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.kinds import Unresolved
-from casadi_skin.zero.problem import EPSILON, Indices, Problem, Scalar
+from casadi_skin.zero.problem import EPSILON, Array, Indices, Problem, Scalar
 from casadi_skin.zero.settings import Continuation, ContinuationSettings, End, Point, Target
+from casadi_skin.zero.stated_problem import stated
 
 T = TypeVar("T")
 FAMILY, ORBITS, SOLUTIONS, EQUILIBRIA = "family", "orbits", "solutions", "equilibria"
@@ -182,6 +185,21 @@ class SolutionSpace:
         """Start and end of the part of the interval that is unknown."""
         return self.interval(point)
 
+    def times(self, point: Point) -> Array:
+        """Times of the unknowns of a solution."""
+        start, end = self.span(point)
+        return np.asarray(start + collocation_of(point)._fractions() * (end - start))
+
+    def states(self, point: Point) -> Array:
+        """States at `times`, shape (time, component)."""
+        problem = stated(point.problem)
+        values = point.z[: problem.states].reshape(problem.columns, -1)
+        return np.array(values[:, : len(self.state_names)])
+
+    def free_error(self, point: Point) -> float:
+        """Estimated relative error of what is solved for with the states: free parameters, of a family Omega."""
+        return float(point.error.Omega) if self.free else 0.0
+
     def solution(self, point: Point, floquet: Floquet | None = None, exact: Mapping[str, float] | None = None) -> Any:
         """The solution of a point, with its stability where that is known and values that it has exactly."""
         if exact is None:
@@ -242,6 +260,13 @@ class ParameterSpace(SolutionSpace):
     def refined(self, problem: Any, correction: Correction) -> Point:
         """The solution of a correction with u held, at the tolerance; raises `error` where it is not regular."""
         raise NotImplementedError
+
+
+def collocation_of(point: Point) -> CollocationEquations:
+    """The equations of a solution by collocation; raises NoQuantityError for others."""
+    if not isinstance(point.problem, CollocationEquations):
+        raise NoQuantityError("mesh: the solution is not one of collocation; accepted: evaluate(t)")
+    return point.problem
 
 
 REQUESTED_VALUE_RTOL = 4.0 * EPSILON  # relative difference of a value that is the requested one
