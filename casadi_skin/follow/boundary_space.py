@@ -557,7 +557,7 @@ class BoundarySpace(ParameterSpace):
         if point.special == BRANCH_POINT and self.left is not None:
             return End.REJOINED, ""
         if point.special == BOUND:
-            return End.BOUND, f"{min(margins(self, point))[1]}, {point.problem.whereabouts(point.z)}"
+            return End.BOUND, f"{min(margins(self, point))[1]}, {point.problem.describe_parameters(point.z)}"
         if point.special in (HOMOCLINIC, HETEROCLINIC):
             value, error = self.parameters(point)[self.parameter], self.parameter_error(point)
             where = f"{self.parameter} = {value:.10g} +- {error:.0e}"
@@ -569,7 +569,7 @@ class BoundarySpace(ParameterSpace):
         words = problem.backwards(point.z)
         return (End.NO_STEP if words else None), words
 
-    def following(
+    def branch_space(
         self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
     ) -> BoundarySpace:
         """The space of the branch through one of these solutions in a parameter."""

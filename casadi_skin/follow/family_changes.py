@@ -178,7 +178,7 @@ class OrbitSampler:
         z, slopes = (np.array(each) for each in zip(*found, strict=True))
         places = z @ row
         if not np.all(np.diff(places) > 0.0):
-            where = problem.whereabouts(z[0])
+            where = problem.describe_parameters(z[0])
             raise OrbitNotFoundError(f"points are not in order near {where}: another branch crosses")
         return _Section(problem, row, places, z, slopes, offset)
 
@@ -250,7 +250,7 @@ class OrbitSampler:
         if len(found) < len(near):
             lost = near.index(None)
             self._lost.append(float(coordinates[lost]))
-            raise OrbitNotFoundError(f"no orbit is found near {problem.whereabouts(guesses[lost])}")
+            raise OrbitNotFoundError(f"no orbit is found near {problem.describe_parameters(guesses[lost])}")
         states = [OrbitState(problem, orbit.z) for orbit in found]
         responses = np.array([self._length(problem, orbit.z, orbit.response) for orbit in found])
         k, worst = len(states) // 2, int(np.argmax(responses))
@@ -360,7 +360,7 @@ def orbit_near(point_solver: PointSolver, problem: Problem, guess: Array, row: A
     """As `orbits_near` from one guess; raises OrbitNotFoundError."""
     (found,) = orbits_near(point_solver, problem, guess[None], row)
     if found is None:
-        raise OrbitNotFoundError(f"no orbit is found near {problem.whereabouts(guess)}")
+        raise OrbitNotFoundError(f"no orbit is found near {problem.describe_parameters(guess)}")
     return found
 
 

@@ -222,7 +222,7 @@ def _near(space: EquilibriumSpace, start: Array, second: bool = True) -> Equilib
             if words:
                 raise JumpError(model.name, f"{words}, at the equilibrium")
             return _in_own_units(found) if second else found
-        worst = problem.worst(correction.z if finite else z)
+        worst = problem.describe_largest_residual(correction.z if finite else z)
         failure = failure or f"{name}: {correction.status.value}; {worst}"
     full, p = np.concatenate([start, np.zeros(model.full_size - start.size)]), problem.parameters(z)
     rates = np.array(model.vector_field(0.0, full, p)).ravel()
@@ -711,7 +711,7 @@ def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) ->
                 failures.append(str(error))
         else:
             undetermined = rank_deficiency(problem, correction.z, everywhere=True)
-            words = (f"{correction.status.value}; {problem.worst(correction.z)}", undetermined)
+            words = (f"{correction.status.value}; {problem.describe_largest_residual(correction.z)}", undetermined)
             failures.append(not_finite(problem, z) or "; there ".join(filter(None, words)))
     kind = BoundaryError if undetermined else NotReachedError
     raise kind(f"{space.statement.model.name}: no solution near the guess: {failures[0]}")

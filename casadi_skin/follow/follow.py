@@ -1,7 +1,8 @@
 """Following a branch of any kind: its points, with stability, its changes and special points computed beside them.
 
-A continuation goes along the branch point by point; a `Walk` adds the special points between them, and the values
-that were requested; a `Following` makes solutions of the points, with their stability in batches, and keeps the ledger.
+A continuation goes along the branch point by point; a `BranchIterator` adds the special points between them, and the
+values that were requested; a `BranchRun` makes solutions of the points, with their stability in batches, and keeps the
+ledger.
 """
 
 from __future__ import annotations
@@ -38,11 +39,11 @@ from casadi_skin.zero.settings import Continuation, End, Point, Target
 # Solutions of the points of a branch, with their stability and the ledger ---------------------------------------------
 
 
-class Following:
+class BranchRun:
     """Iterates over the solutions of a branch.
 
     `branch()` returns the part computed so far, but for the few points whose stability is computed together;
-    `keep` is called with each point as it converges, and with the walk, which has what is missed so far. Solutions
+    `keep` is called with each point as it converges, and with the iterator, which has what is missed so far. Solutions
     computed earlier may be given, points after them whose stability is `waiting`, and what was `missed` and
     `unresolved`: the branch goes on from the last of these as if it had not been broken off. It ends before its next
     point once `time_limit` seconds are over, also within the work on that point; points that wait then are finished.
@@ -57,7 +58,7 @@ class Following:
         until: Callable[[Any], bool] | None = None,
         waiting: Sequence[Point] = (),
         missed: Sequence[Target] = (),
-        keep: Callable[[Point, Walk], None] | None = None,
+        keep: Callable[[Point, BranchIterator], None] | None = None,
         time_limit: float = math.inf,
         unresolved: Sequence[Unresolved] = (),
     ) -> None:
@@ -65,7 +66,7 @@ class Following:
         self.events = events and self.stability
         self._ledger = Ledger(space) if self.events and space.has_ledger else None
         self._keep, self._time_limit, self._end_time = keep, time_limit, time.monotonic() + time_limit
-        self._walk = Walk(space, [*(s.point for s in solutions), *waiting], missed, unresolved)
+        self._iterator = BranchIterator(space, [*(s.point for s in solutions), *waiting], missed, unresolved)
         self._waiting: deque[Point] = deque(waiting)  # reached, but not yet among the solutions
         self._stopped, self.solutions = False, list[Any]()
         for solution in solutions:  # with the orbits between them at which multipliers cross, sought again
@@ -103,20 +104,20 @@ class Following:
         return watched(self._end_time - time.monotonic())
 
     def _points(self) -> Iterator[Point]:
-        """The points of the walk, up to the limits of their number and of the time."""
+        """The points of the branch, up to the limits of their number and of the time."""
         limit, name = self.space.point_solver.settings.max_points, self.space.parameter
         try:
-            for point in self._walk:
+            for point in self._iterator:
                 if time.monotonic() > self._end_time and (self.solutions or self._waiting):
                     raise TimeLimitError
                 if len(self.solutions) + len(self._waiting) == limit:
                     last = self._waiting[-1] if self._waiting else self.solutions[-1].point
                     reached = f"{limit} points, up to {name} = {self.space.value(name, last):.10g}"
-                    self._walk.stop(End.POINTS, f"{reached}; try max_points above {limit}")
+                    self._iterator.stop(End.POINTS, f"{reached}; try max_points above {limit}")
                     return
                 yield point
         except TimeLimitError:
-            self._walk.stop(End.TIME, f"{self._time_limit:g} s")
+            self._iterator.stop(End.TIME, f"{self._time_limit:g} s")
 
     def _results(self) -> Iterator[Solution]:
         together = self.space.stability_batch if self.stability else 1
@@ -125,11 +126,11 @@ class Following:
         for point in self._points():
             self._waiting.append(point)
             if self._keep is not None:
-                self._keep(point, self._walk)
+                self._keep(point, self._iterator)
             # The first ones sooner: a run that is interrupted early has something to write.
             if len(self._waiting) >= (together if self.solutions else max(1, together // 2)):
                 yield from self._finish_waiting()
-            if self._stopped or self._walk.end is End.FLOW:
+            if self._stopped or self._iterator.end is End.FLOW:
                 return
         yield from self._finish_waiting()
 
@@ -144,7 +145,7 @@ class Following:
                     self._waiting.clear()
                     return
         except FlowError as error:
-            self._walk.stop(End.FLOW, str(error))
+            self._iterator.stop(End.FLOW, str(error))
             self._waiting.clear()
 
     def _with_stability(self) -> Iterable[Solution]:
@@ -158,10 +159,17 @@ class Following:
             return (self.space.solution(point, self.space.floquets([point])[0]) for point in points)
         return [self.space.solution(point, result) for point, result in zip(points, known, strict=True)]
 
+    def to_end(self, progress: Callable[[Any], None] | None = None) -> Branch:
+        """The branch followed to its end; `progress` is called with each solution."""
+        for solution in self:
+            if progress is not None:
+                progress(solution)
+        return self.branch()
+
     def branch(self) -> Branch:
         """The branch computed so far."""
-        end = None if self._waiting else self._walk.end
-        return self.finished(end, self._walk.detail, self._walk.misses(self.solutions, self._stopped, end))
+        end = None if self._waiting else self._iterator.end
+        return self.finished(end, self._iterator.detail, self._iterator.misses(self.solutions, self._stopped, end))
 
     def finished(self, end: End | None, detail: str, misses: Mapping[str, tuple[float, ...]]) -> Branch:
         """The branch of the solutions computed so far, with a known end."""
@@ -169,17 +177,9 @@ class Following:
         return Branch(
             self.space, tuple(self.solutions), tuple(changes),
             self.stability or self.space.stability_included, end, detail, misses,
-            self._stopped, self.events, tuple(dict.fromkeys([*self._walk.unresolved, *unresolved])),
+            self._stopped, self.events, tuple(dict.fromkeys([*self._iterator.unresolved, *unresolved])),
             max(self._end_time - time.monotonic(), 0.0),
         )  # fmt: skip
-
-
-def run_following(following: Following, progress: Callable[[Any], None] | None) -> Branch:
-    """Follow a branch to its end, calling `progress` with each solution."""
-    for result in following:
-        if progress is not None:
-            progress(result)
-    return following.branch()
 
 
 # The points of one stretch of a branch in order: requested ones, and special ones, which may be the same --------------
@@ -268,7 +268,7 @@ ROUNDED_PARAMETER_CHANGE = 100.0 * EPSILON  # change of the parameter, of the wa
 CLOSED_BRANCH_DISTANCE = 1e-3  # of a step: distance from the start of a branch that has come back to it
 
 
-class Walk:
+class BranchIterator:
     """Iterates over the points of a branch that are not known yet, without their stability.
 
     Attributes:
@@ -409,7 +409,7 @@ class Walk:
         except NotLocatedError as error:
             if points and points[-1] is not after:  # it may lie beyond the end
                 return self._found(before, points[-1], points)
-            self.stop(End.NO_STEP, f"{error}, {before.problem.whereabouts(before.z)}")
+            self.stop(End.NO_STEP, f"{error}, {before.problem.describe_parameters(before.z)}")
             if self._is_still(before):
                 value, digits = self._limit(before)
                 self.stop(End.STILL, f"{self.space.parameter} comes to {value:.10g} +- {digits:.0e}")
@@ -541,7 +541,7 @@ def follow_family(
         max_points=max_points, tolerance=tolerance, parameters=parameters, **method,
     )  # fmt: skip
     request = request.for_stability(method.get("walker")) if stability else request
-    return run_following(Following(Family(request), stability, events, until=until, time_limit=seconds), progress)
+    return BranchRun(Family(request), stability, events, until=until, time_limit=seconds).to_end(progress)
 
 
 def _check_choices(stability: object, events: object, until: object, progress: object) -> None:
@@ -605,7 +605,7 @@ def follow(
         accepted = "for orbits, and for conditions x(end) = S x(start)"
         raise ValueError(f"stability: given for solutions that are no orbits; accepted: {accepted}")
     space = monitored_space(space, monitors)
-    return run_following(Following(space, stability, events, until=until, time_limit=seconds), progress)
+    return BranchRun(space, stability, events, until=until, time_limit=seconds).to_end(progress)
 
 
 def monitored_space(space: Any, given: Mapping[str, Any] | None) -> Any:
@@ -638,7 +638,7 @@ def following_space(solution: Solution, parameter: str, to: float, **options: An
     settings = following_settings(solution, parameter, to, **options)
     _check_regular(solution, parameter)
     at = tuple(float(np.float64(value)) for value in options["at"])
-    return solution.space.following(solution, parameter, float(to), at, settings)
+    return solution.space.branch_space(solution, parameter, float(to), at, settings)
 
 
 def _check_regular(solution: Solution, parameter: str) -> None:

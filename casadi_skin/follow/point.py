@@ -334,10 +334,10 @@ class PointSolver:
         if distance <= allowed:
             return correction
         if reach <= 0.0:
-            self.failure = f"the next point lies behind the one before it ({problem.whereabouts(guess)})"
+            self.failure = f"the next point lies behind the one before it ({problem.describe_parameters(guess)})"
             return None
         apart = f"the corrected point is {distance:.1e} from the predicted one, more than {allowed:.1e}"
-        self.failure = f"{apart} ({problem.whereabouts(guess)})"
+        self.failure = f"{apart} ({problem.describe_parameters(guess)})"
         return None
 
     def refined(

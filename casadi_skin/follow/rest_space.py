@@ -152,7 +152,7 @@ class EquilibriumSpace(ParameterSpace):
 
     # The branch -----------------------------------------------------------------------------------------------------
 
-    def following(
+    def branch_space(
         self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
     ) -> EquilibriumSpace:
         """The space of the branch through one of these equilibria in a parameter."""

@@ -250,7 +250,8 @@ class ParameterSpace(SolutionSpace):
         problem, z = self.problem_at(first), np.append(first.z[:-1], 0.0)
         correction = self.levels.corrector(problem).correct(z, problem.parameter_row(), 0.0)
         if not correction.converged:
-            raise self.error(f"the start of the branch: {correction.status.value}; {problem.worst(correction.z)}")
+            words = f"{correction.status.value}; {problem.describe_largest_residual(correction.z)}"
+            raise self.error(f"the start of the branch: {words}")
         return replace(self.refined(problem, correction), step=step)
 
     def problem_at(self, first: Point) -> Any:

@@ -115,7 +115,7 @@ class BoundaryNlp(Nlp):
         negative = optimality(self, solution).negative
         if negative < 0.0:
             words = f"is stationary, but no minimum: curvature {negative:.1e} of the largest"
-            where = self.problem.whereabouts(solution.x)
+            where = self.problem.describe_parameters(solution.x)
             raise BoundaryError(f"{name}: the point found {words}, {where}; try another guess")
         return solution
 
@@ -125,7 +125,7 @@ class BoundaryNlp(Nlp):
         if not np.all(np.isfinite(residual)):
             return f"not finite at {self.row_name(int(np.argmin(np.isfinite(residual))), z)}"
         worst = int(np.argmax(residual))
-        place = f"{self.row_name(worst, z)}, {self.problem.whereabouts(z)}"
+        place = f"{self.row_name(worst, z)}, {self.problem.describe_parameters(z)}"
         return f"largest violation {residual[worst]:.1e} of {place}"
 
 

@@ -14,7 +14,7 @@ from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.codimension_two import ORBIT_CURVES, OrbitCurveSearch, special_on_curve
 from casadi_skin.follow.find import find_equilibrium
-from casadi_skin.follow.follow import Following, run_following
+from casadi_skin.follow.follow import BranchRun
 from casadi_skin.follow.normal_forms import critical_functions, on_circle, terms_of
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Solution, following_settings
@@ -89,7 +89,7 @@ class OrbitCurveSpace(BoundarySpace):
         end = ORBIT_CURVES[self.kind].ends.get(point.special)
         return (end, "") if end is not None else super().stop(point)
 
-    def following(
+    def branch_space(
         self, solution: Solution, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings
     ) -> BoundarySpace:
         """The space of the orbits through one of these in one parameter."""
@@ -169,7 +169,7 @@ def curve(
     """
     options: dict[str, Any] = {"at": at, "max_points": max_points, "max_step": max_step, "back_to": back_to}
     if point.kind != EDGE:
-        return run_following(Following(curve_space(point, parameter, to, **options), until=until), progress)
+        return BranchRun(curve_space(point, parameter, to, **options), until=until).to_end(progress)
     orbit = point.solution
     check_name("parameter", parameter, parameters_of(orbit.space))
     settings, S = following_settings(orbit, parameter, to, **options), point.parameters[point.parameter]
@@ -230,9 +230,7 @@ def shrunk(space: Followed, before: Point, after: Point) -> Point | None:
     found = list[SpecialPoint]()
     for side in (1.0, -1.0):
         to = start + side * HOPF_WAY_FRACTION * span
-        curve = run_following(
-            Following(curve_space(hopf, space.parameter, to, at=(), max_points=500, max_step=0.05)), None
-        )
+        curve = BranchRun(curve_space(hopf, space.parameter, to, at=(), max_points=500, max_step=0.05)).to_end()
         found += [point for point in curve.special_points if point.kind in ENDING_KINDS[space.kind]]
     close = [p for p in found if abs(p.parameters[space.parameter] - start) <= END_DISTANCE_FRACTION * abs(span)]
     if not close:

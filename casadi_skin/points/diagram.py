@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.follow import Following, run_following
+from casadi_skin.follow.follow import BranchRun
 from casadi_skin.follow.space import EQUILIBRIA
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import whole
@@ -112,7 +112,7 @@ def follow_all(
             break
         closes = space.closes
         with_stability = stability and closes and not space.stability_included
-        further.add(run_following(Following(space, with_stability), None), space, point)
+        further.add(BranchRun(space, with_stability).to_end(), space, point)
         names.append(name)
         origins.append(point)
     return Diagram(tuple(further.branches), tuple(origins), tuple(names), tuple(further.failures), complete)

@@ -442,7 +442,7 @@ class EdgeProblem(Problem):
     def rounding(self, z: Array) -> float:
         return DIFFERENCE_STEP**3
 
-    def whereabouts(self, z: Array) -> str:
+    def describe_parameters(self, z: Array) -> str:
         S, value = self.where(z)
         return f"S = {S:.8g}, {self._course.name} = {value:.8g}"
 

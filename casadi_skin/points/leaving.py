@@ -43,7 +43,7 @@ def leaving_solutions(
         space = _of_orbits(cast(Orbit, solution), turns)
         shift = 2.0 * np.pi * np.array(old.periodic.turns or shift)
     elif turns == 1:
-        space = old.following(solution, parameter, to, at, settings)
+        space = old.branch_space(solution, parameter, to, at, settings)
     else:
         closure = old.closure
         if closure is None or not closure.goes_on(known, point.z):

@@ -10,7 +10,7 @@ import numpy as np
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.find import find_equilibrium
-from casadi_skin.follow.follow import Following, following_space, monitored_space, run_following
+from casadi_skin.follow.follow import BranchRun, following_space, monitored_space
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Equilibrium, Orbit, Solution, following_settings
 from casadi_skin.follow.space import EquilibriumError
@@ -90,7 +90,7 @@ def switch(
         back_to=back_to,
     )  # fmt: skip
     space = monitored_space(space, monitors)
-    return run_following(Following(space, stability, events, until=until, time_limit=seconds), progress)
+    return BranchRun(space, stability, events, until=until, time_limit=seconds).to_end(progress)
 
 
 def leaving_space(

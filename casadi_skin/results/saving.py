@@ -23,7 +23,7 @@ from casadi_skin.dynamics.evolution import EquationsOfMotion, equations_of_motio
 from casadi_skin.fmu.model import FmuModel, OtherModelError, at_symbols, checked, identity, noises
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.follow import Walk
+from casadi_skin.follow.follow import BranchIterator
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
@@ -358,12 +358,14 @@ def value_of(data: Any, space: SolutionSpace | None = None) -> Any:
     return Reader().value(data, space)
 
 
-def point_record(branch: str, point: Point, walk: Walk | None = None, with_better: bool = False) -> PointRecord:
+def point_record(
+    branch: str, point: Point, points: BranchIterator | None = None, with_better: bool = False
+) -> PointRecord:
     """Record of a point of the branch of that name; with its better solution where its stability is to be computed."""
     data = data_of(point if with_better else replace(point, better=None))
-    if walk is None:
+    if points is None:
         return PointRecord(branch, data)
-    return PointRecord(branch, data, tuple(walk.missed), tuple(walk.unresolved))
+    return PointRecord(branch, data, tuple(points.missed), tuple(points.unresolved))
 
 
 def stability_record(branch: str, orbit: Solution) -> StabilityRecord:

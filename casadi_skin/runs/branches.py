@@ -17,7 +17,7 @@ import numpy as np
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.follow import Following, Walk, following_space, monitored_space
+from casadi_skin.follow.follow import BranchIterator, BranchRun, following_space, monitored_space
 from casadi_skin.follow.rest_space import UnfoldingError
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import EQUILIBRIA, SolutionSpace
@@ -192,10 +192,10 @@ class Branches:
             self.progress.report(f"{journal.path}: {words}")
             journal.append(CutRecord(name, known.kept))
 
-        def keep(point: Point, walk: Walk) -> None:
-            journal.append(point_record(name, point, walk, self._with_stability))
+        def keep(point: Point, points: BranchIterator) -> None:
+            journal.append(point_record(name, point, points, self._with_stability))
 
-        following = Following(
+        following = BranchRun(
             space, self._with_stability, stability is not None and stability.events, known.solutions,
             waiting=known.waiting, missed=known.missed, keep=keep, unresolved=known.unresolved,
         )  # fmt: skip

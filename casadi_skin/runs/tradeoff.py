@@ -24,7 +24,7 @@ from scipy.optimize import linear_sum_assignment
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.follow import Following, run_following
+from casadi_skin.follow.follow import BranchRun
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.methods import CONTINUATIONS, CORRECTORS, FLOWS, SHOOTING, TRANSCRIPTIONS, TRIGONOMETRIC
@@ -157,7 +157,7 @@ def followed(space: Family, stability: bool = False) -> tuple[Branch, list[Orbit
 
     Its problems are built when they are first used, and kept by the space.
     """
-    branch = run_following(Following(space, stability), None)
+    branch = BranchRun(space, stability).to_end()
     if not branch.complete:
         raise ArithmeticError(branch.reason)
     return branch, [orbit for orbit in branch.orbits if orbit.point.requested]

@@ -242,7 +242,7 @@ class IpoptCorrector(Corrector):
         if status is Status.CONVERGED and not np.all(np.isfinite(found)):
             status = Status.DIVERGED
         if status is not Status.CONVERGED:
-            words = f"Ipopt: {words}; {self.problem.worst(points[0][0])}"
+            words = f"Ipopt: {words}; {self.problem.describe_largest_residual(points[0][0])}"
         return [Correction(z, status, int(stats["iter_count"]), words) for z in found]
 
     def correct(self, guess: Array, row: Array, value: float) -> Correction:

@@ -140,7 +140,7 @@ class NewtonCorrector(Corrector):
                 continue
             z = z - step
             if not np.isfinite(length) or length > max(1.0, 10.0 * last) or length > self._shrink * last:
-                return Correction(guess, Status.DIVERGED, iteration, self.problem.worst(guess))
+                return Correction(guess, Status.DIVERGED, iteration, self.problem.describe_largest_residual(guess))
             # Quadratic convergence: after a step of this length the next would be about its square.
             quadratic = not reuse and length < 1e-3 and length**2 / min(last, 1.0) < 0.1 * self.tolerance
             linear = reuse and CHORD_SAFETY * length**2 / last < 0.1 * self.tolerance
@@ -148,7 +148,7 @@ class NewtonCorrector(Corrector):
                 return Correction(z, Status.CONVERGED, iteration, solve=solve)
             shrinks = length <= CHORD_STEP or length <= FAST_STEP_RATIO * min(last, 1.0)
             reuse, last = self.problem.in_order and shrinks, length
-        return Correction(z, Status.TOO_MANY_ITERATIONS, self.max_iterations, self.problem.worst(z))
+        return Correction(z, Status.TOO_MANY_ITERATIONS, self.max_iterations, self.problem.describe_largest_residual(z))
 
     def _lower(self, z: Array, step: Array, row: Array, value: float) -> Array | None:
         """The point of the longest of the halved steps that makes the residuals smaller; None where none does."""

@@ -347,18 +347,18 @@ class Problem(ABC):
         """Place of an equation, counted from 0, in words; transcriptions describe it in more detail."""
         return f"equation {equation + 1} of {self.size - 1}"
 
-    def whereabouts(self, z: Array) -> str:
+    def describe_parameters(self, z: Array) -> str:
         """Which solution z is, in words."""
         return f"Omega = {self.frequency(z):.10g}, parameter = {z[self.parameter_index]:.10g}"
 
-    def worst(self, z: Array) -> str:
+    def describe_largest_residual(self, z: Array) -> str:
         """The largest residual at z and where it is, in words."""
         try:
             residual = np.abs(self.evaluate(z)[0])
         except ArithmeticError as error:
             return str(error)
         equation = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
-        return f"largest residual {residual[equation]:.1e} at {self.place(equation)}, {self.whereabouts(z)}"
+        return f"largest residual {residual[equation]:.1e} at {self.place(equation)}, {self.describe_parameters(z)}"
 
     def relative_residual(self, z: Array) -> float:
         """Largest residual of the equations relative to their largest term."""

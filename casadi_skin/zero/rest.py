@@ -607,7 +607,7 @@ class AlgebraicProblem(Problem):
         n = self.statics.size
         return f"the equation of {self.statics.names[equation]}" if equation < n else f"condition {equation - n + 1}"
 
-    def whereabouts(self, z: Array) -> str:
+    def describe_parameters(self, z: Array) -> str:
         named: Mapping[str, float] = self.named(z)
         words = ", ".join(f"{name} = {value:.6g}" for name, value in named.items())
         return f"with {words}" if words else f"at {self.statics.names[0]} = {self.state(z)[0]:.6g}"

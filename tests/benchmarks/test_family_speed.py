@@ -18,7 +18,7 @@ from stopwatch import seconds
 
 from casadi_skin import Chain
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.follow import Following
+from casadi_skin.follow.follow import BranchRun
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.solve.ipopt import ArbitratedCorrector
 from casadi_skin.solve.levels import Levels
@@ -34,8 +34,8 @@ SOFT = Chain(24, 1.0, 0.25, -1.0)
 Record = Callable[[str, float, int], None]
 
 
-def follow(tools: Family, stability: bool) -> Following:
-    walk = Following(tools, stability, events=False)
+def follow(tools: Family, stability: bool) -> BranchRun:
+    walk = BranchRun(tools, stability, events=False)
     for _ in walk:
         pass
     assert walk.branch().complete
@@ -48,7 +48,7 @@ def test_end_breather_family_with_and_without_multipliers(record: Record, correc
     request = family_request(SOFT, 1, 3.0, at=(0.2, 1.0, 3.0), tolerance=1e-9, corrector=corrector, walker=walker)
     started = time.perf_counter()
     tools = Family(request)
-    Following(tools)
+    BranchRun(tools)
     tools.levels.corrector(tools.levels.problem(8))
     print(f"\n{corrector}, {walker}: first build {time.perf_counter() - started:.3f} s")
     walk = follow(tools, stability=True)
@@ -154,13 +154,13 @@ def test_localised_multipliers_of_one_orbit(record: Record, sites: float) -> Non
 LONG_CHAIN = """
 import resource, time
 from casadi_skin import Chain
-from casadi_skin.follow.follow import Following
+from casadi_skin.follow.follow import BranchRun
 from casadi_skin.zero.family import family_request
 from casadi_skin.follow.family import Family
 chain = Chain({sites}, 1.0, 0.25, 1.0)
 tools = Family(family_request(chain, {sites}, 3.0, at=(3.0,), tolerance=1e-9, corrector="{corrector}"))
 started = time.perf_counter()
-walk = Following(tools)
+walk = BranchRun(tools)
 for _ in walk:
     pass
 assert abs(walk.solutions[-1].Omega - 2.3200364277694) < 1e-8, walk.solutions[-1].Omega

@@ -9,7 +9,7 @@ from small_models import van_der_pol
 
 from casadi_skin import BoundaryValueProblem, Branch, Orbit, find_orbit
 from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.follow import Following, following_space
+from casadi_skin.follow.follow import BranchRun, following_space
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.saving import BranchRecord, known_of, point_record, stability_record
@@ -142,7 +142,7 @@ def test_a_branch_read_from_its_journal_goes_on_as_if_not_broken_off(kind: str, 
         return following_space(first, name, to, at=at, max_points=500, max_step=0.2)
 
     records: list[BranchRecord] = []
-    following = Following(space(), stability, keep=lambda point, _: records.append(point_record("b", point)))
+    following = BranchRun(space(), stability, keep=lambda point, _: records.append(point_record("b", point)))
     for result in following:
         if stability and isinstance(result, Orbit):
             records.append(stability_record("b", result))
@@ -151,7 +151,7 @@ def test_a_branch_read_from_its_journal_goes_on_as_if_not_broken_off(kind: str, 
         kept = part * len(records) // 12
         known = known_of(records[:kept], "b", space(), stability)
         assert (known.fault, known.kept) == ("", kept)
-        again = Following(space(), stability, solutions=known.solutions, waiting=known.waiting)
+        again = BranchRun(space(), stability, solutions=known.solutions, waiting=known.waiting)
         assert len(list(again)) == len(whole) - len(known.solutions)
         branch = again.branch()
         assert branch.complete

@@ -12,7 +12,7 @@ from orbit_problems import gauss_problem, radau_problem, solved
 
 from casadi_skin import Branch, Chain, Orbit
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.follow import Following
+from casadi_skin.follow.follow import BranchRun
 from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.results.saving import PointRecord, known_of, point_record
@@ -51,7 +51,7 @@ def test_an_uneven_mesh_finds_the_same_orbit(kind: Kind, symmetry: SymmetryClass
 
 
 def followed(tools: Family) -> Branch:
-    walk = Following(tools)
+    walk = BranchRun(tools)
     list(walk)
     return walk.branch()
 
@@ -90,7 +90,7 @@ def test_a_mesh_survives_the_journal_and_the_walk_goes_on_as_if_not_broken_off(S
     request = family_request(
         Chain(1, 1.0, 0.0, -1.0), 1, S, at=(2.0,), tolerance=1e-8, transcription="gauss", corrector="newton"
     )
-    whole = [o for o in Following(Family(request)) if isinstance(o, Orbit)]
+    whole = [o for o in BranchRun(Family(request)) if isinstance(o, Orbit)]
     meshes = {o.point.problem.constants.tobytes() for o in whole}
     assert len(meshes) > 3  # it did move
     records = [msgspec.msgpack.encode(point_record("mode 1", o.point)) for o in whole]
@@ -99,7 +99,7 @@ def test_a_mesh_survives_the_journal_and_the_walk_goes_on_as_if_not_broken_off(S
             [msgspec.msgpack.decode(r, type=PointRecord) for r in records[:kept]], "mode 1", Family(request), False
         )
         assert known.fault == ""
-        walk = Following(Family(request), solutions=known.solutions)
+        walk = BranchRun(Family(request), solutions=known.solutions)
         list(walk)
         again = walk.branch().orbits
         assert len(again) == len(whole)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from casadi_skin import Branch, Chain, Orbit, SymmetryClass, follow_family
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.follow import Following
+from casadi_skin.follow.follow import BranchRun
 from casadi_skin.follow.point import LocalCurve, PointSolver, predictor
 from casadi_skin.lattice.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.solve.ipopt import ArbitratedCorrector
@@ -300,7 +300,7 @@ def test_resolutions_and_points_that_do_not_suffice_end_the_walk_by_name(walker:
 
 def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
     tools = Family(family_request(Chain(5, 1.0, 0.3, -1.0), 1, 1.5, at=(0.3, 0.9), tolerance=1e-8, corrector="newton"))
-    whole = [o for o in Following(tools) if isinstance(o, Orbit)]
+    whole = [o for o in BranchRun(tools) if isinstance(o, Orbit)]
     for kept in (1, 7, 20):
         # Broken off after a point walked: one that was asked for is not yet followed by its successor.
         known = whole[:kept]
@@ -308,7 +308,7 @@ def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
             known = known[:-1]
         if not known:
             continue
-        again = Following(Family(tools.request), solutions=known)
+        again = BranchRun(Family(tools.request), solutions=known)
         list(again)
         branch = again.branch()
         assert branch.complete
@@ -317,7 +317,7 @@ def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
 
 
 def test_what_was_computed_before_an_interruption_is_kept() -> None:
-    walk = Following(Family(family_request(Chain(3, 1.0, 0.3, 1.0), 2, 1.0, corrector="newton")))
+    walk = BranchRun(Family(family_request(Chain(3, 1.0, 0.3, 1.0), 2, 1.0, corrector="newton")))
     for k, _ in enumerate(walk):
         if k == 4:
             break

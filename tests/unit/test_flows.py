@@ -17,7 +17,7 @@ from variational import integrated
 
 from casadi_skin import Branch, Chain, OdeModel, Orbit, follow_family
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.follow import Following
+from casadi_skin.follow.follow import BranchRun
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability.flows import (
     CvodesFlow,
@@ -267,7 +267,7 @@ def test_a_flow_that_fails_within_a_batch_leaves_the_orbits_before(monkeypatch: 
         return original(self, orbits, tolerance, alike)
 
     monkeypatch.setattr(SplittingFlow, "transitions", limited)
-    walk = Following(Family(request), stability=True)
+    walk = BranchRun(Family(request), stability=True)
     orbits = [result for result in walk if isinstance(result, Orbit)]
     every = follow_family(request.model, 1, 3.0, corrector="newton").S
     assert [orbit.S for orbit in orbits] == pytest.approx([S for S in every if S <= 1.234])
@@ -289,7 +289,7 @@ def test_an_interruption_of_the_last_batch_is_not_the_end(monkeypatch: pytest.Mo
         return original(self, points, by)
 
     monkeypatch.setattr(Family, "floquets", interrupted)
-    walk = Following(Family(request), stability=True)
+    walk = BranchRun(Family(request), stability=True)
     with pytest.raises(KeyboardInterrupt):
         list(walk)
     branch = walk.branch()

@@ -156,6 +156,6 @@ def test_the_largest_residual_is_named_by_its_place() -> None:
     branch = follow_family(Chain(3, 1.0, 0.3, 1.0), 1, 0.1, corrector="newton")
     problem, z = branch.orbits[-1].point.problem, branch.orbits[-1].point.z.copy()
     z[4] *= 2.0
-    words = problem.worst(z)
+    words = problem.describe_largest_residual(z)
     assert words.startswith("largest residual ")
     assert "at site 2, node " in words

@@ -11,7 +11,7 @@ import pytest
 from equilibrium_models import symbols
 
 from casadi_skin import BoundaryValueProblem, OdeModel, find_equilibrium, find_orbit
-from casadi_skin.follow.follow import Following, following_space
+from casadi_skin.follow.follow import BranchRun, following_space
 from casadi_skin.zero.settings import End
 
 x, y, a, b, p = symbols("x y a b p")
@@ -109,17 +109,17 @@ def test_a_branch_that_is_broken_off_anywhere_goes_on_with_the_same_points(
 ) -> None:
     first = make(form, 1.0, 1.0)
     space = following_space(first, "p", -1.0, at=[0.0, 0.5, 1e-4], max_points=500, max_step=0.2)
-    whole = _points(Following(space))
+    whole = _points(BranchRun(space))
     names = [solution.point.special for solution in whole]
     special = next(number for number, name in enumerate(names) if name)
     for cut in range(special - 1, special + 2):
-        again = _points(Following(space, solutions=whole[:cut]))
+        again = _points(BranchRun(space, solutions=whole[:cut]))
         assert [one.point.special for one in again] == names, cut
         for one, other in zip(again, whole, strict=True):
             np.testing.assert_array_equal(one.point.z, other.point.z)
 
 
-def _points(following: Following) -> list[Any]:
+def _points(following: BranchRun) -> list[Any]:
     for _ in following:
         pass
     return following.solutions

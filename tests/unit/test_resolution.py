@@ -9,7 +9,7 @@ import pytest
 
 from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.follow import Following
+from casadi_skin.follow.follow import BranchRun
 from casadi_skin.lattice.closed_forms import duffing_frequency
 
 
@@ -66,7 +66,7 @@ def test_a_walk_that_comes_down_is_broken_off_and_goes_on_as_if_it_had_not_been(
     resolutions = [o.point.problem.resolution for o in branch.orbits]
     # just before the last step down
     kept = 1 + max(k for k in range(len(resolutions) - 1) if resolutions[k + 1] < resolutions[k])
-    again = Following(Family(branch.space.request), solutions=branch.orbits[:kept])
+    again = BranchRun(Family(branch.space.request), solutions=branch.orbits[:kept])
     list(again)
     np.testing.assert_array_equal(again.branch().S, branch.S)
     np.testing.assert_array_equal(again.branch().Omega, branch.Omega)

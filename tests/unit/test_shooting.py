@@ -20,7 +20,7 @@ from orbit_problems import (
 from scipy.integrate import solve_ivp
 
 from casadi_skin.follow.family import CVODES_DIGITS, Family
-from casadi_skin.follow.follow import Following, follow_family
+from casadi_skin.follow.follow import BranchRun, follow_family
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.model.conserved import SymmetryClass
@@ -237,7 +237,7 @@ def test_two_folds_are_passed_as_odd_cosines_pass_them() -> None:
     for name in ("shooting", "trigonometric"):
         options: dict[str, Any] = {"tolerance": 1e-6, "transcription": name, "corrector": "newton"}
         S, turns = list[float](), np.zeros(0, dtype=int)
-        for orbit in Following(Family(family_request(Chain(4, 1.0, 0.2, -1.0), 1, 8.0, **options))):
+        for orbit in BranchRun(Family(family_request(Chain(4, 1.0, 0.2, -1.0), 1, 8.0, **options))):
             S.append(orbit.S)  # type: ignore[union-attr]
             turns = np.flatnonzero(np.diff(np.sign(np.diff(S))) != 0)
             if turns.size == 2:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit, follow_family
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.follow import Following
+from casadi_skin.follow.follow import BranchRun
 from casadi_skin.results.saving import EndRecord, known_of, point_record
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.family import family_request
@@ -164,9 +164,9 @@ def test_a_family_of_exactly_as_many_points_is_complete() -> None:
 @WALKERS
 def test_points_before_an_interruption_count(walker: str) -> None:
     request = family_request(WANDERING, 1, 6.0, corrector="newton", walker=walker, max_points=60)
-    whole = list(Following(Family(request)))
+    whole = list(BranchRun(Family(request)))
     cut = max(i for i, o in enumerate(whole[:40]) if isinstance(o, Orbit) and o.point.walked)
-    again = Following(Family(request), solutions=[o for o in whole[: cut + 1] if isinstance(o, Orbit)])
+    again = BranchRun(Family(request), solutions=[o for o in whole[: cut + 1] if isinstance(o, Orbit)])
     list(again)
     assert len(again.solutions) == 60
     assert again.branch().end is End.POINTS
@@ -181,12 +181,12 @@ def test_a_run_that_is_taken_up_again_has_the_same_points_at_Omega_with_the_same
         Chain(1, -1.0, 0.0, -1.0), 1, 2.0, corrector="newton", walker=walker,
         at_Omega=(0.5, 0.2), at_period=(period,), period_max=60.0,
     )  # fmt: skip
-    whole = [o for o in Following(Family(request)) if isinstance(o, Orbit)]
+    whole = [o for o in BranchRun(Family(request)) if isinstance(o, Orbit)]
     records = [point_record("mode 1", o.point) for o in whole]
     for cut in (len(whole) // 3, len(whole) // 2, len(whole) - 1):
         known = known_of(records[:cut], "mode 1", Family(request), False)
         assert (known.fault, known.kept) == ("", cut)
-        walk = Following(Family(request), solutions=known.solutions)
+        walk = BranchRun(Family(request), solutions=known.solutions)
         assert len(list(walk)) == len(whole) - cut  # nothing is computed twice
         again = walk.branch()
         assert again.complete
@@ -200,6 +200,6 @@ def test_what_was_missed_is_kept_in_the_journal() -> None:
     misses = {"Omega": (9.0,), "period": (100.0,)}
     known = known_of([EndRecord("mode 1", End.REACHED, "", misses)], "mode 1", tools, False)
     assert known.end is not None
-    restored = Following(tools).finished(known.end.end, known.end.detail, known.end.misses)
+    restored = BranchRun(tools).finished(known.end.end, known.end.detail, known.end.misses)
     assert (restored.missed, restored.misses) == ((), misses)
     assert not restored.complete

@@ -9,7 +9,7 @@ import numpy as np
 from family_case import Array, Family, FamilyCase
 
 from casadi_skin.follow import family as computed
-from casadi_skin.follow.follow import Following
+from casadi_skin.follow.follow import BranchRun
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.zero.family import FamilyRequest, family_request
 from casadi_skin.zero.settings import ContinuationSettings
@@ -45,7 +45,7 @@ def our_walk(
     space = computed.Family(request)
 
     def follow() -> tuple[Orbit, ...]:
-        walk = Following(space, stability, events=False)
+        walk = BranchRun(space, stability, events=False)
         for _ in walk:
             pass
         branch = walk.branch()
