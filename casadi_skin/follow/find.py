@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -536,11 +536,8 @@ def with_amplitude(model: OdeModel) -> tuple[OdeModel, str, ca.SX]:
     name = AMPLITUDE_NAME
     while name in (*model.parameter_names, *model.state_names):
         name += "_"
-    S = ca.SX.sym(name)
-    own = {entry.name: getattr(model, entry.name) for entry in fields(OdeModel)}  # a lattice becomes a plain model
-    own |= {"parameters": ca.vertcat(model.parameters, S), "nominal": None, "checked": False}
-    extended = OdeModel(**own | {"parameter_labels": (*model.parameter_names, name)})
-    return extended, name, form.form - S
+    extended, square = model.with_parameter(name, form.form)
+    return extended, name, square - extended.parameters[-1]
 
 
 # Other ways to a first solution where the correctors do not reach it from the guess -----------------------------------

@@ -142,6 +142,21 @@ class OdeModel(Equations, WithVerbs):
         own = {entry.name: getattr(self, entry.name) for entry in fields(OdeModel)}
         return OdeModel(**own | changes | {"checked": False})
 
+    def with_parameter(self, name: str, expression: Expression) -> tuple[OdeModel, Expression]:
+        """A plain model with one more parameter, its last, that picks an orbit; and the expression in its symbols."""
+        count = int(self.parameters.numel())
+        p = type(self.state).sym("p", count + 1)
+
+        def moved(value: Any) -> Any:
+            if isinstance(value, Mapping):
+                return {key: moved(each) for key, each in value.items()}
+            return None if value is None else ca.substitute(value, self.parameters, p[:count])
+
+        fields_in_p = ("rhs", "outputs", "conserved", "symmetries", "hamiltonian")
+        changes = {field: moved(getattr(self, field)) for field in fields_in_p}
+        changes |= {"parameters": p, "parameter_labels": (*self.parameter_names, name)}
+        return self._changed(**changes, normalisation=None, nominal=None), moved(expression)
+
     def check_symmetries(self, trials: int = 5, seed: int = 0) -> None:
         """Evaluate the declared symmetries and the conserved quantity at random points.
 

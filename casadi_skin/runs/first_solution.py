@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,6 @@ from casadi_skin.dynamics.evolve import simulate
 from casadi_skin.dynamics.starts import initial_state
 from casadi_skin.follow.find import find_equilibrium, find_orbit
 from casadi_skin.follow.solution import Orbit, Solution
-from casadi_skin.model.conserved import HAMILTONIAN
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.saving import BranchRecord, CycleRecord, data_of, value_of
@@ -62,7 +61,7 @@ def _orbit(request: Request, guess: Cycle, options: dict[str, Any]) -> Orbit:
     followed = request.scene.continuation
     if followed is not None and followed.parameter == SELECTED and SELECTED not in values:
         ((name, values[SELECTED]),) = (orbit.select or {}).items()
-        model, expression = with_selected(model, request.quantity(name))
+        model, expression = model.with_parameter(SELECTED, request.quantity(name))
         select = expression - model.parameters[-1]
     return find_orbit(
         model, guess, guess.period, parameters=values, select=select, section=section, symmetric=orbit.symmetric,
@@ -166,25 +165,6 @@ def _from_section(found: Cycle, section: Expression) -> Cycle:
     while start + found.period > end:  # the cycle has to lie in the simulated time
         start -= found.period
     return Cycle(evolution, start, found.period) if start >= 0.0 else found
-
-
-def with_selected(model: OdeModel, expression: Expression) -> tuple[OdeModel, Expression]:
-    """The model with the value that picks an orbit as one more parameter, and the expression in its symbols."""
-    kind, count = type(model.state), int(model.parameters.numel())
-    p = kind.sym("p", count + 1)
-    energy = {} if model.hamiltonian is None else {HAMILTONIAN: model.hamiltonian}
-    results = [model.rhs, expression]
-    for group in (model.outputs, model.conserved, model.symmetries, energy):
-        results += group.values()
-    moved = iter(model.function("selected", *results).call([0.0, model.full_state, p[:count]], True, False))
-    rhs, selected = next(moved), next(moved)
-    outputs, conserved, symmetries, energy = (
-        {name: next(moved) for name in group} for group in (model.outputs, model.conserved, model.symmetries, energy)
-    )
-    own = {entry.name: getattr(model, entry.name) for entry in fields(OdeModel)}  # a lattice becomes a plain model
-    own |= {"rhs": rhs, "parameters": p, "outputs": outputs, "conserved": conserved, "symmetries": symmetries}
-    own |= {"hamiltonian": energy.get(HAMILTONIAN), "normalisation": None, "nominal": None, "checked": False}
-    return OdeModel(**own | {"parameter_labels": (*model.parameter_names, SELECTED)}), selected
 
 
 def start_near_rest(request: Request) -> tuple[Array, Array | None]:
