@@ -274,7 +274,7 @@ def _given_model(orbit: Orbit) -> tuple[Any, dict[str, float]]:
 
 def unit_direction(
     name: str,
-    equations: EquationsOfMotion,
+    components: tuple[str, ...],
     sites: int,
     choices: Mapping[str, Any],
     of_mode: Callable[[int], Array] | None = None,
@@ -283,6 +283,7 @@ def unit_direction(
 
     Arguments:
         name: of the direction, for messages.
+        components: names of those of the state.
         choices: by name, all but one None: `site`, from 1; `vector`; `seed` of normally distributed numbers; `mode`.
         of_mode: displacements of a linear mode by number.
 
@@ -300,7 +301,7 @@ def unit_direction(
         direction = np.zeros(sites)
         direction[value - 1] = 1.0
     elif key == "vector":
-        direction = checked_vector("vector", value, equations.names, *sorted({sites, equations.size}))
+        direction = checked_vector("vector", value, components, *sorted({sites, len(components)}))
     else:
         direction = np.random.default_rng(value).normal(size=sites)
     largest = float(np.abs(direction).max())
@@ -336,7 +337,7 @@ def perturbed(
     n = equations.positions or equations.size
     if not np.isfinite(size):
         raise ValueError(f"size: given {size!r}; accepted: a finite number")
-    direction = unit_direction("perturbation", equations, n, {"site": site, "vector": vector, "seed": seed})
+    direction = unit_direction("perturbation", equations.names, n, {"site": site, "vector": vector, "seed": seed})
     return _displaced(orbit, equations, size * direction)
 
 

@@ -60,7 +60,7 @@ def initial_state(
     first_order = not equations.positions
     n = model.declaration.size if model.declaration else equations.positions or equations.size
     choices = {"mode": mode, "site": site, "vector": vector, "seed": seed}
-    direction = unit_direction("start", equations, n, choices, partial(_mode, model, parameters))
+    direction = unit_direction("start", equations.names, n, choices, partial(_mode, model, parameters))
     if moving and n == equations.size:
         words = f"given with {equations.physical.name}, of first order; accepted: a model with positions"
         raise ValueError(f"moving: {words}")

@@ -475,7 +475,9 @@ def check_orbit(
         given = [n for n, v in (("period", period), ("select", selects), ("section", section)) if v is not None]
         given += ["symmetric"] if symmetric else []
         if given:
-            raise ValueError(f"{given[0]}: given for {model.name}, which is forced; accepted: cycles alone")
+            raise ValueError(
+                f"{given[0]}: given for {model.name}, which is forced; accepted: cycles, after which it closes"
+            )
         return
     if cycles != 1:
         raise ValueError(f"cycles: given {cycles} for {model.name}, which is autonomous; accepted: 1, with its period")
@@ -484,9 +486,9 @@ def check_orbit(
     family = symmetric or model.hamiltonian is not None or bool(model.conserved)
     if family and select is None and not free:
         why = "symmetric" if symmetric else "conservative"
-        raise ValueError(f"select: given none; accepted: an expression, for {why} orbits come in families")
+        raise ValueError(f"select: given none; accepted: a value at phase zero, for {why} orbits come in families")
     if not family and select is not None and not free:
-        raise ValueError(f"select: given for {model.name}; accepted: with a hamiltonian, symmetric = True or free")
+        raise ValueError(f"select: given for {model.name}; accepted: with a hamiltonian, or a symmetric orbit")
     if symmetric and section is not None:
         raise ValueError("section: given with symmetric = True, which fixes the phase; accepted: one of them")
     for name in (PERIOD, UNFOLDING):

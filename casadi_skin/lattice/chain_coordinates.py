@@ -17,6 +17,7 @@ from casadi_skin.lattice.closed_forms import frequency, standing_wave
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.lattice.declaration import FIXED
 from casadi_skin.lattice.lattice import Core, LongLattice, nonlinear_cells
+from casadi_skin.lattice.stiffness import square_of_family
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.model.methods import EVERY_SITE, PAYS_FROM, TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from casadi_skin.zero.family import Method
 
 
-NARROWEST_BAND = 1e-10  # of its squared frequency, in which doubles distinguish modes; measured
 TAIL_PAYS_FACTOR = 8  # times the core's sites from which on the elimination of the tail is cheaper
 LONGEST_CORE = 5000
 
@@ -47,7 +47,7 @@ def chain_coordinates(
     """
     check_no_parameters(parameters)
     number = chain.mode_number(mode)
-    _check(chain, number)
+    square_of_family(chain.sites, **chain.parameters, mode=number)
     if abs(chain.gamma) == 1.0:
         return EdgeSite(chain, number)
     sites = core_sites(chain, amplitude_max)
@@ -73,24 +73,6 @@ def core_sites(chain: Chain, amplitude_max: float) -> int:
     """Number of sites at the edge outside of which the cubic term is below round-off, counted to LONGEST_CORE."""
     rate = 2.0 * math.atanh(min(abs(chain.gamma), 1.0 - 1e-16))
     return nonlinear_cells(rate, max(1.0, abs(chain.g) * amplitude_max), LONGEST_CORE)
-
-
-def _check(chain: Chain, number: int) -> None:
-    """Raises ValueError where the chain has no family of this mode that doubles can follow."""
-    if chain.g == 0:
-        raise ValueError("g: given 0; accepted: not 0 (the family is the linear mode at every amplitude)")
-    square = chain.linear_frequency(number) ** 2
-    if chain.sites > 1 and 0.0 < 4.0 * chain.coupling < NARROWEST_BAND * square:
-        raise ValueError(
-            f"alpha: given {chain.alpha!r}, beside which the band is {4 * chain.coupling / square:.0e} wide:"
-            f" its modes are the same in doubles; accepted: alpha up to {4.0 * chain.coupling / NARROWEST_BAND:.3g}"
-        )
-    edge = chain.sites if chain.g > 0 else 1
-    if abs(chain.gamma) == 1.0 and number != edge:
-        raise ValueError(
-            f"mode: given {number}; accepted at |gamma| = 1 with g = {chain.g:g}: {edge} (all frequencies "
-            "meet, and only the family in which the edge site alone moves exists in the gauge)"
-        )
 
 
 def _obstacle(chain: Chain, number: int, sites: int, method: Method) -> str:

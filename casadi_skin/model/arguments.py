@@ -12,6 +12,7 @@ from typing import Any, cast
 
 LONGEST_VALUE_TEXT = 60  # characters of a value or name in a message
 MANY_NODES = 1000  # of an expression that no message shows
+SAME_PERIOD_RTOL = 1e-12  # relative difference of periods that are the same
 
 
 def cut(text: str, longest: int = LONGEST_VALUE_TEXT) -> str:
@@ -54,11 +55,16 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
     )
 
 
+def did_you_mean(near: str | None, accepted: str) -> str:
+    """End of a message: the nearest known name, if one is near, and what is accepted in words."""
+    return f"{f'did you mean {near}? ' if near else ''}accepted: {accepted}"
+
+
 def accepted_names(name: object, known: Iterable[str]) -> str:
     """End of a message about an unknown name: the nearest known name, if one is near, and all known names."""
     names = list(known)
     near = nearest(name if isinstance(name, str) else short_repr(name), names)
-    return f"{f'did you mean {near}? ' if near else ''}accepted: {', '.join(names) or 'none'}"
+    return did_you_mean(near, ", ".join(names) or "none")
 
 
 def check_name(label: str, name: object, known: Iterable[str]) -> None:
@@ -167,3 +173,31 @@ def file_path(name: str, value: object) -> Path:
     if not str(value).isprintable() or not str(value):
         raise ValueError(f"{name}: given {short_repr(str(value))}; accepted: a path in one line")
     return Path(value)
+
+
+def check_places(given: Any, amplitude_max: float, linear_period: float, mode: int) -> None:
+    """Raises ValueError for places where orbits are wanted, and a last period, that a family does not come to.
+
+    `given` has them as `at`, `at_Omega`, `at_period` and `period_max`; the family begins at the period of its mode.
+    """
+    longest = math.inf if given.period_max is None else given.period_max
+    if given.period_max is not None and not linear_period * (1.0 + SAME_PERIOD_RTOL) < longest < math.inf:
+        accepted = f"a finite number > {linear_period:.12g} (the period of linear mode {mode})"
+        raise ValueError(f"period_max: given {longest!r}; accepted: {accepted}")
+    slowest = 2.0 * math.pi / longest
+    for name, low, high, accepted in (
+        ("at", 0.0, amplitude_max, f"numbers <= amplitude_max = {amplitude_max!r}"),
+        ("at_Omega", slowest, math.inf, f"numbers >= 2 pi/period_max = {slowest:.12g}"),
+        ("at_period", 0.0, longest, f"numbers <= period_max = {longest!r}"),
+    ):
+        values = getattr(given, name)
+        for i, value in enumerate(values):
+            place = f"{name}: given {value!r} as item {i + 1}"
+            if not 0.0 < value < math.inf:
+                raise ValueError(f"{place}; accepted: finite numbers > 0")
+            if not low <= value <= high:
+                raise ValueError(f"{place}; accepted: {accepted}")
+            if name == "at" and i and value <= values[i - 1]:
+                raise ValueError(f"{place} after {values[i - 1]!r}; accepted: numbers in strictly ascending order")
+            if value in values[:i]:
+                raise ValueError(f"{place} again; accepted: each number once")

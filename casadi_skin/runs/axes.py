@@ -10,8 +10,8 @@ from typing import Any
 
 import msgspec
 
-from casadi_skin.model.arguments import cut, nearest
-from casadi_skin.runs.rules import SceneError, did_you_mean, refusal, toml_repr, with_kind
+from casadi_skin.model.arguments import cut, did_you_mean, nearest
+from casadi_skin.runs.rules import SceneError, refusal, toml_repr, with_kind
 from casadi_skin.runs.scene import OPTIONS, AxisTable, ChainTable, MapTable, RangeTable, Scene, accepted_by
 
 ACCEPTED_AXES = "a table { from, to, points }, or a list of values"
@@ -48,7 +48,7 @@ def _check_axis(name: str, value: object) -> None:
         for key, item in value.items():
             if key not in known:
                 near = nearest(key, known)
-                raise SceneError(f"{place}, {cut(key)}: unknown key{did_you_mean(near, ', '.join(known))}")
+                raise SceneError(f"{place}, {cut(key)}: unknown key; {did_you_mean(near, ', '.join(known))}")
             if not _is(RangeTable, {"from": 0.0, "to": 1.0, "points": 2, key: item}):
                 raise refusal(f"{place}, {key}", with_kind(item), accepted_by(RangeTable, key))
         missing = next(key for key in ("from", "to", "points") if key not in value)
@@ -56,7 +56,7 @@ def _check_axis(name: str, value: object) -> None:
     if isinstance(value, list):
         raise refusal(place, toml_repr(value), "a list of one or more finite numbers or names")
     near = nearest(name, OPTIONS)
-    raise SceneError(f"{place}: given {with_kind(value)}{did_you_mean(near, ACCEPTED_AXES)}")
+    raise SceneError(f"{place}: given {with_kind(value)}; {did_you_mean(near, ACCEPTED_AXES)}")
 
 
 def _is(kind: Any, value: object) -> bool:
@@ -243,7 +243,7 @@ def path_of(scene: Scene, name: str) -> Path:
         return "model", "parameters", name
     near = nearest(name, (*known, *OPTIONS))
     words = f"{', '.join(known)}, or TABLE.KEY; options: {', '.join(OPTIONS)}"
-    raise SceneError(f"[map] {cut(name)}: neither a parameter of the scene nor an option{did_you_mean(near, words)}")
+    raise SceneError(f"[map] {cut(name)}: neither a parameter of the scene nor an option; {did_you_mean(near, words)}")
 
 
 def _named_paths(scene: Scene) -> dict[str, Path]:

@@ -30,8 +30,18 @@ from casadi_skin.runs.output import Lines
 from casadi_skin.runs.output import named as in_words
 from casadi_skin.runs.parts import picture
 from casadi_skin.runs.request import Numbers, Request, check_state, state_of
-from casadi_skin.runs.rules import Rules, SceneError, check_known, check_rules, faults_at, refusal, toml_repr, unknown
-from casadi_skin.runs.scene import CONSERVED, SELECTED, TABLES, LatticeTable, ModelTable, Scene, UniformTable
+from casadi_skin.runs.rules import (
+    KICKS,
+    Rules,
+    SceneError,
+    check_known,
+    check_rules,
+    faults_at,
+    placed,
+    refusal,
+    toml_repr,
+)
+from casadi_skin.runs.scene import CONSERVED, SELECTED, LatticeTable, ModelTable, Scene, UniformTable
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
@@ -67,8 +77,9 @@ def bind(scene: Scene, scene_path: Path, files: Files | None = None) -> Request:
         assert scene.chain is not None  # one of the three is there
         chain = asdict(scene.chain)
         request = Request(scene, Chain(**chain), {name: chain[name] for name in ("alpha", "gamma", "g")})
-    for rules in (_of_solutions, _of_continuation, _of_jumps, _of_families, _of_perturbation):
+    for rules in (_of_solutions, _of_continuation, _of_jumps, _of_families):
         check_rules(scene, rules(request))
+    _check_perturbation(request)
     if scene.spectrum is not None:
         check_spectrum(request)
     if scene.search is not None:
@@ -164,31 +175,6 @@ def _guess(given: str | Numbers, path: Path, problem: BoundaryValueProblem, name
 
 # Rules of a scene with its model at hand, as those of runs.rules without it -------------------------------------------
 
-IN_SCENES = {  # words of messages about arguments of find_orbit
-    "an expression": "a table with one number",
-    ", symmetric = True or free": " or symmetric = true",
-    "cycles alone": "start, transient and cycles",
-}
-
-
-def _in_scenes(words: str) -> str:
-    """A message about an argument of find_orbit, about the key of [orbit]."""
-    for in_python, in_scenes in IN_SCENES.items():
-        words = words.replace(in_python, in_scenes)
-    return f"[orbit] {words}"
-
-
-def _placed(message: str, table: str = "family") -> str:
-    """A message about an argument of a family, with the table that it is in; one about the model with `table`."""
-    argument, _, words = message.partition(": ")
-    if argument in ("model", "lattice"):
-        return f"[{table}]: {words}"
-    if argument == "stability_sites":
-        return f"[stability] sites: {words}"
-    homes = ("family", "method", "accuracy", "chain", "model")
-    home = next((name for name in homes if argument in TABLES[name].__struct_encode_fields__), "")
-    return f"[{home}] {message}" if home else f"[{table}]: {message}"
-
 
 def _of_solutions(request: Request) -> Rules:
     """States and conditions that the model has, and that an orbit can be closed with."""
@@ -206,9 +192,10 @@ def _of_solutions(request: Request) -> Rules:
     names = (*model.state_names, *model.outputs)
     check_state("[orbit] start", orbit.start, model.state_names)
     conserved = (*model.conserved, *(() if model.hamiltonian is None else (CONSERVED,)))
-    yield from (unknown("[orbit] select", name, (*names, *conserved)) for name in orbit.select or ())
-    yield from (unknown("[orbit] section", name, names) for name in orbit.section or ())
-    with faults_at(_in_scenes):
+    for key, known in (("select", (*names, *conserved)), ("section", names)):
+        for name in getattr(orbit, key) or ():
+            check_known(f"[orbit] {key}", name, known)
+    with faults_at("[orbit] "):
         check_orbit(model, orbit.period, orbit.select, orbit.section, orbit.symmetric, orbit.cycles)
         rotations_of(model, orbit.rotations, orbit.symmetric)
     if not model.forced and orbit.period is None and orbit.transient is None:
@@ -235,10 +222,10 @@ def _of_continuation(request: Request) -> Rules:
         values[SELECTED] = next(iter(scene.orbit.select.values()))
     if not family:
         free = () if problem is None else problem.free
-        yield unknown("[continuation] parameter", table.parameter, [name for name in values if name not in free])
+        check_known("[continuation] parameter", table.parameter, [name for name in values if name not in free])
     if table.curve is not None:
         name, to = table.curve.parameter, table.curve.to
-        yield unknown("[continuation] curve", name, [other for other in values if family or other != table.parameter])
+        check_known("[continuation] curve", name, [other for other in values if family or other != table.parameter])
         yield "continuation curve", to == values[name] and f"to = {to!r}, where it starts", "another number"
         beyond = family and limits and name == "gamma" and abs(to) >= 1
         yield "continuation curve", beyond and f"to = {to!r} for gamma", "numbers between -1 and 1"
@@ -275,7 +262,7 @@ def _of_jumps(request: Request) -> Rules:
 def _of_families(request: Request) -> Rules:
     """Families that can be followed, each once, and orbits of families that are followed."""
     scene = request.scene
-    with faults_at(_placed):
+    with faults_at(placed):
         modes = [family.mode for family in request.families]
         if scene.accuracy.certify:
             from casadi_skin.certify.certify import provable
@@ -290,21 +277,20 @@ def _of_families(request: Request) -> Rules:
         yield f"{name} mode", other, f"one of the modes of [family], {modes}"
 
 
-def _of_perturbation(request: Request) -> Rules:
-    """Perturbations that the states of the model have."""
-    table, model, scene = request.scene.dynamics, request.model, request.scene
+def _check_perturbation(request: Request) -> None:
+    """Raises SceneError for a start, or a perturbation, that the states of the model do not have."""
+    table, scene = request.scene.dynamics, request.scene
+    kicks = {key: getattr(table, key, None) for key in KICKS}
     if table is not None and scene.family is None and scene.orbit is None:
         from casadi_skin.runs.first_solution import start_near_rest
 
         with faults_at("[dynamics] "):
             start_near_rest(request)
-    elif table is not None and scene.chain is None:
-        size = model.size
-        accepted = f"{size} numbers" if model.order == 1 else f"{size} displacements, or these and {size} velocities"
-        other = len(table.vector or ()) not in (size, model.full_size)
-        yield "dynamics vector", other and f"a list of {len(table.vector or ())}", accepted
-        names = ", ".join(model.state_names[:size])
-        yield "dynamics site", not 1 <= (table.site or 1) <= size, f"whole numbers from 1 to {size} ({names})"
+    elif table is not None and any(kick is not None for kick in kicks.values()):
+        from casadi_skin.dynamics.evolve import unit_direction
+
+        with faults_at("[dynamics] "):
+            unit_direction("perturbation", request.equations.state_names, request.equations.size, kicks)
 
 
 def check_spectrum(request: Request) -> None:
@@ -313,7 +299,7 @@ def check_spectrum(request: Request) -> None:
 
     if request.scene.lattice is None:
         chain = request.scene.chain
-        place = partial(_placed, table="spectrum") if chain is None else f"[chain] alpha: given {chain.alpha:g}; "
+        place = partial(placed, table="spectrum") if chain is None else f"[chain] alpha: given {chain.alpha:g}; "
         with faults_at(place):
             linear_frequencies(request.model, request.parameters)
 

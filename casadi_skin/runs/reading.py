@@ -12,14 +12,13 @@ from typing import Any
 
 import msgspec
 
-from casadi_skin.model.arguments import LONGEST_VALUE_TEXT, cut, nearest
+from casadi_skin.model.arguments import LONGEST_VALUE_TEXT, cut, did_you_mean, nearest
 from casadi_skin.runs.axes import check_map, with_axes
 from casadi_skin.runs.rules import (
     SceneError,
     Unknown,
     check_scene,
     check_unknown,
-    did_you_mean,
     inline,
     is_table,
     refusal,
@@ -209,7 +208,7 @@ class _Reading:
             given = inline(value)
         near = nearest(value, re.findall(r'"(\w+)"', accepted)) if isinstance(value, str) else None
         end = did_you_mean(near and toml_repr(near), accepted)
-        self.faults.append(SceneError(f"{place}: given {given}{where}{end}"))
+        self.faults.append(SceneError(f"{place}: given {given}{where}; {end}"))
         return None
 
 

@@ -117,9 +117,10 @@ class Request:
             (held.quantity, *((held.equal, held.equal) if held.equal is not None else (held.lower, held.upper)))
             for held in table.constraints
         ]
+        bounds = {name: [*ends] for name, ends in table.bounds.items()}
         return FamilySearch.of(
             self.model, mode=table.mode, parameters=self.model_parameters, S=table.S, objective=table.objective,
-            free=table.free, bounds=table.bounds, constraints=constraints, maximise=table.maximise,
+            free=table.free, bounds=bounds, constraints=constraints, maximise=table.maximise,
             tolerance=self.tolerance,
         )  # fmt: skip
 

@@ -10,15 +10,13 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import pairwise
 from typing import Any, NamedTuple
 
-from casadi_skin.lattice.stiffness import stiffness
-from casadi_skin.model.arguments import LONGEST_VALUE_TEXT, cut, nearest
+from casadi_skin.lattice.stiffness import square_of_family
+from casadi_skin.model.arguments import LONGEST_VALUE_TEXT, check_name, check_places, cut, did_you_mean
 from casadi_skin.model.methods import COLLOCATION_TABLES, FLOWS, FULL_PERIOD_FLOWS, SHOOTING, TRIGONOMETRIC
-from casadi_skin.optimise.names import FREE, NAMED
 from casadi_skin.runs.output import InputError
-from casadi_skin.runs.scene import AMPLITUDE, SELECTED, MethodTable, Scene, one_of
+from casadi_skin.runs.scene import AMPLITUDE, SELECTED, TABLES, MethodTable, Scene, one_of
 
 LONGEST_LIST = 400  # characters of a message on several names
 
@@ -46,8 +44,16 @@ def faults_at(place: str | Callable[[str], str]) -> Iterator[None]:
         raise SceneError(f"{place}{error}" if isinstance(place, str) else place(str(error))) from None
 
 
-def did_you_mean(near: str | None, accepted: str) -> str:
-    return f"; did you mean {near}? (accepted: {accepted})" if near else f"; accepted: {accepted}"
+def placed(message: str, table: str = "family") -> str:
+    """A message about an argument of a family, with the table that it is in; one about the model with `table`."""
+    argument, _, words = message.partition(": ")
+    if argument in ("model", "lattice"):
+        return f"[{table}]: {words}"
+    if argument == "stability_sites":
+        return f"[stability] sites: {words}"
+    homes = ("family", "method", "accuracy", "chain", "model")
+    home = next((name for name in homes if argument in TABLES[name].__struct_encode_fields__), "")
+    return f"[{home}] {message}" if home else f"[{table}]: {message}"
 
 
 class Unknown(NamedTuple):
@@ -62,7 +68,7 @@ def check_unknown(found: Iterable[Unknown]) -> None:
     """Raises SceneError for unknown names: one with all that is accepted, several with the nearest names alone."""
     names = list(found)
     if len(names) == 1:
-        raise SceneError(names[0].fault + did_you_mean(names[0].near, names[0].accepted))
+        raise SceneError(f"{names[0].fault}; {did_you_mean(names[0].near, names[0].accepted)}")
     shown, words = 0, ""
     for name in names:
         more = f"{'; ' if words else ''}{name.fault}{f', did you mean {name.near}?' if name.near else ''}"
@@ -73,19 +79,10 @@ def check_unknown(found: Iterable[Unknown]) -> None:
         raise SceneError(words + (f"; and {len(names) - shown} more" if shown < len(names) else ""))
 
 
-def unknown(place: str, name: str, known: Iterable[str]) -> str:
-    """The message on a name that is not known, with the nearest one that is; empty for one that is."""
-    names = tuple(known)
-    if name in names:
-        return ""
-    near = nearest(name, names)
-    return f"{place}: given {toml_repr(name)}{did_you_mean(near and toml_repr(near), ', '.join(names) or 'none')}"
-
-
 def check_known(place: str, name: str, known: Iterable[str]) -> None:
     """Raises SceneError, with the nearest known name, for an unknown one."""
-    if words := unknown(place, name, known):
-        raise SceneError(words)
+    with faults_at(""):
+        check_name(place, name, known)
 
 
 def is_table(value: object) -> bool:
@@ -121,8 +118,6 @@ def with_kind(value: object) -> str:
 
 # The rules: the place of a fault, what is given there, and what is accepted -------------------------------------------
 
-NEAREST_END_RTOL = 1e-12  # relative, of the end of a family to its start
-NARROWEST_BAND = 1e-10  # the same as in lattice.chain_coordinates, which loads numerics
 LONGEST_ENVELOPE = 700.0  # the same as in dynamics, which loads numerics
 LOWEST_DEGREE = 2  # of families; the same as in zero.request, which loads numerics
 KICKS = ("site", "vector", "seed")  # keys of [dynamics], one of which a perturbation has
@@ -304,10 +299,9 @@ def _of_branches(s: Seen) -> Rules:
 
 
 def _of_families(s: Seen) -> Rules:
-    """Rules of [family]: modes each once, those of a chain there and oscillating; places ascending, or each once.
+    """Rules of [family]: modes each once; of a chain also those of its modes and places.
 
-    A mode of a chain has omega_j^2 = 2 + alpha - 2 s cos(j pi/(N+1)), where s^2 = 1 - gamma^2. Modes of a model by
-    name, as "last", are known with the model alone.
+    What is asked of a model, and its modes by name, as "last", is known with the model alone.
     """
     family, chain = s.family, s.chain
     if not family:
@@ -322,43 +316,12 @@ def _of_families(s: Seen) -> Rules:
         elif isinstance(mode, int) and (mode < 1 or (s.sites is not None and mode > s.sites)):
             yield "family mode", toml_repr(mode), f"{there}, first, last"
         yield "family mode", mode in s.modes[:place] and f"{mode} more than once", "each mode once"
-    if chain:
-        accepted = (
-            "with a [family] a finite number other than 0 (the family would be the linear mode at every amplitude)"
-        )
-        yield "chain g", chain.g == 0 and repr(chain.g), accepted
     accepted = "false (the vectors form Jordan chains that the gauge does not have)"
     yield "stability vectors", s.is_exceptional and f" with gamma = {chain.gamma!r}", accepted
-    for mode in s.modes if chain else ():
-        only = chain.sites if chain.g > 0 else 1
-        reason = "at |gamma| = 1 all frequencies meet and only mode N (g > 0) or mode 1 (g < 0), in which the edge"
-        accepted = f"mode {only} ({reason} site alone moves, can be followed)"
-        apart = s.is_exceptional and mode != only
-        yield "family mode", apart and f"mode {mode} with gamma = {chain.gamma!r}", accepted
-        own = stiffness(chain.sites, chain.gamma, mode)
-        square = chain.alpha + own
-        still = square <= 0 and f"mode {mode}, which has omega^2 = {square:.6g} at alpha = {chain.alpha!r}"
-        yield "family mode", still, f"modes with omega^2 > 0; for mode {mode}: alpha > {-own:.12g}"
-        coupling = math.sqrt((1 - chain.gamma) * (1 + chain.gamma))
-        narrow = chain.sites > 1 and 0 < 4 * coupling < NARROWEST_BAND * square
-        reason = "beside a larger one the modes of the band are the same in doubles"
-        accepted = f"with a [family] up to {4 * coupling / NARROWEST_BAND:.3g} ({reason})"
-        yield "chain alpha", narrow and repr(chain.alpha), accepted
-        linear = 2 * math.pi / math.sqrt(square)
-        short = family.period_max is not None and family.period_max <= linear * (1 + NEAREST_END_RTOL)
-        yield "family period_max", short, f"a finite number > {linear:.12g} (the period of linear mode {mode})"
-    most, longest = family.amplitude_max, family.period_max or math.inf
-    yield "family at", _item(family.at, lambda _, value: value > most), f"numbers <= amplitude_max = {most!r}"
-    for i, (before, value) in enumerate(pairwise(family.at), start=2):
-        falls = value <= before and f"{value!r} as item {i} after {before!r}"
-        yield "family at", falls, "numbers in strictly ascending order"
-    yield "family at_Omega", _again(family.at_Omega), "each number once"
-    least = 2 * math.pi / longest
-    low = _item(family.at_Omega, lambda _, value: 2 * math.pi / value > longest)
-    yield "family at_Omega", low, f"numbers >= 2 pi/period_max = {least:.12g}"
-    yield "family at_period", _again(family.at_period), "each number once"
-    long = _item(family.at_period, lambda _, value: value > longest)
-    yield "family at_period", long, f"numbers <= period_max = {longest!r}"
+    with faults_at(placed):
+        for mode in s.modes if chain else ():
+            square = square_of_family(chain.sites, chain.alpha, chain.gamma, chain.g, mode)
+            check_places(family, family.amplitude_max, 2.0 * math.pi / math.sqrt(square), mode)
 
 
 def _of_lengths(s: Seen) -> Rules:
@@ -400,23 +363,19 @@ def _of_dynamics(s: Seen) -> Rules:
     ends = [name for name in ("duration", "periods") if getattr(table, name) is not None]
     counted = {0: "neither duration nor periods", 2: "duration and periods"}.get(len(ends))
     yield "dynamics", counted, "duration or periods, one of them"
-    yield "dynamics", len(kicks) > 1 and " and ".join(kicks), "site, vector or seed, one of them or none"
     yield "dynamics size", kicks and MISSING, f"beside {kicks[0] if kicks else ''} a finite number > 0"
     yield "dynamics size", not s.at_rest and not kicks, "beside one of site, vector, seed"
-    vector = table.vector or ()
-    yield "dynamics vector", not any(vector) and "zeros", "a vector with a direction"
     if not chain:
         return
     sites = chain.sites
     far = abs(chain.gamma) < 1 and (sites - 1) * math.atanh(abs(chain.gamma)) > LONGEST_ENVELOPE
     words = f"with sites = {sites} and gamma = {chain.gamma!r}, whose far end is below the smallest double"
     yield "dynamics", far and words, f"(sites - 1) artanh|gamma| <= {LONGEST_ENVELOPE:g}"
-    yield "dynamics site", not 1 <= (table.site or 1) <= sites, f"whole numbers from 1 to {sites} (sites)"
-    other = len(vector) not in (sites, 2 * sites) and f"a list of {len(vector)}"
-    yield "dynamics vector", other, f"{sites} displacements, or these and {sites} velocities"
     if s.is_exceptional and kicks:
         edge = sites if chain.gamma > 0 else 1
-        moved = {i % sites + 1 for i, value in enumerate(vector) if value} or {table.site if sites > 1 else edge}
+        moved = {i % sites + 1 for i, value in enumerate(table.vector or ()) if value} or {
+            table.site if sites > 1 else edge
+        }
         accepted = f"site {edge} alone (at |gamma| = 1 displacements off the edge have no image in the gauge)"
         yield f"dynamics {kicks[0]}", moved != {edge} and f"with gamma = {chain.gamma!r}", accepted
 
@@ -434,27 +393,14 @@ def _orbit_of_family(s: Seen, name: str) -> Rules:
 
 
 def _of_search(s: Seen) -> Rules:
-    """Rules of [search]; names and bounds of one of a chain, as those of models are known with these alone."""
-    search, chain = s.search, s.chain
+    """Rules of [search]; its names and bounds are known with the model."""
+    search = s.search
     if not search:
         return
     yield "search", s.family and "beside [family]", "[search] or [family] in one scene"
     yield "search", s.sites == math.inf and "with sites = inf", "with a whole number of sites"
-    if not chain:
-        return
-    yield "chain g", chain.g == 0 and repr(chain.g), "with a [search] a finite number other than 0"
-    beyond = isinstance(search.mode, int) and search.mode > chain.sites
-    yield "search mode", beyond, f"whole numbers from 1 to {chain.sites} (sites), first, last"
-    yield unknown("[search] objective", search.objective, NAMED)
-    yield from (unknown("[search] free", name, FREE) for name in search.free)
-    for name, (lower, upper) in search.bounds.items():
-        yield unknown("[search] bounds", name, {**FREE, **NAMED})
-        if not lower <= upper:
-            given = toml_repr([lower, upper])
-            yield f"[search] bounds {name}: given {given}; accepted: a list [lower, upper] with lower <= upper"
     for item, held in enumerate(search.constraints, start=1):
         place = f"[search] constraints, item {item}"
-        yield unknown(place, held.quantity, NAMED)
         if (held.equal is None) == (held.lower is None and held.upper is None):
             given = "equal beside a bound" if held.equal is not None else "neither equal nor a bound"
             yield f"{place}: given {given}; accepted: equal, or lower and upper or one of these"

@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.model import methods
-from casadi_skin.model.arguments import number, numbers, short_repr, whole
+from casadi_skin.model.arguments import check_places, number, numbers, short_repr, whole
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.methods import COLLOCATION_TABLES, FLOWS, SHOOTING, TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
@@ -318,7 +318,6 @@ HIGHEST_DEGREE = 12
 MOST_INTERVALS = 1500  # of a first mesh
 STABILITY_SITES = (8, 2000)  # matrices of twice as many rows
 MAX_POINTS = 2000  # of a family: ten times the need of those that do not wander from one resonance to the next
-SAME_PERIOD_RTOL = 1e-12  # relative difference of periods that are the same
 
 
 @dataclass(frozen=True)
@@ -416,24 +415,6 @@ class Targets:
             number("period_max", self.period_max)
         whole("max_points", self.max_points, 1)
 
-    def check(self, amplitude_max: float, linear_period: float, mode: int) -> None:
-        """Raises ValueError for values that the family does not come to: above its ends, or below its linear period."""
-        ascending = all(a < b for a, b in zip(self.at, self.at[1:], strict=False))
-        if not ascending or any(not 0 < a <= amplitude_max for a in self.at):
-            raise ValueError(f"at: given {list(self.at)}; accepted: ascending numbers > 0 up to {amplitude_max:g}")
-        longest = math.inf if self.period_max is None else self.period_max
-        if self.period_max is not None and not linear_period * (1.0 + SAME_PERIOD_RTOL) < self.period_max < math.inf:
-            accepted = f"a finite number > {linear_period:.12g} (the period of linear mode {mode})"
-            raise ValueError(f"period_max: given {self.period_max!r}; accepted: {accepted}")
-        for name, values, within in (
-            ("at_Omega", self.at_Omega, [TWO_PI / value <= longest for value in self.at_Omega if value > 0]),
-            ("at_period", self.at_period, [value <= longest for value in self.at_period]),
-        ):
-            positive = all(0 < value < math.inf for value in values)
-            if not positive or len(set(values)) < len(values) or not all(within):
-                most = "" if self.period_max is None else f", with periods up to period_max = {longest:g}"
-                raise ValueError(f"{name}: given {list(values)}; accepted: finite numbers > 0, each once{most}")
-
 
 # Request for one family -----------------------------------------------------------------------------------------------
 
@@ -495,7 +476,7 @@ class FamilyRequest:
         coordinates = self.coordinates
         object.__setattr__(self, "mode", coordinates.mode_number)
         object.__setattr__(self, "method", self._completed(self.method))
-        self.targets.check(self.amplitude_max, TWO_PI / coordinates.frequency, coordinates.mode_number)
+        check_places(self.targets, self.amplitude_max, TWO_PI / coordinates.frequency, coordinates.mode_number)
         for name, S in (("amplitude_max", self.amplitude_max), *(("at", S) for S in self.targets.at)):
             self._check_range(name, S)
 
