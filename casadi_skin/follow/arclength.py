@@ -7,7 +7,8 @@ turns too far; so the step shortens before another family can be taken for this 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from casadi_skin.follow.corners import Corner, Side, point_before, shifts, side_
 from casadi_skin.follow.point import PREDICTING_POINTS, PointSolver, predicting, predictor
 from casadi_skin.solve.newton import Correction
 from casadi_skin.zero.problem import Array, Problem, Scalar, SingularError
-from casadi_skin.zero.settings import End, Point, Target, known_end
+from casadi_skin.zero.settings import End, Point, Target
 
 START_FRACTION = 1e-3  # of the first point walked: where the family's first point, of tiny amplitude, is placed
 
@@ -39,24 +40,49 @@ class _Departure:
         return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-class ArclengthContinuation:
-    """A walk by predictor and corrector for any problem (see `Continuation`); `rejected` counts steps refused."""
+class Continuation(ABC):
+    """A way along a branch: an iterator over its points in arclength order.
+
+    A continuation that is made from the last points of another one, and from the points `reported` after the last of
+    them, goes on exactly as that one would have.
+
+    Attributes:
+        history: the last few points of the continuation itself.
+        end: the cause of its end; None where it goes on.
+        detail: where it ended, or where the last trouble was.
+        rejected: number of steps refused.
+        missed: targets that were passed, at which no point was found.
+        beyond: the point behind the end of the branch, where that lies between two points.
+    """
 
     def __init__(self, point_solver: PointSolver, history: tuple[Point, ...], reported: tuple[Point, ...] = ()) -> None:
         self.point_solver, self.settings = point_solver, point_solver.settings
-        self.history, self._reported = history[-PREDICTING_POINTS:], reported
-        self.end: End | None = None
-        self.detail = ""
-        self.rejected = 0
-        self.missed: list[Target] = []
+        self.history, self.detail, self.rejected, self.missed = history[-PREDICTING_POINTS:], "", 0, list[Target]()
+        self.end = self._known_end((*history, *reported))
         self.beyond: Point | None = None
-        self._last_side: Side | None = None
+        self._passed = max((point.along for point in reported), default=0.0)  # place behind the last one, reported
+
+    def _known_end(self, points: Sequence[Point]) -> End | None:
+        """The end that a continuation has come to with the last of its points."""
+        settings, last = self.settings, points[-1]
+        if any(float(last.z[i]) == value for i, value in (end.unknown(last.problem) for end in settings.ends)):
+            return End.REACHED
+        lowest = settings.lowest * abs(settings.parameter_max)
+        returned = len(points) > 1 and np.sign(settings.parameter_max) * last.parameter <= lowest
+        return End.RETURNED if returned else None
+
+    @abstractmethod
+    def __iter__(self) -> Iterator[Point]: ...
+
+
+class ArclengthContinuation(Continuation):
+    """The continuation by predictor and corrector for any problem."""
+
+    _last_side: Side | None = None
 
     def __iter__(self) -> Iterator[Point]:
-        sign = float(np.sign(self.settings.parameter_max))
-        known = known_end(self.settings, (*self.history, *self._reported))
+        sign, known = float(np.sign(self.settings.parameter_max)), self.end
         if known is not None:
-            self.end = known
             return
         for _ in range(self.settings.max_points):
             current = self.history[-1]
@@ -178,9 +204,8 @@ class ArclengthContinuation:
         ends, wanted = self.settings.ends, self.settings.wanted
         if current.parameter == 0.0 and self.settings.tiny_first:
             wanted.setdefault(Target(Scalar.PARAMETER, START_FRACTION * following.parameter), False)
-        inside = tuple(target for target in wanted if not (target.meets(current) or target.meets(following)))
-        passed, self._reported = max((point.along for point in self._reported), default=0.0), ()
-        for target, point in self.point_solver.between(current, following, inside, passed):
+        passed, self._passed = self._passed, 0.0
+        for target, point in self.point_solver.between(current, following, wanted, passed):
             self.beyond = following if target in ends else None
             if point is None:
                 self.missed.append(target)

@@ -321,18 +321,19 @@ class BoundarySpace(ParameterSpace):
         return self.statement.values[self.parameter]
 
     def value(self, name: str, point: Point) -> float:
-        """A quantity of a solution, also one that cannot be held; S is that of the positions at phase zero.
-
-        Raises NoQuantityError for S of an orbit of a model without positions.
-        """
-        if name == "S":
-            if not self.positions:
-                raise NoQuantityError("S: an orbit of a model of first order has no amplitude of positions")
-            return amplitude_square(self.given).value(self.states_at(point, np.zeros(1), None)[0, : self.positions])
         if name == self.parameter:
             return super().value(name, point)
-        start, end = self.interval(point)
-        return end - start if name == PERIOD else TWO_PI / (end - start)
+        period = self.parameters(point)[PERIOD]
+        return period if name == PERIOD else TWO_PI / period
+
+    def frequency(self, orbit: Orbit) -> float:
+        return TWO_PI / orbit.period
+
+    def S_of(self, orbit: Orbit) -> float:
+        """S of the positions at phase zero; raises NoQuantityError for a model without positions."""
+        if not self.positions:
+            raise NoQuantityError("S: an orbit of a model of first order has no amplitude of positions")
+        return amplitude_square(self.given).value(orbit.evaluate(0.0)[: self.positions])
 
     @property
     def solution_class(self) -> type[Solution]:

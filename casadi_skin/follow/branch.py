@@ -174,7 +174,7 @@ def _held(space: SolutionSpace, solutions: Sequence[Solution], name: str, value:
             yield solution
         elif target.meets(solution.point):
             points = [solver.beside(solution.point, target)]
-        elif before is not None and not target.meets(before):
+        elif before is not None:
             points = [point for _, point in solver.between(before, solution.point, (target,))]
         yield from (None if point is None else space.solution(point, exact={name: value}) for point in points)
         before = solution.point

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_skin.follow.arclength import Continuation
 from casadi_skin.follow.point import PointSolver, with_small_components
 from casadi_skin.follow.series import CONFIRMED_TOGETHER, SeriesContinuation
 from casadi_skin.follow.solution import Orbit
@@ -29,7 +30,7 @@ from casadi_skin.zero.cosines import PolynomialForm, Recursion, TrigonometricPro
 from casadi_skin.zero.family import TWO_PI, FamilyRequest
 from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.problem import Array, Indices, Problem
-from casadi_skin.zero.settings import Continuation, End, Point
+from casadi_skin.zero.settings import End, Point
 from casadi_skin.zero.shooting import ShootingProblem
 
 FEW_HARMONICS = (methods.FEWEST_COSINES, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64)
@@ -228,6 +229,12 @@ class Family(FamilyStability, SolutionSpace):
     def energy(self, point: Point) -> float:
         """The conserved quantity; raises ValueError where the model declares none."""
         return self.value("S", point) * self.coordinates.energy(point.problem, point.z)
+
+    def frequency(self, orbit: Orbit) -> float:
+        return orbit.point.Omega
+
+    def S_of(self, orbit: Orbit) -> float:
+        return orbit.value("S")
 
     def free_error(self, point: Point) -> float:
         return point.error.Omega / point.Omega

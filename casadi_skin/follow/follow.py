@@ -20,6 +20,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_skin.follow.arclength import Continuation
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.events import Ledger, at_requested_value
 from casadi_skin.follow.family import Family
@@ -34,7 +35,7 @@ from casadi_skin.zero import kinds
 from casadi_skin.zero.family import MAX_POINTS, FamilyModel, Method, family_request
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, Unresolved
 from casadi_skin.zero.problem import EPSILON, Scalar
-from casadi_skin.zero.settings import Continuation, End, Point, Target
+from casadi_skin.zero.settings import End, Point, Target
 
 # Solutions of the points of a branch, with their stability and the ledger ---------------------------------------------
 

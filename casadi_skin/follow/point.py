@@ -491,15 +491,17 @@ class PointSolver:
     # At a value of the parameter or of Omega, between two points -----------------------------------------------------
 
     def between(
-        self, current: Point, following: Point, targets: tuple[Target, ...], passed: float = 0.0
+        self, current: Point, following: Point, targets: Iterable[Target], passed: float = 0.0
     ) -> Iterator[tuple[Target, Point | None]]:
         """Points at any of `targets` between two points of the branch, in arclength order, beyond the place `passed`.
 
-        Yields (target, point), and (target, None) where the corrector does not find the point that the branch passes.
+        Those that one of the two meets are not between them. Yields (target, point), and (target, None) where the
+        corrector does not find the point that the branch passes.
         """
         curve, length = self.curve(current, following)
         problem = following.problem
-        unknowns = [(target, *target.unknown(problem)) for target in targets]
+        inside = (target for target in targets if not (target.meets(current) or target.meets(following)))
+        unknowns = [(target, *target.unknown(problem)) for target in inside]
         places = [(sigma, target) for target, index, v in unknowns for sigma, _ in curve.crossings(index, [v])]
         for sigma, target in sorted(places, key=lambda place: place[0]):
             if sigma > passed:

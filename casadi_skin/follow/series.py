@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.follow.arclength import START_FRACTION
+from casadi_skin.follow.arclength import START_FRACTION, Continuation
 from casadi_skin.follow.corners import CORNER_STEP_FRACTION, Corner, Side, point_before, shifts, side_of, turned
 from casadi_skin.follow.point import STACKED_UNKNOWNS, LocalCurve, PointSolver, newton_steps
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.solve.levels import Measured
 from casadi_skin.solve.newton import Correction, Status
 from casadi_skin.zero.problem import Array, Problem, Scalar, SingularError
-from casadi_skin.zero.settings import End, Point, Target, known_end
+from casadi_skin.zero.settings import End, Point, Target
 
 if TYPE_CHECKING:
     from casadi_skin.zero.cosines import Recursion
@@ -94,8 +94,8 @@ class _Reached:
     detail: str = ""
 
 
-class SeriesContinuation:
-    """A walk by Taylor series (see `Continuation`) for problems whose series `recursion` computes.
+class SeriesContinuation(Continuation):
+    """The continuation by Taylor series for problems whose series `recursion` computes.
 
     `precision` of a problem is the residual, relative to the state, that the series may leave.
     """
@@ -108,19 +108,13 @@ class SeriesContinuation:
         precision: Callable[[Problem], float],
         reported: tuple[Point, ...] = (),
     ) -> None:
-        self.point_solver, self.settings = point_solver, point_solver.settings
-        self.history, self._reported = history[-2:], reported
-        self.end: End | None = None
-        self.detail = self._trouble = ""
-        self.rejected = 0
-        self.missed: list[Target] = []
-        self.beyond: Point | None = None
-        self._recursion, self._precision = recursion, precision
+        super().__init__(point_solver, history, reported)
+        self._recursion, self._precision, self._trouble = recursion, precision, ""
         self._ready: dict[_Stop, Polished] = {}  # stops of this stretch that are polished
         self._most = np.inf  # length of the next stretch, in the metric, where its base is next to a corner
 
     def __iter__(self) -> Iterator[Point]:
-        self.end, count = known_end(self.settings, (*self.history, *self._reported)), 0
+        count = 0
         while self.end is None:  # each time from the last point, which the corrector may have moved
             for reached, word in self._confirmed():
                 point, self.detail = self._emitted(reached, word), reached.detail or self.detail
@@ -181,7 +175,7 @@ class SeriesContinuation:
 
     def _ahead(self, base: Point) -> Iterator[_Reached]:
         """Stops in arclength order from a base point on, one stretch after the other, up to the end of the walk."""
-        last, self._reported = max((point.along for point in self._reported), default=0.0), ()
+        last, self._passed = self._passed, 0.0
         self._most = np.inf
         while True:
             found = self._departure(base)

@@ -365,7 +365,7 @@ class Orbit(Solution):
 
     def __repr__(self) -> str:
         name = getattr(self.model, "name", None) or repr(self.model)
-        S = f"S = {self.S:.6g}, " if "S" in self.space.held_names else ""
+        S = f"S = {self.S:.6g}, " if self.space.is_family else ""
         return f"<Orbit of {name}: {S}Omega = {self.Omega:.10g}, period = {self.period:.10g}; error {self.error:.1e}>"
 
     @property
@@ -376,12 +376,15 @@ class Orbit(Solution):
     @property
     def Omega(self) -> float:
         """Frequency."""
-        return self.value("Omega")
+        return float(self.space.frequency(self))
 
     @property
     def period(self) -> float:
         """Period; in a forced model that of the forcing or a multiple."""
-        return self.value("period")
+        if "period" in self.exact:
+            return self.exact["period"]
+        start, end = self.interval
+        return end - start
 
     @property
     def Omega_error(self) -> float:
@@ -447,7 +450,7 @@ class Orbit(Solution):
         A model with a normalisation has the S of that in its place. Raises ValueError for an orbit of a model
         without positions.
         """
-        return self.value("S")
+        return float(self.space.S_of(self))
 
     @property
     def output_sites(self) -> Indices:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
 
-from casadi_skin.follow.arclength import ArclengthContinuation
+from casadi_skin.follow.arclength import ArclengthContinuation, Continuation
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.search import Monitor
 from casadi_skin.model.result import NoQuantityError
@@ -33,7 +33,7 @@ from casadi_skin.zero.collocation import CollocationEquations
 from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.problem import EPSILON, Array, Indices, Problem, Scalar
-from casadi_skin.zero.settings import Continuation, ContinuationSettings, End, Point, Target
+from casadi_skin.zero.settings import ContinuationSettings, End, Point, Target
 from casadi_skin.zero.stated_problem import stated
 
 T = TypeVar("T")
@@ -106,6 +106,7 @@ class SolutionSpace:
         solution_class: class of the solutions.
         parameters: function of a point: values of all parameters by name.
         parameter_error: likewise, the estimated absolute error of the continuation parameter at a special point.
+        frequency, S_of: functions of an orbit: Omega and S, whatever parameters of the model are called.
     """
 
     if TYPE_CHECKING:  # fields or properties of each kind

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -183,31 +182,3 @@ class Point:
             index, value = target.unknown(self.problem)
             z[index] = value
         return replace(self, z=z, requested=True)
-
-
-def known_end(settings: ContinuationSettings, points: Sequence[Point]) -> End | None:
-    """The end that a walk has come to with the last of its points; None where it goes on."""
-    last = points[-1]
-    if any(float(last.z[i]) == value for i, value in (end.unknown(last.problem) for end in settings.ends)):
-        return End.REACHED
-    lowest = settings.lowest * abs(settings.parameter_max)
-    returned = len(points) > 1 and np.sign(settings.parameter_max) * last.parameter <= lowest
-    return End.RETURNED if returned else None
-
-
-class Continuation(Protocol):
-    """A way along a branch: an iterator over its points in arclength order.
-
-    `end` is the cause of its end, `detail` where; `missed` lists targets passed at which no point was found. `beyond`
-    is the point behind the end of the branch, where that lies between two points. `history` holds the last few points
-    walked: a walk made from them, and from the points `reported` after the last of them, goes on exactly as the one
-    that was broken off.
-    """
-
-    history: tuple[Point, ...]
-    end: End | None
-    detail: str
-    missed: list[Target]
-    beyond: Point | None
-
-    def __iter__(self) -> Iterator[Point]: ...
