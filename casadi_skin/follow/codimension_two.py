@@ -6,7 +6,7 @@ Of equilibria and of orbits alike, on a curve of folds, Hopf points, branch poin
     another eigenvalue lambda, or exponent log mu, is critical: Re lambda = 0 or log |mu| = 0;
     those that are critical meet: kappa(z) = 0, or the angle of a torus is that of a strong resonance
 
-(Kuznetsov 2004, chapters 8 and 9). A `CurveKind` names what each of these is. Where two eigenvalues of a branch point
+(Kuznetsov 2004, chapters 8 and 9). `zero.kinds` names what each of these is. Where two eigenvalues of a branch point
 are zero, each with an eigenvector of its own, it is a double one. One search serves all curves; it reads equilibria
 in one way, orbits and solutions of boundary-value problems in another.
 """
@@ -14,9 +14,9 @@ in one way, orbits and solutions of boundary-value problems in another.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import ClassVar, cast
 
@@ -52,60 +52,28 @@ from casadi_skin.follow.space import Followed, SolutionSpace
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.zero.augmented import SingularRest
 from casadi_skin.zero.kinds import (
-    BAUTIN,
     BRANCH_POINT,
     CUSP,
     DEGENERATE_PITCHFORK,
     DEGENERATE_TRANSCRITICAL,
     DOUBLING,
+    EQUILIBRIUM_CURVES,
     FOLD,
     HOPF,
-    HOPF_HOPF,
+    ORBIT_CURVES,
     TAKENS,
     TORUS,
-    ZERO_HOPF,
+    CurveKind,
     Unresolved,
 )
 from casadi_skin.zero.problem import EPSILON, Array
 from casadi_skin.zero.rest import NullSpace
-from casadi_skin.zero.settings import End, Point
+from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import PERIOD
 
 # What a curve of special points may meet ------------------------------------------------------------------------------
 
-
-@dataclass(frozen=True)
-class CurveKind:
-    """Names of the points that a curve of special points of one kind may meet.
-
-    Attributes:
-        another: where another eigenvalue is zero or multiplier 1, where one is -1, where one more pair is critical.
-        degenerate: where the coefficient of the normal form vanishes.
-        ends: points at which the curve ends.
-    """
-
-    another: tuple[str, str, str]
-    degenerate: str = ""
-    ends: Mapping[str, End] = field(default_factory=dict)
-
-
 RESONANCES = {1.0: "1:1 resonance", -1.0: "1:2 resonance", -0.5: "1:3 resonance", 0.0: "1:4 resonance"}  # by cosine
-EQUILIBRIUM_CURVES = {
-    FOLD: CurveKind((TAKENS, "", ZERO_HOPF), CUSP),
-    BRANCH_POINT: CurveKind((TAKENS, "", ZERO_HOPF)),
-    HOPF: CurveKind((ZERO_HOPF, "", HOPF_HOPF), BAUTIN, {TAKENS: End.TAKENS}),
-}
-ORBIT_CURVES = {
-    FOLD: CurveKind(("1:1 resonance", "fold-flip", "fold-torus"), "cusp of cycles", {BAUTIN: End.BAUTIN}),
-    DOUBLING: CurveKind(("fold-flip", "1:2 resonance", "flip-torus"), "generalized period doubling"),
-    TORUS: CurveKind(
-        ("fold-torus", "flip-torus", "torus-torus"), "chenciner",
-        {"1:1 resonance": End.RESONANCE_ONE, "1:2 resonance": End.RESONANCE_TWO, HOPF_HOPF: End.HOPF_HOPF,
-         ZERO_HOPF: End.ZERO_HOPF},
-    ),
-    BRANCH_POINT: CurveKind(("1:1 resonance", "fold-flip", "fold-torus")),
-}  # fmt: skip
-
 VANISHING_TEST_RATIO = 1e-2  # of its values at both ends: a test where it has a root, and not a pole
 INTERPOLATION_ERROR = 1e-3  # of a step: an error of interpolation with which a point is named
 SHRINKING_AMPLITUDE_RATIO = 0.5  # of the amplitude at the other end of a step: an orbit that is shrinking
@@ -323,11 +291,9 @@ class EquilibriumCurveSearch(CurveSearch):
             yield TAKENS, _kappa
 
     def coefficient_tests(self) -> dict[str, Test]:
-        if self.kind == FOLD:
-            return self.bounded(CUSP, self._quadratic())
-        if not self.statics.exact:  # noise of differences has roots of its own
+        if self.kind == HOPF and not self.statics.exact:  # noise of differences has roots of its own
             return {}
-        return self.bounded(BAUTIN, self.lyapunov)
+        return self.bounded(self.kinds.degenerate, self._quadratic() if self.kind == FOLD else self.lyapunov)
 
     def _quadratic(self) -> Test:
         """The quadratic coefficient of a fold; its sign goes on from the start by the normal of the parameters' curve.
@@ -431,7 +397,7 @@ class EquilibriumCurveSearch(CurveSearch):
         larger = self.ends[int(np.argmax(np.abs(l1)))]
         if not l1[0] * l1[1] < 0.0 or max(np.abs(l1)) <= noise(larger):
             return
-        located = self.root(*self.ends, BAUTIN, self.lyapunov)
+        located = self.root(*self.ends, self.kinds.degenerate, self.lyapunov)
         if located is not None:
             slope = (l1[1] - l1[0]) / (self.ends[1].parameter - self.ends[0].parameter)
             moved = abs((noise(located[1]) + abs(self.lyapunov(located[1]))) / slope)

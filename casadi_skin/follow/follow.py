@@ -31,9 +31,8 @@ from casadi_skin.model.arguments import by_name, check_options, duration, functi
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.solve.watch import TimeLimitError, one_thread, watched
 from casadi_skin.stability.flows import FlowError
-from casadi_skin.zero import kinds
 from casadi_skin.zero.family import MAX_POINTS, FamilyModel, Method, family_request
-from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, Unresolved
+from casadi_skin.zero.kinds import BRANCH_POINT, EDGE, FOLD, KINDS, KREIN, STABILITY, Unresolved
 from casadi_skin.zero.problem import EPSILON, Scalar
 from casadi_skin.zero.settings import End, Point, Target
 
@@ -615,8 +614,7 @@ def monitored_space(space: Any, given: Mapping[str, Any] | None) -> Any:
     from casadi_skin.zero.statement import check_expressions
 
     model, found = space.model, list[Monitor]()
-    of_kinds = (value for name, value in vars(kinds).items() if name.isupper())
-    taken = {*of_kinds, *model.state_names, *model.parameter_names}
+    taken = {*KINDS, EDGE, KREIN, STABILITY, *model.state_names, *model.parameter_names}
     for name, one in by_name("monitors", given, "expressions").items():
         if not name.strip() or not name.isprintable() or name in taken:
             accepted = "names in one line, which no state, parameter or kind of special points has"

@@ -24,7 +24,7 @@ from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import Followed
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero import linearised
-from casadi_skin.zero.kinds import DOUBLING, FOLD, HOPF, TORUS
+from casadi_skin.zero.kinds import BAUTIN, DOUBLING, FOLD, HOPF, ORBIT_CURVES, kind_of
 from casadi_skin.zero.linearised import Linearised, Vector
 from casadi_skin.zero.problem import EPSILON, Array
 from casadi_skin.zero.rest import BalancedMatrix, ComplexArray, NullSpace, Statics, balanced, upper_pair
@@ -73,7 +73,8 @@ def critical(point: SpecialPoint) -> Critical:
     if not solution.space.is_critical(point.kind):
         raise ValueError(f"{point.kind}: a zero of a monitor, which has no normal form")
     stated = _closed(point)
-    if not (solution.is_orbit or stated) or point.kind not in (FOLD, DOUBLING, TORUS):
+    curves = ORBIT_CURVES.get(point.kind)
+    if not (solution.is_orbit or stated) or curves is None or not curves.degenerate:
         return _at_equilibrium(point)
     try:
         problem = solution.problem
@@ -82,9 +83,7 @@ def critical(point: SpecialPoint) -> Critical:
     linear = Linearised(problem, solution.point.z, problem.statement)
     turn = stated.matrix if stated else None
     length = float(np.diff(solution.space.interval(solution.point))[0])
-    angle = np.pi if point.kind == DOUBLING else 0.0
-    if point.kind == TORUS:
-        angle = abs(float(np.angle(on_circle(solution))))
+    angle = critical_angle(point.kind, solution)
     v, adjoint = critical_functions(point.kind, linear, angle, turn)
     vector, other = (part / np.linalg.norm(part) for part in (v[: linear.components], adjoint[: linear.components]))
     return Critical.by_terms(
@@ -107,7 +106,7 @@ def _at_equilibrium(point: SpecialPoint) -> Critical:
         raise ValueError(f"{point.kind}: given one of {type(solution).__name__.lower()}s; accepted: one of equilibria")
     statics = solution.space.statics
     x, p = solution.positions, np.array(list(solution.parameters.values()))
-    if point.kind in (HOPF, "generalized hopf"):
+    if point.kind in (HOPF, BAUTIN):
         return _hopf_form(statics, x, p)
     v, psi = null_vectors(statics.jacobian(x, p))
     if point.kind != FOLD:
@@ -187,11 +186,14 @@ def _closed(point: SpecialPoint) -> Closure | None:
     return cast("Closure | None", closure)
 
 
-def on_circle(orbit: Solution) -> complex:
-    """The complex multiplier nearest to the unit circle."""
+def critical_angle(kind: str, orbit: Solution) -> float:
+    """The angle of the critical multipliers; of pairs that of the complex one nearest to the unit circle."""
+    angle = kind_of(kind).angle
+    if angle is not None:
+        return angle
     others = orbit.floquet().others
     upper = others[others.imag > 0.0]
-    return complex(upper[np.argmin(np.abs(np.abs(upper) - 1.0))])
+    return abs(float(np.angle(upper[np.argmin(np.abs(np.abs(upper) - 1.0))])))
 
 
 def critical_functions(kind: str, linear: Linearised, angle: float, turn: Array | None = None) -> tuple[Vector, Vector]:

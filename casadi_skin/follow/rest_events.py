@@ -27,7 +27,7 @@ from casadi_skin.follow.point import LocalCurve
 from casadi_skin.follow.search import Crossing, Sample, Search, Stretch
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import locate_rest
-from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved
+from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved, kind_of
 from casadi_skin.zero.problem import EPSILON, Array, Indices, SingularError
 from casadi_skin.zero.rest import AlgebraicProblem, BalancedMatrix
 from casadi_skin.zero.settings import Point
@@ -42,7 +42,6 @@ SMALL_STATE_COUNT = (
     16  # states: eigenvalues of more are computed only where derivatives are not what is between two points
 )
 SURE_CHANGE_FACTOR = 10.0  # times the change of an eigenvalue, to first order, that leaves it on its side
-COUNT_CHANGES = {FOLD: (1,), BRANCH_POINT: (0, 1), HOPF: (2,)}  # of the number of unstable eigenvalues
 Flags = NDArray[np.bool_]
 AT_EVENT_DISTANCE = 1e-9  # of a stretch: a place at an event itself
 
@@ -93,7 +92,7 @@ class Counts:
 
     def violation(self, events: Sequence[Point]) -> tuple[int, int] | None:
         """Neighbouring places between which events do not account for the numbers; None where they do throughout."""
-        placed = sorted((self.place(event), COUNT_CHANGES.get(event.special, (0,))) for event in events)
+        placed = sorted((self.place(event), kind_of(event.special).changes) for event in events)
         possible = set(range(int(self.least[0]), int(self.most[0]) + 1))
         last, length = 0, float(self.sigma[-1])
         for k in range(1, self.sigma.size):

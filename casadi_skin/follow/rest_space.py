@@ -10,20 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.follow.codimension_two import EQUILIBRIUM_CURVES, EquilibriumCurveSearch, special_on_curve
+from casadi_skin.follow.codimension_two import EquilibriumCurveSearch, special_on_curve
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.rest_events import special_between
 from casadi_skin.follow.search import Sample
 from casadi_skin.follow.solution import Equilibrium, Solution, following_settings
 from casadi_skin.follow.space import EQUILIBRIA, EquilibriumError, ParameterSpace, corrector_of, of_last_points
-from casadi_skin.follow.special_points import REST_KINDS, SpecialPoint, check_second
+from casadi_skin.follow.special_points import SpecialPoint, check_second
 from casadi_skin.model.jumps import PARAMETER, STATE
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import NoQuantityError
 from casadi_skin.solve.levels import ExactLevels, Levels
 from casadi_skin.solve.newton import Correction
 from casadi_skin.zero.augmented import Singularity, SingularRest, singular_rest
-from casadi_skin.zero.kinds import BRANCH_POINT, HOPF, Unresolved
+from casadi_skin.zero.kinds import EQUILIBRIUM_CURVES, HOPF, Unresolved
 from casadi_skin.zero.problem import EPSILON, Array, Scalar, SingularError
 from casadi_skin.zero.rest import (
     DERIVATIVE_ROUNDING,
@@ -281,7 +281,7 @@ def curve_space(point: SpecialPoint, parameter: str, to: float, **options: Any) 
     started, or a branch point does not stay one.
     """
     solution = point.solution
-    if not solution.is_equilibrium or point.kind not in REST_KINDS or solution.space.free:
+    if not solution.is_equilibrium or point.kind not in EQUILIBRIUM_CURVES or solution.space.free:
         raise ValueError(f"curve: given a {point.kind}; accepted: a fold, Hopf point or branch point of equilibria")
     check_second(point, parameter)
     settings = following_settings(solution, parameter, to, **options)
@@ -305,6 +305,6 @@ def check_kept(space: Any, why: str) -> None:
     """Raise UnfoldingError where branch points are none at other values of the second parameter."""
     start, problem = space.start, space.start.problem
     pushed = abs(float(start.tangent[problem.added_index]))
-    if space.kind == BRANCH_POINT and pushed > UNFOLDING_PUSH * problem.push_size(start.z):
+    if problem.singularity.pushes and pushed > UNFOLDING_PUSH * problem.push_size(start.z):
         where = f"{space.model.name}: the branch point is none at other values of {space.parameter}"
         raise UnfoldingError(f"{where}: {why} keeps both branches together")

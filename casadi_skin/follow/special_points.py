@@ -41,7 +41,7 @@ from casadi_skin.follow.space import SolutionSpace, corrector_of
 from casadi_skin.model.result import Result
 from casadi_skin.solve.levels import ExactLevels
 from casadi_skin.zero.augmented import Augmented, Singularity, SingularProblem, singular_rest, singularity_of
-from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, TORUS, Unresolved
+from casadi_skin.zero.kinds import FOLD, HOPF, ORBIT_CURVES, TORUS, Unresolved, kind_of
 from casadi_skin.zero.orbit import Sizes
 from casadi_skin.zero.problem import EPSILON, Array, Scalar, SingularError
 from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
@@ -149,7 +149,7 @@ class SpecialPoint(Result):
     @property
     def has_criticality(self) -> bool:
         """Whether the normal form is known and decides on which side the new branch is."""
-        if self.kind not in (HOPF, DOUBLING, TORUS) or self.mu is not None:
+        if kind_of(self.kind).angle == 0.0 or self.mu is not None:
             return False
         space: Any = self.solution.space
         if getattr(space, "periodic", self) is not None:
@@ -270,8 +270,6 @@ def folds_of_family(space: SolutionSpace, solutions: Sequence[Solution]) -> tupl
 
 # A special solution located to the tolerance, as a regular solution of the augmented problem of its kind --------------
 
-REST_KINDS = (FOLD, BRANCH_POINT, HOPF)  # of equilibria
-ORBIT_KINDS = (FOLD, DOUBLING, TORUS, BRANCH_POINT)  # of orbits and of solutions of boundary-value problems
 NEAR_STEP_FRACTION = 0.5  # of the longest step: how far from its approximate place a special orbit may be
 ROUNDING_PROBES = 8  # changes of the equations by their rounding, of signs drawn at random
 ROUNDING_DEVIATIONS = 4.0  # standard deviations of the responses: that to one probe alone was up to 5 times too small
@@ -324,7 +322,7 @@ def locate(space: SolutionSpace, kind: str, near: Point, angle: float = np.pi) -
 
     `angle` is that of the multipliers of a torus.
     """
-    if kind not in ORBIT_KINDS:
+    if kind not in ORBIT_CURVES:
         return None
     value, problem, first = space.parameters(near)[space.parameter], stated(near.problem), space.parameter
     try:
@@ -362,7 +360,7 @@ def _solved(solver: PointSolver, problem: Augmented, z: Array, unit: float) -> L
     value, spread = float(z[index]), np.sqrt(np.mean(noise**2, axis=0))
     apart = abs(float(better.z[better.problem.first_index]) - value)
     error = 2.0 * apart + ROUNDING_DEVIATIONS * float(spread[index]) + EPSILON * max(abs(value), unit)
-    if singularity.kind == BRANCH_POINT and abs(z[problem.added_index]) > PUSH_RTOL * problem.push_size(z):
+    if singularity.pushes and abs(z[problem.added_index]) > PUSH_RTOL * problem.push_size(z):
         return None
     if singularity.kind == HOPF and not z[problem.added_index] > 0.0:
         return None  # a neutral saddle

@@ -12,15 +12,14 @@ import numpy as np
 from casadi_skin.follow import rest_space as of_equilibria
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.codimension_two import ORBIT_CURVES, OrbitCurveSearch, special_on_curve
+from casadi_skin.follow.codimension_two import OrbitCurveSearch, special_on_curve
 from casadi_skin.follow.find import find_equilibrium
 from casadi_skin.follow.follow import BranchRun
-from casadi_skin.follow.normal_forms import critical_functions, on_circle, terms_of
+from casadi_skin.follow.normal_forms import critical_angle, critical_functions, terms_of
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Solution, following_settings
 from casadi_skin.follow.space import FAMILY, ORBITS, BoundaryError, Followed, of_last_points
 from casadi_skin.follow.special_points import (
-    ORBIT_KINDS,
     Located,
     SpecialPoint,
     check_second,
@@ -32,7 +31,7 @@ from casadi_skin.model.arguments import check_name
 from casadi_skin.points.edges import EdgeCurve, edge_curve, parameters_of
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.augmented import SingularProblem
-from casadi_skin.zero.kinds import EDGE, FOLD, HOPF, TORUS, Unresolved
+from casadi_skin.zero.kinds import EDGE, FOLD, HOPF, ORBIT_CURVES, TORUS, Unresolved
 from casadi_skin.zero.linearised import Linearised
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest import Statics, sizes_of
@@ -179,15 +178,14 @@ def curve(
 def curve_space(point: SpecialPoint, parameter: str, to: float, **options: Any) -> Any:
     """The space of the curve of a special point in a second parameter; options are those of `curve`, checked here."""
     solution = point.solution
-    if not (solution.space.has_ledger and point.kind in ORBIT_KINDS):
+    if not (solution.space.has_ledger and point.kind in ORBIT_CURVES):
         if solution.space.connects in (FAMILY, ORBITS):
-            raise ValueError(f"curve: given a {point.kind} of orbits; accepted: {', '.join(ORBIT_KINDS)} of a branch")
+            raise ValueError(f"curve: given a {point.kind} of orbits; accepted: {', '.join(ORBIT_CURVES)} of a branch")
         return of_equilibria.curve_space(point, parameter, to, **options)
     check_second(point, parameter)
     settings = following_settings(solution, parameter, to, **options)
-    angle = abs(float(np.angle(on_circle(solution)))) if point.kind == TORUS else np.pi
     orbits = solution.space
-    located = locate(orbits, point.kind, solution.point, angle)
+    located = locate(orbits, point.kind, solution.point, critical_angle(point.kind, solution))
     if located is None:
         why = "its extended equations are not solved"
         raise BoundaryError(f"{orbits.model.name}: the {point.kind} cannot be followed: {why}")
@@ -215,7 +213,6 @@ def _space(
 
 # The end of a curve of special orbits where the orbits shrink to an equilibrium --------------------------------------
 
-ENDING_KINDS = {FOLD: ("generalized hopf",), TORUS: ("hopf-hopf", "zero-hopf")}  # at which curves of orbits end
 HOPF_WAY_FRACTION = 0.5  # of the way of the second parameter: how far Hopf points are followed
 END_DISTANCE_FRACTION = 0.1  # of it: how far from the smallest orbit the end may be
 
@@ -223,15 +220,15 @@ END_DISTANCE_FRACTION = 0.1  # of it: how far from the smallest orbit the end ma
 def shrunk(space: Followed, before: Point, after: Point) -> Point | None:
     """The point of a curve of Hopf points at which the orbits have amplitude zero; None where none is found."""
     smaller = min((before, after), key=lambda point: float(np.max(np.ptp(_states(space, point), axis=0))))
-    hopf = _hopf_near(space, smaller)
-    if hopf is None or space.kind not in ENDING_KINDS:
+    hopf, ends = _hopf_near(space, smaller), ORBIT_CURVES[space.kind].ends
+    if hopf is None or not ends:
         return None
     start, span = hopf.parameters[space.parameter], space.to - space.statement.values[space.parameter]
     found = list[SpecialPoint]()
     for side in (1.0, -1.0):
         to = start + side * HOPF_WAY_FRACTION * span
         curve = BranchRun(curve_space(hopf, space.parameter, to, at=(), max_points=500, max_step=0.05)).to_end()
-        found += [point for point in curve.special_points if point.kind in ENDING_KINDS[space.kind]]
+        found += [point for point in curve.special_points if point.kind in ends]
     close = [p for p in found if abs(p.parameters[space.parameter] - start) <= END_DISTANCE_FRACTION * abs(span)]
     if not close:
         return None

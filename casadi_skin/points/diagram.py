@@ -16,12 +16,12 @@ from casadi_skin.model.arguments import whole
 from casadi_skin.model.result import Result
 from casadi_skin.points.leaving import DEFAULT_TOLERANCE
 from casadi_skin.points.switch import leaving_space
-from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, HOPF
+from casadi_skin.zero.kinds import HOPF, KINDS
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import End, Point
 from casadi_skin.zero.stated_problem import PERIOD
 
-LEAVING_KINDS = (HOPF, BRANCH_POINT, DOUBLING)
+LEAVING_KINDS = tuple(word for word, kind in KINDS.items() if kind.sides)
 SAME_POINT_RTOL = 1e-6  # relative distance of special points that are one
 EXTREMA_SAMPLES = 257  # of an orbit, whose extrema distinguish it
 EXTREMUM_RTOL = 1e-3  # relative error of such an extremum
@@ -210,13 +210,12 @@ class Further:
         first = self.branches[0]
         course = (first.solutions[0].parameters[first.parameter], first.space.to)
         reasons, started, here = list[str](), 0, met.point.parameters[first.parameter]
-        sides = (1,) if point.kind in (HOPF, DOUBLING) else (1, -1)
         ends: list[tuple[float, float | None]]
         ends = [(to, back) for back, to in (course, course[::-1]) if (to - here) * (back - here) < 0.0]
         ends = ends or [(to, None) for to in course[::-1] if to != here]
         done = list[Array]()
         for to, back in ends if of_equilibria != (point.kind == HOPF) else ends[:1]:
-            for side in sides:
+            for side in KINDS[point.kind].sides:
                 if started == self._halves:
                     return
                 try:

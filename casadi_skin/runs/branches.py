@@ -46,7 +46,7 @@ from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import ContinuationTable
 from casadi_skin.solve.watch import watched
 from casadi_skin.stability.flows import FlowError
-from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, TORUS
+from casadi_skin.zero.kinds import EQUILIBRIUM_CURVES, HOPF, ORBIT_CURVES
 from casadi_skin.zero.settings import End, Point
 
 BUILTIN_ERRORS = (ZeroDivisionError, OverflowError, FloatingPointError)
@@ -301,7 +301,6 @@ def _keep(name: str, curve: EdgeCurve, journal: Records, progress: Progress) -> 
 
 
 CYCLES, OTHER, CURVE = "cycles", "other", "curve"
-FOLLOWED_KINDS = (FOLD, HOPF, DOUBLING, TORUS)  # kinds that curves in two parameters have
 SAME_POINT_DISTANCE = 1e-6  # distance of special points that are one
 
 
@@ -331,9 +330,9 @@ def further_spaces(
     curves = list[Branch]()
     for place, point in further.reached:
         passed = any(_passes(curve, point) for curve in curves)
-        crossing = point.kind == BRANCH_POINT and point.mu is None
+        has_curve = point.mu is None and point.kind in {*EQUILIBRIUM_CURVES, *ORBIT_CURVES}
         at_rest = point.kind == HOPF and point.solution.is_orbit  # cycles have shrunk: their own branch has the curve
-        if table.curve is not None and (point.kind in FOLLOWED_KINDS or crossing) and not at_rest and not passed:
+        if table.curve is not None and has_curve and not at_rest and not passed:
             try:
                 space = curve_space(point, table.curve.parameter, table.curve.to, at=(), **options)
                 yield f"{CURVE}{place}", space

@@ -48,7 +48,7 @@ from casadi_skin.runs.rules import SceneError, check_known
 from casadi_skin.runs.scene import Scene
 from casadi_skin.solve.processes import WorkerEndedError, in_worker
 from casadi_skin.solve.watch import one_thread
-from casadi_skin.zero.kinds import BRANCH_POINT, CUSP, DOUBLING, FOLD, HOPF, TAKENS, TORUS, ZERO_HOPF
+from casadi_skin.zero.kinds import KINDS
 
 Value = float | int | str
 Named = Iterator[tuple[str, Any, str]]  # names, values and meanings of quantities
@@ -83,7 +83,6 @@ class Result(msgspec.Struct, frozen=True):
 
 # Quantities of cells, and their names before a cell is computed -------------------------------------------------------
 
-KINDS = (FOLD, HOPF, BRANCH_POINT, DOUBLING, TORUS, CUSP, TAKENS, ZERO_HOPF, "generalized hopf", "hopf-hopf")
 OF_ALL = ("points", "end", "end_reason")
 STABILITY = ("first_instability", "first_instability_error", "first_tongue", "unresolved", "changes")
 LEFT_OUT = ("point", "requested", "special", "fold")  # marks of a place along a branch

@@ -31,7 +31,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.zero.discretisation import Formulation
-from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, FOLD, HOPF, TORUS
+from casadi_skin.zero.kinds import DOUBLING, HOPF, KINDS, TORUS
 from casadi_skin.zero.linearised import Linearised, Vector, null_vectors, velocities
 from casadi_skin.zero.problem import EPSILON, Array, Indices, Problem, SingularError, Solve
 from casadi_skin.zero.rest import AlgebraicProblem, BalancedMatrix, upper_pair
@@ -69,7 +69,12 @@ class Singularity:
     @property
     def shape(self) -> tuple[int, int]:
         """The shape of G: numbers of left and of right null vectors."""
-        return (2, 1) if self.kind in (TORUS, HOPF) else (1, 2) if self.kind == BRANCH_POINT else (1, 1)
+        return KINDS[self.kind].shape
+
+    @property
+    def pushes(self) -> int:
+        """Number of unknowns that push the equations, which B has a column for."""
+        return self.shape[1] - 1
 
     @property
     def added(self) -> int:
@@ -151,7 +156,7 @@ class Augmented(Problem):
         def made() -> tuple[Indices, Indices, Indices]:
             own, size = self.equations, self.size
             parts = [self.own_places]
-            if self.singularity.kind == BRANCH_POINT:
+            if self.singularity.pushes:
                 parts.append((np.arange(own), np.full(own, self.added_index)))
             more = np.arange(own, size - 1)
             parts.append((np.repeat(more, size), np.tile(np.arange(size), more.size)))
@@ -173,7 +178,7 @@ class Augmented(Problem):
         residual, nonzeros = self.own(z)
         border = self.border(z, nonzeros)
         values = [nonzeros]
-        if self.singularity.kind == BRANCH_POINT:
+        if self.singularity.pushes:
             residual = residual + z[self.added_index] * border.push
             values.append(border.push)
         values.append(self._slopes(z, border).ravel())
@@ -248,10 +253,10 @@ class SingularProblem(Augmented, BoundaryProblem):
 
     @property
     def copies(self) -> tuple[int, int, int]:
-        kind, inner = self.singularity.kind, self.states - self.formulation.states
-        if kind in (DOUBLING, TORUS):
-            return 1 + (kind == TORUS), inner, self.states
-        return 1, self.equations, self.states + len(self.orbit.free) + (kind == BRANCH_POINT)
+        given = self.singularity
+        if KINDS[given.kind].angle != 0.0:
+            return given.shape[0], self.states - self.formulation.states, self.states
+        return 1, self.equations, self.states + len(self.orbit.free) + given.pushes
 
     def rests(self, z: Array) -> bool:
         """Whether the solution is constant, and its mesh says nothing about null vectors."""
@@ -269,7 +274,7 @@ class SingularProblem(Augmented, BoundaryProblem):
         nonzeros = self.own(z)[1] if nonzeros is None else nonzeros
         given, sizes, n, k = self.singularity, self.sizes(z), self.formulation.states, self.states
         sizes[:k] = np.tile(given.sizes, self.columns)
-        if given.kind in (FOLD, BRANCH_POINT):
+        if KINDS[given.kind].angle == 0.0:
             width = self.copies[2]
             B, rows = self._leading(nonzeros, self.equations, width), np.full(self.equations, np.max(given.sizes))
             rows[: k - n] = sizes[: k - n]
@@ -356,8 +361,8 @@ class SingularRest(Augmented, AlgebraicProblem):
 
     @property
     def copies(self) -> tuple[int, int, int]:
-        kind, n = self.singularity.kind, self.equations
-        return 1 + (kind == HOPF), n, n + (kind == BRANCH_POINT)
+        n = self.equations
+        return self.singularity.shape[0], n, n + self.singularity.pushes
 
     def border(self, z: Array, nonzeros: Array | None = None) -> Border:
         nonzeros = self.own(z)[1] if nonzeros is None else nonzeros
@@ -412,7 +417,7 @@ def singular_rest(kind: str, inner: AlgebraicProblem, z: Array, near: complex | 
     `near` selects the pair of eigenvalues of a Hopf point, by default that nearest to the imaginary axis.
     """
     n, units = inner.states, inner.units(z)
-    normal, rate, added = np.zeros_like(units), 1.0, [0.0] * (kind == BRANCH_POINT)
+    normal, rate, added = np.zeros_like(units), 1.0, [0.0] * (KINDS[kind].shape[1] - 1)
     if kind == HOPF:
         linear = BalancedMatrix(inner.rates(z))
         values = linear.eigensystem[0]
@@ -517,7 +522,7 @@ def singularity_of(
 ) -> Singularity:
     """The singularity of a kind near a solution; `angle` is that of the multipliers of a torus."""
     sizes = component_sizes(z[: problem.states].reshape(problem.columns, -1))
-    if kind not in (DOUBLING, TORUS):
+    if KINDS[kind].angle == 0.0:
         return Singularity(kind, first, sizes, np.zeros_like(sizes))
     normal = np.zeros_like(sizes)
     if kind == TORUS:

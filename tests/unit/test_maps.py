@@ -280,6 +280,8 @@ def test_names_of_quantities_are_known_before_a_cell_is_computed(kind: str, tmp_
     assert result.rows, result.reason
     known = known_names(bind(scene, path))
     assert [name for name in result.rows[0].values if FAMILY_SUFFIX.sub("", name) not in known] == []
+    if kind in ("orbit", "equilibrium"):
+        assert {"first_hopf", "first_homoclinic", "bound_count"} <= set(known)  # of each kind that a branch may meet
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
 """Branches against a parameter: lines by stability with marks of special points, bifurcation diagrams, curves, edges.
 
 A branch is a path in the plane; `stability_pieces` cuts it where stability changes, `smooth` bends it, and one table
-has the looks of stable and unstable stretches, one the symbols of special points, one the curves in two parameters.
+has the looks of stable and unstable stretches, and `KINDS` those of special points and their curves.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS, SOLUTIONS
 from casadi_skin.results.figures import style
 from casadi_skin.results.quantities import extremes
+from casadi_skin.zero.kinds import HOPF, KINDS, kind_of
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import End
 from casadi_skin.zero.stated_problem import PERIOD
@@ -34,18 +35,6 @@ STABILITY_LOOKS: dict[bool | None, dict[str, Any]] = {
     None: {"label": "stability not computed", "lw": 0.9},
 }
 LINE_WIDTHS = {False: 1.5, True: 2.8}  # of lines of equilibria, and of cycles
-DASHED, DOTTED = (0, (4.0, 1.4)), (0, (1.0, 1.2))
-CURVE_LOOKS = {  # words and dashes of a curve of special points, by kind and whether they are orbits
-    ("fold", False): ("folds", "-"),
-    ("hopf", False): ("Hopf points", DASHED),
-    ("branch point", False): ("branch points", DOTTED),
-    ("period doubling", False): ("period doublings", DASHED),
-    ("torus", False): ("tori", DOTTED),
-    ("fold", True): ("folds of cycles", "-"),
-    ("period doubling", True): ("period doublings", DASHED),
-    ("torus", True): ("tori", DOTTED),
-    ("branch point", True): ("branch points of cycles", DOTTED),
-}
 CLOSE_MARK_DISTANCE = 0.008  # of the width of a picture: marks that are closer overlap
 ROUNDING_CHANGE = 1e-6  # of a quantity: a change that is no course of a curve
 FEWEST_SMOOTH_POINTS, POINTS_BETWEEN = (
@@ -53,37 +42,6 @@ FEWEST_SMOOTH_POINTS, POINTS_BETWEEN = (
     12,
 )  # points through which a curve is drawn smooth, and points drawn between two of them
 STRIP_HEIGHT = 0.025  # of the height of a picture: a strip along its lower edge
-KIND_MARKS = {  # the symbols of the field, as far as there are any
-    "fold": ("D", "0.6"),
-    "branch point": ("o", "white"),
-    "hopf": ("s", "black"),
-    "period doubling": ("^", "0.6"),
-    "torus": ("h", "0.6"),
-    "homoclinic": ("X", "white"),
-    "heteroclinic": ("P", "white"),
-    "bound": ("|", "black"),
-    "cusp": ("v", "black"),
-    "bogdanov-takens": ("o", "black"),
-    "zero-hopf": ("P", "black"),
-    "generalized hopf": ("*", "black"),
-    "hopf-hopf": ("X", "black"),
-    "degenerate pitchfork": ("d", "white"),
-    "degenerate transcritical": ("D", "white"),
-    "double branch point": ("8", "black"),
-    "cusp of cycles": ("v", "white"),
-    "generalized period doubling": ("<", "white"),
-    "chenciner": (">", "white"),
-    "1:1 resonance": ("$1$", "black"),
-    "1:2 resonance": ("$2$", "black"),
-    "1:3 resonance": ("$3$", "black"),
-    "1:4 resonance": ("$4$", "black"),
-    "fold-flip": ("p", "white"),
-    "fold-torus": ("H", "white"),
-    "flip-torus": ("8", "white"),
-    "torus-torus": ("X", "white"),
-}
-PLAIN_MARK = ("d", "0.8")
-CYCLE_LIMITS = ("homoclinic", "heteroclinic")  # possible ends of a branch of cycles
 Pieces = Sequence[tuple[bool | None, Array]]
 
 
@@ -174,9 +132,10 @@ def draw_pieces(axes: Axes, branch: Branch, path: Array, pieces: Pieces, colour:
         alike = [piece for known, piece in pieces if known is stable]
         parts = map(smooth, alike) if kind or space.kind else alike
         look = STABILITY_LOOKS[stable]
-        if (space.kind, closed) in CURVE_LOOKS:
-            words, dashes = CURVE_LOOKS[space.kind, closed]
-            look = {"lw": 1.8, "ls": dashes, "label": words}
+        if space.kind:
+            words, dashes = KINDS[space.kind].line
+            alone = not (closed and KINDS[space.kind].of_equilibria)
+            look = {"lw": 1.8, "ls": dashes, "label": words if alone else f"{words} of cycles"}
         elif kind:
             silent = stable is None and kind != "cycles" and space.connects != EQUILIBRIA
             look = {**look, "lw": LINE_WIDTHS[closed], "label": kind if silent else f"{kind}, {look['label']}"}
@@ -225,7 +184,7 @@ def draw_special(axes: Axes, branch: Branch, path: Array, size: float) -> None:
     places = special_places(branch, path)
     for kind in dict.fromkeys(places.values()):
         points = path[[i for i, found in places.items() if found == kind]]
-        marker, face = KIND_MARKS.get(kind, PLAIN_MARK)
+        marker, face = kind_of(kind).mark
         look: dict[str, Any] = {"mfc": face, "mec": "black", "ls": "none", "zorder": 5}
         axes.plot(*points.T, marker, color="black", ms=size, label=kind, **look)
 
@@ -233,12 +192,11 @@ def draw_special(axes: Axes, branch: Branch, path: Array, size: float) -> None:
 def draw_marks(axes: Axes, branch: Branch, path: Array, colour: Any) -> None:
     """Marks of special points, of values that were requested, and of an early end."""
     draw_special(axes, branch, path, 5)
-    lead, last = len(path) - len(branch), special_places(branch, path).get(len(path) - 1)
-    marked = [lead + i for i, solution in enumerate(branch.solutions) if solution.point.requested]
+    marked = [len(path) - len(branch) + i for i, solution in enumerate(branch.solutions) if solution.point.requested]
     if marked:
         look: dict[str, Any] = {"mfc": "white", "mec": colour, "label": "requested", "zorder": 6, "clip_on": False}
         axes.plot(*path[marked].T, "o", color=colour, ms=4, **look)
-    if branch.end not in (End.REACHED, End.RETURNED, End.CLOSED) and not branch.stopped and last not in CYCLE_LIMITS:
+    if branch.end not in (End.REACHED, End.RETURNED, End.CLOSED, End.UNBOUNDED) and not branch.stopped:
         axes.plot(*path[-1], "x", ms=6, color="black", label="ended early", zorder=7)
 
 
@@ -363,10 +321,10 @@ def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
         figure = style.blank(6.0, 4.4)
         axes = figure.subplots()
         looks = [(curve.space.kind, curve.space.connects == ORBITS) for curve in curves]
-        order = [look for look in CURVE_LOOKS if look in looks]
+        order = sorted(set(looks), key=lambda look: (look[1], list(KINDS).index(look[0])))
         for curve, look in zip(curves, looks, strict=True):
             path = np.column_stack([curve[first], curve[second]])
-            colour = style.colours(max(2, len(order)))[order.index(look) if len(order) > 1 else int(look[0] == "hopf")]
+            colour = style.colours(max(2, len(order)))[order.index(look) if len(order) > 1 else int(look[0] == HOPF)]
             draw_pieces(axes, curve, path, [(None, path)], colour)
             draw_special(axes, curve, path, 6)
         axes.set(xlabel=style.plain(first), ylabel=style.plain(second))
