@@ -17,7 +17,7 @@ from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.search import MonitorSearch
 from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.space import ORBITS, SOLUTIONS, BoundaryError, FamilyError, ParameterSpace
-from casadi_skin.follow.special_points import fold_between, locate_rest, special_orbit, turning
+from casadi_skin.follow.special_points import Located, ending, fold_between, locate_rest, special_orbit, turning
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import check_name
 from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
@@ -113,42 +113,43 @@ def met_between(space: BoundarySpace, before: Point, after: Point) -> Point | No
 SHRUNK_ORBIT_REACH = 0.5  # of the variation of an orbit: largest distance of the equilibrium that it shrinks to
 
 
-def at_rest(problem: BoundaryProblem, x: Array, period: float, u: float) -> Array:
-    """Unknowns of an orbit of amplitude zero."""
-    scalars = [period if name == PERIOD else problem.statement.values[name] for name in problem.statement.free]
-    return np.concatenate([np.tile(x, problem.columns), scalars, [u]])
+def hopf_near(
+    space: Any, before: Point, after: Point, name: str, start: float, to: float
+) -> tuple[Point, Array, EquilibriumSpace, Located] | None:
+    """The smaller of two orbits with its states at 256 phases, and the Hopf point near its mean and its period.
+
+    It is one of the equilibria in a parameter, whose branch goes from a start to an end. None where there is none.
+    """
+
+    def variation(orbit: tuple[Point, Array]) -> float:
+        return float(np.max(np.ptp(orbit[1], axis=0) / space.sizes.states[: orbit[1].shape[1]]))
+
+    phases = np.linspace(0.0, TWO_PI, 257)[:-1]
+    orbit, states = min(((one, space.states_at(one, phases, None)) for one in (before, after)), key=variation)
+    model, values, x = space.model, space.parameters(orbit), states.mean(axis=0)
+    statics = Statics(model, {**{key: values[key] for key in model.parameter_names}, name: start})
+    sizes = sizes_of([x, space.sizes.states[: x.size]])  # an equilibrium near zero has the size of the branch
+    equilibria = EquilibriumSpace(statics, 1e-10, "newton", sizes, parameter=name, to=to)
+    guess = np.append(x / sizes, (values[name] - start) / (to - start))
+    found = locate_rest(equilibria, HOPF, guess, 2j * np.pi / space.interval(orbit)[1])
+    return None if found is None else (orbit, states, equilibria, found)
 
 
 def hopf_end(space: BoundarySpace, before: Point, after: Point) -> Point | None:
-    """The Hopf point between two orbits whose amplitude passes through zero, as an orbit; None where there is none.
-
-    It is sought near the mean of the smaller orbit, its parameters and its period.
-    """
-
-    def variation(point: Point) -> float:
-        states = point.problem.sample(point.z, np.linspace(0.0, 1.0, 65))
-        return float(np.max(np.ptp(states, axis=0) / space.sizes.states))
-
-    orbit = min((before, after), key=variation)
-    model, name, values = space.model, space.parameter, space.parameters(orbit)
-    states = orbit.problem.sample(orbit.z, np.linspace(0.0, 1.0, 257)[:-1])
-    x, extent, period = states.mean(axis=0), np.ptp(states, axis=0), values[PERIOD]
-    statics = Statics(model, {**{key: values[key] for key in model.parameter_names}, name: space.begins})
-    sizes = sizes_of([x, space.sizes.states[: x.size]])  # an equilibrium near zero has the size of the branch
-    equilibria = EquilibriumSpace(statics, 1e-10, "newton", sizes, parameter=name, to=space.to)
-    guess = np.append(x / sizes, orbit.parameter)
-    found = locate_rest(equilibria, HOPF, guess, 2j * np.pi / period)
-    if found is None:
+    """The Hopf point between two orbits whose amplitude passes through zero, as an orbit; None where there is none."""
+    near = hopf_near(space, before, after, space.parameter, space.begins, space.to)
+    if near is None:
         return None
-    reach, born = SHRUNK_ORBIT_REACH * np.max(extent / sizes), TWO_PI / found.frequency
-    away, profile = np.abs(found.resting - guess), found.point.error.profile
-    near = np.max(away[:-1]) <= reach and away[-1] <= max(0.1, reach)
-    if not near or abs(born - period) > SHRUNK_ORBIT_REACH * period:
+    orbit, states, equilibria, found = near
+    period, born = space.interval(orbit)[1], TWO_PI / found.frequency
+    reach = SHRUNK_ORBIT_REACH * np.max(np.ptp(states, axis=0) / equilibria.sizes)
+    away = np.abs(found.resting - np.append(states.mean(axis=0) / equilibria.sizes, orbit.parameter))
+    if np.any(away[:-1] > reach) or away[-1] > max(0.1, reach) or abs(born - period) > SHRUNK_ORBIT_REACH * period:
         return None
     seen = np.where(np.abs(found.resting) > ROUNDED_COMPONENT_RATIO, found.resting, 0.0)
-    z = at_rest(orbit.problem, equilibria.problem.state(seen), born, found.value)
-    error = ErrorEstimate(profile, profile, parameter=found.error / orbit.problem.parameter_size(z))
-    return replace(orbit, z=z, error=error, requested=False, walked=False, better=None, special=HOPF)
+    values, profile = {**orbit.problem.statement.values, PERIOD: born}, found.point.error.profile
+    error = ErrorEstimate(profile, profile, parameter=found.error)
+    return ending(orbit, HOPF, equilibria.problem.state(seen), values, found.value, error)
 
 
 # Solutions of a statement, and the branch of them in one parameter --------------------------------------------------

@@ -388,6 +388,22 @@ def special_solutions(
     )
 
 
+def ending(
+    orbit: Point, kind: str, states: Array, values: Mapping[str, float], u: float, error: ErrorEstimate
+) -> Point:
+    """An orbit with other states, free parameters by name and u as a special one at which its branch ends.
+
+    The error of the parameter is given in units of u.
+    """
+    problem, z = stated(orbit.problem), orbit.z.copy()
+    z[: problem.states].reshape(problem.columns, -1)[:] = states
+    for place, name in enumerate(problem.statement.free, start=problem.states):
+        z[place] = values.get(name, z[place])
+    z[-1] = u
+    error = replace(error, parameter=error.parameter / problem.parameter_size(z))
+    return replace(orbit, z=z, error=error, better=None, walked=False, requested=False, special=kind)
+
+
 def special_orbit(space: SolutionSpace, kind: str, near: Point, angle: float = np.pi) -> Point | None:
     """The special orbit of a kind near an orbit of a branch as a point of it, with the tangent of that orbit.
 

@@ -10,21 +10,20 @@ from typing import Any, cast
 import numpy as np
 
 from casadi_skin.follow import rest_space as of_equilibria
-from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.boundary_space import BoundarySpace, hopf_near
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.codimension_two import OrbitCurveSearch, special_on_curve
 from casadi_skin.follow.find import find_equilibrium
 from casadi_skin.follow.follow import BranchRun
 from casadi_skin.follow.normal_forms import critical_angle, critical_functions, terms_of
-from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Solution, following_settings
-from casadi_skin.follow.space import FAMILY, ORBITS, BoundaryError, Followed, of_last_points
+from casadi_skin.follow.space import FAMILY, ORBITS, BoundaryError, of_last_points
 from casadi_skin.follow.special_points import (
     Located,
     SpecialPoint,
     check_second,
+    ending,
     locate,
-    locate_rest,
     special_solutions,
 )
 from casadi_skin.model.arguments import check_name
@@ -34,9 +33,8 @@ from casadi_skin.zero.augmented import SingularProblem
 from casadi_skin.zero.kinds import EDGE, FOLD, HOPF, ORBIT_CURVES, TORUS, Unresolved
 from casadi_skin.zero.linearised import Linearised
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest import Statics, sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point
-from casadi_skin.zero.stated_problem import PERIOD, Closure, stated
+from casadi_skin.zero.stated_problem import PERIOD, Closure
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,12 +215,19 @@ HOPF_WAY_FRACTION = 0.5  # of the way of the second parameter: how far Hopf poin
 END_DISTANCE_FRACTION = 0.1  # of it: how far from the smallest orbit the end may be
 
 
-def shrunk(space: Followed, before: Point, after: Point) -> Point | None:
+def shrunk(space: OrbitCurveSpace, before: Point, after: Point) -> Point | None:
     """The point of a curve of Hopf points at which the orbits have amplitude zero; None where none is found."""
-    smaller = min((before, after), key=lambda point: float(np.max(np.ptp(_states(space, point), axis=0))))
-    hopf, ends = _hopf_near(space, smaller), ORBIT_CURVES[space.kind].ends
-    if hopf is None or not ends:
+    assert space.singularity is not None
+    name, unit = space.singularity.first, float(space.sizes.scalars[len(space.statement.free)])
+    begin, ends = space.statement.values[name], ORBIT_CURVES[space.kind].ends
+    near = hopf_near(space, before, after, name, begin, begin + unit)
+    if near is None or not ends:
         return None
+    smaller, _, equilibria, born = near
+    at = dict(equilibria.problem.named(born.resting))
+    resting = find_equilibrium(space.model, equilibria.problem.state(born.resting), parameters=at)
+    resting = replace(resting, space=replace(resting.space, parameter=name, to=at[name] + unit))
+    hopf = SpecialPoint(HOPF, name, at, born.error * unit, resting)
     start, span = hopf.parameters[space.parameter], space.to - space.statement.values[space.parameter]
     found = list[SpecialPoint]()
     for side in (1.0, -1.0):
@@ -232,47 +237,9 @@ def shrunk(space: Followed, before: Point, after: Point) -> Point | None:
     close = [p for p in found if abs(p.parameters[space.parameter] - start) <= END_DISTANCE_FRACTION * abs(span)]
     if not close:
         return None
-    nearest = min(close, key=lambda point: abs(point.parameters[space.parameter] - start))
-    return _as_orbit(space, smaller, nearest)
-
-
-def _states(space: Followed, point: Point) -> Array:
-    return np.asarray(space.states_at(point, np.linspace(0.0, 2.0 * np.pi, 257)[:-1], None))
-
-
-def _hopf_near(space: Followed, orbit: Point) -> SpecialPoint | None:
-    """The Hopf point near an orbit of small amplitude, in the first parameter, from its mean and its period."""
-    model, values = space.model, space.parameters(orbit)
-    assert space.singularity is not None
-    name, period = space.singularity.first, space.interval(orbit)[1]
-    x = _states(space, orbit).mean(axis=0)
-    statics = Statics(model, {key: values[key] for key in model.parameter_names})
-    unit = float(space.sizes.scalars[len(space.statement.free)])
-    equilibria = EquilibriumSpace(statics, 1e-10, "newton", sizes_of([x]), parameter=name, to=values[name] + unit)
-    found = locate_rest(equilibria, HOPF, np.append(x / equilibria.sizes, 0.0), 2j * np.pi / period)
-    if found is None:
-        return None
-    course = equilibria.course
-    assert course is not None
-    at = {**statics.values, name: float(course.at(found.value))}
-    resting = find_equilibrium(model, equilibria.problem.state(found.resting), parameters=at)
-    resting = replace(resting, space=replace(resting.space, parameter=name, to=at[name] + unit))
-    return SpecialPoint(HOPF, name, at, found.error * unit, resting)
-
-
-def _as_orbit(space: Followed, orbit: Point, end: SpecialPoint) -> Point:
-    """The end as an orbit of amplitude zero of the curve."""
-    problem, z = stated(orbit.problem), orbit.z.copy()
-    z[: problem.states].reshape(problem.columns, -1)[:] = end.solution.evaluate(0.0)
-    for place, name in enumerate(problem.statement.free, start=problem.states):
-        if name == PERIOD:
-            values = end.solution.eigenvalues
-            known = 2.0j * np.pi / z[place]
-            z[place] = 2.0 * np.pi / float(values[np.argmin(np.abs(values - known))].imag)
-        elif name in end.parameters:
-            z[place] = end.parameters[name]
-    start = space.statement.values[space.parameter]
-    z[-1] = (end.parameters[space.parameter] - start) / (space.to - start)
-    moved = end.error / abs(space.to - start) / problem.parameter_size(z)
-    error = ErrorEstimate(end.solution.error, end.solution.error, parameter=moved)
-    return replace(orbit, z=z, error=error, requested=False, walked=False, better=None, special=end.kind)
+    end = min(close, key=lambda point: abs(point.parameters[space.parameter] - start))
+    eigenvalues = end.solution.eigenvalues
+    omega = eigenvalues[np.argmin(np.abs(eigenvalues - 2.0j * np.pi / space.parameters(smaller)[PERIOD]))].imag
+    error = ErrorEstimate(end.solution.error, end.solution.error, parameter=end.error / abs(span))
+    values, u = {**end.parameters, PERIOD: 2.0 * np.pi / float(omega)}, space.fraction(end.parameters[space.parameter])
+    return ending(smaller, end.kind, end.solution.evaluate(0.0), values, u, error)

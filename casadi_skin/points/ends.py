@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from casadi_skin.follow.space import SolutionSpace
-from casadi_skin.follow.special_points import special_orbit
+from casadi_skin.follow.special_points import ending, special_orbit
 from casadi_skin.zero import mesh
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING
 from casadi_skin.zero.problem import Array
@@ -70,21 +70,15 @@ class Left:
         found = special_orbit(self.space, kind, self._mean(own, near))
         if found is None:
             return None
-        problem, z = stated(near.problem), near.z.copy()
-        turned = self.turns * problem._fractions()
+        turned = self.turns * stated(near.problem)._fractions()
         states = found.problem.sample(found.z, np.where(turned <= 1.0, turned, turned - 1.0))
         if self.space.periodic is not None and any(self.space.periodic.turns):
             states = states + 2.0 * np.pi * np.outer(turned > 1.0, self.space.periodic.turns)
-        z[: problem.states] = states.ravel()
-        values = self.space.parameters(found)
-        for place, name in enumerate(own.statement.free, start=problem.states):
-            z[place] = values[name] * (self.turns if name == PERIOD else 1)
-        z[-1] = own.fraction(values[own.parameter])
+        known = self.space.parameters(found)
+        values = {name: value * (self.turns if name == PERIOD else 1) for name, value in known.items()}
         error = self.space.parameter_error(found) / abs(own.to - own.statement.values[own.parameter])
-        return replace(
-            near, z=z, error=replace(found.error, parameter=error / problem.parameter_size(z)), better=None,
-            walked=False, requested=False, special=BRANCH_POINT,
-        )  # fmt: skip
+        u = own.fraction(values[own.parameter])
+        return ending(near, BRANCH_POINT, states, values, u, replace(found.error, parameter=error))
 
     def _mean(self, own: SolutionSpace, near: Point) -> Point:
         """Half the sum of an orbit and its image as a point of the branch that was left."""

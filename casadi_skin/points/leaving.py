@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from casadi_skin.follow.boundary_space import BoundarySpace, at_rest
+from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch_points import leaving_tangent
 from casadi_skin.follow.normal_forms import critical_pair
 from casadi_skin.follow.solution import Orbit, Solution
@@ -138,7 +138,8 @@ def born_at(
         parameter=parameter, to=to, at=at, settings=settings, leaves=True,
     )  # fmt: skip
     problem = stated(space.levels.problem(FIRST_INTERVALS))
-    z = at_rest(problem, x, period, 0.0)
+    free = [{**problem.statement.values, PERIOD: period}[name] for name in problem.statement.free]
+    z = np.concatenate([np.tile(x, problem.columns), free, [0.0]])
     tangent = np.zeros(problem.size)
     turns = np.exp(2j * np.pi * problem._fractions())[:, None] * q
     tangent[: problem.states] = turns.real.ravel()
