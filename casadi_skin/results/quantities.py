@@ -325,13 +325,13 @@ MULTIPLIERS = (  # arrays, those of mu where there are these
 )  # fmt: skip
 LOCALISED = (  # of orbits at the edge of a long tail: localised multipliers, and arcs
     Quantity("localised", "localised multipliers, in pairs", at("floquet.mu.size")),
-    Quantity("undecided", "pairs that more sites would decide", at("floquet.unresolved.size")),
-    Quantity("finite_size", "pairs off the circle by the cut alone", at("floquet.finite_size.size")),
-    Quantity("finite_size_modulus", "largest modulus of these, or 1", at("floquet.finite_size_modulus")),
-    Quantity("stability_sites", "sites of the variational problem", at("floquet.sites")),
-    Quantity("overlaps", "overlaps of arcs of opposite signature", lambda p: len(p.floquet.continuous.overlaps)),
-    Quantity("arc_start", "least omega T of waves", lambda p: p.floquet.continuous.arcs[:, 0], ("band",)),
-    Quantity("arc_end", "largest omega T of waves", lambda p: p.floquet.continuous.arcs[:, 1], ("band",)),
+    Quantity("undecided", "pairs that more sites would decide", at("floquet.tail.unresolved.size")),
+    Quantity("finite_size", "pairs off the circle by the cut alone", at("floquet.tail.finite_size.size")),
+    Quantity("finite_size_modulus", "largest modulus of these, or 1", at("floquet.tail.finite_size_modulus")),
+    Quantity("stability_sites", "sites of the variational problem", at("floquet.tail.sites")),
+    Quantity("overlaps", "overlaps of arcs of opposite signature", lambda p: len(p.floquet.tail.continuous.overlaps)),
+    Quantity("arc_start", "least omega T of waves", lambda p: p.floquet.tail.continuous.arcs[:, 0], ("band",)),
+    Quantity("arc_end", "largest omega T of waves", lambda p: p.floquet.tail.continuous.arcs[:, 1], ("band",)),
 )
 
 
@@ -342,7 +342,7 @@ def _multipliers(branch: Branch) -> list[Quantity]:
     found: list[Any] = [orbit.floquet() for orbit in branch.orbits]
     quantities = [Quantity("trivial_deviation", DEVIATION, at("floquet.trivial_deviation"), where=NETCDF)]
     most = max(floquet.mu.size for floquet in found)
-    if found[0].localised is None:
+    if found[0].tail is None:
         return quantities + [q for q in MULTIPLIERS if found[0].mu.size or q.where == NETCDF]
 
     def padded(quantity: Quantity, meaning: str) -> Quantity:

@@ -50,7 +50,7 @@ from casadi_skin.zero.orbit import Extended, extended
 from casadi_skin.zero.settings import End, Point, Target
 from casadi_skin.zero.statement import Statement
 
-FORMAT = "casadi_skin result 2"
+FORMAT = "casadi_skin result 3"
 ACCEPTED_RESULTS = "accepted: a file that save_result wrote"
 
 

@@ -22,7 +22,7 @@ from casadi_skin.results.figures.multipliers import draw_plane
 from casadi_skin.results.figures.style import amplitude_label, draw_curves, plain
 from casadi_skin.results.quantities import numbers_of, unique_names
 from casadi_skin.results.tables import edge_columns
-from casadi_skin.stability.result import Floquet, LocalisedFloquet
+from casadi_skin.stability.result import CutTail, Floquet
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest import Spectrum
 
@@ -258,10 +258,10 @@ def _(result: EdgeCurve) -> words.Shown:
 def _(result: Floquet) -> words.Shown:
     rows = [("multipliers", f"{result.multipliers.size}, {result.trivial} of them trivial")]
     rows += [("largest", words.complex_numbers(sorted(result.others, key=abs, reverse=True)))]
-    if (localised := result.localised) is not None:
-        text = f"{result.mu.size} pairs beside the trivial one, on {localised.sites} sites at the edge"
+    if result.tail is not None:
+        text = f"{result.mu.size} pairs beside the trivial one, on {result.tail.sites} sites at the edge"
         rows[0] = ("localised", text)
-        rows += _of_waves(localised)
+        rows += _of_waves(result, result.tail)
     rows += [("error", f"{result.error:.1e}"), ("stability", _stability(result))]
 
     def columns() -> words.Columns:
@@ -283,18 +283,18 @@ def _stability(floquet: Floquet) -> str:
     return f"unstable: {outside}, largest modulus {floquet.max_abs_multiplier:.8g}"
 
 
-def _of_waves(result: LocalisedFloquet) -> words.Rows:
+def _of_waves(result: Floquet, tail: CutTail) -> words.Rows:
     """Arcs of the continuous spectrum, their overlaps, and pairs that depend on the number of sites."""
-    overlaps = result.continuous.overlaps
+    overlaps = tail.continuous.overlaps
     text = f"at omega T from {words.ranges(o.angles for o in overlaps)}"
-    rows = [("waves", f"arcs of the circle, omega T from {words.ranges(result.continuous.arcs)}")]
+    rows = [("waves", f"arcs of the circle, omega T from {words.ranges(tail.continuous.arcs)}")]
     rows += [("they overlap", text if overlaps else "nowhere with those of opposite signature")]
-    count = f"{result.finite_size.size} pairs off the circle, up to {result.finite_size_modulus:.6g}"
+    count = f"{tail.finite_size.size} pairs off the circle, up to {tail.finite_size_modulus:.6g}"
     rows.append(("finite-size", f"{count}; they depend on the number of sites"))
-    if result.unresolved.size:
-        rows.append(("undecided", f"{result.unresolved.size} pairs; more stability_sites decide"))
+    if tail.unresolved.size:
+        rows.append(("undecided", f"{tail.unresolved.size} pairs; more stability_sites decide"))
     if result.counted is None:
-        rows.append(("not counted", f"stability is that of the cut problem of {result.sites} sites"))
+        rows.append(("not counted", f"stability is that of the cut problem of {tail.sites} sites"))
     elif result.counted != result.listed:
         text = f"{result.counted} outside the circle, {result.listed} in the list"
         rows.append(("counted", f"{text}: too weakly localised to be resolved by the cut"))

@@ -25,7 +25,6 @@ from casadi_skin.zero.problem import Array, Buffers, Problem
 from casadi_skin.zero.settings import Point, Refinement
 
 if TYPE_CHECKING:
-    from casadi_skin.stability.result import LocalisedFloquet
     from casadi_skin.stability.tongues.hill import EdgeHill
     from casadi_skin.zero.family import Localised
 
@@ -112,7 +111,7 @@ class FamilyStability(ABC):
 
         Returns:
             One result a point; at |gamma| = 1 of a chain without the algebraic growth of its Jordan block, of a chain
-            whose tail is too long or cut a `LocalisedFloquet`.
+            whose tail is too long or cut that of localised vectors.
 
         Raises:
             FlowError: the flow map cannot reach the tolerance for one of them.
@@ -145,7 +144,7 @@ class FamilyStability(ABC):
         mu = np.full(resting, -(np.sin(phase) ** 2), complex)
         return ReversibleFloquet(mu, np.full(resting, error), floquet.trivial_deviation, floquet.power)
 
-    def _localised(self, localised: Localised, point: Point, by: str | None) -> LocalisedFloquet:
+    def _localised(self, localised: Localised, point: Point, by: str | None) -> ReversibleFloquet:
         """Stability of localised perturbations, on as many sites as decide it."""
         from casadi_skin.stability.multipliers import localised_floquet
 
@@ -160,7 +159,7 @@ class FamilyStability(ABC):
                 transition, (first, better), self.tolerance, localised.bands, state.Omega, localised.cut_first,
                 len(localised.stiffness),
             )  # fmt: skip
-            if not found.unresolved.size:
+            if found.tail is None or not found.tail.unresolved.size:
                 break
         counted = self._edge.off_circle(orbit_state(point)) if found.power == 2 else None  # of odd orbits alone
         return replace(found, counted=counted)

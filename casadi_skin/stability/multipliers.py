@@ -32,7 +32,7 @@ from casadi_skin.stability.reduction import (
     stacked,
     with_reversed_blocks,
 )
-from casadi_skin.stability.result import ContinuousSpectrum, LocalisedFloquet, ReversibleFloquet
+from casadi_skin.stability.result import ContinuousSpectrum, CutTail, ReversibleFloquet
 from casadi_skin.zero.problem import Array, Indices
 
 Booleans = NDArray[np.bool_]
@@ -335,7 +335,7 @@ def localised_floquet(
     Omega: float,
     cut_first: bool,
     cell: int = 1,
-) -> LocalisedFloquet:
+) -> ReversibleFloquet:
     """Localised multipliers of a symplectic transition matrix of a cut variational problem.
 
     Arguments:
@@ -365,11 +365,10 @@ def localised_floquet(
     if not bound:  # the velocity of the flow may decay enough to be localised all the same
         local &= np.abs(mu - trivial) > errors + cut
     off = ~ReversibleFloquet(mu, errors, found.trivial_deviation, power).is_inside & ~local
-    continuous = ContinuousSpectrum(Omega, bands, power)
-    return LocalisedFloquet(
-        mu[local], (errors + cut)[local], found.trivial_deviation if bound else 0.0, power,
-        continuous, n, mu[off & (cut > WAVE_CHANGE)], mu[off & (cut <= WAVE_CHANGE)],
-    )  # fmt: skip
+    waves, undecided = mu[off & (cut > WAVE_CHANGE)], mu[off & (cut <= WAVE_CHANGE)]
+    tail = CutTail(ContinuousSpectrum(Omega, bands, power), n, waves, undecided)
+    deviation = found.trivial_deviation if bound else 0.0
+    return ReversibleFloquet(mu[local], (errors + cut)[local], deviation, power, tail=tail)
 
 
 def _by_deviation(systems: Eigensystems, similar: Array, trivial: float) -> Array:

@@ -43,7 +43,11 @@ class Floquet(Result, ABC):
         other_errors: estimated absolute errors of `others`, of one shape with them.
         allowed_deviation: largest `trivial_deviation` of multipliers that can be trusted.
         mu, mu_error: eigenvalues of B^T C with their errors, of reversible orbits; empty of others.
-        localised: itself of an orbit at the edge of a long linear tail, None of others.
+        power: of the map M of mu, lambda(M) + 1/lambda(M) = 2 + 4 mu, that gives the multipliers: 2 or 1.
+        tail: of an orbit at the edge of a long linear tail, whose multipliers are those of localised vectors alone:
+            the waves of the tail; None of others.
+        counted: number of localised multipliers outside the circle of an infinite tail, by Hill's determinant, which
+            nothing cuts: it decides `stable`, and how many are unstable. None where they are not counted.
     """
 
     multipliers: ComplexArray
@@ -54,10 +58,9 @@ class Floquet(Result, ABC):
     allowed_deviation: float
     mu: ComplexArray
     mu_error: Array
-
-    @property
-    def localised(self) -> LocalisedFloquet | None:
-        return None
+    power: int
+    tail: CutTail | None
+    counted: int | None
 
     def __repr__(self) -> str:
         largest = f"largest modulus {self.max_abs_multiplier:.8g}, " if self.others.size else ""
@@ -87,17 +90,26 @@ class Floquet(Result, ABC):
     @property
     def stable(self) -> bool:
         """Whether no multiplier lies outside the unit circle, within estimated errors."""
-        return not np.any(self.outside)
+        return self.counted == 0 if self.counted is not None else not np.any(self.outside)
+
+    @property
+    def listed(self) -> int:
+        """Number of multipliers outside the circle in the list, which of a cut tail may not have all."""
+        return int(np.count_nonzero(self.outside))
 
     @property
     def unstable_real(self) -> int:
-        """Number of multipliers outside the unit circle on the real axis."""
-        return int(np.count_nonzero(self.outside & self.real))
+        """Number of multipliers outside the unit circle on the real axis.
+
+        Where they are counted, the nearest to the list's, as complex ones come in twos.
+        """
+        real = int(np.count_nonzero(self.outside & self.real))
+        return real if self.counted is None else min(real + (self.counted - real) % 2, self.counted)
 
     @property
     def unstable_complex(self) -> int:
         """Number of multipliers outside the unit circle off the real axis; a complex pair counts two."""
-        return int(np.count_nonzero(self.outside & ~self.real))
+        return (self.listed if self.counted is None else self.counted) - self.unstable_real
 
     @property
     def max_abs_multiplier(self) -> float:
@@ -137,8 +149,8 @@ class ReversibleFloquet(Floquet):
     """Stability of a reversible orbit with n positions, from n - k values of mu beside the k trivial ones.
 
     `mu` and `mu_error`, its estimated errors, have shape (n - k,); `trivial_deviation` is how far the trivial
-    eigenvalue is from its exact value. `power` of lambda(M) gives the multipliers over the period. Of the k `pairs` of
-    trivial multipliers one is of time and of the family, one of each momentum that is conserved.
+    eigenvalue is from its exact value. Of the k `pairs` of trivial multipliers one is of time and of the family, one of
+    each momentum that is conserved. Where there is a `tail`, `mu_error` holds what its cut makes.
     """
 
     mu: ComplexArray
@@ -146,6 +158,8 @@ class ReversibleFloquet(Floquet):
     trivial_deviation: float
     power: int
     pairs: int = field(default=1, kw_only=True)
+    tail: CutTail | None = field(default=None, kw_only=True)
+    counted: int | None = field(default=None, kw_only=True)
     monodromy: None = field(default=None, init=False)
     allowed_deviation: float = field(default=np.inf, init=False)
 
@@ -243,6 +257,9 @@ class FullPeriodFloquet(Floquet):
     blurred: int = 0
     mu: ClassVar[ComplexArray] = np.empty(0, dtype=complex)  # type: ignore[misc]
     mu_error: ClassVar[Array] = np.empty(0)  # type: ignore[misc]
+    power: ClassVar[int] = 1  # type: ignore[misc]
+    tail: ClassVar[None] = None  # type: ignore[misc]
+    counted: ClassVar[None] = None  # type: ignore[misc]
 
     @property
     def log10_abs_multipliers(self) -> Array:
@@ -349,11 +366,9 @@ def _interval(low: float, high: float) -> tuple[float, float]:
     return float(np.min(values)), float(np.max(values))
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class LocalisedFloquet(ReversibleFloquet):
-    """Stability of an orbit at the edge of a long linear tail: its localised multipliers, and the continuous spectrum.
-
-    `mu`, and the multipliers, are those of localised vectors alone; `mu_error` holds what the cut makes.
+@dataclass(frozen=True, eq=False)
+class CutTail:
+    """The long linear tail that an orbit is at the edge of: its waves, and what is left of them where it is cut.
 
     Attributes:
         continuous: the multipliers of waves in closed form.
@@ -362,40 +377,12 @@ class LocalisedFloquet(ReversibleFloquet):
             say nothing about an infinite tail.
         unresolved: mu of this problem off the circle that decay into the tail, but not by as much as the tolerance
             asks for: more sites decide.
-        counted: number of localised multipliers outside the circle of an infinite tail, by Hill's determinant, which
-            nothing cuts: it decides `stable`, and how many are unstable. None where they cannot be counted; then the
-            cut problem decides.
     """
 
     continuous: ContinuousSpectrum
     sites: int
     finite_size: ComplexArray
     unresolved: ComplexArray
-    counted: int | None = None
-
-    @property
-    def stable(self) -> bool:
-        return super().stable if self.counted is None else self.counted == 0
-
-    @property
-    def listed(self) -> int:
-        """Number of multipliers outside the circle in the list of the cut problem."""
-        return super().unstable_real + super().unstable_complex
-
-    @property
-    def unstable_real(self) -> int:
-        """Number of real multipliers outside the unit circle: nearest to the list's, as complex ones come in twos."""
-        real = super().unstable_real
-        return real if self.counted is None else min(real + (self.counted - real) % 2, self.counted)
-
-    @property
-    def unstable_complex(self) -> int:
-        """Number of the other multipliers outside the unit circle; a complex pair counts two."""
-        return super().unstable_complex if self.counted is None else self.counted - self.unstable_real
-
-    @property
-    def localised(self) -> LocalisedFloquet:
-        return self
 
     @property
     def finite_size_modulus(self) -> float:
@@ -403,6 +390,6 @@ class LocalisedFloquet(ReversibleFloquet):
         return self.of_finite_size.max_abs_multiplier
 
     @property
-    def of_finite_size(self) -> ReversibleFloquet:
+    def of_finite_size(self) -> Floquet:
         """The multipliers of `finite_size`, beside the trivial pair."""
-        return ReversibleFloquet(self.finite_size, np.zeros(self.finite_size.size), 0.0, self.power)
+        return ReversibleFloquet(self.finite_size, np.zeros(self.finite_size.size), 0.0, self.continuous.power)

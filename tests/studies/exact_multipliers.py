@@ -8,9 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.follow.solution import Orbit
 from casadi_skin.runs.tradeoff import paired
-from casadi_skin.stability.result import ReversibleFloquet
 from tests.studies.exact import ExactOrbit
 
 Extended = NDArray[np.longdouble]
@@ -22,13 +20,6 @@ PARTS = np.arange(1, COLUMNS + 1)
 MULTIPLE = 840  # of all numbers of parts
 AGREED = 1e-17  # difference of mu with two numbers of steps
 REFINEMENTS = 5
-
-
-def reduced(orbit: Orbit) -> ReversibleFloquet:
-    """The stability of an orbit of a family as its N x N problem gives it."""
-    found = orbit.floquet()
-    assert isinstance(found, ReversibleFloquet)
-    return found
 
 
 def exact_mu(orbit: ExactOrbit) -> tuple[Complex, float]:

@@ -15,7 +15,7 @@ from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import duffing_frequency, frequency_slope
 from tests.studies.exact import exact_linear_frequency, exact_orbit, many_digits
-from tests.studies.exact_multipliers import exact_mu, paired, reduced
+from tests.studies.exact_multipliers import exact_mu, paired
 from tests.studies.extreme_case import Finding, RefusedError, relative
 from tests.studies.honesty_cases import reference_of
 from tests.studies.integration import physical_multipliers, return_error
@@ -160,7 +160,7 @@ def against_long_double(orbit: Orbit, setup: Setup) -> Finding:
 
     An estimate above the tolerance says that the tolerance is not reached.
     """
-    known, (mu, _) = reduced(orbit), exact_mu(reference_of(orbit))
+    known, (mu, _) = orbit.floquet(), exact_mu(reference_of(orbit))
     size = np.maximum(1.0, np.abs(known.mu))
     off = np.abs(known.mu - paired(known.mu.astype(np.clongdouble), mu)).astype(float) / size
     estimates = known.mu_error / size

@@ -10,9 +10,9 @@ import numpy as np
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.stability.result import ReversibleFloquet
+from casadi_skin.stability.result import Floquet, ReversibleFloquet
 from tests.studies.exact import LONG_DOUBLES, ExactOrbit, exact_orbit
-from tests.studies.exact_multipliers import Complex, exact_mu, paired, reduced
+from tests.studies.exact_multipliers import Complex, exact_mu, paired
 
 POINTS = 100  # of a family, at most: softening families may fold again and again
 NEAR = 0.1  # of the state and of Omega: farther away the reference is another orbit
@@ -161,7 +161,7 @@ def measure(case: Case) -> Outcome:
         _check_sharp(outcome.quantities[1], exact.left_out)
         if case.sites == 1:  # no multipliers but the trivial pair
             return outcome
-        floquet, (mu, uncertain) = reduced(orbit), exact_mu(exact)
+        floquet, (mu, uncertain) = orbit.floquet(), exact_mu(exact)
         quantity = _multiplier_quantity(case, floquet, mu)
         outcome = replace(outcome, quantities=(*outcome.quantities, quantity), stable=floquet.stable)
         _check_sharp(quantity, uncertain)
@@ -213,7 +213,7 @@ def _orbit_quantities(case: Case, orbit: Orbit, exact: ExactOrbit) -> tuple[Quan
     )
 
 
-def _multiplier_quantity(case: Case, floquet: ReversibleFloquet, exact: Complex) -> Quantity:
+def _multiplier_quantity(case: Case, floquet: Floquet, exact: Complex) -> Quantity:
     """Error of mu and, for an unstable orbit, of the largest modulus of a multiplier (see `Floquet.error`).
 
     The tolerance bounds that of mu alone, relative to max(1, |mu|).

@@ -139,7 +139,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Evolution": evolution,
     "FullPeriodFloquet": lambda: cycle().floquet(),
     "LatticeModes": lambda: lattice_modes(RING),
-    "LocalisedFloquet": lambda: endless().floquet(),
+    "ReversibleFloquet at an edge": lambda: endless().floquet(),
     "Orbit": cycle,
     "ParetoFront": front,
     "ProvedStability": lambda: member().proved_stability,

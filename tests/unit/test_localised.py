@@ -14,7 +14,7 @@ from scipy.sparse import block_diag, csc_array, diags_array
 from scipy.sparse.linalg import splu
 
 from casadi_skin import Branch, Chain, Orbit, follow_family, read_result
-from casadi_skin.stability.result import ContinuousSpectrum, LocalisedFloquet
+from casadi_skin.stability.result import ContinuousSpectrum, CutTail, Floquet
 
 Array = NDArray[np.float64]
 
@@ -27,10 +27,10 @@ def followed(chain: Chain = SOFT, mode: str = "first", sites: int | None = None)
     return follow_family(chain, mode, 3.0, at=AT, tolerance=1e-9, stability_sites=sites)
 
 
-def localised(orbit: Orbit) -> LocalisedFloquet:
+def localised(orbit: Orbit) -> tuple[Floquet, CutTail]:
     found = orbit.floquet()
-    assert isinstance(found, LocalisedFloquet)
-    return found
+    assert found.tail is not None
+    return found, found.tail
 
 
 def hill(orbit: Orbit, sigma: complex, sites: int = 110, sidebands: int = 12) -> csc_array:
@@ -92,11 +92,11 @@ def test_localised_multipliers_solve_hills_equations_with_exact_tails(
 ) -> None:
     """In the pinned regime, where the orbit fills the tail, too; real instabilities and a complex one."""
     orbit = followed(chain, mode).at(S)
-    found = localised(orbit)
+    found, tail = localised(orbit)
     assert found.mu.size == count
     assert found.stable == (chain is LEANING and S == 3.0)
-    assert not found.unresolved.size
-    assert chain is SOFT or found.finite_size_modulus == 1.0
+    assert not tail.unresolved.size
+    assert chain is SOFT or tail.finite_size_modulus == 1.0
     for mu, error in zip(found.mu, found.mu_error, strict=True):
         assert error < 1e-8
         assert abs(exact_mu(orbit, mu) - mu) <= error + 1e-12
@@ -107,11 +107,11 @@ def test_whole_chains_have_the_localised_multipliers() -> None:
     """The others of a whole chain lie on the arcs but for weak instabilities, fewer per site the longer it is."""
     whole = follow_family(Chain(300, 1.0, 0.25, -1.0), 1, 3.0, at=AT, tolerance=1e-9, tail="eliminated")
     for S in AT[1:]:  # below the threshold orbits depend on the length
-        found, all_sites = localised(followed().at(S)), whole.at(S).floquet()
-        known = np.asarray(all_sites.mu)  # type: ignore[attr-defined]
+        (found, tail), all_sites = localised(followed().at(S)), whole.at(S).floquet()
+        known = all_sites.mu
         for mu, error in zip(found.mu, found.mu_error, strict=True):
             assert np.min(np.abs(known - mu)) <= error + all_sites.error
-        distance = found.continuous.distance(known)
+        distance = tail.continuous.distance(known)
         far = [mu for mu in known[distance > 5e-3] if np.min(np.abs(found.mu - mu)) > 1e-6]
         assert not far
 
@@ -120,13 +120,13 @@ def test_whole_chains_have_the_localised_multipliers() -> None:
 @pytest.mark.parametrize("S", AT)
 def test_the_error_of_the_cut_is_honest(S: float) -> None:
     """Few sites beside many: multipliers are within their errors, or are not counted as localised."""
-    many = localised(followed(sites=300).at(S))
+    many, _ = localised(followed(sites=300).at(S))
     for sites in (100, 140):
-        few = localised(followed(sites=sites).at(S))
-        assert few.sites == sites
+        few, tail = localised(followed(sites=sites).at(S))
+        assert tail.sites == sites
         for mu, error in zip(few.mu, few.mu_error, strict=True):
             assert np.min(np.abs(many.mu - mu)) <= error
-        assert few.mu.size + few.unresolved.size == many.mu.size
+        assert few.mu.size + tail.unresolved.size == many.mu.size
 
 
 @pytest.mark.slow
@@ -134,9 +134,9 @@ def test_weak_instabilities_fall_with_the_number_of_sites() -> None:
     """Growth of those of finite size at S = 3, from 300 sites to 600; the localised instability stays."""
     growths = []
     for sites in (300, 600):
-        found = localised(followed(sites=sites).at(3.0))
+        found, tail = localised(followed(sites=sites).at(3.0))
         assert found.max_abs_multiplier == pytest.approx(1.20056749, abs=1e-8)
-        growths.append(math.log(found.finite_size_modulus))
+        growths.append(math.log(tail.finite_size_modulus))
     assert growths[1] < 0.7 * growths[0]
 
 
@@ -188,8 +188,8 @@ def test_results_print_become_tables_and_are_read_back(tmp_path: Path) -> None:
     branch.save(tmp_path / "branch.skin")
     again = read_result(tmp_path / "branch.skin")
     for orbit, other in zip(branch.orbits, again.orbits, strict=True):
-        first, second = localised(orbit), localised(other)
-        assert np.array_equal(first.mu, second.mu)
+        (floquet, first), (same, second) = localised(orbit), localised(other)
+        assert np.array_equal(floquet.mu, same.mu)
         assert first.continuous == second.continuous
         assert np.array_equal(first.finite_size, second.finite_size)
         assert first.sites == second.sites

@@ -19,7 +19,7 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.family_changes import EdgeOrbits, localised_changes
 from casadi_skin.native import eliminated
 from casadi_skin.runs.program import main
-from casadi_skin.stability.result import ContinuousSpectrum, LocalisedFloquet
+from casadi_skin.stability.result import ReversibleFloquet
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.stability.tongues.hill import Hill, Layout, Medium, Parity, count, crossings, zeros_in
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
@@ -301,7 +301,6 @@ def test_the_count_decides_stability_where_the_cut_resolves_no_multiplier() -> N
     assert [orbit.stable for orbit in branch.orbits] == [orbit.S < change.S for orbit in branch.orbits]
     for S, off, listed in ((0.1, 0, 0), (0.105, 1, 0), (0.3, 1, 1)):
         found = branch.at(S).floquet()
-        assert isinstance(found, LocalisedFloquet)
         assert (found.counted, found.listed, found.stable) == (off, listed, off == 0)
         assert (found.unstable_real, found.unstable_complex) == (off, 0)
         assert ("too weakly localised" in str(found)) == (off != listed)
@@ -314,9 +313,7 @@ def test_the_count_decides_stability_where_the_cut_resolves_no_multiplier() -> N
 def test_counted_numbers_beside_a_complex_pair_leave_complex_ones_in_twos(
     counted: int, numbers: tuple[int, int]
 ) -> None:
-    mu, spectrum = np.array([-0.5 + 0.1j, -0.5 - 0.1j]), ContinuousSpectrum(1.1, ((LOW, HIGH),), 2)
-    none = np.empty(0, complex)
-    found = LocalisedFloquet(mu, np.full(2, 1e-9), 0.0, 2, spectrum, 40, none, none, counted)
+    found = ReversibleFloquet(np.array([-0.5 + 0.1j, -0.5 - 0.1j]), np.full(2, 1e-9), 0.0, 2, counted=counted)
     assert found.listed == 2
     assert (found.unstable_real, found.unstable_complex) == numbers
     assert found.stable == (counted == 0)
@@ -345,7 +342,6 @@ def test_changes_of_the_softening_chain() -> None:
     assert second.S - 2e-3 - 4e-3 * low / (high - low) == pytest.approx(second.S, abs=1e-5)
     for S, stable in ((before, True), (after, False)):
         cut = branch.at(S).floquet()
-        assert isinstance(cut, LocalisedFloquet)
         near = cut.mu[np.abs(cut.mu - last.mu) < 0.01]
         assert near.size == 2
         assert np.all(near.imag == 0.0) == stable

@@ -14,7 +14,6 @@ from casadi_skin import Bond, Chain, Lattice, LongLattice, Site, follow_family, 
 from casadi_skin.lattice.linear import lattice_modes
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.lattice.tail_parameter import Regime
-from casadi_skin.stability.result import LocalisedFloquet
 
 DIMER = ([Site("a", "y + g*y^3"), Site("b", "y + g*y^3")], [Bond("a", "b", (0,), "u*d", GAINS), Bond("b", "a", (1,))])
 VALUES = {"u": 0.4, "gamma": 0.4, "g": 1.0}
@@ -167,7 +166,7 @@ def test_localised_multipliers_are_those_of_finite_lattices_with_all_sites(
     """Which come nearer the longer they are; by their own families and variational systems."""
     endless = long(cell, math.inf, boundary, **values)
     found = follow_family(endless, mode, S, at=(S,), tolerance=1e-9).at(S=S).floquet()
-    assert isinstance(found, LocalisedFloquet)
+    assert found.tail is not None
     assert found.mu.size == count
     assert found.stable == (cell is RESONATORS)
     assert np.max(found.mu_error) < 1e-8
@@ -175,14 +174,14 @@ def test_localised_multipliers_are_those_of_finite_lattices_with_all_sites(
     for number in cells:
         whole = endless.of_cells(number)
         chosen = nearest(whole, long(cell, number, boundary, **values).modes[mode - 1].square)
-        all_mu = follow_family(whole, chosen, S, at=(S,), tolerance=1e-9).at(S=S).floquet().mu  # type: ignore[attr-defined]
+        all_mu = follow_family(whole, chosen, S, at=(S,), tolerance=1e-9).at(S=S).floquet().mu
         distances.append(np.min(np.abs(found.mu[:, None] - all_mu), axis=1))
     assert np.all(distances[1] <= np.maximum(distances[0], 2e-9))
     assert np.max(distances[1]) < 1e-7
-    fewer = follow_family(endless, mode, S, at=(S,), tolerance=1e-9, stability_sites=found.sites + 30)
+    fewer = follow_family(endless, mode, S, at=(S,), tolerance=1e-9, stability_sites=found.tail.sites + 30)
     other = fewer.at(S=S).floquet()
-    assert isinstance(other, LocalisedFloquet)
-    assert other.sites != found.sites
+    assert other.tail is not None
+    assert other.tail.sites != found.tail.sites
     assert np.all(np.abs(other.mu - found.mu) <= other.mu_error + found.mu_error)
 
 
@@ -205,11 +204,11 @@ def test_a_chain_declared_as_a_long_lattice_has_the_family_and_the_stability_of_
         if S == 1.0:
             continue
         mine, theirs = one.floquet(), two.floquet()
-        assert isinstance(mine, LocalisedFloquet)
-        assert isinstance(theirs, LocalisedFloquet)
-        assert mine.sites == theirs.sites == 190
+        assert mine.tail is not None
+        assert theirs.tail is not None
+        assert mine.tail.sites == theirs.tail.sites == 190
         np.testing.assert_allclose(mine.mu, theirs.mu, rtol=0, atol=float(np.max(mine.mu_error + theirs.mu_error)))
-        np.testing.assert_allclose(mine.continuous.arcs, theirs.continuous.arcs, rtol=1e-12)
+        np.testing.assert_allclose(mine.tail.continuous.arcs, theirs.tail.continuous.arcs, rtol=1e-12)
     save_result(branch, tmp_path / "branch")
     save_result(branch.at(S=3.0), tmp_path / "orbit.json")
     assert np.array_equal(read_result(tmp_path / "branch").Omega, branch.Omega)

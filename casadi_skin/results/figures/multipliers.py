@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.results.figures import style
-from casadi_skin.stability.result import Floquet, LocalisedFloquet
+from casadi_skin.stability.result import CutTail, Floquet
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
@@ -212,8 +212,8 @@ def draw_plane(axes: Axes, floquet: Floquet) -> None:
         shown = others[chosen & near]
         if shown.size:
             axes.plot(shown.real, shown.imag, marker, ms=size, mfc=fill, mec="black", mew=0.8, label=label, zorder=3)
-    if floquet.localised is not None:
-        _draw_waves(axes, floquet.localised)
+    if floquet.tail is not None:
+        _draw_waves(axes, floquet.tail)
     if floquet.trivial:
         words = "trivial pair" if floquet.trivial == 2 else "trivial multiplier"
         axes.plot([1.0], [0.0], "+", ms=8, color="black", label=words, zorder=4)
@@ -225,7 +225,7 @@ def draw_plane(axes: Axes, floquet: Floquet) -> None:
         axis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))  # -1, 0, 1: a tick takes half a millisecond
 
 
-def _draw_waves(axes: Axes, floquet: LocalisedFloquet) -> None:
+def _draw_waves(axes: Axes, tail: CutTail) -> None:
     """Arcs of the continuous spectrum beside the circle, and on it their overlaps; multipliers of finite size."""
 
     def draw(angles: Iterable[tuple[float, float]], radius: float, label: str, **look: Any) -> None:
@@ -234,19 +234,19 @@ def _draw_waves(axes: Axes, floquet: LocalisedFloquet) -> None:
             words = label if i == 0 else "_"
             axes.plot(radius * np.cos(angle), radius * np.sin(angle), label=words, solid_capstyle="butt", **look)
 
-    arcs = [(float(start), float(end)) for start, end in floquet.continuous.arcs]
+    arcs = [(float(start), float(end)) for start, end in tail.continuous.arcs]
     for sign, radius in ((1, 1.07), (-1, 0.93)):
         colour, dashes, words = SIGNATURE_LOOKS[sign]
         turned = [(sign * start, sign * start + (end - start) * sign) for start, end in arcs]
         ordered = [(min(pair), max(pair)) for pair in turned]
         draw(ordered, radius, f"waves, {words}", color=colour, lw=1.6, ls=dashes, zorder=2)
-    overlaps = [overlap.angles for overlap in floquet.continuous.overlaps]
+    overlaps = [overlap.angles for overlap in tail.continuous.overlaps]
     draw(
         [pair for a, b in overlaps for pair in ((a, b), (-b, -a))], 1.0, "waves of both", color="0.7", lw=3.0, zorder=1
     )
-    if floquet.finite_size.size:
-        values = floquet.of_finite_size.others
-        label = f"finite-size, {floquet.sites} sites"
+    if tail.finite_size.size:
+        values = tail.of_finite_size.others
+        label = f"finite-size, {tail.sites} sites"
         axes.plot(values.real, values.imag, ".", ms=2.5, color="0.35", label=label, zorder=3)
 
 
