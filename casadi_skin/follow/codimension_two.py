@@ -34,10 +34,8 @@ from casadi_skin.follow.normal_forms import (
 )
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.search import (
-    FULL_TURN,
     TANGENT_DIFFERENCE_STEP,
     TEST_ZERO_XTOL,
-    Exponents,
     ExponentSampler,
     NotLocatedError,
     Sample,
@@ -45,11 +43,11 @@ from casadi_skin.follow.search import (
     Stretch,
     beside_on_tangent,
     nearest_order,
-    turned,
     zero_between,
 )
 from casadi_skin.follow.space import Followed, SolutionSpace
 from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.result import FULL_TURN, Exponents, turned
 from casadi_skin.zero.augmented import SingularRest
 from casadi_skin.zero.kinds import (
     BRANCH_POINT,

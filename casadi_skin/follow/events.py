@@ -21,13 +21,14 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.search import Exponents, ExponentSampler, Sample, Search, Stretch
+from casadi_skin.follow.search import ExponentSampler, Sample, Search, Stretch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import snapped, target_of
 from casadi_skin.follow.special_points import special_orbit
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.watch import TimeLimitError
 from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.result import Exponents
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, KREIN, TORUS, Unresolved
 from casadi_skin.zero.settings import Point
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.model.result import Result
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.zero.problem import Array
+from casadi_skin.zero.problem import Array, Indices
 
 LARGEST_LOGARITHM = float(np.log(np.finfo(float).max))
 ERROR_DIRECTIONS = np.exp(0.25j * np.pi * np.arange(8))  # in which a mu off the real axis may be wrong
@@ -393,3 +393,75 @@ class CutTail:
     def of_finite_size(self) -> Floquet:
         """The multipliers of `finite_size`, beside the trivial pair."""
         return ReversibleFloquet(self.finite_size, np.zeros(self.finite_size.size), 0.0, self.continuous.power)
+
+
+# Multipliers of one orbit by their logarithms -------------------------------------------------------------------------
+
+SMALLEST_LOGARITHM = float(np.log(np.finfo(float).tiny))  # of multipliers that are below the smallest double
+RECIPROCAL_RTOL = 1e-7  # of a product mu_k mu_l that is 1 by a symmetry; dissipation within a period is seldom less
+RECIPROCAL_NOISE = 1e-3  # largest error of a logarithm with which that product may be off
+FULL_TURN = 2.0 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class Exponents:
+    """Multipliers of one orbit by their logarithms.
+
+    Attributes:
+        values: log mu, shape (m,).
+        noise: estimated errors of these, shape (m,).
+    """
+
+    values: ComplexArray
+    noise: Array
+
+    @classmethod
+    def from_floquet(cls, floquet: Floquet) -> Exponents:
+        """Those of the multipliers but the trivial ones."""
+        moduli = np.log(10.0) * np.asarray(floquet.log10_abs_multipliers)[floquet.trivial :]
+        moduli = np.maximum(moduli, SMALLEST_LOGARITHM)
+        with np.errstate(over="ignore"):
+            noise = np.log1p(floquet.other_errors * np.exp(-moduli))
+        return cls(moduli + 1j * np.angle(floquet.others), noise)
+
+    @property
+    def pairs(self) -> Indices | None:
+        """Places of mu and of 1/mu, shape (m / 2, 2); None where multipliers are not such pairs."""
+        left, found = list(range(self.values.size)), []
+        if len(left) % 2:
+            return None
+        while left:
+            k = max(left, key=lambda place: abs(self.values[place].real))
+            left.remove(k)
+            sums = np.abs(turned(self.values[k] + self.values[left]))
+            nearest = left[int(np.argmin(sums))]
+            if np.min(sums) > RECIPROCAL_RTOL + min(self.noise[k] + self.noise[nearest], RECIPROCAL_NOISE):
+                return None
+            left.remove(nearest)
+            found.append((k, nearest))
+        return np.array(found, dtype=int).reshape(-1, 2)
+
+    @property
+    def outside(self) -> tuple[int, int]:
+        """The number of multipliers outside the circle by their values, and how many may be on either side of it."""
+        pairs = self.pairs
+        if pairs is None:
+            away, noise = self.values.real, self.noise
+        else:
+            tau, noise = self.traces(pairs)
+            away = np.where(tau.imag != 0.0, np.inf, np.abs(tau.real) - 2.0)
+        return int(np.count_nonzero(away > 0.0)), int(np.count_nonzero(np.abs(away) <= noise))
+
+    def traces(self, pairs: Indices) -> tuple[ComplexArray, Array]:
+        """tau of each pair, mu + 1/mu, and its error."""
+        one, other = np.clip(self.values.real[pairs], -300.0, 300.0).T + 1j * self.values.imag[pairs].T
+        tau = np.cosh(one) + np.cosh(other)
+        slope = np.abs(np.sinh(one)) + np.abs(np.sinh(other))
+        noise = np.minimum(self.noise[pairs].max(axis=1), 1.0)
+        on_axis = np.abs(tau.imag) <= 0.5 * slope * noise + noise**2
+        return np.where(on_axis, tau.real, tau), slope * noise + noise**2
+
+
+def turned(values: ComplexArray, turn: float = FULL_TURN) -> ComplexArray:
+    """Logarithms with imaginary parts in [-pi, pi]; eigenvalues, whose turn is infinite, as they are."""
+    return np.asarray(values - 1j * turn * np.round(values.imag / turn)) if np.isfinite(turn) else values
