@@ -430,7 +430,7 @@ class OrbitCurveSearch(CurveSearch):
         super().__init__(space.point_solver, space.kind, ORBIT_CURVES[space.kind], before, after)
         self.space = space
         self.closes = space.periodic is not None or space.repeats
-        ends = [(end, Exponents.from_floquet(space.floquet(end))) for end in self.ends] if self.closes else []
+        ends = [(end, space.floquet(end).exponents) for end in self.ends] if self.closes else []
         self.sampler = ExponentSampler(space.multipliers_alone, self.metric, ends)
 
     def critical_tests(self) -> Iterator[tuple[str, Test]]:
@@ -462,7 +462,7 @@ class OrbitCurveSearch(CurveSearch):
         return first, turned(last[nearest_order(first, last)] - first) / TANGENT_DIFFERENCE_STEP, noise
 
     def others(self, point: Point) -> ComplexArray:
-        return self._others(point, Exponents.from_floquet(self.space.multipliers_alone(point)))[0]
+        return self._others(point, self.space.multipliers_alone(point).exponents)[0]
 
     def _others(self, point: Point, exponents: Exponents) -> tuple[ComplexArray, Array]:
         """Logarithms of the multipliers but the trivial and the critical ones, and their noise.

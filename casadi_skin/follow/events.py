@@ -28,7 +28,6 @@ from casadi_skin.follow.special_points import special_orbit
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.watch import TimeLimitError
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.result import Exponents
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, KREIN, TORUS, Unresolved
 from casadi_skin.zero.settings import Point
 
@@ -69,7 +68,7 @@ def at_requested_value(solution: Solution) -> Solution:
     if not space.has_ledger or point.walked or point.special or not solution.floquet().others.size:
         return solution
     others = solution.floquet().others
-    nearest = complex(others[np.argmin(np.abs(Exponents.from_floquet(solution.floquet()).values.real))])
+    nearest = complex(others[np.argmin(np.abs(solution.floquet().exponents.values.real))])
     if abs(np.log(abs(nearest))) > CRITICAL_LOG_MODULUS:
         return solution
     kind = TORUS if nearest.imag else DOUBLING if nearest.real < 0.0 else BRANCH_POINT
@@ -84,7 +83,7 @@ def at_requested_value(solution: Solution) -> Solution:
 
 def events_between(space: BoundarySpace, before: Solution, after: Solution) -> tuple[list[Event], list[Unresolved]]:
     """Events between two orbits of a branch, neither of them special, in order, and stretches not resolved."""
-    first, last = (Exponents.from_floquet(end.floquet()) for end in (before, after))
+    first, last = (end.floquet().exponents for end in (before, after))
     events, gaps = list[Event](), list[Unresolved]()
     if not first.values.size:
         return events, gaps
@@ -111,7 +110,7 @@ class _OrbitSearch(Search):
     """The search on one stretch between two orbits."""
 
     def __init__(self, space: BoundarySpace, before: Solution, after: Solution) -> None:
-        exponents = [Exponents.from_floquet(end.floquet()) for end in (before, after)]
+        exponents = [end.floquet().exponents for end in (before, after)]
         super().__init__(space.point_solver, before.point, after.point)
         known = list(zip(self.ends, exponents, strict=True))
         self.space, self.sampler = space, ExponentSampler(space.multipliers_alone, self.metric, known)
@@ -387,7 +386,7 @@ class Ledger:
             self._count = None
             self._name(before, after, f"no orbit is found beside the special one: {self.space.point_solver.failure}")
             return
-        start, open_at_start = Exponents.from_floquet(first.floquet()).outside
+        start, open_at_start = first.floquet().exponents.outside
         if special and not leaving and self._count is not None:
             self._passed(before, self._count, start, _angle_of(before))
         self._count = start
@@ -398,7 +397,7 @@ class Ledger:
             self._count += event.jump
             if event.kind != KREIN:
                 yield event.solution
-        end, open_at_end = Exponents.from_floquet(last.floquet()).outside
+        end, open_at_end = last.floquet().exponents.outside
         if not gaps and abs(end - self._count) > min(open_at_start, open_at_end):
             words = f"{end} multipliers are outside the unit circle where events account for {self._count}"
             self._name(first, last, words)
@@ -429,7 +428,7 @@ class Ledger:
             if point is None:
                 break
             found: Solution = self.space.solution(point, self.space.floquets([point])[0])
-            if not Exponents.from_floquet(found.floquet()).outside[1]:
+            if not found.floquet().exponents.outside[1]:
                 return found
             nearest = nearest or found
         return nearest

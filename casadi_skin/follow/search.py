@@ -574,14 +574,14 @@ class ExponentSampler:
         place = id(point)
         if place not in self.known:
             here = next((exponents for end, exponents in self.ends if end is point), None) or self._alone(point)
-            ahead = Exponents.from_floquet(self.alone(beside_on_tangent(point, TANGENT_DIFFERENCE_STEP))).values
+            ahead = self.alone(beside_on_tangent(point, TANGENT_DIFFERENCE_STEP)).exponents.values
             ahead = ahead[nearest_order(here.values, ahead)]
             self.known[place] = point, here, Exponents(ahead, here.noise)
         return self.known[place][1:]
 
     def _alone(self, point: Point) -> Exponents:
         """Exponents with the errors of the nearest ones at the ends."""
-        values = Exponents.from_floquet(self.alone(point)).values
+        values = self.alone(point).exponents.values
         noise = [end.noise[nearest_order(values, end.values)] for _, end in self.ends]
         return Exponents(values, np.max(noise, axis=0))
 

@@ -72,6 +72,15 @@ class Floquet(Result, ABC):
         """Multipliers but the trivial ones."""
         return self.multipliers[self.trivial :]
 
+    @cached_property
+    def exponents(self) -> Exponents:
+        """Logarithms of `others` with their errors."""
+        moduli = np.log(10.0) * np.asarray(self.log10_abs_multipliers)[self.trivial :]
+        moduli = np.maximum(moduli, SMALLEST_LOGARITHM)
+        with np.errstate(over="ignore"):
+            noise = np.log1p(self.other_errors * np.exp(-moduli))
+        return Exponents(moduli + 1j * np.angle(self.others), noise)
+
     @property
     def outside(self) -> NDArray[np.bool_]:
         """Which of `others` lie off the unit circle on its outside, by more than errors allow."""
@@ -414,15 +423,6 @@ class Exponents:
 
     values: ComplexArray
     noise: Array
-
-    @classmethod
-    def from_floquet(cls, floquet: Floquet) -> Exponents:
-        """Those of the multipliers but the trivial ones."""
-        moduli = np.log(10.0) * np.asarray(floquet.log10_abs_multipliers)[floquet.trivial :]
-        moduli = np.maximum(moduli, SMALLEST_LOGARITHM)
-        with np.errstate(over="ignore"):
-            noise = np.log1p(floquet.other_errors * np.exp(-moduli))
-        return cls(moduli + 1j * np.angle(floquet.others), noise)
 
     @property
     def pairs(self) -> Indices | None:
