@@ -16,7 +16,7 @@ from casadi_skin.export.codegen import c_source
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import Array
-from casadi_skin.model.arguments import number, numbers, short_repr
+from casadi_skin.model.arguments import number, number_within, numbers, short_repr
 from casadi_skin.model.jumps import INPUT, OPERATION_NAMES, STATE, TIME, Switch, switches
 from casadi_skin.model.ode import OdeModel
 
@@ -69,8 +69,7 @@ def initial_value_problem(
     """The initial-value problem of `export_fmu`; raises TypeError and ValueError as that does."""
     if stop_time is not None and number("stop_time", stop_time, "a finite number > 0") <= 0:
         raise ValueError(f"stop_time: given {stop_time!r}; accepted: a finite number > 0")
-    if not 1e-14 <= number("tolerance", tolerance) <= 1e-2:
-        raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-14 to 1e-2")
+    number_within("tolerance", tolerance, 1e-14, 1e-2)
     if not isinstance(what, Chain):
         for name, given in (("mode", mode), ("S", S)):
             if given is not None:

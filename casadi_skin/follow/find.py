@@ -24,7 +24,17 @@ from casadi_skin.follow.solution import Equilibrium, Orbit, Solution
 from casadi_skin.follow.space import BoundaryError, EquilibriumError, FamilyError, corrector_of
 from casadi_skin.model import methods
 from casadi_skin.model.amplitude import amplitude_square
-from casadi_skin.model.arguments import by_name, check_name, duration, number, short_repr, state_by_name, truth, whole
+from casadi_skin.model.arguments import (
+    by_name,
+    check_name,
+    duration,
+    number,
+    number_within,
+    short_repr,
+    state_by_name,
+    truth,
+    whole,
+)
 from casadi_skin.model.conserved import SymmetryClass, quantities, symmetry_class
 from casadi_skin.model.declarations import check_forcing_period
 from casadi_skin.model.expressions import Expression, expression_of
@@ -173,16 +183,8 @@ def _statics(model: Any, parameters: Mapping[str, float] | None) -> Statics:
 
 
 def _check(tolerance: float, corrector: str) -> None:
-    _tolerance(tolerance, TOLERANCE_RANGE)
+    number_within("tolerance", tolerance, *TOLERANCE_RANGE)
     check_name("corrector", corrector, methods.CORRECTORS)
-
-
-def _tolerance(given: float, accepted: tuple[float, float]) -> float:
-    """A tolerance in a range; raises ValueError and TypeError for others."""
-    low, high = accepted
-    if not low <= number("tolerance", given) <= high:
-        raise ValueError(f"tolerance: given {given!r}; accepted: {low:g} to {high:g}")
-    return float(given)
 
 
 def positions_of(model: OdeModel, guess: Any, label: str = "guess") -> Array:
@@ -612,7 +614,7 @@ def accuracy_of(options: Mapping[str, Any]) -> tuple[float, Method]:
     """Tolerance and methods; raises ValueError for options that are unknown or out of range."""
     for name in options:
         check_name("options", name, FIRST_SOLUTION_OPTIONS)
-    tolerance = _tolerance(options.get("tolerance", 1e-8), FIRST_TOLERANCE_RANGE)
+    tolerance = number_within("tolerance", options.get("tolerance", 1e-8), *FIRST_TOLERANCE_RANGE)
     return tolerance, boundary_method({k: v for k, v in options.items() if k in METHODS and v is not None})
 
 

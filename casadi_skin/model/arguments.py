@@ -113,6 +113,15 @@ def number(name: str, value: object, accepted: str = "a finite number") -> float
     return found
 
 
+def number_within(name: str, value: object, low: float, high: float) -> float:
+    """The value as a float from `low` to `high`; raises TypeError and ValueError as `number` does for others."""
+    accepted = f"{low:g} to {high:g}"
+    found = number(name, value, accepted)
+    if not low <= found <= high:
+        raise ValueError(f"{name}: given {value!r}; accepted: {accepted}")
+    return found
+
+
 def duration(name: str, value: object) -> float:
     """Seconds, infinite for None; raises TypeError and ValueError as `number` does, and ValueError unless > 0."""
     accepted = "a number of seconds > 0"

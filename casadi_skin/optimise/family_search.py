@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.solution import Orbit
-from casadi_skin.model.arguments import accepted_names, number, short_repr
+from casadi_skin.model.arguments import accepted_names, number, number_within, short_repr
 from casadi_skin.model.expressions import is_comparison, real_array
 from casadi_skin.optimise.families import FreeNumber, ModelFamily, Observables
 from casadi_skin.optimise.nlp import FLAT_CURVATURE, Limits, Nlp, Solution, optimality
@@ -101,8 +101,7 @@ class FamilySearch:
             if low < 0 or high <= 0:
                 raise ValueError(f"bounds[S]: given {short_repr([low, high])}; accepted: bounds within 0 to inf")
             limits["S"] = max(low, FAINTEST_S), high
-        if not 1e-12 <= number("tolerance", tolerance) <= 1e-2:
-            raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-12 to 1e-2")
+        number_within("tolerance", tolerance, 1e-12, 1e-2)
         conditions = (*checked_conditions(constraints, (Callable,), "a function of the observables"), *more)
         search = cls(
             family.limited({name: limits[name] for name in names if name != "S"}), amplitudes, several, objective,

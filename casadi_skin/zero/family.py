@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.model import methods
-from casadi_skin.model.arguments import check_places, number, numbers, short_repr, whole
+from casadi_skin.model.arguments import check_places, number, number_within, numbers, short_repr, whole
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.methods import COLLOCATION_TABLES, FLOWS, SHOOTING, TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
@@ -468,9 +468,7 @@ class FamilyRequest:
             raise TypeError(f"model: given {short_repr(self.model)}; accepted: a Chain, or an OdeModel of second order")
         if not number("amplitude_max", self.amplitude_max, "a finite number > 0") > 0:
             raise ValueError(f"amplitude_max: given {self.amplitude_max!r}; accepted: a finite number > 0")
-        low, high = TOLERANCE_RANGE
-        if not low <= number("tolerance", self.tolerance, f"{low:g} to {high:g}") <= high:
-            raise ValueError(f"tolerance: given {self.tolerance!r}; accepted: {low:g} to {high:g}")
+        number_within("tolerance", self.tolerance, *TOLERANCE_RANGE)
         if not isinstance(self.parameters, Mapping | None):
             raise TypeError(f"parameters: given {short_repr(self.parameters)}; accepted: numbers by name")
         coordinates = self.coordinates
