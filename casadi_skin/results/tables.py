@@ -1,14 +1,17 @@
-"""Tables of a run beside those of its branches: evolutions in time, changes of stability, tongues, searches."""
+"""Tables of a run beside those of its branches: evolutions, changes of stability, special points, searches."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.optimise.search import SearchProblem, SearchResult
 from casadi_skin.optimise.search_problem import CosineOrbit, Optimum, Outcome
@@ -16,8 +19,10 @@ from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.results.dataset import Dataset, Variable, versions, write_csv, write_netcdf
 from casadi_skin.results.quantities import PROFILE_PHASES, Cell, unique_names
 from casadi_skin.stability.tongues.diagram import StabilityDiagram, StabilityEdge, Tongue
+from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.problem import Array
+from casadi_skin.zero.stated_problem import PERIOD
 
 if TYPE_CHECKING:
     from casadi_skin.dynamics.evolution import Evolution
@@ -135,6 +140,75 @@ def edge_columns(curve: EdgeCurve) -> dict[str, Any]:
     columns |= {name: curve[name] for name in curve.points[0].parameters}
     columns |= {"S_error": curve.errors, "Omega": np.array([point.edge.Omega for point in curve])}
     return columns | {"mu": np.array([point.edge.mu for point in curve])}
+
+
+# Special points of a single branch, of the branches of a diagram, and of families with what leaves them ---------------
+
+OFFSHOOT_COLUMNS = ("error", "Omega", "period", "mu", "loses")
+DIAGRAM_COLUMNS: tuple[str, ...] = ("error", "period", "frequency", "coefficient", "criticality")
+PARAMETER = "parameter "  # before its name
+
+
+def write_special_points(path: Path, branches: Mapping[str, Branch]) -> None:
+    """Write special points of branches by name; of a single one, without a name, its changes of stability too.
+
+    Names of parameters have " (of the model)" after them where the table has them.
+    """
+    name, first = next(iter(branches.items()))
+    parameters, after = [first.parameter], DIAGRAM_COLUMNS
+    if first.space.is_family:
+        parameters, after = ["S"], OFFSHOOT_COLUMNS
+    elif name:
+        others = [other for other in first.solutions[0].parameters if other != first.parameter]
+        parameters += [other for other in others if other not in first.space.free or other != PERIOD]
+    else:
+        after = ("error", "period") if first.solutions[0].is_orbit else ("error",)
+    before = ("branch", "kind") if name else ("kind",)
+    names = (*before, *unique_names(parameters, (*before, *after)), *after)
+    kinds = (*before, *(PARAMETER + each for each in parameters), *after)
+    found = [
+        {"branch": each, **cells} for each, branch in branches.items() for cells in _special(branch, after, not name)
+    ]
+    rows = [{each: cells.get(kind, "") for each, kind in zip(names, kinds, strict=True)} for cells in found]
+    write_csv(path, names, rows)
+
+
+def _special(branch: Branch, wanted: Collection[str], alone: bool) -> Iterator[dict[str, Cell]]:
+    """Cells of special points by kind, parameters with PARAMETER, and of unresolved stretches, with widths as errors.
+
+    Of a branch alone changes of stability are among them, in its order.
+    """
+    points, changes = [_special_point(point, wanted) for point in branch.special_points], iter(branch.located)
+    special, found = {id(point.solution) for point in branch.special_points}, iter(points)
+    solutions = branch.solutions if alone else ()
+    for before, here in zip((*solutions[:1], *solutions), solutions, strict=False):
+        if branch.located and before.stable != here.stable:
+            change = next(changes)
+            kind = f"stability {'gained' if change.stable_after else 'lost'} ({change.kind})"
+            at: dict[str, Cell] = {"kind": kind, PARAMETER + branch.parameter: change.value}
+            yield at | {"error": change.error, "period": TWO_PI / change.Omega}
+        if id(here) in special:
+            yield next(found)
+    yield from found
+    for stretch in branch.passed_over:
+        at = {"kind": UNRESOLVED, PARAMETER + branch.parameter: stretch.start}
+        yield at | {"error": abs(stretch.end - stretch.start)}
+
+
+def _special_point(point: SpecialPoint, wanted: Collection[str]) -> dict[str, Cell]:
+    cells: dict[str, Cell] = {PARAMETER + each: float(value) for each, value in point.parameters.items()}
+    cells |= {"kind": point.kind, "error": point.error}
+    if point.solution.is_orbit:
+        orbit: Any = point.solution
+        cells |= {"period": orbit.period, "Omega": orbit.Omega}
+    if point.mu is not None:
+        cells |= {"mu": point.mu, "loses": ", ".join(point.lost) if "loses" in wanted else ""}
+    if "criticality" in wanted:
+        with suppress(ValueError, ArithmeticError):
+            coefficient = point.coefficient
+            cells |= {"frequency": point.frequency or "", "criticality": point.criticality}
+            cells |= {} if math.isnan(coefficient) else {"coefficient": coefficient}
+    return cells
 
 
 # Files of a search: search.csv (optima), starts.csv (where each start led), search.nc, and the journal's records ------

@@ -13,21 +13,20 @@ import numpy as np
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
-from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.files import replacing
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.results import figures
 from casadi_skin.results.dataset import dataset_of, write_columns, write_csv, write_netcdf
-from casadi_skin.results.quantities import Cell, Place, certified, columns_of, csv_row, unique_names
+from casadi_skin.results.quantities import Cell, Place, certified, columns_of, csv_row
 from casadi_skin.results.tables import (
     EVENT_COLUMNS,
     PROVED_COLUMNS,
     TONGUE_COLUMNS,
-    UNRESOLVED,
     edge_columns,
     event_rows,
     further_rows,
     tongue_rows,
+    write_special_points,
 )
 from casadi_skin.runs.branches import Branches
 from casadi_skin.runs.directory import JOURNAL_FILE, SCENE_MODEL, renew
@@ -35,9 +34,7 @@ from casadi_skin.runs.output import Progress
 from casadi_skin.runs.parts import ended_well, mode_of, origin, picture
 from casadi_skin.runs.request import Request
 from casadi_skin.solve.watch import one_thread
-from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.model_coordinates import linear_frequencies
-from casadi_skin.zero.stated_problem import PERIOD
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -200,9 +197,7 @@ class Run(Branches):
         """special_points.csv and the pictures of another branch, or of a single solution."""
         title = self.request.scene.title or ""
         if len(branch) > 1:
-            after = ["error", "period"] if branch.solutions[0].is_orbit else ["error"]
-            columns = _columns(["kind"], [branch.parameter], after)
-            write_csv(self.directory / "special_points.csv", list(columns), branch_rows(branch, columns))
+            write_special_points(self.directory / "special_points.csv", {"": branch})
             self._picture("branch", figures.branch_figure, branch, title)
         self._picture("orbit", figures.orbit_figure, branch.solutions[-1], title)
 
@@ -219,11 +214,7 @@ class Run(Branches):
         first, title = next(iter(branches.values())), self.request.scene.title or ""
         if not first.parameter:
             return
-        others = [name for name in first.solutions[0].parameters if name != first.parameter]
-        known = [name for name in others if name not in first.space.free or name != PERIOD]  # a free period is one, too
-        columns = _columns(["branch", "kind"], [first.parameter, *known], DIAGRAM_COLUMNS)
-        rows = [row for name, branch in branches.items() for row in special_rows(name, branch, columns)]
-        write_csv(self.directory / "special_points.csv", list(columns), rows)
+        write_special_points(self.directory / "special_points.csv", branches)
         in_one = [branch for branch in branches.values() if not branch.space.kind]
         curves = [branch for branch in branches.values() if branch.space.kind]
         self._picture("branch", figures.bifurcation_figure, in_one, title)
@@ -236,10 +227,8 @@ class Run(Branches):
 
     def _write_offshoots(self, families: Sequence[Branch]) -> None:
         """special_points.csv; edges.csv with its picture; a netCDF file for each branch that leaves."""
-        found, columns = self.offshoots, _columns(["branch", "kind"], ["S"], OFFSHOOT_COLUMNS)
-        named = [*((f"j{mode_of(family)}", family) for family in families), *found.leaving]
-        rows = [row for name, branch in named for row in special_rows(name, branch, columns)]
-        write_csv(self.directory / "special_points.csv", list(columns), rows)
+        found, named = self.offshoots, {f"j{mode_of(family)}": family for family in families}
+        write_special_points(self.directory / "special_points.csv", {**named, **dict(found.leaving)})
         self._write_datasets({name: branch for name, branch in found.leaving if len(branch)})
         if found.edges:
             table = [row for edge in found.edges for row in _edge_rows(*edge)]
@@ -275,67 +264,7 @@ class Run(Branches):
 
 # Files of branches and of linear spectra ------------------------------------------------------------------------------
 
-OFFSHOOT_COLUMNS = ("error", "Omega", "period", "mu", "loses")
-PARAMETER = "parameter "  # before its name
-DIAGRAM_COLUMNS = ("error", "period", "frequency", "coefficient", "criticality")
-EMPTY_CELL: Cell = ""
 PASSED_COLUMNS = ("mode", "S_before", "S_after", "Omega_before", "Omega_after", "changes", "meetings")
-
-
-# Special points: a row each, of a single branch, of the branches of a diagram, and of those that leave families -------
-
-
-def special_rows(name: str, branch: Branch, columns: Mapping[str, str]) -> Iterator[dict[str, Cell]]:
-    """A row for each special point of a branch, and for each stretch that is not resolved: its error is its width.
-
-    `columns` says what a column is by its name, parameters with PARAMETER; what a point does not have is empty.
-    """
-    for point in branch.special_points:
-        orbit: Any = point.solution if point.solution.is_orbit else None
-        cells: dict[str, Cell] = {PARAMETER + each: float(value) for each, value in point.parameters.items()}
-        cells |= {"branch": name, "kind": point.kind, "error": point.error}
-        if orbit is not None:
-            cells |= {"period": orbit.period, "Omega": orbit.Omega}
-        if point.mu is not None:
-            cells |= {"mu": point.mu, "loses": ", ".join(point.lost) if "loses" in columns else ""}
-        if "criticality" in columns:
-            cells |= _critical(point)
-        yield {column: cells.get(what, EMPTY_CELL) for column, what in columns.items()}
-    for stretch in branch.passed_over:
-        width = abs(stretch.end - stretch.start)
-        cells = {"branch": name, "kind": UNRESOLVED, PARAMETER + branch.parameter: stretch.start, "error": width}
-        yield {column: cells.get(what, EMPTY_CELL) for column, what in columns.items()}
-
-
-def _columns(before: Sequence[str], parameters: Sequence[str], after: Sequence[str]) -> dict[str, str]:
-    """Columns with parameters among them, whose names have " (of the model)" after them where the table has them."""
-    names = unique_names(parameters, (*before, *after))
-    stated = {name: PARAMETER + parameter for name, parameter in zip(names, parameters, strict=True)}
-    return {name: name for name in before} | stated | {name: name for name in after}
-
-
-def branch_rows(branch: Branch, columns: Mapping[str, str]) -> list[dict[str, Cell]]:
-    """Rows of a single branch: special points and changes of stability in its order; what is unresolved last."""
-    rows, found, changes = list[dict[str, Cell]](), special_rows("", branch, columns), iter(branch.located)
-    points = {id(point.solution) for point in branch.special_points}
-    for before, here in zip((None, *branch.solutions), branch.solutions, strict=False):
-        if branch.located and before is not None and before.stable != here.stable:
-            change = next(changes)
-            kind = f"stability {'gained' if change.stable_after else 'lost'} ({change.kind})"
-            cells = kind, change.value, change.error, TWO_PI / change.Omega
-            rows.append(dict(zip(columns, cells, strict=False)))
-        if id(here) in points:
-            rows.append(next(found))
-    return [*rows, *found]
-
-
-def _critical(point: SpecialPoint) -> dict[str, Cell]:
-    try:
-        frequency, coefficient, words = point.frequency, point.coefficient, point.criticality
-    except (ValueError, ArithmeticError):
-        return {}
-    known = {"frequency": frequency or EMPTY_CELL, "criticality": words}
-    return known if coefficient != coefficient else known | {"coefficient": coefficient}
 
 
 def _edge_rows(mode: int, listed: str, number: int, curve: EdgeCurve) -> Iterator[dict[str, Cell]]:
