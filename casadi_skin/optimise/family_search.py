@@ -63,6 +63,7 @@ class FamilySearch:
     tolerance: float = 1e-8
     harmonics: int = 0
     resolution_name: ClassVar[str] = "harmonics"
+    of_family: ClassVar[bool] = True
     hint: ClassVar[str] = ""
 
     @classmethod

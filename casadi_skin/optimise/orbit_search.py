@@ -66,6 +66,7 @@ class OrbitSearch:
     options: Mapping[str, Any]  # of find_orbit, beyond expressions
     accuracy: Mapping[str, Any]  # tolerance and methods, options of find_orbit too
     resolution_name: ClassVar[str] = "intervals"
+    of_family: ClassVar[bool] = False
 
     @classmethod
     def of(

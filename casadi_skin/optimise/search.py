@@ -38,6 +38,7 @@ from casadi_skin.zero.problem import Array
 # Both have:
 # model: the chain or the model; maximise: whether the objective is maximised;
 # free_names: names of the free numbers, one each; columns: names of the quantities that tables show;
+# of_family: whether its orbits are those of a family, sums of cosines;
 # resolution_name: name of the unit in which the resolution of an optimum is counted;
 # wanted: where optima have to be, in words, such as on which family; hint: possible reason where none is found, or "";
 # starts(count, seed, first): starts of a seed; the first has the model's own parameters, or the free numbers `first`;

@@ -14,7 +14,7 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.optimise.search import SearchProblem, SearchResult
-from casadi_skin.optimise.search_problem import CosineOrbit, Optimum, Outcome
+from casadi_skin.optimise.search_problem import Optimum, Outcome
 from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.results.dataset import Dataset, Variable, versions, write_csv, write_netcdf
 from casadi_skin.results.quantities import PROFILE_PHASES, Cell, unique_names
@@ -223,7 +223,7 @@ def _finite(value: float | None) -> Cell:
 
 def optimum_row(problem: SearchProblem, optimum: Optimum, rank: int) -> dict[str, Cell]:
     """One row of search.csv; empty where a number is not known, or infinite."""
-    check, of_family = optimum.check, isinstance(optimum.orbit, CosineOrbit)
+    check, of_family = optimum.check, problem.of_family
     row: dict[str, Cell] = {"rank": rank}
     if of_family:
         row["on_family"] = "" if optimum.on_family is None else int(optimum.on_family)
@@ -285,10 +285,7 @@ def _write_netcdf(path: Path, result: SearchResult, scene_text: str, title: str)
         values = np.array([o.quantities[0][name] for o in found])
         stored = name if name in ("S", "Omega", "period") else f"optimum_{name}"
         variables.append(Variable(stored, ("optimum",), values, meanings.get(name, f"{name} of the optimum")))
-    if isinstance(found[0].orbit, CosineOrbit):
-        variables += _cosines(found)
-    else:
-        variables += _states(found, problem.model.state_names)
+    variables += _cosines(found) if problem.of_family else _states(found, problem.model.state_names)
     known = {"title": title, "scene": scene_text, **versions()}
     if isinstance(problem.model, Chain):
         known |= {name: getattr(problem.model, name) for name in ("sites", "alpha", "gamma", "g")}

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.optimise.search import SearchResult
-from casadi_skin.optimise.search_problem import CosineOrbit, Ending
+from casadi_skin.optimise.search_problem import Ending
 from casadi_skin.results.figures.style import blank, colours, finished, number, number_sites, plain, style
 
 if TYPE_CHECKING:
@@ -213,8 +213,7 @@ def search_figure(result: SearchResult, objective: str) -> Figure:
     with style():
         figure = blank(7.2, 3.6)
         left, right = figure.subplots(1, 2)
-        of_family = isinstance((*result.optima, *result.others)[0].orbit, CosineOrbit) if result.optima else True
-        (_profiles if of_family else _orbits)(left, result)
+        (_profiles if result.problem.of_family else _orbits)(left, result)
         draw_starts(right, result, objective)
         chain = result.model
         words = f"$N = {chain.sites}$; dimensionless" if chain.labels else chain.name
