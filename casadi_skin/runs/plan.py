@@ -49,7 +49,11 @@ def chain_lines(scene: Scene) -> Lines | None:
     if chain is None or family is None or not asked <= KNOWN_TABLES | COMMON_TABLES or scene.accuracy.certify:
         return None
     known = MethodTable(corrector=scene.method.corrector, flow=scene.method.flow)
-    usual = scene.method == known and (scene.stability is None or scene.stability.sites is None)
+    usual = (
+        scene.method == known
+        and scene.method.flow in (None, *methods.FLOWS)
+        and (scene.stability is None or scene.stability.sites is None)
+    )
     if not usual or not _has_full_chain(chain, family):
         return None
     if scene.spectrum is not None and chain.alpha + stiffness(chain.sites, chain.gamma, 1) <= 0.0:

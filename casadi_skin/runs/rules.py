@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from casadi_skin.lattice.stiffness import square_of_family
 from casadi_skin.model.arguments import LONGEST_VALUE_TEXT, check_name, check_places, cut, did_you_mean
-from casadi_skin.model.methods import COLLOCATION_TABLES, FLOWS, FULL_PERIOD_FLOWS, SHOOTING, TRIGONOMETRIC
+from casadi_skin.model.methods import COLLOCATION_TABLES, FULL_PERIOD_FLOWS
 from casadi_skin.runs.output import InputError
 from casadi_skin.runs.scene import AMPLITUDE, SELECTED, TABLES, MethodTable, Scene, one_of
 
@@ -119,7 +119,6 @@ def with_kind(value: object) -> str:
 # The rules: the place of a fault, what is given there, and what is accepted -------------------------------------------
 
 LONGEST_ENVELOPE = 700.0  # the same as in dynamics, which loads numerics
-LOWEST_DEGREE = 2  # of families; the same as in zero.request, which loads numerics
 KICKS = ("site", "vector", "seed")  # keys of [dynamics], one of which a perturbation has
 STARTS = ("mode", *KICKS)  # of which a motion from rest has one
 MISSING = "missing"
@@ -214,21 +213,11 @@ def _of_how(s: Seen) -> Rules:
         yield "model name", file.endswith(".json") and f' with file = "{file}"', "none: the file holds one model"
         yield "model file", not file.endswith((".json", ".py")), "a name that ends in .py or .json"
         yield "model name", file.endswith(".py") and MISSING, "with a Python file the name of the model in it"
-    if s.family:
-        least = f"with a [family] a whole number >= {LOWEST_DEGREE} and <= 12"
-        yield "method degree", m.degree in range(LOWEST_DEGREE), least
-        yield "method intervals", True, "beside [orbit] or [solution]"
-        yield "method flow", m.flow not in FLOWS and " with [family]", one_of(FLOWS)
     if s.collocated:
         yield "method tail", True, "beside [family]"
         yield "method walker", True, "beside [family]"
         for key, known in (("transcription", COLLOCATION_TABLES), ("flow", FULL_PERIOD_FLOWS)):
             yield f"method {key}", getattr(m, key) not in known and " without [family]", one_of(known)
-    used, tables = f" with transcription = {toml_repr(s.transcription)}", map(toml_repr, COLLOCATION_TABLES)
-    accepted = f"with transcription = {' or '.join(tables)} only"
-    yield "method degree", s.transcription in (TRIGONOMETRIC, SHOOTING) and used, accepted
-    apart = m.walker == "series" and s.transcription not in (None, TRIGONOMETRIC)
-    yield "method walker", apart and used, '"arclength", or transcription = "trigonometric"'
 
 
 def _of_what(s: Seen) -> Rules:

@@ -24,7 +24,7 @@ import numpy as np
 from casadi_skin.model import methods
 from casadi_skin.model.arguments import check_places, number, number_within, numbers, short_repr, whole
 from casadi_skin.model.conserved import SymmetryClass
-from casadi_skin.model.methods import COLLOCATION_TABLES, FLOWS, SHOOTING, TRIGONOMETRIC
+from casadi_skin.model.methods import COLLOCATION_TABLES, FLOWS, TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import NotPolynomialError
 from casadi_skin.model.result import NoQuantityError
@@ -372,9 +372,6 @@ class Method:
 
     def _check_together(self) -> None:
         """Raises ValueError for two choices that exclude each other."""
-        if self.degree is not None and self.transcription in (TRIGONOMETRIC, SHOOTING):
-            accepted = f"with {' or '.join(COLLOCATION_TABLES)} only"
-            raise ValueError(f"degree: given {short_repr(self.degree)}; accepted: {accepted}")
         if self.walker == "series" and self.transcription not in (None, TRIGONOMETRIC):
             raise ValueError(f'walker: given "series"; accepted with {self.transcription}: arclength')
         if self.stability_sites is not None and self.tail == "full":
