@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from casadi_skin.fmu.archive import export_fmu as export_fmu
     from casadi_skin.fmu.model import import_fmu as import_fmu
     from casadi_skin.follow.branch import Branch as Branch
-    from casadi_skin.follow.find import find_equilibria as find_equilibria
-    from casadi_skin.follow.find import find_equilibrium as find_equilibrium
     from casadi_skin.follow.find import find_orbit as find_orbit
     from casadi_skin.follow.follow import follow_family as follow_family
+    from casadi_skin.follow.rest_space import find_equilibria as find_equilibria
+    from casadi_skin.follow.rest_space import find_equilibrium as find_equilibrium
     from casadi_skin.follow.solution import Orbit as Orbit
     from casadi_skin.lattice.chain import Chain as Chain
     from casadi_skin.lattice.lattice import Bond as Bond
@@ -43,7 +43,8 @@ PLACES = {  # modules of public names, each imported when one of its names is fi
     "fmu.archive": ("export_fmu",),
     "fmu.model": ("import_fmu",),
     "follow.branch": ("Branch",),
-    "follow.find": ("find_equilibria", "find_equilibrium", "find_orbit"),
+    "follow.find": ("find_orbit",),
+    "follow.rest_space": ("find_equilibria", "find_equilibrium"),
     "follow.follow": ("follow_family",),
     "follow.solution": ("Orbit",),
     "lattice.chain": ("Chain",),

@@ -1,4 +1,4 @@
-"""First solutions: equilibria and orbits near a guess, and solutions of boundary-value problems.
+"""First solutions: orbits near a guess, and solutions of boundary-value problems.
 
 A guess is sampled on meshes, and corrected on one after the other; the point is refined until its estimated error meets
 the tolerance. Where no corrector reaches a solution, Newton's method is next, where it has not been tried; then a short
@@ -16,13 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
 from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.rest_space import EquilibriumSpace
-from casadi_skin.follow.solution import Equilibrium, Orbit, Solution
-from casadi_skin.follow.space import BoundaryError, EquilibriumError, FamilyError, corrector_of
-from casadi_skin.model import methods
+from casadi_skin.follow.solution import Orbit, Solution
+from casadi_skin.follow.space import BoundaryError, FamilyError
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import (
     by_name,
@@ -31,14 +28,13 @@ from casadi_skin.model.arguments import (
     number,
     number_within,
     short_repr,
-    state_by_name,
     truth,
     whole,
 )
 from casadi_skin.model.conserved import SymmetryClass, quantities, symmetry_class
 from casadi_skin.model.declarations import check_forcing_period
 from casadi_skin.model.expressions import Expression, expression_of
-from casadi_skin.model.integrators import IntegrationError, simulated, stiff_cvodes
+from casadi_skin.model.integrators import IntegrationError, stiff_cvodes
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.levels import Levels, converged_mesh
@@ -49,7 +45,7 @@ from casadi_skin.solve.newton import (
     not_finite,
     rank_deficiency,
 )
-from casadi_skin.solve.watch import TimeLimitError, one_thread, watched
+from casadi_skin.solve.watch import TimeLimitError, watched
 from casadi_skin.zero.family import Method
 from casadi_skin.zero.orbit import (
     GUESS_SAMPLES,
@@ -67,212 +63,12 @@ from casadi_skin.zero.orbit import (
     statement_of,
 )
 from casadi_skin.zero.problem import Array, SingularError
-from casadi_skin.zero.rest import Statics, sizes_at, sizes_of
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
 from casadi_skin.zero.statement import Bounds, Statement
 
 if TYPE_CHECKING:
-    from casadi_skin.lattice.chain import Chain
-
-TOLERANCE_RANGE = (1e-13, 1e-2)
-MOST_STARTS = 1_000_000
-# Of the sizes of the state: where a simulation ends, from the equilibrium that it is said to settle at.
-SETTLED_DISTANCE = 0.05
-FAR_POWERS_OF_TWO = 4.0  # powers of two between the sizes of a guess and those of the equilibrium found
-SAME_EQUILIBRIUM_DISTANCE = 1e-6  # of the sizes: distance of two equilibria that are the same
-ACCEPTED_GUESSES = "numbers, one a state, numbers by state name, a simulation or another equilibrium"
-
-
-def find_equilibrium(
-    model: OdeModel | Chain,
-    guess: Any,
-    *,
-    parameters: Mapping[str, float] | None = None,
-    transient: float | None = None,
-    tolerance: float = 1e-10,
-    corrector: str = "newton",
-) -> Equilibrium:
-    """The equilibrium near a guess, or where a simulation settles; dimensionless, or in the model's units.
-
-    Arguments:
-        model: an `OdeModel` of first or second order that no force drives in time, or a `Chain`.
-        guess: numbers, one a state (of a model of second order the positions, or positions and velocities); numbers by
-            state name, others 0; a simulation, whose end is taken; another equilibrium.
-        parameters: values by name, where they are not the model's nominal ones.
-        transient: time to simulate from the guess first.
-        tolerance: relative error of each component, which counts as no less than a thousandth of its guess.
-        corrector: "newton", which tries Ipopt where it fails, or "ipopt".
-
-    Returns:
-        The equilibrium, with its eigenvalues and its estimated error.
-
-    Raises:
-        ValueError, TypeError: an argument does not fit the model; a forced model is refused.
-        EquilibriumError: no equilibrium is found, it is not alone, or the simulation does not settle.
-        IntegrationError: the simulation fails.
-    """
-    statics = _statics(model, parameters)
-    model = statics.model
-    _check(tolerance, corrector)
-    start = positions_of(model, guess)
-    with one_thread(), np.errstate(all="ignore"):  # of equations that are not finite somewhere
-        if transient is None:
-            return _near(EquilibriumSpace(statics, float(tolerance), corrector, sizes_of([start])), start)
-        return _settled(statics, start, number("transient", transient), float(tolerance), corrector)
-
-
-def find_equilibria(
-    model: OdeModel | Chain,
-    lower: ArrayLike,
-    upper: ArrayLike,
-    *,
-    starts: int = 64,
-    seed: int = 0,
-    parameters: Mapping[str, float] | None = None,
-    tolerance: float = 1e-10,
-    corrector: str = "newton",
-) -> tuple[Equilibrium, ...]:
-    """The distinct equilibria near several starts in a box; there may be more.
-
-    Arguments:
-        model: as in `find_equilibrium`.
-        lower, upper: corners of the box, one number a state or by state name; equilibria may lie outside.
-        starts: number of starts, spread by a Sobol sequence.
-        seed: of its scrambling.
-        parameters, tolerance, corrector: as in `find_equilibrium`.
-
-    Returns:
-        The equilibria in the order of their first component; empty without any.
-
-    Raises:
-        ValueError, TypeError: an argument does not fit the model.
-    """
-    from scipy.stats.qmc import Sobol
-
-    statics = _statics(model, parameters)
-    model = statics.model
-    _check(tolerance, corrector)
-    low, high = positions_of(model, lower, "lower"), positions_of(model, upper, "upper")
-    if not np.all(low <= high):
-        raise ValueError("upper: given a number below that in lower; accepted: numbers >= those in lower")
-    whole("starts", starts, 1, MOST_STARTS)
-    whole("seed", seed, 0)
-    space = EquilibriumSpace(statics, float(tolerance), corrector, sizes_of([low, high]))
-    places = Sobol(statics.size, seed=seed).random(1 << max(0, (starts - 1).bit_length()))[:starts]
-    found: list[Equilibrium] = []
-    with one_thread():
-        for place in places:
-            try:
-                equilibrium = _near(space, low + place * (high - low), second=False)
-            except ArithmeticError:
-                continue
-            apart = [np.max(np.abs(other.positions - equilibrium.positions) / space.sizes) for other in found]
-            if min(apart, default=np.inf) > SAME_EQUILIBRIUM_DISTANCE:
-                found.append(equilibrium)
-    return tuple(sorted(found, key=lambda equilibrium: tuple(equilibrium.positions)))
-
-
-def _statics(model: Any, parameters: Mapping[str, float] | None) -> Statics:
-    """The equations of a model at rest; raises ValueError and TypeError for objects that are no model."""
-    tunable = None if isinstance(model, type) else getattr(model, "tunable_model", None)
-    model = model if tunable is None else tunable()
-    if not isinstance(model, OdeModel):
-        raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel or a Chain")
-    return Statics(model, dict(by_name("parameters", parameters)))
-
-
-def _check(tolerance: float, corrector: str) -> None:
-    number_within("tolerance", tolerance, *TOLERANCE_RANGE)
-    check_name("corrector", corrector, methods.CORRECTORS)
-
-
-def positions_of(model: OdeModel, guess: Any, label: str = "guess") -> Array:
-    """A guess as values of the unknowns, shape (n,); raises ValueError for objects that are no guess."""
-    names = model.state_names
-    if isinstance(guess, Equilibrium):
-        guess = guess.state
-    elif hasattr(guess, "states") and hasattr(guess, "t"):  # a simulation, or an orbit
-        guess = np.asarray(guess.states)[-1]
-    if isinstance(guess, Mapping):
-        guess = state_by_name(label, guess, names)
-    try:
-        values = np.asarray(guess, dtype=float).ravel()
-    except (TypeError, ValueError):
-        raise ValueError(f"{label}: given {short_repr(guess)}; accepted: {ACCEPTED_GUESSES}") from None
-    if values.size not in (model.size, model.full_size):
-        shown = ", ".join(names[: model.size])
-        raise ValueError(f"{label}: given {values.size}; accepted: {model.size} numbers: {shown}")
-    if not np.all(np.isfinite(values)):
-        raise ValueError(f"{label}: given numbers that are not finite; accepted: finite numbers")
-    return np.array(values[: model.size])
-
-
-def _near(space: EquilibriumSpace, start: Array, second: bool = True) -> Equilibrium:
-    """The equilibrium near a state, by the corrector and, where that fails, by the other one."""
-    problem, model, failure = space.problem, space.model, ""
-    z, row = np.append(start / space.sizes, 0.0), problem.parameter_row()
-    others = [name for name in methods.CORRECTORS if name != space.corrector] if second else []
-    for name in (space.corrector, *others):
-        own = name == space.corrector
-        corrector = space.levels.corrector(problem) if own else corrector_of(name, space.tolerance, problem)
-        correction = corrector.correct(z, row, 0.0)
-        finite = bool(np.all(np.isfinite(correction.z)))
-        if correction.converged and finite:
-            found = Equilibrium(space, space.refined(problem, correction))
-            words = space.jump(found.point)
-            if words:
-                raise JumpError(model.name, f"{words}, at the equilibrium")
-            return _in_own_units(found) if second else found
-        worst = problem.describe_largest_residual(correction.z if finite else z)
-        failure = failure or f"{name}: {correction.status.value}; {worst}"
-    full, p = np.concatenate([start, np.zeros(model.full_size - start.size)]), problem.parameters(z)
-    rates = np.array(model.vector_field(0.0, full, p)).ravel()
-    if not np.all(np.isfinite(rates)):
-        name = model.state_names[int(np.argmax(~np.isfinite(rates)))]
-        at = ", ".join(f"{k} = {x:.6g}" for k, x in zip(model.state_names, full, strict=True))
-        failure = f"not finite at the equation of {name}, where {at} at the guess"
-    jumps = model.jumps.beside(full, p, np.maximum(np.abs(full), np.resize(space.sizes, full.size)))
-    more = f"; beside the guess {jumps}" if jumps else ""
-    raise EquilibriumError(f"{model.name}: no equilibrium near the guess: {failure}{more}")
-
-
-def _in_own_units(found: Equilibrium) -> Equilibrium:
-    """An equilibrium solved for again where the sizes of its guess are far from its own."""
-    space = found.space
-    sizes = sizes_at(space.statics, found.positions, (), space.sizes)
-    if np.max(np.abs(np.log2(sizes / space.sizes))) < FAR_POWERS_OF_TWO:
-        return found
-    again = replace(space, sizes=sizes)
-    z, row = np.append(found.positions / sizes, 0.0), again.problem.parameter_row()
-    correction = again.levels.corrector(again.problem).correct(z, row, 0.0)
-    return Equilibrium(again, again.refined(again.problem, correction)) if correction.converged else found
-
-
-def _settled(statics: Statics, start: Array, transient: float, tolerance: float, corrector: str) -> Equilibrium:
-    """The stable equilibrium that a simulation approaches; raises EquilibriumError where it does not settle."""
-    model = statics.model
-    if not transient > 0.0:
-        raise ValueError(f"transient: given {transient!r}; accepted: a finite number > 0")
-    full = np.concatenate([start, np.zeros(model.full_size - model.size)])
-    values = np.array(list(statics.values.values()))
-    states = simulated(model.first_order(), values, full, np.linspace(0.0, transient, 201), 1e-9).states
-    end = np.array(states[-1][: model.size])
-    space = EquilibriumSpace(statics, tolerance, corrector, sizes_of([end]))
-    last = np.stack([state[: model.size] for state in states[-50:]])
-    moving = float(np.max(np.ptp(last, axis=0) / np.maximum(np.abs(end), space.sizes)))
-    if moving > SETTLED_DISTANCE:
-        words = f"over its last quarter the state changes by {moving:.2g} of its size"
-        raise EquilibriumError(
-            f"{model.name}: the simulation does not settle: {words}; try a longer transient or a guess"
-        )
-    found = _near(space, end)
-    apart = float(np.max(np.abs(found.positions - end) / np.maximum(np.abs(end), space.sizes)))
-    if apart > SETTLED_DISTANCE:
-        words = f"the equilibrium found is {apart:.2g} of the state's size from where the simulation ends"
-        raise EquilibriumError(f"{model.name}: the simulation does not settle: {words}; try a longer transient")
-    return found
-
+    pass
 
 # Periodic orbits of any model: autonomous, forced, conservative, reversible; closed or rotating -----------------------
 

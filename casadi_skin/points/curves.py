@@ -13,9 +13,9 @@ from casadi_skin.follow import rest_space as of_equilibria
 from casadi_skin.follow.boundary_space import BoundarySpace, hopf_near
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.codimension_two import OrbitCurveSearch, special_on_curve
-from casadi_skin.follow.find import find_equilibrium
 from casadi_skin.follow.follow import BranchRun
 from casadi_skin.follow.normal_forms import critical_angle, critical_functions, terms_of
+from casadi_skin.follow.rest_space import find_equilibrium
 from casadi_skin.follow.solution import Solution, following_settings
 from casadi_skin.follow.space import FAMILY, ORBITS, BoundaryError, of_last_points
 from casadi_skin.follow.special_points import (

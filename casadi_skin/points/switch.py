@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.find import find_equilibrium
 from casadi_skin.follow.follow import BranchRun, following_space, monitored_space
-from casadi_skin.follow.rest_space import EquilibriumSpace
+from casadi_skin.follow.rest_space import EquilibriumSpace, find_equilibrium
 from casadi_skin.follow.solution import Equilibrium, Orbit, Solution, following_settings
 from casadi_skin.follow.space import EquilibriumError
 from casadi_skin.follow.special_points import SpecialPoint

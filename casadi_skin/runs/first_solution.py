@@ -12,7 +12,8 @@ import numpy as np
 from casadi_skin.dynamics.evolution import PHYSICAL, Cycle, Evolution, equations_of_motion
 from casadi_skin.dynamics.evolve import simulate
 from casadi_skin.dynamics.starts import initial_state
-from casadi_skin.follow.find import find_equilibrium, find_orbit
+from casadi_skin.follow.find import find_orbit
+from casadi_skin.follow.rest_space import find_equilibrium
 from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
