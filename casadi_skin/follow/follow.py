@@ -27,6 +27,7 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.search import Monitor, NotLocatedError, monitored
 from casadi_skin.follow.solution import Orbit, Solution, following_settings
 from casadi_skin.follow.space import FAMILY, SolutionSpace, snapped, target_of
+from casadi_skin.follow.special_points import rate
 from casadi_skin.model.arguments import by_name, check_options, duration, function_of, short_repr, truth
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.solve.watch import TimeLimitError, one_thread, watched
@@ -409,10 +410,9 @@ class BranchIterator:
         except NotLocatedError as error:
             if points and points[-1] is not after:  # it may lie beyond the end
                 return self._found(before, points[-1], points)
-            self.stop(End.NO_STEP, f"{error}, {before.problem.describe_parameters(before.z)}")
-            if self._is_still(before):
-                value, digits = self._limit(before)
-                self.stop(End.STILL, f"{self.space.parameter} comes to {value:.10g} +- {digits:.0e}")
+            still = self._still_at(before)
+            words = still or f"{error}, {before.problem.describe_parameters(before.z)}"
+            self.stop(End.STILL if still else End.NO_STEP, words)
             return []
         missed[self._settled :] = stretch.missed
         self._settled = len(missed)
@@ -421,18 +421,14 @@ class BranchIterator:
             found = list(points)  # up to where the branch was followed
         return found
 
-    def _is_still(self, point: Point) -> bool:
-        """Whether the longest step from a point changes the parameter by no more than rounding does."""
-        settings, index = self.space.point_solver.settings, point.problem.parameter_index
-        change = settings.max_step * abs(float(point.tangent[index]))
-        return bool(change <= ROUNDED_PARAMETER_CHANGE * max(1.0, abs(point.parameter)))
-
-    def _limit(self, point: Point) -> tuple[float, float]:
-        """The value of the parameter at a point, and its rounding."""
-        name = self.space.parameter
+    def _still_at(self, point: Point) -> str:
+        """The value of the parameter, in words, where the longest step changes it by no more than rounding does."""
+        name, rounding = self.space.parameter, ROUNDED_PARAMETER_CHANGE * max(1.0, abs(point.parameter))
+        if self.space.point_solver.settings.max_step * abs(rate(point)) > rounding:
+            return ""
         value, start = (self.space.parameters(one)[name] for one in (point, self.space.start))
-        digits = ROUNDED_PARAMETER_CHANGE * abs(self.space.to - start) * max(1.0, abs(point.parameter))
-        return (0.0 if abs(value) <= digits else value), digits
+        digits = rounding * abs(self.space.to - start)
+        return f"{name} comes to {0.0 if abs(value) <= digits else value:.10g} +- {digits:.0e}"
 
     def _closes(self, before: Point, after: Point) -> bool:
         """Whether the start of the branch lies between two points of it, passed in the same direction."""
@@ -463,7 +459,10 @@ class BranchIterator:
         Where a condition stopped the branch, those that it had passed before.
         """
         misses, whole = {}, end in (End.REACHED, End.CLOSED) and not stopped
-        for name, values in self._asked().items():
+        requested = dict(self.space.requested_values())
+        if Target(Scalar.PARAMETER, self.space.point_solver.settings.parameter_max) in self.missed:  # the end itself
+            requested[self.space.parameter] = (*requested[self.space.parameter], self.space.to)
+        for name, values in requested.items():
             had = {s.value(name) for s in solutions}
             found = {v for v in values if self.space.target(name, v) in self.missed or (whole and v not in had)}
             if stopped:
@@ -471,13 +470,6 @@ class BranchIterator:
             if found:
                 misses[name] = tuple(sorted(found))
         return misses
-
-    def _asked(self) -> Mapping[str, Sequence[float]]:
-        """All requested values by name, the ends among them where the continuation missed them."""
-        requested = dict(self.space.requested_values())
-        if Target(Scalar.PARAMETER, self.space.point_solver.settings.parameter_max) in self.missed:
-            requested[self.space.parameter] = (*requested[self.space.parameter], self.space.to)
-        return requested
 
 
 # Following a family from a linear mode, or the branch through a solution: arguments checked, then continuation --------
