@@ -230,18 +230,19 @@ def depths(groups: Sequence[Group]) -> tuple[Array, Array]:
     """Largest log |lambda(M)| on each group of segments, and the coordinates of it."""
     counts, segments = [len(g.segments) for g in groups], [segment for group in groups for segment in group.segments]
     starts, ends = (np.array([[getattr(segment, name)] for segment in segments]) for name in ("start", "end"))
-    bounds = np.cumsum(counts)[:-1]
-    steps = np.array([[np.max(each)] for each in np.split(ends - starts, bounds)])
+    firsts = np.cumsum([0, *counts[:-1]])
+    steps = np.maximum.reduceat(ends - starts, firsts)
     growths, deepest, low, high = np.full(len(groups), -np.inf), np.zeros(len(groups)), starts, ends
     for zoom in range(DEPTH_ZOOMS + 1):
         at, near = np.linspace(low[:, 0], high[:, 0], DEPTH_SAMPLES, axis=1), np.flatnonzero(low <= high)
         growth = np.full(at.shape, -np.inf)
-        growth[near] = evaluate([segments[i].block for i in near.tolist()], at[near])[1]
-        parts = (np.split(each, bounds) for each in (growth, at))
-        for i, (values, where) in enumerate(zip(*parts, strict=True)):
-            k = np.argmax(values)
-            if values.flat[k] > growths[i]:
-                growths[i], deepest[i] = values.flat[k], where.flat[k]
+        growth[near] = np.fmax(evaluate([segments[i].block for i in near.tolist()], at[near])[1], -np.inf)
+        k = np.argmax(growth, axis=1)[:, None]  # of each segment, and the first largest of each group
+        growth, at = (np.take_along_axis(each, k, 1)[:, 0] for each in (growth, at))
+        largest = np.maximum.reduceat(growth, firsts)
+        which = np.flatnonzero(growth == np.repeat(largest, counts))
+        where = at[which[np.searchsorted(which, firsts)]]
+        growths, deepest = np.maximum(largest, growths), np.where(largest > growths, where, deepest)
         steps = steps * (2.0 if zoom else 1.0) / (DEPTH_SAMPLES - 1)
         middle, reach = (np.repeat(each, counts, axis=0) for each in (deepest[:, None], steps))
         low, high = np.maximum(starts, middle - reach), np.minimum(ends, middle + reach)

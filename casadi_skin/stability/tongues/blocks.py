@@ -268,7 +268,7 @@ class Matrices:
 
     def take(self, chosen: Booleans) -> Matrices:
         """Those of some blocks, as real matrices where all of these are."""
-        taken = Matrices(*(getattr(self, each.name)[chosen] for each in fields(self)))
+        taken = self if chosen.all() else Matrices(*(getattr(self, each.name)[chosen] for each in fields(self)))
         if not taken.is_real.all():
             return taken
         return replace(taken, parts=np.ascontiguousarray(taken.parts.real), errors=taken.errors.real)

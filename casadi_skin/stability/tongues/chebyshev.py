@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -70,7 +71,7 @@ def middle_slope(degree: int) -> Array:
 
 def combined(matrix: Array, values: Array) -> Array:
     """A matrix times values by their second axis: (rows, J) and (n, J, ...) -> (n, rows, ...)."""
-    flat = matrix @ values.reshape(*values.shape[:2], -1)
+    flat = matrix @ values.reshape(*values.shape[:2], prod(values.shape[2:]))
     return np.asarray(flat.reshape(len(values), len(matrix), *values.shape[2:]))
 
 
@@ -166,6 +167,12 @@ FINEST_PLACE = 1e-14  # of an interval: no place in it is known better
 ERROR_REACH_NODES = 2  # nodes to either side of a place whose errors count there
 
 
+def certain(coefficients: Array, errors: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which functions certainly have no zero, and which are zero everywhere, within their errors: see `Function`."""
+    rest, mean = np.sum(np.abs(coefficients[1:]), axis=0), np.abs(coefficients[0])
+    return mean > rest + np.max(errors, axis=1), mean + rest <= np.min(errors, axis=1)
+
+
 @dataclass(eq=False)
 class Function:
     """A function on [-1, 1] whose zeros are edges.
@@ -188,9 +195,7 @@ class Function:
     @classmethod
     def several(cls, coefficients: Array, errors: Array) -> list[Function]:
         """Functions from coefficients (degree + 1, functions) and errors (functions, nodes)."""
-        rest = np.sum(np.abs(coefficients[1:]), axis=0)
-        largest, mean = np.max(errors, axis=1), np.abs(coefficients[0])
-        excluded, nothing = mean > rest + largest, mean + rest <= np.min(errors, axis=1)
+        excluded, nothing = certain(coefficients, errors)
         rows = np.ascontiguousarray(coefficients.T)
         return [cls(*row) for row in zip(rows, errors, excluded.tolist(), nothing.tolist(), strict=True)]
 

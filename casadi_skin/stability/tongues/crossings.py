@@ -208,7 +208,7 @@ def _sort(parts: Sequence[_Part], found: Matrices, shortest: Booleans) -> None:
     if not found.is_real.any():
         return
     those = found.take(found.is_real)
-    again, blocks = those.rough & ~shortest[those.owners], list[Block]()
+    again, blocks = those.rough & ~shortest[those.owners], list[Block | None]()
     if those.members.shape[1] > 2:
         rest = ~are_definite(those.parts)
     else:
@@ -222,7 +222,7 @@ def _sort(parts: Sequence[_Part], found: Matrices, shortest: Booleans) -> None:
             parts[i].larger += parts[i].interval.halves_of_block(those.parts[n], those.errors[n], noise)
         elif blocks:
             parts[i].too_long = parts[i].too_long or bool(too_long[n])
-            parts[i].blocks += [blocks[n]] if blocks[n].definite or rest[n] else []
+            parts[i].blocks += [block for block in blocks[n : n + 1] if block is not None]
 
 
 def _refine(part: _Part, blocks: Blocks, i: int) -> None:

@@ -329,8 +329,8 @@ def places(pieces: Sequence[Piece], coordinates: Array, errors: Array) -> list[P
     for piece, chosen in by_piece(pieces, coordinates):
         start, end = piece.matrices.start, piece.matrices.end
         at, error = np.clip(coordinates[chosen], start, end), errors[chosen]
-        S = np.stack([piece.S(np.clip(at + sign * error, start, end)) for sign in (0.0, -1.0, 1.0)])
-        S_errors = np.maximum(np.max(np.abs(S[1:] - S[0]), axis=0), np.abs(piece.S.deriv()(at)) * error)
+        S = piece.S(np.clip(np.stack([at, at - error, at + error]), start, end))
+        S_errors = np.maximum(np.max(np.abs(S[1:] - S[0]), axis=0), np.abs(piece.slope(at)) * error)
         rows = zip(at.tolist(), error.tolist(), S[0].tolist(), S_errors.tolist(), piece.Omega(at).tolist(), strict=True)
         for i, row in zip(chosen.tolist(), rows, strict=True):
             found[i] = Place(*row)

@@ -170,16 +170,17 @@ def unbalanced(entries: Sequence[Entry], groups: Sequence[Group], gaps: Sequence
     found: list[Gap] = []
     balanced = True
     last = entries[0].coordinate if entries else 0.0
-    for entry in entries:
-        if any(gap.start <= entry.coordinate <= gap.end for gap in gaps):
-            continue
-        slack = SAME_PLACE * abs(entry.coordinate)
-        those = np.flatnonzero((starts <= entry.coordinate + slack) & (entry.coordinate - slack <= ends)).tolist()
-        unstable = np.empty(0, complex)
-        if those:
-            mu, _ = evaluate([segments[i].block for i in those], np.full((len(those), 1), entry.coordinate))
-            unstable = np.concatenate([segments[i].unstable(values[0]) for i, values in zip(those, mu, strict=True)])
-        fits = _fits(entry, unstable)
+    entries = [entry for entry in entries if not any(gap.start <= entry.coordinate <= gap.end for gap in gaps)]
+    at = np.array([[entry.coordinate] for entry in entries]).reshape(-1, 1)
+    slack = SAME_PLACE * np.abs(at)
+    which, those = np.nonzero((starts <= at + slack) & (at - slack <= ends))
+    unstable: list[list[ComplexArray]] = [[] for _ in entries]
+    if those.size:  # of all orbits together: that is cheaper
+        mu, _ = evaluate([segments[i].block for i in those.tolist()], at[which])
+        for k, i, values in zip(which.tolist(), those.tolist(), mu[:, 0], strict=True):
+            unstable[k].append(segments[i].unstable(values))
+    for entry, each in zip(entries, unstable, strict=True):
+        fits = _fits(entry, np.concatenate([np.empty(0, complex), *each]))
         if not fits and balanced:
             found.append(Gap(last, entry.coordinate, UNBALANCED_WORDS))
         elif not balanced:

@@ -138,6 +138,11 @@ class Piece:
         return Chebyshev(self.S_coefficients, (self.matrices.start, self.matrices.end))
 
     @cached_property
+    def slope(self) -> Chebyshev:
+        """Derivative of the amplitude with respect to the coordinate."""
+        return self.S.deriv()
+
+    @cached_property
     def Omega(self) -> Chebyshev:
         """Frequency as a function of the coordinate."""
         return Chebyshev(self.Omega_coefficients, (self.matrices.start, self.matrices.end))

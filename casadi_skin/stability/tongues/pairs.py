@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebder, chebval
@@ -124,12 +125,12 @@ class Block:
         """Whether mu have signatures."""
         return bool(self.matrices.shape[1] == 3)
 
-    @property
+    @cached_property
     def definite(self) -> bool:
         """Whether it has two mu of one signature, which are real."""
         return self.size == 2 and len(self.functions) == 2
 
-    @property
+    @cached_property
     def conserved(self) -> bool:
         """Whether one mu stays at -1 or 0: a second conserved quantity."""
         return any(function.is_nothing for function in self.functions[-2:])
@@ -267,10 +268,16 @@ def _real_values(blocks: Sequence[Block], coordinates: Array) -> tuple[Array, Ar
     """
     x = local_places(blocks, coordinates)
     values = chebyshev.basis(x, FINE_DEGREE) @ np.stack([block.series for block in blocks])
+    kinds = np.array([[(block.size == 2, block.definite, block.conserved)] for block in blocks])
+    return _decided(values, *np.moveaxis(kinds, -1, 0))
+
+
+def _decided(
+    values: Array, both: Booleans, definite: Booleans, conserved: Booleans
+) -> tuple[Array, Array, Array, Booleans, Booleans]:
+    """As `_real_values`, from values of series, (..., 6), and the kinds of their blocks."""
     mean, square = values[..., 0], values[..., 2] * values[..., 3] / values[..., 1] ** 2
-    product, both = values[..., 4] * values[..., 5], np.array([[block.size == 2] for block in blocks])
-    square = np.where([[block.definite] for block in blocks], np.maximum(square, 0.0), square)
-    conserved = np.array([[block.conserved] for block in blocks])
+    product, square = values[..., 4] * values[..., 5], np.where(definite, np.maximum(square, 0.0), square)
     product = np.where(conserved, np.where(both, np.abs(product), -np.abs(product)), product)
     one = (product < 0.0) == both
     one &= product != 0.0
@@ -304,10 +311,12 @@ def evaluate(blocks: Sequence[Block], coordinates: Array) -> tuple[ComplexArray,
             mean, square, product, one, _ = _real_values(those, at)
             root, single = np.sqrt(square + 0j), np.array([[block.size == 1] for block in those])
             mu[i, :, 0], mu[i, :, 1] = mean + root, np.where(single, np.nan, mean - root)
-            inside = np.where(single, 1.0, np.nanmin((mu[i] * (1.0 + mu[i])).real, axis=-1))
+            inside = np.where(single, 1.0, np.fmin.reduce((mu[i, :, :2] * (1.0 + mu[i, :, :2])).real, axis=-1))
             with np.errstate(divide="ignore", invalid="ignore"):  # without loss of digits near -1 and 0
-                real = np.arcsinh(2.0 * np.sqrt(np.maximum(product / inside, 0.0)))
-            growths[i] = np.where(one | single, real, np.max(growth_of(mu[i, :, :2]), axis=-1))
+                found = np.arcsinh(2.0 * np.sqrt(np.maximum(product / inside, 0.0)))
+            both = ~(one | single)
+            found[both] = np.max(growth_of(mu[i, :, :2][both]), axis=-1)
+            growths[i] = found
             continue
         k = np.stack([block.matrices[:, 0] for block in those]).reshape(len(i), SERIES_DEGREE + 1, -1)
         K = (chebyshev.basis(local_places(those, at), SERIES_DEGREE) @ k).reshape(*at.shape, size, size)
@@ -326,28 +335,35 @@ def complex_blocks(those: Matrices) -> list[Block]:
     return [Block(bounds[0], bounds[1], k, is_coarse=coarse) for bounds, k, coarse in rows]
 
 
-def real_blocks(those: Matrices) -> tuple[list[Block], Booleans, Booleans]:
-    """Blocks of one or two real mu, which of them are stable throughout, and which intervals are too long for them."""
+def real_blocks(those: Matrices) -> tuple[list[Block | None], Booleans, Booleans]:
+    """Blocks of one or two real mu, which of them are stable throughout, and which intervals are too long for them.
+
+    Of those that are stable throughout there is a block only where two mu have one signature, and may meet.
+    """
     fine = chebyshev.combined(chebyshev.refinement(SERIES_DEGREE, FINE_DEGREE), those.parts)
     ends = _ends(those, fine)
     met, met_errors, rho, vanish, usable = _meetings(those, fine, [coefficients for coefficients, _ in ends])
     mean = np.trace(fine[:, :, 0], axis1=2, axis2=3) / fine.shape[-1]
     mean_and_rho = (chebyshev.transform(FINE_DEGREE) @ np.stack([mean, rho], axis=2)).swapaxes(0, 1)
     series = np.concatenate([mean_and_rho, met.transpose(1, 2, 0), np.stack([e for e, _ in ends], axis=2)], axis=2)
-    possible = [each for *each, vanishes in zip(met, met_errors, vanish, strict=True) if vanishes.any()]
-    functions = [Function.several(*each) for each in (*possible, *ends)]
-    vanish = vanish[vanish.any(axis=1)]
-    coefficients = chebyshev.combined(chebyshev.transform(SERIES_DEGREE), those.parts)
+    every = [*zip(met, met_errors, strict=True), *ends]
+    excluded, nothing = np.array([chebyshev.certain(*each) for each in every]).swapaxes(0, 1)
+    both = np.full(len(fine), fine.shape[-1] == 2)
+    definite = both & ~vanish.any(axis=0)
+    middle = np.tensordot(chebyshev.basis(0.0, FINE_DEGREE), series, 1)
+    *_, one, two = _decided(middle, both, definite, nothing[2:].any(axis=0))
+    quiet = np.all(excluded[:2] | ~vanish, axis=0) & excluded[2:].all(axis=0) & ~one & ~two
+    wanted = np.flatnonzero(~quiet | definite).tolist()
+    functions = [Function.several(values[:, wanted], errors[wanted]) for values, errors in every]
+    coefficients = chebyshev.combined(chebyshev.transform(SERIES_DEGREE), those.parts[wanted])
     allowed = ERROR_SAFETY * np.max(np.abs(those.errors[:, :, 0]), axis=(1, 2, 3)) + (those.noise + those.tails)[:, 0]
-    blocks = []
-    for n, (bounds, coarse) in enumerate(zip(those.bounds.tolist(), those.coarse.tolist(), strict=True)):
-        own = [f[n] for f, present in zip(functions, (*vanish[:, n], True, True), strict=True) if present]
-        error = float(allowed[n])
-        blocks.append(
-            Block(bounds[0], bounds[1], coefficients[n], tuple(own), series[:, n], is_coarse=coarse, error=error)
+    coarse, bounds, blocks = those.coarse, those.bounds.tolist(), list[Block | None]([None] * len(fine))
+    for k, (n, *those_of) in enumerate(zip(wanted, *functions, strict=True)):
+        own = tuple(f for f, present in zip(those_of, (*vanish[:, n], True, True), strict=True) if present)
+        start, end = bounds[n]
+        blocks[n] = Block(
+            start, end, coefficients[k], own, series[:, n], is_coarse=bool(coarse[n]), error=float(allowed[n])
         )
-    quiet = np.array([all(f.excludes_zero for f in block.functions) for block in blocks], dtype=bool)
-    quiet &= _states(blocks, np.mean(those.bounds, axis=1)[:, None])[1][:, 0] == 0 if blocks else True
     return blocks, quiet, ~usable
 
 
