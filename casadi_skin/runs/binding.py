@@ -29,7 +29,7 @@ from casadi_skin.results.figures.bands import band_figure, skin_figure
 from casadi_skin.runs.output import Lines
 from casadi_skin.runs.output import named as in_words
 from casadi_skin.runs.parts import picture
-from casadi_skin.runs.request import Numbers, Request, check_state, state_of
+from casadi_skin.runs.request import Numbers, Request, state_of
 from casadi_skin.runs.rules import (
     KICKS,
     Rules,
@@ -158,8 +158,7 @@ def _values_of(model: OdeModel, given: Mapping[str, float]) -> dict[str, float]:
 def _guess(given: str | Numbers, path: Path, problem: BoundaryValueProblem, names: Mapping[str, Any]) -> Guess:
     place, states = "[solution] guess", problem.model.state_names
     if not isinstance(given, str):
-        check_state(place, given, states)
-        return state_of(given, states)
+        return state_of(given, states, place)
     functions = [name for name, value in names.items() if callable(value) and not isinstance(value, type)]
     check_known(place, given, [name for name in functions if not name.startswith("__")])
 
@@ -183,14 +182,14 @@ def _of_solutions(request: Request) -> Rules:
         model = request.equations
         forced = model.forced and f"with {model.name}, which is forced"
         yield "equilibrium", forced, "[orbit], or a model without time"
-        check_state("[equilibrium] start", equilibrium.start, model.state_names)
+        state_of(equilibrium.start, model.state_names, "[equilibrium] start")
     if orbit is None:
         return
     from casadi_skin.follow.find import check_orbit, rotations_of
 
     model = request.ode
     names = (*model.state_names, *model.outputs)
-    check_state("[orbit] start", orbit.start, model.state_names)
+    state_of(orbit.start, model.state_names, "[orbit] start")
     conserved = (*model.conserved, *(() if model.hamiltonian is None else (CONSERVED,)))
     for key, known in (("select", (*names, *conserved)), ("section", names)):
         for name in getattr(orbit, key) or ():
@@ -231,7 +230,7 @@ def _of_continuation(request: Request) -> Rules:
         yield "continuation curve", beyond and f"to = {to!r} for gamma", "numbers between -1 and 1"
     if family:
         return
-    check_state("[continuation] monitors", table.monitors or {}, request.equations.state_names)
+    state_of(table.monitors or {}, request.equations.state_names, "[continuation] monitors")
     start, to, back = values[table.parameter], table.to, table.back_to
     yield "continuation to", to == start and f"{to!r}, where the branch starts", "another number"
     beyond = limits and table.parameter == "gamma" and abs(to) > 1

@@ -18,7 +18,7 @@ from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.saving import BranchRecord, CycleRecord, data_of, value_of
-from casadi_skin.runs.request import Request, state_of
+from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import SELECTED, EquilibriumTable
 from casadi_skin.zero.problem import Array
 
@@ -43,11 +43,10 @@ def first_solution(request: Request, simulated: Cycle | None = None) -> Solution
 
 
 def _equilibrium(request: Request, table: EquilibriumTable) -> Solution:
-    model = request.equations
-    start = state_of(table.start, model.state_names)
     return find_equilibrium(
-        model, start, parameters=request.parameters, transient=table.transient, tolerance=request.tolerance
-    )
+        request.equations, table.start, parameters=request.parameters, transient=table.transient,
+        tolerance=request.tolerance,
+    )  # fmt: skip
 
 
 def _orbit(request: Request, guess: Cycle, options: dict[str, Any]) -> Orbit:
@@ -78,20 +77,19 @@ def cycle(request: Request) -> Cycle:
     """
     orbit, model, values = request.scene.orbit, request.ode, request.parameters
     assert orbit is not None
-    start_state = state_of(orbit.start, model.state_names)
     if model.forced:
         length = orbit.cycles * model.forcing_period_at(list(values.values()))
         if not (math.isfinite(length) and length > 0.0):
             raise ValueError(f"[model] parameters: give a period of the forcing of {length:g}; accepted: finite, > 0")
         before = length * math.ceil((orbit.transient or 0.0) / length * (1.0 - 1e-12))
         t = np.linspace(before, before + length, CYCLE_SAMPLES)
-        simulation = simulate(model, start_state, t if before == 0.0 else np.append(0.0, t), parameters=values)
+        simulation = simulate(model, orbit.start, t if before == 0.0 else np.append(0.0, t), parameters=values)
         return Cycle(simulation, before, length)
     if orbit.period is not None:
-        simulation = simulate(model, start_state, np.linspace(0.0, orbit.period, CYCLE_SAMPLES), parameters=values)
+        simulation = simulate(model, orbit.start, np.linspace(0.0, orbit.period, CYCLE_SAMPLES), parameters=values)
         return Cycle(simulation, 0.0, orbit.period)
     t = np.linspace(0.0, float(orbit.transient or 0.0), TRANSIENT_SAMPLES)
-    simulated = simulate(model, start_state, t, parameters=values)
+    simulated = simulate(model, orbit.start, t, parameters=values)
     if orbit.rotations and any(orbit.rotations.values()):
         return _last_turn(simulated, turns_of(orbit.rotations, model))
     try:

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec.structs import asdict
 
+from casadi_skin.model.arguments import state_by_name
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.runs.rules import check_known, refusal
+from casadi_skin.runs.rules import faults_at, refusal
 from casadi_skin.runs.scene import CONSERVED, Scene
 from casadi_skin.zero.family import FamilyRequest, Method, Targets
 from casadi_skin.zero.problem import Array
@@ -26,18 +27,12 @@ if TYPE_CHECKING:
 Numbers = Sequence[float] | Mapping[str, float]  # states in order, or by name
 
 
-def state_of(given: Numbers, names: Sequence[str]) -> Array:
-    """A state from a list, or from a table by the names of states; those left out are 0."""
-    return np.array([given.get(name, 0.0) for name in names] if isinstance(given, Mapping) else given, dtype=float)
-
-
-def check_state(place: str, given: Numbers, names: Sequence[str]) -> None:
-    """Raises SceneError where a state does not fit these names."""
-    if isinstance(given, Mapping):
-        for name in given:
-            check_known(place, name, names)
-    elif len(given) != len(names):
+def state_of(given: Numbers, names: Sequence[str], place: str = "start") -> Array:
+    """A state from a list, or from a table by the names of states; raises SceneError where it does not fit these."""
+    if not isinstance(given, Mapping) and len(given) != len(names):
         raise refusal(place, f"a list of {len(given)}", f"{len(names)} numbers: {', '.join(names)}")
+    with faults_at(""):
+        return np.array(state_by_name(place, given, names) if isinstance(given, Mapping) else given, dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
