@@ -48,7 +48,7 @@ from casadi_skin.follow.search import (
 from casadi_skin.follow.space import Followed, SolutionSpace
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import FULL_TURN, Exponents, turned
-from casadi_skin.zero.augmented import SingularRest
+from casadi_skin.zero.augmented import Augmented
 from casadi_skin.zero.kinds import (
     BRANCH_POINT,
     CUSP,
@@ -59,7 +59,6 @@ from casadi_skin.zero.kinds import (
     FOLD,
     HOPF,
     ORBIT_CURVES,
-    TAKENS,
     TORUS,
     CurveKind,
     Unresolved,
@@ -71,7 +70,6 @@ from casadi_skin.zero.stated_problem import PERIOD
 
 # What a curve of special points may meet ------------------------------------------------------------------------------
 
-RESONANCES = {1.0: "1:1 resonance", -1.0: "1:2 resonance", -0.5: "1:3 resonance", 0.0: "1:4 resonance"}  # by cosine
 VANISHING_TEST_RATIO = 1e-2  # of its values at both ends: a test where it has a root, and not a pole
 INTERPOLATION_ERROR = 1e-3  # of a step: an error of interpolation with which a point is named
 SHRINKING_AMPLITUDE_RATIO = 0.5  # of the amplitude at the other end of a step: an orbit that is shrinking
@@ -112,14 +110,13 @@ class CurveSearch(Search):
 
     @cached_property
     def tests(self) -> dict[str, Test]:
-        found = dict(self.critical_tests())
+        found: dict[str, Test] = {
+            name: lambda point, at=at: kappa(point) - at  # type: ignore[misc]
+            for at, name in self.kinds.meetings.items()
+        }
         with suppress(RuntimeError, NotImplementedError):  # the model has no third derivatives
             found |= self.branching_tests() if self.kind == BRANCH_POINT else self.coefficient_tests()
         return found
-
-    def critical_tests(self) -> Iterator[tuple[str, Test]]:
-        """Those of the place of what is critical."""
-        yield from ()
 
     @abstractmethod
     def coefficient_tests(self) -> dict[str, Test]:
@@ -284,10 +281,6 @@ class EquilibriumCurveSearch(CurveSearch):
         super().__init__(equations.point_solver, kind, EQUILIBRIUM_CURVES[kind], before, after)
         self.equations, self.statics = equations, equations.statics
 
-    def critical_tests(self) -> Iterator[tuple[str, Test]]:
-        if self.kind == HOPF:
-            yield TAKENS, _kappa
-
     def coefficient_tests(self) -> dict[str, Test]:
         if self.kind == HOPF and not self.statics.exact:  # noise of differences has roots of its own
             return {}
@@ -347,7 +340,7 @@ class EquilibriumCurveSearch(CurveSearch):
         """Places of the critical eigenvalues."""
         if self.kind != HOPF:
             return [int(np.argmin(np.abs(values)))]
-        omega = point.problem.singularity.rate * np.sqrt(complex(_kappa(point)))
+        omega = point.problem.singularity.rate * np.sqrt(complex(kappa(point)))
         first = int(np.argmin(np.abs(values - 1j * omega)))
         rest = np.abs(values + 1j * omega)
         rest[first] = np.inf
@@ -371,11 +364,11 @@ class EquilibriumCurveSearch(CurveSearch):
     def lyapunov(self, point: Point, widening: float = 1.0) -> float:
         """Twice the frequency times the first Lyapunov coefficient; infinite where a pair is real."""
         statics = self.statics if widening == 1.0 else replace(self.statics, widening=widening)
-        if _kappa(point) <= 0.0:
+        if kappa(point) <= 0.0:
             return np.inf
         A = statics.jacobian(*_place(point))
         try:
-            omega, q, adjoint = critical_pair(A, point.problem.singularity.rate * float(np.sqrt(_kappa(point))))
+            omega, q, adjoint = critical_pair(A, point.problem.singularity.rate * float(np.sqrt(kappa(point))))
             return float(np.sum(lyapunov_terms(statics, *_place(point), A, omega, q, adjoint)))
         except np.linalg.LinAlgError:  # at a pole, where another eigenvalue is zero to the last digit
             return np.inf
@@ -385,7 +378,7 @@ class EquilibriumCurveSearch(CurveSearch):
 
         None is sought where l1 at both ends is smaller than what twice the steps of differences change.
         """
-        if self.kind != HOPF or self.statics.exact or _kappa(self.ends[1]) <= 0.0:
+        if self.kind != HOPF or self.statics.exact or kappa(self.ends[1]) <= 0.0:
             return
         l1 = [self.lyapunov(end) for end in self.ends]
 
@@ -414,8 +407,9 @@ def _null_space(point: Point) -> NullSpace:
     return NullSpace.of_rates(matrix, np.ones(len(matrix)))
 
 
-def _kappa(point: Point) -> float:
-    return cast(SingularRest, point.problem).kappa(point.z)
+def kappa(point: Point) -> float:
+    """How far apart the critical pair of a Hopf point or a torus is (see `augmented`)."""
+    return float(point.z[cast(Augmented, point.problem).added_index])
 
 
 # Curves of orbits, and of solutions of boundary-value problems --------------------------------------------------------
@@ -432,11 +426,6 @@ class OrbitCurveSearch(CurveSearch):
         self.closes = space.periodic is not None or space.repeats
         ends = [(end, space.floquet(end).exponents) for end in self.ends] if self.closes else []
         self.sampler = ExponentSampler(space.multipliers_alone, self.metric, ends)
-
-    def critical_tests(self) -> Iterator[tuple[str, Test]]:
-        if self.kind == TORUS:
-            for cosine, name in RESONANCES.items():
-                yield name, lambda point, at=cosine: self.space.kappa(point) - at  # type: ignore[misc]
 
     def coefficient_tests(self) -> dict[str, Test]:
         if self.kind == FOLD and self.space.periodic is None:
@@ -473,7 +462,7 @@ class OrbitCurveSearch(CurveSearch):
         values, noise = exponents.values, exponents.noise
         critical = np.array([1j * np.pi if self.kind == DOUBLING else 0j])
         if self.kind == TORUS:
-            angle = np.arccos(complex(self.space.kappa(point)))
+            angle = np.arccos(complex(kappa(point)))
             critical = np.array([1j * angle, -1j * angle])
         for place in critical:
             k = int(np.argmin(np.abs(turned(values - place))))

@@ -12,7 +12,7 @@ import numpy as np
 from casadi_skin.follow import rest_space as of_equilibria
 from casadi_skin.follow.boundary_space import BoundarySpace, hopf_near
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.codimension_two import OrbitCurveSearch, special_on_curve
+from casadi_skin.follow.codimension_two import OrbitCurveSearch, kappa, special_on_curve
 from casadi_skin.follow.follow import BranchRun
 from casadi_skin.follow.normal_forms import critical_angle, critical_functions, terms_of
 from casadi_skin.follow.rest_space import find_equilibrium
@@ -68,10 +68,6 @@ class OrbitCurveSpace(BoundarySpace):
         assert self.singularity is not None
         return (self.singularity.first, *self.statement.free)
 
-    def kappa(self, point: Point) -> float:
-        """The cosine of the angle of a torus's multipliers; beyond 1 and -1 these are real with product 1."""
-        return float(point.z[cast(SingularProblem, point.problem).added_index])
-
     def linearised(self, point: Point) -> Linearised:
         """The equations of the orbit of a point around it."""
         return Linearised(cast(SingularProblem, point.problem), point.z, self.statement)
@@ -124,7 +120,7 @@ class OrbitCurveSpace(BoundarySpace):
     def coefficient(self, point: Point) -> float:
         """The coefficient of the normal form."""
         assert self.singularity is not None
-        angle = float(np.arccos(np.clip(self.kappa(point), -1.0, 1.0))) if self.kind == TORUS else 0.0
+        angle = float(np.arccos(np.clip(kappa(point), -1.0, 1.0))) if self.kind == TORUS else 0.0
         linear, turn = self.linearised(point), self.singularity.turn
         functions = critical_functions(self.kind, linear, angle, turn)
         return float(np.sum(terms_of(self.kind, linear, angle, *functions, turn)))

@@ -111,7 +111,11 @@ class Augmented(Problem):
 
     @property
     def added_index(self) -> int:
-        """Place of kappa, or of the push, among the unknowns."""
+        """Place of kappa, or of the push, among the unknowns.
+
+        Kappa is (omega/rate)^2 of a Hopf point, negative where the eigenvalues are real with sum zero; of a torus the
+        cosine of the angle of the multipliers, beyond 1 and -1 where these are real with product 1.
+        """
         return self.size - 2
 
     @abstractmethod
@@ -405,10 +409,6 @@ class SingularRest(Augmented, AlgebraicProblem):
 
     def jacobian(self, z: Array) -> Array:
         return self._matrix(super().evaluate(z)[1])
-
-    def kappa(self, z: Array) -> float:
-        """(omega/rate)^2 of a Hopf point; negative where the eigenvalues are real with sum zero."""
-        return float(z[self.added_index])
 
 
 def singular_rest(kind: str, inner: AlgebraicProblem, z: Array, near: complex | None) -> tuple[SingularRest, Array]:

@@ -33,11 +33,13 @@ class CurveKind:
         another: where another eigenvalue is zero or multiplier 1, where one is -1, where one more pair is critical.
         degenerate: where the coefficient of the normal form vanishes; empty where there is no such coefficient.
         ends: points at which the curve ends.
+        meetings: points at which the critical pair meets itself or others by the value of kappa (see `augmented`).
     """
 
     another: tuple[str, str, str]
     degenerate: str = ""
     ends: Mapping[str, End] = field(default_factory=dict)
+    meetings: Mapping[float, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ KINDS: Mapping[str, Kind] = {
     ),
     HOPF: Kind(
         ("s", "black"), ("Hopf points", DASHED), changes=(2,), shape=(2, 1), angle=None, sides=(1,),
-        of_equilibria=CurveKind((ZERO_HOPF, "", HOPF_HOPF), BAUTIN, {TAKENS: End.TAKENS}),
+        of_equilibria=CurveKind((ZERO_HOPF, "", HOPF_HOPF), BAUTIN, {TAKENS: End.TAKENS}, {0.0: TAKENS}),
     ),
     DOUBLING: Kind(
         ("^", "0.6"), ("period doublings", DASHED), angle=np.pi, sides=(1,),
@@ -85,6 +87,7 @@ KINDS: Mapping[str, Kind] = {
             ("fold-torus", "flip-torus", "torus-torus"), "chenciner",
             {"1:1 resonance": End.RESONANCE_ONE, "1:2 resonance": End.RESONANCE_TWO, HOPF_HOPF: End.HOPF_HOPF,
              ZERO_HOPF: End.ZERO_HOPF},
+            {1.0: "1:1 resonance", -1.0: "1:2 resonance", -0.5: "1:3 resonance", 0.0: "1:4 resonance"},
         ),
     ),
     BRANCH_POINT: Kind(
