@@ -120,12 +120,8 @@ def hopf_near(
 
     It is one of the equilibria in a parameter, whose branch goes from a start to an end. None where there is none.
     """
-
-    def variation(orbit: tuple[Point, Array]) -> float:
-        return float(np.max(np.ptp(orbit[1], axis=0) / space.sizes.states[: orbit[1].shape[1]]))
-
-    phases = np.linspace(0.0, TWO_PI, 257)[:-1]
-    orbit, states = min(((one, space.states_at(one, phases, None)) for one in (before, after)), key=variation)
+    orbit = min((before, after), key=space.amplitude)
+    states = np.asarray(space.states_at(orbit, np.linspace(0.0, TWO_PI, 257)[:-1], None))
     model, values, x = space.model, space.parameters(orbit), states.mean(axis=0)
     statics = Statics(model, {**{key: values[key] for key in model.parameter_names}, name: start})
     sizes = sizes_of([x, space.sizes.states[: x.size]])  # an equilibrium near zero has the size of the branch
@@ -412,10 +408,17 @@ class BoundarySpace(ParameterSpace):
         """Whether an orbit with a free period passes through amplitude zero: its variation changes sign."""
         if self.periodic is None or PERIOD not in self.statement.free:
             return False
-        varying = [point.problem.sample(point.z, np.linspace(0.0, 1.0, 65)[:-1]) for point in (before, after)]
-        sizes = np.where(self.sizes.states > 0.0, self.sizes.states, 1.0)
-        one, other = ((x - x.mean(axis=0)) / sizes for x in varying)
+        one, other = map(self._variation, (before, after))
         return bool(np.sum(one * other) < -0.5 * np.linalg.norm(one) * np.linalg.norm(other))
+
+    def amplitude(self, point: Point) -> float:
+        """How far an orbit goes from its mean, in the sizes of its states."""
+        return float(np.max(np.abs(self._variation(point))))
+
+    def _variation(self, point: Point) -> Array:
+        states = self.states_at(point, np.linspace(0.0, TWO_PI, 65)[:-1], None)
+        sizes = self.sizes.states[: states.shape[1]]
+        return np.asarray((states - states.mean(axis=0)) / np.where(sizes > 0.0, sizes, 1.0))
 
     @cached_property
     def closure(self) -> Closure | None:

@@ -32,7 +32,6 @@ from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.augmented import SingularProblem
 from casadi_skin.zero.kinds import EDGE, FOLD, HOPF, ORBIT_CURVES, TORUS, Unresolved
 from casadi_skin.zero.linearised import Linearised
-from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point
 from casadi_skin.zero.stated_problem import PERIOD, Closure
 
@@ -94,22 +93,6 @@ class OrbitCurveSpace(BoundarySpace):
             self.orbits, statement=statement, parameter=parameter, to=to, at=at, first=first, settings=settings,
             leaves=False,
         )  # fmt: skip
-
-    def shrinks(self, before: Point, after: Point) -> bool:
-        """Whether the orbit passes through amplitude zero: its variation changes sign."""
-        if PERIOD not in self.statement.free:
-            return False
-        one, other = (self._variation(point) for point in (before, after))
-        return bool(np.sum(one * other) < -0.5 * np.linalg.norm(one) * np.linalg.norm(other))
-
-    def amplitude(self, point: Point) -> float:
-        """How far the orbit goes from its mean, in the sizes of its states."""
-        return float(np.max(np.abs(self._variation(point))))
-
-    def _variation(self, point: Point) -> Array:
-        states = self.states_at(point, np.linspace(0.0, 2.0 * np.pi, 65)[:-1], None)
-        assert self.singularity is not None
-        return np.asarray((states - states.mean(axis=0)) / self.singularity.sizes)
 
     @of_last_points
     def floquet(self, point: Point) -> Floquet:
