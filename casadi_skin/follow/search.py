@@ -254,7 +254,7 @@ class Stretch:
                 at = abs(first.imag) if real else height
                 yield Crossing(int(k), float(at), real, 1 if last.real > first.real else -1)
 
-    def dip(self) -> float | None:
+    def suspected_double_root(self) -> float | None:
         """A place where a quantity of one sign at the samples seems to have the other one; None where there is none."""
         g, _ = self.quantities
         towards = _sign(g[0]) * self._halves[0].values
@@ -409,7 +409,7 @@ class Search(ABC):
 
     def suspected(self, stretch: Stretch) -> float | None:
         """The place at which a stretch is best divided; None where any will do."""
-        return stretch.dip()
+        return stretch.suspected_double_root()
 
     def given_up(self, stretch: Stretch) -> Sequence[Any]:
         """Events that are known of a part that can be divided no further; `gaps` gets its record."""
@@ -472,9 +472,9 @@ class Search(ABC):
         yield from self.between(before, divided, depth + 1)
         yield from self.between(divided, after, depth + 1)
 
-    def _dividing(self, before: Point, middle: Point, after: Point, dip: float | None) -> Point:
+    def _dividing(self, before: Point, middle: Point, after: Point, suspected: float | None) -> Point:
         """The point at which a stretch is divided."""
-        for place in (dip, SAMPLE_FRACTION, *TRIED_PLACES[1:]):
+        for place in (suspected, SAMPLE_FRACTION, *TRIED_PLACES[1:]):
             point = None if place is None else middle if place == SAMPLE_FRACTION else self.along(before, after, place)
             if point is not None and _apart(before, point, after) and self.is_clear(point):
                 return point
@@ -495,7 +495,7 @@ class NotLocatedError(ArithmeticError):
     """A special point that the branch passes cannot be located; the message gives the reason."""
 
 
-class Place(NamedTuple):
+class BranchLocation(NamedTuple):
     """A point on the way between two, at a fraction of it, and the value of a test there."""
 
     fraction: float
@@ -506,7 +506,7 @@ class Place(NamedTuple):
 def zero_between(
     solver: PointSolver, before: Point, after: Point, test: Callable[[Point], float], kind: str,
     xtol: float = TEST_ZERO_XTOL, along: Callable[..., Point | None] | None = None, nearest: bool = False,
-) -> tuple[Place, Place, float]:  # fmt: skip
+) -> tuple[BranchLocation, BranchLocation, float]:  # fmt: skip
     """The zero of a test that changes its sign between two points, the place beside it, and its size at both ends.
 
     Arguments:
@@ -522,7 +522,7 @@ def zero_between(
     """
     from scipy.optimize import brentq
 
-    known = {0.0: Place(0.0, before, test(before)), 1.0: Place(1.0, after, test(after))}
+    known = {0.0: BranchLocation(0.0, before, test(before)), 1.0: BranchLocation(1.0, after, test(after))}
     start, end = (place.value for place in known.values())
 
     def value(fraction: float) -> float:
@@ -531,7 +531,7 @@ def zero_between(
             if point is None:
                 why = solver.failure or "the equations are singular beside it"
                 raise NotLocatedError(f"a point of kind {kind} cannot be located: {why}")
-            known[fraction] = Place(fraction, point, test(point))
+            known[fraction] = BranchLocation(fraction, point, test(point))
         return known[fraction].value
 
     try:
