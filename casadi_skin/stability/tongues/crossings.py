@@ -35,6 +35,7 @@ ENTRIES_AT_A_TIME = 200_000  # of matrices that are taken apart at a time: what 
 SHORT_INTERVAL = 1e-3  # of the piece: an interval shorter than that whose linear algebra fails is given up
 BATCH_WORK = 2e7  # work on intervals that are looked at together, from small coordinates on
 FIRST_INTERVALS = 4  # of a series: on fewer few come apart
+LARGE_SERIES_ROWS = 16  # of matrices whose whole series is tried first: four intervals cost more than one in vain
 NOT_LOOKED_AT = "not looked at: the limit of work is reached"
 MANY_MEET_WORDS = "more than two multipliers meet in one place, as far as errors show"
 
@@ -49,8 +50,10 @@ class Interval:
     whole: float
 
     @property
-    def halves(self) -> tuple[Interval, Interval]:
-        """Both halves."""
+    def halves(self) -> Sequence[Interval]:
+        """Both halves; of the whole of a large series the equal intervals that others begin with."""
+        if self.series.size > LARGE_SERIES_ROWS and self.end - self.start == self.whole:
+            return _equal_parts(self.series, FIRST_INTERVALS)
         middle = 0.5 * (self.start + self.end)
         return replace(self, end=middle), replace(self, start=middle)
 
@@ -63,8 +66,8 @@ class Interval:
         """Whether it is given up rather than halved."""
         return self.end - self.start <= SHORTEST_INTERVAL * self.whole
 
-    def halves_of_block(self, k: Array, errors: Array, noise: Array) -> tuple[Interval, Interval]:
-        """Both halves, with the matrices of one of its blocks alone, (J, 3 or 1, m, m)."""
+    def halves_of_block(self, k: Array, errors: Array, noise: Array) -> Sequence[Interval]:
+        """The halves, with the matrices of one of its blocks alone, (J, 3 or 1, m, m)."""
         coefficients = chebyshev.combined(chebyshev.transform(len(k) - 1), k[None])[0]
         return replace(self, series=MatrixSeries(self.start, self.end, coefficients, errors, noise)).halves
 
@@ -100,7 +103,11 @@ def find_crossings(
 
 def first_intervals(series: MatrixSeries) -> list[Interval]:
     """The equal intervals to begin with."""
-    stops = np.linspace(series.start, series.end, FIRST_INTERVALS + 1).tolist()
+    return _equal_parts(series, 1 if series.size > LARGE_SERIES_ROWS else FIRST_INTERVALS)
+
+
+def _equal_parts(series: MatrixSeries, count: int) -> list[Interval]:
+    stops = np.linspace(series.start, series.end, count + 1).tolist()
     return [Interval(series, a, b, series.end - series.start) for a, b in pairwise(stops)]
 
 
