@@ -159,28 +159,18 @@ def _rest_near(model: OdeModel, x: Array, course: Course, walking: int, fastest:
         ca.densify(ca.jacobian(model.full_rhs, model.full_state)),
     )
     start, p = x, course.p
-    x, converged = _equilibrium(slope, x, p)
-    rest = _classified(slope, x, p, course.extent, fastest, saddle=True) if converged else None
+    found = _equilibrium(slope, x, p)
+    rest = None if found is None else _classified(slope, found, p, course.extent, fastest, saddle=True)
     if rest is None:
         solved = _saddle_node(slope, start, p, walking)
         rest = None if solved is None else _classified(slope, *solved, course.extent, fastest, saddle=False)
     return None if rest is None or np.any(np.abs(rest.x - start) > EQUILIBRIUM_DISTANCE * course.extent) else rest
 
 
-def _equilibrium(slope: ca.Function, x: Array, p: Array) -> tuple[Array, bool]:
-    """The equilibrium near a state by Newton's method, and whether that converges: beside a double one it does not."""
-    for _ in range(NEWTON_STEPS):
-        rate, jacobian = (np.array(value) for value in slope(0.0, x, p))
-        if not (np.all(np.isfinite(rate)) and np.all(np.isfinite(jacobian))):
-            return x, False
-        step = np.linalg.lstsq(jacobian, rate.ravel(), rcond=ZERO_EIGENVALUE_RATIO)[0]
-        x = x - step
-        if np.max(np.abs(step)) < CONVERGED_STEP * (np.max(np.abs(x)) + 1.0):
-            rate = np.array(slope(0.0, x, p)[0]).ravel()
-            return x, bool(
-                np.max(np.abs(rate)) <= CONVERGED_STEP * np.max(np.abs(jacobian)) * (np.max(np.abs(x)) + 1.0)
-            )
-    return x, False
+def _equilibrium(slope: ca.Function, x: Array, p: Array) -> Array | None:
+    """The equilibrium near a state; None beside a double one, where Newton's method does not converge."""
+    y = ca.MX.sym("y", x.size)
+    return _root(y, slope(0.0, y, p)[0], x)
 
 
 def _saddle_node(slope: ca.Function, x: Array, p: Array, walking: int) -> tuple[Array, Array] | None:
@@ -191,14 +181,22 @@ def _saddle_node(slope: ca.Function, x: Array, p: Array, walking: int) -> tuple[
     values = ca.vertcat(*(y[2 * n] if i == walking else value for i, value in enumerate(p)))
     rate, jacobian = slope(0.0, y[:n], values)
     equations = ca.vertcat(rate, jacobian @ y[n : 2 * n], ca.dot(ca.DM(near), y[n : 2 * n]) - 1.0)
+    found = _root(y, equations, np.concatenate([x, near, p[walking : walking + 1]]))
+    return None if found is None else (found[:n], np.where(np.arange(p.size) == walking, found[-1], p))
+
+
+def _root(y: ca.MX, equations: ca.MX, guess: Array) -> Array | None:
+    """The root near a guess, by steps that become small; None where Newton's method finds none."""
+    options = {
+        "max_iter": NEWTON_STEPS, "abstol": 0.0, "abstolStep": CONVERGED_STEP * (np.max(np.abs(guess)) + 1.0),
+        "print_time": False, "show_eval_warnings": False,
+    }  # fmt: skip
     try:
-        solver = ca.rootfinder(
-            "saddle_node", "newton", {"x": y, "g": equations}, {"max_iter": NEWTON_STEPS, "print_time": False}
-        )
-        found = np.array(solver(x0=np.concatenate([x, near, p[walking : walking + 1]]))["x"]).ravel()
+        found = ca.rootfinder("rest", "newton", {"x": y, "g": equations}, options)(x0=guess)["x"]
     except RuntimeError:  # as CasADi says that Newton's method failed
         return None
-    return found[:n], np.where(np.arange(p.size) == walking, found[-1], p)
+    ends = np.array(ca.Function("rest", [y], [equations])(found))  # where it has left the domain it ends without a word
+    return np.array(found).ravel() if np.all(np.isfinite(ends)) else None
 
 
 def _classified(slope: ca.Function, x: Array, p: Array, extent: Array, fastest: float, saddle: bool) -> Rest | None:
