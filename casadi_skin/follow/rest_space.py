@@ -288,7 +288,8 @@ class CurveSpace(EquilibriumSpace):
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         """Beyond a Bogdanov-Takens point there are neutral saddles in place of Hopf points."""
-        return EQUILIBRIUM_CURVES[self.kind].ends.get(point.special), ""
+        end = EQUILIBRIUM_CURVES[self.kind].ends.get(point.special)
+        return (end, "") if end is not None else super().stop(point)
 
 
 def curve_space(point: SpecialPoint, parameter: str, to: float, **options: Any) -> CurveSpace:

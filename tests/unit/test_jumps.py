@@ -189,6 +189,18 @@ def test_equilibrium_on_a_jump_is_refused_and_one_beside_is_not():
     assert branch.solutions[-1].parameters["p"] == pytest.approx(2.0, abs=0.1)
 
 
+def test_a_curve_of_folds_ends_where_the_equations_jump():
+    """x' = a + b x - x^3, and 1e-5 x^2 where b > 1: folds on both sides, which are nearly the same."""
+    x, a, b = (ca.SX.sym(name) for name in "xab")
+    rhs = a + b * x - x**3 + ca.if_else(b > 1, 1e-5 * x**2, 0.0)
+    model = OdeModel("jump", x, rhs, ca.vertcat(a, b), nominal=(-2.0, 0.5))
+    fold = find_equilibrium(model, [-1.5]).follow("a", 2.0).special_points[0]
+    curve = fold.curve("b", 2.0)
+    assert not curve.complete
+    assert "the equations jump there: the equation of x jumps, by 1 < b" in str(curve)
+    assert 0.9 < curve["b"][-1] < 1.0
+
+
 def test_families_across_jumps_are_refused():
     y, w = ca.SX.sym("y"), ca.SX.sym("w")
     signs = {"order": 2, "velocity": w, "reversal": (1, -1)}
