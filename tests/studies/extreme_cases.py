@@ -90,7 +90,7 @@ def _gamma_cases() -> Iterator[Case]:
                 name = f"{_gamma_words(-gamma)}, g = {g:g}"
                 yield _case(GAMMA, name, mirrored, checks.against_mirror, quick=gamma in (0.9, 1.0))
     for gamma in (1.0, -1.0):
-        setup, words = Setup(Chain(24, 1.0, gamma, 1.0), 12, 1.0), "only the family in which the edge site alone moves"
+        setup, words = Setup(Chain(24, 1.0, gamma, 1.0), 12, 1.0), "in which the edge site alone moves, can be followed"
         yield _refused(GAMMA, f"gamma = {gamma:g}, j = 12", f"{setup}, S = 1", setup.orbit, words)
     for beyond in (1.0 + 1e-15, -1.5, float("nan")):
         name, words = f"gamma = {beyond:.16g}", "finite" if beyond != beyond else "-1 <= gamma <= 1"

@@ -146,9 +146,11 @@ def test_soft_and_stiff_sites(alpha: float) -> None:
 
 
 def test_stiffnesses_without_a_family_are_refused_with_their_bound() -> None:
-    with pytest.raises(ValueError, match=r"^mode 1 does not oscillate: .*; accepted: alpha > -0\.0"):
+    with pytest.raises(
+        ValueError, match=r"^mode: given mode 1, which has omega\^2 = -0\.\d+ at alpha = -0\.2; .*: alpha > -0\.0"
+    ):
         follow_family(Chain(24, -0.2, 0.25, 1.0), 1, 0.5)
-    with pytest.raises(ValueError, match=r"^alpha: given 1000000000000\.0, .*; accepted: alpha up to 3\.87e\+10$"):
+    with pytest.raises(ValueError, match=r"^alpha: given 1000000000000\.0; accepted: for families up to 3\.87e\+10 \("):
         follow_family(Chain(24, 1e12, 0.25, 1.0), 1, 0.5)
 
 
