@@ -42,6 +42,7 @@ from casadi_skin.zero.settings import Point
 
 # A point of a branch with the quantities whose zeros are events: eigenvalues, or logarithms of multipliers ------------
 
+STILL_RATE = 1e-12  # rate of a parameter that does not change
 GROUP_DISTANCE = 1e6  # distance of values of different groups
 
 
@@ -61,6 +62,7 @@ class Sample:
         turn: period of the imaginary parts: 2 pi of logarithms of multipliers, infinite of eigenvalues.
         groups: a number for each value where only values of one group may be the same elsewhere; None where all may.
         blurred: whether rounding decides the sign of the rate of the parameter, as at a branch point itself.
+        still: sizes up to which the leading quantities, or the rate of the parameter, are zero.
     """
 
     point: Point
@@ -74,6 +76,7 @@ class Sample:
     turn: float = np.inf
     groups: Indices | None = None
     blurred: bool = False
+    still: Array | float = STILL_RATE
 
     @property
     def symmetric(self) -> bool:
@@ -106,7 +109,6 @@ _NEAR_ENDS = 0.5 ** np.arange(6.0, 24.0, 2.0)
 HALF_STRETCH_PLACES = np.concatenate(
     [[0.0], _NEAR_ENDS[::-1], np.linspace(0.0, 1.0, 17)[1:-1], 1.0 - _NEAR_ENDS, [1.0]]
 )  # of half a stretch
-STILL_RATE = 1e-12  # rate of a parameter that does not change
 REAL_EIGENVALUE_RTOL = 1e-6  # of an eigenvalue: an imaginary part that is none
 
 
@@ -205,7 +207,7 @@ class Stretch:
             leading = ((rate, curved),) if sample.leading is None else [(g, scale * d) for g, d in sample.leading]
             sums.append(np.concatenate([[g for g, _ in leading], values.real]))
             rates.append(np.concatenate([[d for _, d in leading], slopes.real]))
-            noisy.append(np.concatenate([[abs(g) <= STILL_RATE for g, _ in leading], no]))
+            noisy.append(np.concatenate([np.abs([g for g, _ in leading]) <= sample.still, no]))
         counts = ~(np.any(noisy, axis=0) if self.real else np.all(noisy, axis=0))
         counts[:many] = ~np.all(noisy, axis=0)[:many]
         return np.array(sums) * counts, np.array(rates) * counts
@@ -440,9 +442,12 @@ class Search(ABC):
             zero, beside, _ = zero_between(self.solver, before, after, test, kind, ROOT_XTOL, along, nearest=True)
         except NotLocatedError:
             return None
-        root, slope = zero.point, abs(beside.value - zero.value)
-        moved = abs(beside.point.parameter - root.parameter) / root.problem.parameter_size(root.z)
-        error = float((abs(zero.value) + noise) * moved / max(slope, 1e-300) + root.error.relative(1.0))
+        root = zero.point
+        others = ((beside.point, beside.value), *((end, test(end)) for end in (before, after)))
+        moved = np.array([abs(point.parameter - root.parameter) for point, _ in others])
+        rates = np.array([abs(value - zero.value) for _, value in others]) / np.maximum(moved, 1e-300)
+        off = min((abs(zero.value) + noise) / max(np.min(rates), 1e-300), abs(after.parameter - before.parameter))
+        error = float(off / root.problem.parameter_size(root.z) + root.error.relative(1.0))
         return replace(
             root, error=replace(root.error, parameter=error), special=kind, walked=False, requested=False
         )  # fmt: skip
@@ -469,11 +474,15 @@ class Search(ABC):
             yield from self.given_up(stretch)
             return
         divided = self._dividing(before, middle, after, self.suspected(stretch))
+        if divided is None:
+            found = self.found(stretch, depth, True)
+            yield from self.given_up(stretch) if found is None else found
+            return
         yield from self.between(before, divided, depth + 1)
         yield from self.between(divided, after, depth + 1)
 
-    def _dividing(self, before: Point, middle: Point, after: Point, suspected: float | None) -> Point:
-        """The point at which a stretch is divided."""
+    def _dividing(self, before: Point, middle: Point, after: Point, suspected: float | None) -> Point | None:
+        """The point at which a stretch is divided; None where it is not."""
         for place in (suspected, SAMPLE_FRACTION, *TRIED_PLACES[1:]):
             point = None if place is None else middle if place == SAMPLE_FRACTION else self.along(before, after, place)
             if point is not None and _apart(before, point, after) and self.is_clear(point):
@@ -642,15 +651,20 @@ class Monitor:
         return float(self.function(*space.reading(point)))
 
     @cached_property
-    def _slope(self) -> ca.Function:
+    def _slopes(self) -> ca.Function:
         t, x, p = self.function.mx_in()
-        return ca.Function("slope", [t, x, p], [ca.gradient(self.function(t, x, p), x)])
+        value = self.function(t, x, p)
+        return ca.Function("slopes", [t, x, p], [ca.gradient(value, x), ca.gradient(value, p)])
 
     def noise(self, space: Any, point: Point) -> float:
-        """The error of the value by that of the state."""
+        """The error of the value by that of the state, and by rounding of the largest state and parameter."""
         t, x, p = space.reading(point)
-        terms = np.abs(np.array(self._slope(t, x, p)).ravel() * x)
-        return float(np.sum(terms) * max(point.error.profile, EPSILON))
+        by_x, by_p = (np.abs(np.array(slopes)).ravel() for slopes in self._slopes(t, x, p))
+        rounding = np.sum(by_x) * np.max(np.abs(x)) + np.sum(by_p) * np.max(np.abs(p), initial=abs(space.to))
+        return float(by_x @ np.abs(x) * max(point.error.profile, EPSILON) + rounding * EPSILON)
+
+
+CERTAIN_SIGN_NOISE = 8.0  # of a quantity's noise: its size from which its sign is its own
 
 
 class MonitorSearch(Search):
@@ -674,20 +688,34 @@ class MonitorSearch(Search):
         own, none = self.own(point), np.empty(0, dtype=complex)
         here, there = (self.values(one) for one in (own, beside_on_tangent(own, TANGENT_DIFFERENCE_STEP)))
         leading = tuple(zip(here.tolist(), ((there - here) / TANGENT_DIFFERENCE_STEP).tolist(), strict=True))
-        row = self.metric(point) * point.tangent
-        return Sample(point, row, none, none, none.real, np.zeros_like(point.z), 1.0, leading)
+        row, still = self.metric(point) * point.tangent, STILL_RATE if self.noise is None else self.noise(own)
+        return Sample(point, row, none, none, none.real, np.zeros_like(point.z), 1.0, leading, still=still)
+
+    def is_clear(self, point: Point) -> bool:
+        own = self.own(point)
+        return self.noise is None or bool(np.all(np.abs(self.values(own)) > CERTAIN_SIGN_NOISE * self.noise(own)))
+
+    def _dividing(self, before: Point, middle: Point, after: Point, suspected: float | None) -> Point | None:
+        """None where rounding decides the sign of a quantity that changes it."""
+        point = super()._dividing(before, middle, after, suspected)
+        assert point is not None
+        first, last = (np.sign(self.values(self.own(end))) for end in (before, after))
+        return point if self.is_clear(point) or np.all(first == last) else None
 
     def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point] | None:
         if not (last or np.all(stretch.settled)):
             return None
         (first, *_, g), end, events = stretch.quantities[0], self.own(stretch.last.point), list[Point]()
+        length = abs(end.parameter - stretch.first.point.parameter) / end.problem.parameter_size(end.z)
         for k in np.flatnonzero((np.sign(first) != np.sign(g)) & (first != 0.0)).tolist():
-            at_end = replace(end, special=self.names[k], walked=False, requested=False)
             test, noise = partial(self._value, k), 0.0 if self.noise is None else float(self.noise(end)[k])
-            event = at_end if g[k] == 0.0 else self.root_of(stretch, test, noise, self.names[k])
+            event, least = self.root_of(stretch, test, noise, self.names[k]), 0.0 if stretch.settled[k] else length
+            if g[k] == 0.0:
+                event, least = end, max(least, min(noise / abs(first[k]), 1.0) * length)
             if event is None:
                 return None
-            events.append(event)
+            error = replace(event.error, parameter=max(event.error.parameter, least))  # of a zero that is not simple
+            events.append(replace(event, error=error, special=self.names[k], walked=False, requested=False))
         return sorted(events, key=self.sigma)
 
     def _value(self, k: int, point: Point) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from small_models import circles, wave
 
-from casadi_skin import Chain, find_equilibrium, follow_family, read_result
+from casadi_skin import Chain, OdeModel, find_equilibrium, follow_family, read_result
 
 X = ca.SX.sym("q")
 
@@ -46,6 +46,25 @@ def test_monitors_are_columns_and_words_and_are_read_back(tmp_path: Path) -> Non
     again = read_result(tmp_path / "branch")
     assert [point.kind for point in again.special_points] == ["half", "quarter", "half"]
     np.testing.assert_array_equal(again["quarter"], branch["quarter"])
+
+
+@pytest.mark.parametrize("unit", [1e-15, 1.0, 1e12])
+def test_zeros_do_not_depend_on_the_units_of_a_monitor(unit: float) -> None:
+    branch = wave(monitors={"level": lambda t, x, p: unit * (x[1] - 0.5)})
+    found = [point.parameters["p"] for point in branch.special_points]
+    np.testing.assert_allclose(found, [np.pi / 18, np.pi / 3 - np.pi / 18], rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    "cube", [lambda x, p: x**3, lambda x, p: x + p, lambda x, p: 1e-9 * x**3], ids=["cube", "cancelling", "small"]
+)
+def test_a_zero_of_order_three_is_found_within_its_error(cube: Any) -> None:
+    """Equilibria of x' = p + x - x^3 have x + p = x^3; 1e-16 of rounding there are 5e-6 of x."""
+    x, p = ca.SX.sym("x"), ca.SX.sym("p")
+    start = find_equilibrium(OdeModel("cusp", x, p + x - x**3, p, nominal=(-1.0,)), [-1.3])
+    branch = start.follow("p", 1.0, monitors={"cube": cube(x, p)})
+    (point,) = (point for point in branch.special_points if point.kind == "cube")
+    assert abs(point.parameters["p"]) <= point.error <= 1e-4
 
 
 def test_a_branch_on_which_a_monitor_is_zero_throughout_or_at_its_start_has_no_point_of_it() -> None:
