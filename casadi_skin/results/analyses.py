@@ -16,8 +16,8 @@ from casadi_skin.optimise.search_problem import Optimum
 from casadi_skin.results import words
 from casadi_skin.results.figures.bands import draw_bands
 from casadi_skin.results.figures.evolutions import sizes_of
-from casadi_skin.results.figures.map import draw_starts
 from casadi_skin.results.figures.multipliers import draw_moduli
+from casadi_skin.results.figures.search import draw_starts
 from casadi_skin.results.figures.style import AMPLITUDE_LABEL, draw_curves, number_sites, plain
 from casadi_skin.results.tables import EVENT_COLUMNS, edge_rows
 from casadi_skin.stability.growth import TransientGrowth

@@ -17,7 +17,7 @@ from casadi_skin.follow.rest_space import find_equilibrium
 from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.results.saving import BranchRecord, CycleRecord, data_of, value_of
+from casadi_skin.results.branch_records import BranchRecord, CycleRecord, data_of, value_of
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import SELECTED, EquilibriumTable
 from casadi_skin.zero.problem import Array

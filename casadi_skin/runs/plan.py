@@ -159,7 +159,7 @@ def _model_lines(request: Request) -> Lines:
     if request.scene.chain is not None:
         return [_chain_line(model.sites, model.alpha, model.gamma, model.g)]
     if request.scene.lattice is not None:
-        from casadi_skin.runs.binding import lattice_lines, long_lattice_lines
+        from casadi_skin.runs.lattices import lattice_lines, long_lattice_lines
 
         lattice = request.scene.lattice
         return long_lattice_lines(model) if lattice.long else lattice_lines(model, request.parameters)

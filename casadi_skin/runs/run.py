@@ -114,7 +114,7 @@ class Run(Branches):
                 reasons.append(f"{part}: {branch.reason}")
             reasons += [f"{part}: not resolved: {stretch}" for stretch in branch.known_unresolved]
         if scene.family is not None and scene.continuation is not None:
-            from casadi_skin.runs.branches import reasons as of_offshoots
+            from casadi_skin.runs.further import reasons as of_offshoots
 
             reasons += of_offshoots(self.offshoots)
         return [*reasons, *self.failures]
@@ -278,7 +278,7 @@ def _edge_rows(mode: int, listed: str, number: int, curve: EdgeCurve) -> Iterato
 def write_spectrum(request: Request, directory: Path) -> None:
     """spectrum.csv and the picture of the linear spectrum; of a lattice also where modes live, and its bands."""
     if request.scene.lattice is not None:
-        from casadi_skin.runs.binding import write_lattice_spectrum
+        from casadi_skin.runs.lattices import write_lattice_spectrum
 
         write_lattice_spectrum(request.scene, request.model, request.parameters, directory)
         return

@@ -337,7 +337,7 @@ class Search(Task):
     def run(self, run: Branches, directory: Path, scene_text: str) -> None:
         """Search, and write search.csv, starts.csv, search.nc and the picture."""
         from casadi_skin.optimise.search import SearchStatus
-        from casadi_skin.results.figures.map import search_figure
+        from casadi_skin.results.figures.search import search_figure
         from casadi_skin.results.tables import write_search
 
         scene = self.request.scene
@@ -355,7 +355,7 @@ class Search(Task):
         """The result; starts that the journal holds are not run again."""
         from casadi_skin.optimise.search import search
         from casadi_skin.optimise.search_problem import Ending
-        from casadi_skin.results.saving import OutcomeRecord, data_of, value_of
+        from casadi_skin.results.branch_records import OutcomeRecord, data_of, value_of
         from casadi_skin.results.store import Journal
 
         problem, asked = self.request.searched, self.asked

@@ -17,7 +17,7 @@ from apart import ended, killed
 from drawing import blank_pictures
 
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.results.saving import BranchRecord, CycleRecord, PointRecord, data_of, value_of
+from casadi_skin.results.branch_records import BranchRecord, CycleRecord, PointRecord, data_of, value_of
 from casadi_skin.results.store import FORMAT, MARK, RECORD_HEADER, Journal, framed, read_records
 from casadi_skin.runs import first_solution
 from casadi_skin.runs import run as writing

@@ -12,7 +12,7 @@ from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.follow import BranchRun, following_space
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.results.saving import BranchRecord, known_of, point_record, stability_record
+from casadi_skin.results.branch_records import BranchRecord, known_of, point_record, stability_record
 from casadi_skin.zero.settings import End
 
 

@@ -15,7 +15,7 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.follow import BranchRun
 from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.model.conserved import SymmetryClass
-from casadi_skin.results.saving import PointRecord, known_of, point_record
+from casadi_skin.results.branch_records import PointRecord, known_of, point_record
 from casadi_skin.zero.butcher import gauss_table, radau_table
 from casadi_skin.zero.collocation import CollocationProblem
 from casadi_skin.zero.family import family_request

@@ -19,7 +19,7 @@ from casadi_skin import Chain, OdeModel, find_orbit, search_orbit
 from casadi_skin.optimise.search import SearchResult, SearchStatus, pareto_front, stated_search
 from casadi_skin.optimise.search import search as run_search
 from casadi_skin.optimise.search_problem import Ending, Outcome
-from casadi_skin.results.saving import data_of, value_of
+from casadi_skin.results.branch_records import data_of, value_of
 from casadi_skin.results.tables import write_search
 
 Q, V, OMEGA, T = (ca.SX.sym(name) for name in ("q", "v", "omega", "t"))

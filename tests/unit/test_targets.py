@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from casadi_skin import Branch, Chain, Orbit, follow_family
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.follow import BranchRun
-from casadi_skin.results.saving import EndRecord, known_of, point_record
+from casadi_skin.results.branch_records import EndRecord, known_of, point_record
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.family import family_request
 from casadi_skin.zero.settings import End
