@@ -161,6 +161,11 @@ class Stretch:
     def last(self) -> Sample:
         return self.samples[-1]
 
+    def reach(self, point: Point) -> float:
+        """The largest distance of the parameter at samples from that at a point, also where it turns between them."""
+        away = max(abs(sample.point.parameter - point.parameter) for sample in self.samples)
+        return float(away / point.problem.parameter_size(point.z))
+
     @property
     def length(self) -> float:
         return float(self.sigma[-1])
@@ -446,8 +451,8 @@ class Search(ABC):
         others = ((beside.point, beside.value), *((end, test(end)) for end in (before, after)))
         moved = np.array([abs(point.parameter - root.parameter) for point, _ in others])
         rates = np.array([abs(value - zero.value) for _, value in others]) / np.maximum(moved, 1e-300)
-        off = min((abs(zero.value) + noise) / max(np.min(rates), 1e-300), abs(after.parameter - before.parameter))
-        error = float(off / root.problem.parameter_size(root.z) + root.error.relative(1.0))
+        off = (abs(zero.value) + noise) / max(np.min(rates), 1e-300) / root.problem.parameter_size(root.z)
+        error = float(min(off, stretch.reach(root)) + root.error.relative(1.0))
         return replace(
             root, error=replace(root.error, parameter=error), special=kind, walked=False, requested=False
         )  # fmt: skip
@@ -467,22 +472,21 @@ class Search(ABC):
         stretch = Stretch.of(tuple(self.sample(point) for point in points), self.real)
         last = depth >= self.deepest or self.parts > self.most_parts or stretch.length <= SHORTEST_PART
         found = self.found(stretch, depth, last or middle is None)
-        if found is not None:
-            yield from found
-            return
-        if last or middle is None:
-            yield from self.given_up(stretch)
-            return
-        divided = self._dividing(before, middle, after, self.suspected(stretch))
-        if divided is None:
+        if found is None and not last and middle is not None:
+            divided = self._dividing(before, middle, after, self.suspected(stretch))
+            if self.divides(before, divided, after):
+                yield from self.between(before, divided, depth + 1)
+                yield from self.between(divided, after, depth + 1)
+                return
             found = self.found(stretch, depth, True)
-            yield from self.given_up(stretch) if found is None else found
-            return
-        yield from self.between(before, divided, depth + 1)
-        yield from self.between(divided, after, depth + 1)
+        yield from self.given_up(stretch) if found is None else found
 
-    def _dividing(self, before: Point, middle: Point, after: Point, suspected: float | None) -> Point | None:
-        """The point at which a stretch is divided; None where it is not."""
+    def divides(self, before: Point, point: Point, after: Point) -> bool:
+        """Whether a stretch may be divided at a point at which it is best divided."""
+        return True
+
+    def _dividing(self, before: Point, middle: Point, after: Point, suspected: float | None) -> Point:
+        """The point at which a stretch is best divided."""
         for place in (suspected, SAMPLE_FRACTION, *TRIED_PLACES[1:]):
             point = None if place is None else middle if place == SAMPLE_FRACTION else self.along(before, after, place)
             if point is not None and _apart(before, point, after) and self.is_clear(point):
@@ -688,33 +692,37 @@ class MonitorSearch(Search):
         own, none = self.own(point), np.empty(0, dtype=complex)
         here, there = (self.values(one) for one in (own, beside_on_tangent(own, TANGENT_DIFFERENCE_STEP)))
         leading = tuple(zip(here.tolist(), ((there - here) / TANGENT_DIFFERENCE_STEP).tolist(), strict=True))
-        row, still = self.metric(point) * point.tangent, STILL_RATE if self.noise is None else self.noise(own)
+        row, still = (
+            self.metric(point) * point.tangent,
+            STILL_RATE if self.noise is None else CERTAIN_SIGN_NOISE * self.noise(own),
+        )
         return Sample(point, row, none, none, none.real, np.zeros_like(point.z), 1.0, leading, still=still)
 
     def is_clear(self, point: Point) -> bool:
         own = self.own(point)
         return self.noise is None or bool(np.all(np.abs(self.values(own)) > CERTAIN_SIGN_NOISE * self.noise(own)))
 
-    def _dividing(self, before: Point, middle: Point, after: Point, suspected: float | None) -> Point | None:
-        """None where rounding decides the sign of a quantity that changes it."""
-        point = super()._dividing(before, middle, after, suspected)
-        assert point is not None
-        first, last = (np.sign(self.values(self.own(end))) for end in (before, after))
-        return point if self.is_clear(point) or np.all(first == last) else None
+    def divides(self, before: Point, point: Point, after: Point) -> bool:
+        """Not where rounding decides the sign of a quantity that changes it, but for one that is rounding alone."""
+        if self.noise is None:
+            return True
+        first, last, own = (self.own(one) for one in (before, after, point))
+        certain = [np.abs(self.values(one)) > CERTAIN_SIGN_NOISE * self.noise(one) for one in (first, last, own)]
+        changes = np.sign(self.values(first)) != np.sign(self.values(last))
+        return bool(np.all(certain[2] | ~(changes & (certain[0] | certain[1]))))
 
     def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point] | None:
         if not (last or np.all(stretch.settled)):
             return None
         (first, *_, g), end, events = stretch.quantities[0], self.own(stretch.last.point), list[Point]()
-        length = abs(end.parameter - stretch.first.point.parameter) / end.problem.parameter_size(end.z)
         for k in np.flatnonzero((np.sign(first) != np.sign(g)) & (first != 0.0)).tolist():
             test, noise = partial(self._value, k), 0.0 if self.noise is None else float(self.noise(end)[k])
-            event, least = self.root_of(stretch, test, noise, self.names[k]), 0.0 if stretch.settled[k] else length
-            if g[k] == 0.0:
-                event, least = end, max(least, min(noise / abs(first[k]), 1.0) * length)
+            event = end if g[k] == 0.0 else self.root_of(stretch, test, noise, self.names[k])
             if event is None:
                 return None
-            error = replace(event.error, parameter=max(event.error.parameter, least))  # of a zero that is not simple
+            simple = min(noise / abs(first[k]), 1.0) if event is end else 0.0  # of the stretch, as where it is settled
+            least = stretch.reach(event) * (simple if stretch.settled[k] else 1.0)
+            error = replace(event.error, parameter=max(event.error.parameter, least))
             events.append(replace(event, error=error, special=self.names[k], walked=False, requested=False))
         return sorted(events, key=self.sigma)
 

@@ -48,6 +48,13 @@ def test_monitors_are_columns_and_words_and_are_read_back(tmp_path: Path) -> Non
     np.testing.assert_array_equal(again["quarter"], branch["quarter"])
 
 
+def test_a_monitor_that_is_rounding_alone_takes_nothing_from_another_one() -> None:
+    both = {"rounding": lambda t, x, p: x[0] + 1.0 - (p + 1.0), "level": lambda t, x, p: x[1] - 0.9999}
+    branch = wave(monitors=both, max_step=5.0)
+    assert [point.kind for point in branch.special_points] == ["level", "level"]
+    assert max(point.error for point in branch.special_points) < 1e-10
+
+
 @pytest.mark.parametrize("unit", [1e-15, 1.0, 1e12])
 def test_zeros_do_not_depend_on_the_units_of_a_monitor(unit: float) -> None:
     branch = wave(monitors={"level": lambda t, x, p: unit * (x[1] - 0.5)})
