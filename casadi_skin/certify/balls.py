@@ -12,6 +12,7 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_skin.zero.problem import Array
 
@@ -73,9 +74,9 @@ def rounded_up(value: Array, operations: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Enclosed:
-    """Real numbers within `radius` of the doubles `middle`, arrays of one shape."""
+    """Numbers within `radius` of the doubles `middle`, arrays of one shape."""
 
-    middle: Array
+    middle: NDArray[Any]
     radius: Array
 
     @classmethod
@@ -89,7 +90,7 @@ class Enclosed:
     @property
     def largest(self) -> Array:
         """Upper bounds of the moduli."""
-        return np.nextafter(np.abs(self.middle) + self.radius, np.inf)
+        return np.asarray(np.nextafter(np.abs(self.middle) + self.radius, np.inf))
 
 
 def exact(value: float, decimals: bool) -> Fraction:

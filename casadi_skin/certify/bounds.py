@@ -7,63 +7,47 @@ are lambda (as a residual: the amplitude), then the first H harmonics, 1, 3, ...
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from itertools import permutations
+from math import prod
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_skin.certify.balls import SUM_ROUNDING_FACTOR, Enclosed, above, arb, largest, rounded_up, size
 from casadi_skin.certify.certificate import Constants
-from casadi_skin.certify.system import CosineSeries, CosineSystem
+from casadi_skin.certify.system import CosineSeries, CosineSystem, Factors
 from casadi_skin.zero.problem import Array, Indices
 
 # The bound W of the theorem: how much A DF changes within a ball, from norms of A and the majorants of the forces -----
 
 
-@dataclass(frozen=True, eq=False)
-class OperatorSize:
-    """Upper bounds of the image of residuals under the operator A.
+def lipschitz(
+    system: CosineSystem, nu: arb, curved: arb, norms: Array, weights: Array, beyond: arb, inverse_square: arb,
+    in_tail: arb | int = 0, squares_in_tail: arb | int = 0,
+) -> float:  # fmt: skip
+    """Lipschitz constant of A DF, from upper bounds but for the weights.
 
-    Attributes:
+    Arguments:
+        system, nu: the equations and the weight of the norm.
+        curved: of the forces' second derivatives.
         norms: of the weighted norms of the columns of A_f, shape (1 + positions * harmonics,).
         weights: lower bounds of the weights of these columns.
         beyond: of 1 + the norm that a unit of the tail's rows passes to the finite part through the amplitude's row.
         inverse_square: of the factor of the tail's rows times k^2, which is near 1/lambda.
+        in_tail, squares_in_tail: of A and of A k^2 in a tail of sites.
     """
-
-    norms: Array
-    weights: Array
-    beyond: arb
-    inverse_square: arb
-
-    def lipschitz(
-        self, system: CosineSystem, nu: arb, curved: arb, in_tail: arb | None = None, squares_in_tail: arb | None = None
-    ) -> float:
-        """Lipschitz constant of A DF where the forces' second derivatives are at most `curved`.
-
-        In a tail of sites A is at most `in_tail`, and A k^2 `squares_in_tail`.
-        """
-        n = system.positions
-        harmonics = (self.norms.size - 1) // n
-        numbers = np.array([float(system.harmonic(i)) for i in range(harmonics)])
-        columns = self.norms / self.weights * (1.0 + SUM_ROUNDING_FACTOR)
-        rows = self.inverse_square * self.beyond
-        whole = arb(float(np.max(columns[1:]))).max(rows / system.harmonic(harmonics) ** 2)
-        squares = np.concatenate([[0.0], np.tile(numbers**2, n)])
-        through_square = arb(float(np.max(columns * squares) * (1.0 + SUM_ROUNDING_FACTOR))).max(rows)
-        if in_tail is not None and squares_in_tail is not None:
-            whole, through_square = whole.max(in_tail), through_square.max(squares_in_tail)
-        through_amplitude = arb(float(self.norms[0])) * _amplitude_curvature(system) / nu ** (2 * system.harmonic(0))
-        return above(through_square + through_amplitude + whole * curved)
-
-
-def _amplitude_curvature(system: CosineSystem) -> arb:
-    """Largest modulus of a second derivative of the amplitude."""
-    second = dict[tuple[int, int], arb]()
-    for (i, j), coefficient in system.scaled(None):
-        for pair in ((i, j), (j, i)):
-            second[pair] = second.get(pair, arb(0)) + coefficient
-    return largest(abs(value) for value in second.values())
+    n, harmonic = system.positions, system.harmonic
+    H = (norms.size - 1) // n
+    numbers = np.array([float(harmonic(i)) for i in range(H)])
+    columns, rows = norms / weights * (1.0 + SUM_ROUNDING_FACTOR), inverse_square * beyond
+    whole = arb(float(np.max(columns[1:]))).max(rows / harmonic(H) ** 2).max(in_tail)
+    squares = columns * np.concatenate([[0.0], np.tile(numbers**2, n)])
+    through_square = arb(float(np.max(squares) * (1.0 + SUM_ROUNDING_FACTOR))).max(rows).max(squares_in_tail)
+    bend = _largest_second_derivative(system.scaled(None)) / nu ** (2 * harmonic(0))
+    return above(through_square + arb(float(norms[0])) * bend + whole * curved)
 
 
 def series_norms(series: CosineSeries, nu: arb) -> list[arb]:
@@ -74,19 +58,18 @@ def series_norms(series: CosineSeries, nu: arb) -> list[arb]:
 
 def curvature(system: CosineSystem, norms: Sequence[arb], reach: float) -> arb:
     """Largest sum over m of the second derivatives of the majorants of the forces, at norms + reach."""
-    sizes = [norm + arb(reach) for norm in norms]
-    second = dict[tuple[int, int], arb]()
-    for row in range(system.positions):
-        for factors, coefficient in system.scaled(row):
-            for a in range(len(factors)):
-                for b in range(len(factors)):
-                    if a == b:
-                        continue
-                    value = abs(coefficient)
-                    for place, n in enumerate(factors):
-                        value = value * sizes[n] if place not in (a, b) else value
-                    pair = factors[a], factors[b]
-                    second[pair] = second.get(pair, arb(0)) + value
+    forces = [term for row in range(system.positions) for term in system.scaled(row)]
+    return _largest_second_derivative(forces, [norm + arb(reach) for norm in norms])
+
+
+def _largest_second_derivative(terms: Sequence[tuple[Factors, arb]], sizes: Sequence[arb] = ()) -> arb:
+    """Largest second derivative of the sum of the moduli of terms at `sizes`, which a quadratic form needs none of."""
+    second = dict[Factors, arb]()
+    for factors, coefficient in terms:
+        for a, b in permutations(range(len(factors)), 2):
+            others = (sizes[n] for place, n in enumerate(factors) if place not in (a, b))
+            pair = factors[a], factors[b]
+            second[pair] = second.get(pair, arb(0)) + prod(others, start=abs(coefficient))
     return largest(second.values())
 
 
@@ -95,7 +78,7 @@ def curvature(system: CosineSystem, norms: Sequence[arb], reach: float) -> arb:
 
 @dataclass(frozen=True, eq=False)
 class TailSize:
-    """Upper bounds.
+    """Upper bounds, 0 without a tail.
 
     Attributes:
         factor: of |A| on residuals of the tail's sites in the finite part's harmonics.
@@ -121,8 +104,8 @@ class TailSize:
     def of(cls, series: CosineSeries, nu: arb, norms: Array, weights: Array) -> TailSize:
         """From the centre, the norms of A_f's columns and the weights of harmonics, rounded down."""
         tail, square, a = series.system.tail, series.square, series.tail_series
-        assert tail is not None
-        assert a is not None
+        if tail is None or a is None:
+            return cls(*[arb(0)] * len(fields(cls)))
         factor, square_factor = arb(0), arb(0)
         for i in range(len(a)):
             k, column = 2 * i + 1, arb(float(norms[1 + tail.site * len(a) + i])) / arb(float(weights[i]))
@@ -153,11 +136,36 @@ LARGEST_WEIGHT = 2.0**100  # or parts below the smallest double might count
 LARGEST_RADIUS = 0.03  # relative to the largest norm of a series: how far the second derivative is bounded
 
 
-class FiniteInverse:
-    """The matrix A_f, of doubles, with the parts of its bounds that are computed once; and the numbers c_n of the tail.
+class Operator:
+    """A matrix of doubles, real or complex, and bounds of the weighted norms of columns.
 
-    `doubt` are upper bounds of the weighted norms of the errors of the matrix's columns, 0 by default.
+    `rows_above` are upper bounds of the weights of its rows, `doubt` of the weighted norms of its columns' errors.
     """
+
+    def __init__(self, matrix: NDArray[Any], rows_above: Array, doubt: Array | None = None) -> None:
+        self.matrix, self.rows_above = matrix, rows_above
+        self.doubt = np.zeros(len(matrix)) if doubt is None else doubt
+
+    @cached_property
+    def norms(self) -> Array:
+        """Upper bounds of the weighted norms of its columns."""
+        norms = rounded_up(self.rows_above @ np.abs(self.matrix) + self.doubt, len(self.matrix))
+        return np.where(norms < LARGEST_WEIGHT, norms, np.inf)
+
+    def image(self, rows: Indices | slice, block: Enclosed, identity: Array | None = None) -> Array:
+        """Upper bounds of the weighted norms of the columns of (identity -) it times a block given by its rows."""
+        product = self.matrix[:, rows] @ block.middle
+        if identity is not None:
+            product = identity - product
+        count = 2 * len(block.middle) + 4  # of sums of complex products
+        lost = self.norms[rows] @ (count * SUM_ROUNDING_FACTOR * np.abs(block.middle) + block.radius)
+        lost += self.doubt[rows] @ np.abs(block.middle)
+        exact = self.rows_above @ (np.abs(product) * (1.0 + SUM_ROUNDING_FACTOR))
+        return rounded_up(exact + rounded_up(lost, count), len(self.matrix))
+
+
+class FiniteInverse(Operator):
+    """The matrix A_f with the parts of its bounds that are computed once; and the numbers c_n of the tail."""
 
     def __init__(self, series: CosineSeries, nu: arb, matrix: Array | None = None, doubt: Array | None = None) -> None:
         H, n, harmonic = series.harmonics, series.system.positions, series.system.harmonic
@@ -176,8 +184,7 @@ class FiniteInverse:
         self.blocks = [
             {m: Enclosed.of(g) for m, g in series.derivatives(row).items()} for row in range(n)
         ]  # blocks[row][column]
-        self.matrix: Array = np.asarray(np.linalg.inv(self._jacobian()), dtype=float) if matrix is None else matrix
-        self.doubt = np.zeros(self.inner) if doubt is None else doubt
+        super().__init__(np.linalg.inv(self._jacobian()) if matrix is None else matrix, self.rows_above, doubt)
         # the numbers c_n of the amplitude's row in A, exact
         self.exact_slope = [arb(c) for c in self.slope.middle.tolist()]
 
@@ -267,23 +274,6 @@ class FiniteInverse:
 
     # Norms ------------------------------------------------------------------------------------------------------------
 
-    @cached_property
-    def norms(self) -> Array:
-        """Upper bounds of the weighted norms of the columns of A_f."""
-        norms = rounded_up(self.rows_above @ np.abs(self.matrix) + self.doubt, self.inner)
-        return np.where(norms < LARGEST_WEIGHT, norms, np.inf)
-
-    def _image(self, rows: Indices, block: Enclosed, identity: Array | None = None) -> Array:
-        """Upper bounds of the weighted norms of the columns of (identity -) A_f times a block given by its rows."""
-        product = self.matrix[:, rows] @ block.middle
-        if identity is not None:
-            product = identity - product
-        count = rows.size + 2
-        lost = self.norms[rows] @ (count * SUM_ROUNDING_FACTOR * np.abs(block.middle) + block.radius)
-        lost += self.doubt[rows] @ np.abs(block.middle)
-        exact = self.rows_above @ (np.abs(product) * (1.0 + SUM_ROUNDING_FACTOR))
-        return rounded_up(exact + rounded_up(lost, count), self.inner)
-
     def derivative_norm(self, n: int) -> arb:
         """Upper bound of the sum over m of the norms of d force_m/d q_n, which are cosine series."""
         total, step = arb(0), self.series.system.step
@@ -295,9 +285,9 @@ class FiniteInverse:
         return total + tail.coupling if tail is not None and n == tail.site else total
 
     @cached_property
-    def tailed(self) -> TailSize | None:
-        """Bounds of A and of the equations in a tail; None without one."""
-        return TailSize.of(self.series, self.nu, self.norms, self.weights_below) if self.series.tail_series else None
+    def tailed(self) -> TailSize:
+        """Bounds of A and of the equations in a tail."""
+        return TailSize.of(self.series, self.nu, self.norms, self.weights_below)
 
     @cached_property
     def beyond(self) -> arb:
@@ -329,9 +319,8 @@ class FiniteInverse:
         """Upper bound of |A F|."""
         finite, tail = self.residual(self.series)
         values = Enclosed.of(finite)
-        image = self._image(np.arange(self.inner), Enclosed(values.middle[:, None], values.radius[:, None]))
-        if self.tailed is not None:
-            tail += self.tailed.residual * self.tailed.factor.max(self.tail_factor * self.beyond)
+        image = self.image(np.arange(self.inner), Enclosed(values.middle[:, None], values.radius[:, None]))
+        tail += self.tailed.residual * self.tailed.factor.max(self.tail_factor * self.beyond)
         return float(np.nextafter(image[0] + size(tail), np.inf))
 
     def finite_columns(self) -> float:
@@ -342,12 +331,12 @@ class FiniteInverse:
         unit[0] = 1.0
         frequency = self._frequency_column()
         column = Enclosed(frequency.middle[:, None], frequency.radius[:, None])
-        norm = float(self._image(np.arange(self.inner), column, unit)[0])
+        norm = float(self.image(np.arange(self.inner), column, unit)[0])
         for n in range(series.system.positions):
             identity = np.zeros((self.inner, columns))
             identity[1 + n * H + np.arange(H), np.arange(H)] = 1.0
             rows, block = self._column(n, columns)
-            image = self._image(rows, block, identity) / self.weights_below[:columns]
+            image = self.image(rows, block, identity) / self.weights_below[:columns]
             own = float(np.max(image)) * (1.0 + SUM_ROUNDING_FACTOR)
             norm = max(norm, own) if np.all(np.isfinite(image)) else np.inf
         return norm
@@ -356,20 +345,18 @@ class FiniteInverse:
         """Upper bound of |I - A DF|: the finite rows, the tail's rows, and what these pass through the amplitude."""
         tail = largest(self.derivative_norm(n) for n in range(self.series.system.positions))
         slope = arb(float(self.norms[0])) * arb(float(np.max(self.slope.radius))) / self.nu**self.tail
-        if self.tailed is not None:
-            tail = tail.max(self.tailed.derivative)
-            slope += self.tailed.cubic_derivative * self.tailed.factor + arb(float(self.norms[0])) * self.tailed.slope
+        tail = tail.max(self.tailed.derivative)
+        slope += self.tailed.cubic_derivative * self.tailed.factor + arb(float(self.norms[0])) * self.tailed.slope
         return above(arb(self.finite_columns()) + tail * self.tail_factor * self.beyond + slope)
 
     def W(self, reach: float) -> float:
         """Lipschitz constant of A DF within `reach` of the coefficients."""
-        system = self.series.system
-        operator = OperatorSize(self.norms, self.columns_below, self.beyond, 1 / self.series.square)
-        curved = curvature(system, series_norms(self.series, self.nu), reach)
-        if self.tailed is None:
-            return operator.lipschitz(system, self.nu, curved)
-        curved = curved.max(self.tailed.curvature(reach))
-        return operator.lipschitz(system, self.nu, curved, self.tailed.factor, self.tailed.square_factor)
+        curved = curvature(self.series.system, series_norms(self.series, self.nu), reach)
+        sizes = self.norms, self.columns_below, self.beyond, 1 / self.series.square
+        return lipschitz(
+            self.series.system, self.nu, curved.max(self.tailed.curvature(reach)), *sizes, self.tailed.factor,
+            self.tailed.square_factor,
+        )  # fmt: skip
 
     def constants(self) -> Constants:
         """The three bounds."""

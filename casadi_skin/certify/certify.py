@@ -11,12 +11,11 @@ from scipy.fft import dct
 
 from casadi_skin.certify import balls
 from casadi_skin.certify.balls import arb
-from casadi_skin.certify.bounds import FiniteInverse, proved_radius, uniqueness_radius
+from casadi_skin.certify.bounds import FiniteInverse, proved_radius, series_norms, uniqueness_radius
 from casadi_skin.certify.certificate import NO_ABSENCE, Certificate, Constants, Interval
 from casadi_skin.certify.system import (
     CosineSeries,
     CosineSystem,
-    Terms,
     energy_terms,
     evaluate,
     system_of,
@@ -123,27 +122,18 @@ def refined(inverse: FiniteInverse) -> CosineSeries:
     """Coefficients after steps of Newton's method with a fixed inverse, as numbers of more digits than doubles have."""
     series, last = inverse.series, np.inf
     for _ in range(REFINEMENT_STEPS):
-        residual = np.array([float(value) for value in inverse.residual(series)[0]])
-        step = inverse.matrix @ residual
+        step = inverse.matrix @ np.array([float(value) for value in inverse.residual(series)[0]])
         largest = float(np.max(np.abs(step)))
         if not largest < 0.5 * last:
             break
         last = largest
-        changes = step[1:].reshape(series.system.positions, -1).tolist()
-        coefficients = [
-            [(a - arb(change)).mid() for a, change in zip(row, changed, strict=True)]
-            for row, changed in zip(series.coefficients, changes, strict=True)
-        ]
-        series = CosineSeries(series.system, (series.square - arb(float(step[0]))).mid(), coefficients)
+        changed = [(z - change).mid() for z, change in zip(series.unknowns, step.tolist(), strict=True)]
+        series = CosineSeries.of(series.system, changed)
     return series
 
 
 def norm(series: CosineSeries, nu: arb) -> arb:
-    harmonic, total = series.system.harmonic, abs(series.square)
-    for row in series.coefficients:
-        for i, a in enumerate(row):
-            total += abs(a) * nu ** harmonic(i)
-    return total
+    return sum(series_norms(series, nu), abs(series.square))
 
 
 def distance(one: CosineSeries, other: CosineSeries, nu: arb) -> float:
@@ -160,7 +150,6 @@ HARMONICS_MARGIN = 4  # harmonics beyond those that carry the orbit at its toler
 HARMONICS_GROWTH = 1.4  # of the number of harmonics after a trial
 MOST_TRIALS = 8
 FINE_RADIUS = 1e-17  # radius relative to the norm that is below the resolution of doubles
-NO_BOUNDS = (float("nan"), float("nan"))
 ACCEPTED_ORBITS = "an orbit of a family whose model is of second order and reversible, as sums of cosines"
 
 
@@ -204,7 +193,7 @@ def best_attempt(
         raise ValueError(f"certify: given an orbit of {orbit.model.name}; accepted: {ACCEPTED_ORBITS}")
     decimals = orbit.space.request.decimals if decimals is None else decimals
     family = provable(orbit.space, decimals)
-    system = _system(family, orbit.S, decimals)
+    system = equations_of(family, orbit.S, decimals)
     if harmonics is not None:
         return family, attempt_of(orbit, system, harmonics, weight)
     best, H = None, carrying(orbit, system) + HARMONICS_MARGIN
@@ -230,21 +219,19 @@ def provable(family: Family, decimals: bool | None = None) -> Family:
     decimals = family.request.decimals if decimals is None else decimals
     if family.symmetry is SymmetryClass.FULL:
         raise ValueError(f"certify: given a family of {coordinates.model.name}; accepted: {ACCEPTED_ORBITS}")
-    if isinstance(coordinates, LongChain) and coordinates.chain.sites > MOST_SITES:
-        with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
-            tailed_system(coordinates, family.request.amplitude_max, decimals)
-        return family
-    if not coordinates.is_whole:
-        coordinates.check_whole("a certificate")
-    whole = family.whole
-    if whole.coordinates.mode.size != whole.coordinates.model.size:
-        raise ValueError("certify: given |gamma| = 1, where positions at rest have no scale; accepted: |gamma| < 1")
+    if not (isinstance(coordinates, LongChain) and coordinates.chain.sites > MOST_SITES):
+        if not coordinates.is_whole:
+            coordinates.check_whole("a certificate")
+        family = family.whole
+        if family.coordinates.mode.size != family.coordinates.model.size:
+            raise ValueError("certify: given |gamma| = 1, where positions at rest have no scale; accepted: |gamma| < 1")
     with flint.ctx.workprec(balls.BALL_PRECISION_BITS):
-        system_of(whole.coordinates, family.request.amplitude_max, step_of(whole), decimals)
-    return whole
+        equations_of(family, family.request.amplitude_max, decimals)
+    return family
 
 
-def _system(family: Family, S: float, decimals: bool) -> CosineSystem:
+def equations_of(family: Family, S: float, decimals: bool) -> CosineSystem:
+    """Those of the orbits of a family at an S."""
     if isinstance(family.coordinates, LongChain):
         return tailed_system(family.coordinates, S, decimals)
     return system_of(family.coordinates, S, step_of(family), decimals)
@@ -260,37 +247,25 @@ def step_of(family: Family) -> int:
 
 def _certificate(orbit: Orbit, family: Family, attempt: Attempt, decimals: bool) -> Certificate:
     series, r, constants = attempt.series, attempt.radius, attempt.constants
-    positions = series.system.positions
-    square = series.square + arb(0, r) if attempt.proved else arb("nan")
-    proved = attempt.proved and bool(square > 0)
-    Omega: Interval = NO_BOUNDS
-    period: Interval = NO_BOUNDS
-    energy: Interval | None = NO_BOUNDS
-    profile, digits, error, least = np.full((2, positions), np.nan), "", float("nan"), False
-    if proved:
-        nu, first = attempt.nu, series.system.harmonic(0)
-        frequency = square.sqrt()
-        Omega, period, digits = _ends(frequency), _ends(2 * arb.pi() / frequency), str(frequency)
-        error = balls.size(arb(orbit.Omega) - frequency)
-        slack = arb(0, balls.above(arb(r) / nu**first))
-        y = [d * (q + slack) for d, q in zip(series.system.scale, series.start, strict=True)]
-        profile = np.array([_ends(value) for value in y]).T
-        least = any(bool(abs(a) > arb(r) / nu) for row in series.coefficients for a in row[1 - first : 2 - first])
-        tailed = series.system.tail is not None
-        terms: Terms | None = None if tailed else energy_terms(family.coordinates, series.system.forces, decimals)
-        energy = None if terms is None else _ends(evaluate(terms, y))
+    proved = attempt.proved and bool(series.square > r)
+    away = arb(0, r) if proved else arb("nan")  # without a proof all bounds are nan
+    nu, first, frequency = attempt.nu, series.system.harmonic(0), (series.square + away).sqrt()
+    y = [d * (q + away / nu**first) for d, q in zip(series.system.scale, series.start, strict=True)]
+    terms = None if series.system.tail else energy_terms(family.coordinates, series.system.forces, decimals)
     return Certificate(
         proved=proved,
-        Omega=Omega,
-        period=period,
-        energy=energy,
-        profile=profile,
-        Omega_digits=digits,
-        Omega_error=error,
+        Omega=_ends(frequency),
+        period=_ends(2 * arb.pi() / frequency),
+        energy=None if terms is None else _ends(evaluate(terms, y)),
+        profile=np.array([_ends(value) for value in y]).T,
+        Omega_digits=str(frequency) if proved else "",
+        Omega_error=balls.size(arb(orbit.Omega) - frequency),
         radius=float(np.nextafter(r + attempt.distance, np.inf)),
         uniqueness=_difference(uniqueness_radius(constants, r), attempt.distance) if proved else float("nan"),
         size=attempt.size,
-        least_period=least,
+        least_period=any(
+            bool(abs(a) > abs(away) / nu) for row in series.coefficients for a in row[1 - first : 2 - first]
+        ),
         S=orbit.S,
         constants=constants,
         harmonics=series.harmonics,

@@ -12,12 +12,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_skin.certify import balls
-from casadi_skin.certify.balls import SUM_ROUNDING_FACTOR, Enclosed, above, acb, acb_poly, arb, below, fmpq, rounded_up
-from casadi_skin.certify.bounds import curvature, proved_radius, series_norms
+from casadi_skin.certify.balls import SUM_ROUNDING_FACTOR, Enclosed, above, acb, acb_poly, arb, ball, below, rounded_up
+from casadi_skin.certify.bounds import Operator, curvature, proved_radius, series_norms
 from casadi_skin.certify.certificate import STABLE, UNDECIDED, UNSTABLE, Constants, ProvedStability
 from casadi_skin.certify.certify import HARMONIC_WEIGHT, best_attempt, reason_of
 from casadi_skin.certify.system import CosineSeries, CosineSystem, potential, weights_of
@@ -107,7 +110,7 @@ def _symmetric_scale(system: CosineSystem) -> list[arb] | None:
     weights = weights_of(system.forces, 0)
     if weights is None or potential(system.forces, 0) is None:
         return None
-    factors = [arb(fmpq(w.numerator, w.denominator)).sqrt() * d for w, d in zip(weights, system.scale, strict=True)]
+    factors = [ball(w).sqrt() * d for w, d in zip(weights, system.scale, strict=True)]
     return [factor / factors[0] for factor in factors]
 
 
@@ -119,8 +122,6 @@ def _norms(matrices: Array) -> Array:
 
 # An approximate exponent with its vector in more digits than doubles have, and its residual in balls ------------------
 
-EIGENPAIR_STEPS = 6
-
 
 @dataclass(frozen=True, eq=False)
 class Eigenpair:
@@ -130,25 +131,18 @@ class Eigenpair:
     rows: Sequence[Sequence[acb]]
 
     @classmethod
-    def refined(cls, problem: Linearised, sigma: complex, w: ComplexArray, inverse: ComplexArray) -> Eigenpair:
-        """Newton's method with a fixed inverse from doubles; w of shape (harmonics, positions)."""
-        normal, last = w.conj(), np.inf
-        rows = [[acb(x.real, x.imag) for x in column] for column in w.T.tolist()]
-        pair = cls(acb(sigma.real, sigma.imag), rows)
-        for _ in range(EIGENPAIR_STEPS):
-            residual = np.array([complex(value.mid()) for value in pair.residual(problem, normal)[0]])
-            step = inverse @ residual
-            size = float(np.sum(np.abs(step)))
-            if not size < 0.5 * last:
-                break
-            last = size
-            changes = step[1:].reshape(w.shape).T.tolist()
-            rows = [
-                [(x - acb(d.real, d.imag)).mid() for x, d in zip(row, line, strict=True)]
-                for row, line in zip(pair.rows, changes, strict=True)
-            ]
-            pair = cls((pair.sigma - acb(step[0].real, step[0].imag)).mid(), rows)
-        return pair
+    def of(cls, sigma: complex, w: ComplexArray) -> Eigenpair:
+        """From doubles, w of shape (harmonics, positions)."""
+        return cls(_balls(np.array(sigma))[0], [_balls(column) for column in w.T])
+
+    def moved(self, step: NDArray[Any]) -> Eigenpair:
+        """Less a change of sigma and of w, in the order of harmonics."""
+        first, *changes = _balls(step)
+        rows = [
+            [(x - d).mid() for x, d in zip(row, changes[n :: len(self.rows)], strict=True)]
+            for n, row in enumerate(self.rows)
+        ]
+        return Eigenpair((self.sigma - first).mid(), rows)
 
     def doubles(self) -> tuple[complex, ComplexArray]:
         """The nearest doubles, w of shape (harmonics, positions)."""
@@ -168,23 +162,16 @@ class Eigenpair:
             both = [*reversed(g[1:]), *g] if len(g) > 1 else list(g)
             padding = [acb(0)] * (reach + 1 - len(g))
             sums[m] += acb_poly([*padding, *both]) * vectors[k]
-        first = sum((acb(c.real, c.imag) * x for c, x in self._paired(normal)), acb(-1))
-        middle, outside = [[acb(0)] * n for _ in range(count)], list[acb]()
-        for m, total in enumerate(sums):
-            for i in range(count + 2 * reach):
-                if reach <= i < reach + count:
-                    h = problem.step * (i - reach) - problem.step * (count - 1) // 2
-                    middle[i - reach][m] = total[i] + problem.square * (self.sigma + h) ** 2 * self.rows[m][i - reach]
-                else:
-                    outside.append(total[i])
-        return [first, *(value for row in middle for value in row)], outside
-
-    def _paired(self, normal: ComplexArray) -> list[tuple[complex, acb]]:
-        return [
-            (c, x)
-            for row, line in zip(normal.T.tolist(), self.rows, strict=True)
-            for c, x in zip(row, line, strict=True)
-        ]
+        first = sum((c * x for c, x in zip(_balls(normal.T), chain(*self.rows), strict=True)), acb(-1))
+        highest = problem.step * (count - 1) // 2
+        squares = [problem.square * (self.sigma + h) ** 2 for h in range(-highest, highest + 1, problem.step)]
+        finite, outside = [], list[acb]()
+        for total, row in zip(sums, self.rows, strict=True):
+            values = [total[i] for i in range(count + 2 * reach)]
+            outside += values[:reach] + values[reach + count :]
+            own = zip(values[reach : reach + count], squares, row, strict=True)
+            finite.append([value + square * x for value, square, x in own])
+        return [first, *chain(*zip(*finite, strict=True))], outside
 
     @staticmethod
     def _coefficients(problem: Linearised) -> Mapping[tuple[int, int], Sequence[arb]]:
@@ -231,7 +218,7 @@ class _Pair:
     exact: Eigenpair
     sigma: complex  # the double nearest
     w: ComplexArray  # doubles nearest, shape (harmonics, positions)
-    inverse: ComplexArray
+    inverse: NDArray[Any]
 
     @classmethod
     def near(cls, problem: Linearised, sigma: complex, highest: int) -> _Pair | None:
@@ -240,20 +227,23 @@ class _Pair:
         m = problem.harmonics(highest)
         try:
             L = G + np.diag(np.repeat(square * (sigma + m) ** 2, problem.positions))
-            w = np.asarray(np.linalg.svd(L)[2][-1].conj(), dtype=complex)
+            w, last = np.linalg.svd(L)[2][-1].conj(), np.inf
+            pair = Eigenpair.of(sigma, w.reshape(-1, problem.positions))
             for _ in range(EXPONENT_STEPS):
-                J, residual = _bordered(G, square, sigma, w, m, w.conj())
+                sigma, w = pair.doubles()
+                J, _ = _bordered(G, square, sigma, w.ravel(), m, w.ravel().conj())
+                residual = np.array([complex(value.mid()) for value in pair.residual(problem, w.conj())[0]])
                 step = np.linalg.solve(J, residual)
-                sigma, w = complex(sigma - step[0]), w - step[1:]
-                if np.sum(np.abs(step)) < 1e-15:
+                size = float(np.sum(np.abs(step)))
+                if not size < 0.5 * last:
                     break
-            inverse = np.linalg.inv(_bordered(G, square, sigma, w, m, w.conj())[0])
+                last, pair = size, pair.moved(step)
+            inverse = np.linalg.inv(J)
         except np.linalg.LinAlgError:
             return None
         if not (np.isfinite(sigma) and np.all(np.isfinite(inverse))):
             return None
-        exact = Eigenpair.refined(problem, sigma, w.reshape(-1, problem.positions), np.asarray(inverse, dtype=complex))
-        return cls(problem, highest, exact, *exact.doubles(), np.asarray(inverse, dtype=complex))
+        return cls(problem, highest, pair, *pair.doubles(), inverse)
 
     @cached_property
     def shifts(self) -> ComplexArray:
@@ -261,9 +251,9 @@ class _Pair:
         return np.repeat(self.sigma + self.problem.harmonics(self.highest), self.problem.positions)
 
     @cached_property
-    def norms(self) -> Array:
-        """Upper bounds of the norms of the columns of the inverse."""
-        return rounded_up(np.abs(self.inverse).sum(axis=0), len(self.inverse))
+    def operator(self) -> Operator:
+        """A on the finite part."""
+        return Operator(self.inverse, np.ones(len(self.inverse)))
 
     @cached_property
     def tail(self) -> float:
@@ -278,14 +268,7 @@ class _Pair:
     @cached_property
     def size(self) -> float:
         """Upper bound of |A| on residuals but the first."""
-        return max(float(np.max(self.norms[1:])), self.tail)
-
-    def _image(self, rows: slice, block: Array | ComplexArray, radius: Array) -> Array:
-        """Norms of the columns of A's finite part times a block given by its rows, in modulus within `radius`."""
-        count = 2 * block.shape[0] + 4
-        product = self.inverse[:, rows] @ block
-        lost = self.norms[rows] @ (count * SUM_ROUNDING_FACTOR * np.abs(block) + radius)
-        return rounded_up(np.abs(product).sum(axis=0) + rounded_up(lost, count), len(self.inverse))
+        return max(float(np.max(self.operator.norms[1:])), self.tail)
 
     def finite_part(self, G: Array, square: float) -> tuple[ComplexArray, Array]:
         """The finite part of DF in doubles, and bounds of its rounding."""
@@ -308,7 +291,7 @@ class _Pair:
         finite, outside = self.exact.residual(problem, self.w.conj())
         middle = np.array([complex(value.mid()) for value in finite])
         radius = np.array([above(abs(value - m)) for value, m in zip(finite, _balls(middle), strict=True)])
-        image = self._image(slice(None), middle[:, None], radius[:, None])[0]
+        image = self.operator.image(slice(None), Enclosed(middle[:, None], radius[:, None]))[0]
         beyond = sum(above(abs(value)) for value in outside)
         length = float(rounded_up(np.abs(self.w).sum(), self.w.size + 4))
         return float(rounded_up(np.asarray(image + self.tail * beyond + self.size * problem.moved * length), total + n))
@@ -320,39 +303,31 @@ class _Pair:
 
     def _Z(self) -> float:
         """Upper bound of |I - A DF|."""
-        problem, n, w = self.problem, self.problem.positions, self.w.ravel()
+        problem, w = self.problem, self.w.ravel()
         square = float(problem.square.mid())
-        reach = problem.step * (len(problem.blocks) - 1)
-        G = _toeplitz(problem, self.highest, self.highest)
-        J, unsure = self.finite_part(G, square)
-        identity = np.eye(len(J))
-        product = self.inverse @ J
-        count = 2 * len(J) + 4
-        lost = self.norms @ (count * SUM_ROUNDING_FACTOR * np.abs(J) + unsure)
-        inside = rounded_up(np.abs(identity - product).sum(axis=0) + rounded_up(lost, count), len(J))
-        outer = _toeplitz(problem, self.highest, self.highest + reach)
-        edge = reach // problem.step * n
-        outer = np.delete(outer, np.arange(edge, outer.shape[1] - edge), axis=1)
-        across = self._image(slice(1, None), outer, np.zeros(outer.shape)) if outer.size else np.zeros(1)
+        J, unsure = self.finite_part(_toeplitz(problem, self.highest, self.highest), square)
+        inside = self.operator.image(slice(None), Enclosed(J, unsure), np.eye(len(J)))
+        outer = _beyond(problem, self.highest)
+        across = self.operator.image(slice(1, None), Enclosed(outer, np.zeros(outer.shape)))
         sizes = problem.sizes
         rows = self.tail * float(rounded_up(sizes[0] + 2.0 * sizes[1:].sum(), sizes.size))
-        squares = max(float(np.max(self.norms[1:] * np.abs(self.shifts) ** 2)), 1.0 / below(problem.square))
+        squares = max(float(np.max(self.operator.norms[1:] * np.abs(self.shifts) ** 2)), 1.0 / below(problem.square))
         along = self.size * float(rounded_up(2.0 * np.abs(self.shifts * w).sum(), w.size))
         moved = problem.radius * self.size + self._doubt * max(squares, along)
-        return float(rounded_up(np.asarray(max(np.max(inside), np.max(across)) + rows + moved), 32))
+        return float(rounded_up(np.asarray(max(np.max(inside), np.max(across, initial=0.0)) + rows + moved), 32))
 
     def _W(self) -> float:
         """Lipschitz constant of A DF within REACH."""
         length = float(rounded_up(np.abs(self.w).sum(), self.w.size))
         beyond = np.sqrt(self.tail / below(self.problem.square)) * (1.0 + 8 * SUM_ROUNDING_FACTOR)
-        linear = max(float(np.max(self.norms[1:] * np.abs(self.shifts))), float(beyond))
+        linear = max(float(np.max(self.operator.norms[1:] * np.abs(self.shifts))), float(beyond))
         total = above(self.problem.square) * (
             2.0 * linear + self.size * (LARGEST_RADIUS + 2.0 * (length + LARGEST_RADIUS))
         )
         return float(rounded_up(np.asarray(total), 32))
 
 
-def _balls(values: ComplexArray) -> list[acb]:
+def _balls(values: NDArray[Any]) -> list[acb]:
     return [acb(value.real, value.imag) for value in values.ravel().tolist()]
 
 
@@ -364,6 +339,13 @@ def _toeplitz(problem: Linearised, highest_row: int, highest_column: int) -> Arr
     padded = np.concatenate([blocks, np.zeros((1, n, n))])
     matrix = padded[np.minimum(distance, len(blocks))]
     return np.asarray(matrix.transpose(0, 2, 1, 3).reshape(rows.size * n, columns.size * n))
+
+
+def _beyond(problem: Linearised, highest: int) -> Array:
+    """The columns of the next harmonics on either side that rows |m| <= highest have entries in."""
+    edge = (len(problem.blocks) - 1) * problem.positions
+    wide = _toeplitz(problem, highest, highest + problem.step * (len(problem.blocks) - 1))
+    return np.delete(wide, slice(edge, wide.shape[1] - edge), axis=1)
 
 
 def _bordered(
@@ -408,38 +390,14 @@ def _count(problem: Linearised, sigma: float, highest: int) -> tuple[int | None,
     if not floor > 0.0:
         return None, True
     kinetic = Enclosed.of([problem.square * (arb(sigma) + int(m)) ** 2 for m in harmonics.tolist()])
-    matrix, unsure = _finite_part(problem.blocks, harmonics, kinetic)
-    through_tail = np.repeat(_coupling(problem, highest) / floor, n)
-    slack = np.repeat(kinetic.radius + problem.radius + unsure, n)
+    matrix = _toeplitz(problem, highest, highest)
+    diagonal = np.einsum("ii->i", matrix)
+    diagonal += np.repeat(kinetic.middle, n)
+    norms = _beyond(replace(problem, blocks=sizes[:, None, None]), highest)
+    coupling = rounded_up(norms @ rounded_up(norms.sum(axis=0), len(norms)), norms.shape[1])
+    through_tail = np.repeat(coupling / floor, n)
+    slack = np.repeat(kinetic.radius + problem.radius, n) + np.abs(diagonal) * SUM_ROUNDING_FACTOR
     return _inertia(matrix, slack, through_tail)
-
-
-def _finite_part(blocks: Array, harmonics: Array, kinetic: Enclosed) -> tuple[Array, Array]:
-    """The finite part of L in doubles, and the rounding of its diagonal."""
-    n, count = blocks.shape[1], harmonics.size
-    matrix = np.zeros((count, n, count, n))
-    for p in range(min(blocks.shape[0], count)):
-        for i in range(count - p):
-            matrix[i, :, i + p, :] = matrix[i + p, :, i, :] = blocks[p]
-    sites = np.arange(n)
-    rounding = np.zeros(count)
-    for i in range(count):
-        diagonal = matrix[i, sites, i, sites] + kinetic.middle[i]
-        matrix[i, sites, i, sites] = diagonal
-        rounding[i] = np.max(np.abs(diagonal)) * SUM_ROUNDING_FACTOR
-    return matrix.reshape(count * n, count * n), rounding
-
-
-def _coupling(problem: Linearised, highest: int) -> Array:
-    """Bounds of the sums of norms along the rows of B B^T, shape (harmonics,)."""
-    sizes, step, harmonics = problem.sizes, problem.step, problem.harmonics(highest)
-    tail = np.arange(highest + step, highest + step * (sizes.size - 1) + 1, step)
-    outside = np.concatenate([-tail[::-1], tail])
-    if not outside.size:
-        return np.zeros(harmonics.size)
-    distance = np.abs(harmonics[:, None] - outside).astype(int) // step
-    norms = np.where(distance < sizes.size, sizes[np.minimum(distance, sizes.size - 1)], 0.0)
-    return rounded_up(norms @ rounded_up(norms.sum(axis=0), harmonics.size), outside.size)
 
 
 def _inertia(matrix: Array, slack: Array, through_tail: Array) -> tuple[int | None, bool]:

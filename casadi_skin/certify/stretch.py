@@ -19,9 +19,9 @@ from casadi_skin.certify.balls import SUM_ROUNDING_FACTOR, above, arb, arb_mat, 
 from casadi_skin.certify.bounds import (
     LARGEST_RADIUS,
     FiniteInverse,
-    OperatorSize,
     curvature,
     holds,
+    lipschitz,
     proved_radius,
     series_norms,
 )
@@ -86,17 +86,11 @@ class Curve:
     def at(self, x: arb) -> CosineSeries:
         """The series at a place of [-1, 1]."""
         values = (arb_mat([self.chebyshev(x)]) * self._exact).entries()
-        n = self.system.positions
-        H = (len(values) - 1) // n
-        rows = [values[1 + m * H : 1 + (m + 1) * H] for m in range(n)]
-        return CosineSeries(replace(self.system, parameter=self.parameter(x)), values[0], rows)
+        return CosineSeries.of(replace(self.system, parameter=self.parameter(x)), values)
 
     def chebyshev(self, x: arb) -> list[arb]:
         """T_0, ..., T_degree."""
-        values = [arb(1), x]
-        while len(values) <= self.degree:
-            values.append(2 * x * values[-1] - values[-2])
-        return values[: self.degree + 1]
+        return [x.chebyshev_t(k) for k in range(self.degree + 1)]
 
     @cached_property
     def _exact(self) -> Any:
@@ -246,8 +240,8 @@ class _Uniform:
         sizes = [self.largest([node.sizes[i] for node in nodes], m) for i in range(n)]
         reach = LARGEST_RADIUS * max(size(value) for value in sizes)
         strongest = replace(system, parameter=arb(max(abs(curve.start), abs(curve.end))))
-        operator = OperatorSize(norms, nodes[0].weights, beyond, factor)
-        return Constants(Y, Z, operator.lipschitz(system, nu, curvature(strongest, sizes, reach)), reach)
+        curved = curvature(strongest, sizes, reach)
+        return Constants(Y, Z, lipschitz(system, nu, curved, norms, nodes[0].weights, beyond, factor), reach)
 
 
 PIECE_DEGREE = 10  # of the polynomials of a piece
@@ -320,8 +314,7 @@ class _Stretch:
     def _at_node(self, parameter: float, harmonics: int) -> tuple[Array, Array]:
         inverse = FiniteInverse(self.orbit_near(parameter, harmonics), self.nu)
         series = refined(inverse)
-        values = [float(series.square), *(float(a) for row in series.coefficients for a in row)]
-        return np.array(values), FiniteInverse(series, self.nu).matrix
+        return np.array([float(z) for z in series.unknowns]), FiniteInverse(series, self.nu).matrix
 
 
 def _sign(orbit: Orbit) -> float:

@@ -7,23 +7,16 @@ polynomials: with z = exp(i theta) each series is z^-K times a polynomial in z^s
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from math import exp, log, prod
 
 import casadi as ca
 import numpy as np
 
-from casadi_skin.certify.balls import (
-    arb,
-    arb_poly,
-    ball,
-    exact,
-    fmpq,
-    largest,
-)
+from casadi_skin.certify.balls import arb, arb_poly, ball, exact, largest
 from casadi_skin.lattice.chain_coordinates import FullChain, LongChain
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.model.amplitude import amplitude_square
@@ -84,19 +77,18 @@ class LinearTail:
 
     def share(self, k: int, square: arb) -> arb:
         """u_1."""
-        tau = self.root(k, square)
-        if self.length is None:
-            return tau
-        return (tau - tau ** (2 * self.length + 1)) / (1 - tau ** (2 * self.length + 2))
+        tau, far = self.root(k, square), self._far(k, square)
+        return (tau - far / tau) / (1 - far)
+
+    def _far(self, k: int, square: arb) -> arb:
+        """tau_k^(2L + 2)."""
+        return arb(0) if self.length is None else self.root(k, square) ** (2 * self.length + 2)
 
     def squares(self, k: int, square: arb) -> arb:
         """Sum of u_n^2 over the tail."""
-        tau = self.root(k, square)
-        if self.length is None:
-            return tau**2 / (1 - tau**2)
-        L, far = self.length, tau ** (2 * self.length + 2)
-        near = (tau**2 + far * tau**2) * (1 - tau ** (2 * L)) / (1 - tau**2)
-        return (near - 2 * L * far) / (1 - far) ** 2
+        tau, far = self.root(k, square), self._far(k, square)
+        near = (1 + far) * (tau**2 - far) / (1 - tau**2)
+        return (near - 2 * (self.length or 0) * far) / (1 - far) ** 2
 
     def first(self, series: Sequence[arb], square: arb, nu: arb) -> arb:
         """Bound of the norm of the first site of the tail, from the series of the core's site."""
@@ -166,9 +158,7 @@ class CosineSystem:
         terms = self.amplitude if row is None else self.forces[row]
         result = []
         for factors, coefficient in terms.items():
-            value = arb(fmpq(coefficient.numerator, coefficient.denominator))
-            for n in factors:
-                value *= self.scale[n]
+            value = prod((self.scale[n] for n in factors), start=ball(coefficient))
             if row is not None:
                 value /= self.scale[row]
                 if self.parameter is not None:
@@ -191,6 +181,12 @@ class CosineSeries:
             outer = half[len(middle) :]
             self._products[n,] = arb_poly([*reversed(outer), *middle, *outer])
         self._terms = [system.scaled(n) for n in range(system.positions)]
+
+    @classmethod
+    def of(cls, system: CosineSystem, unknowns: Sequence[arb]) -> CosineSeries:
+        """From lambda and the coefficients of each position in turn."""
+        H = len(unknowns) // system.positions
+        return cls(system, unknowns[0], [unknowns[i : i + H] for i in range(1, len(unknowns), H)])
 
     def _product(self, factors: Factors) -> arb_poly:
         """z^(pK) times a product of p series, a polynomial in z^step."""
@@ -218,11 +214,15 @@ class CosineSeries:
         """Positions q_n at theta = 0."""
         return [sum(series, arb(0)) for series in self.coefficients]
 
+    @property
+    def unknowns(self) -> list[arb]:
+        """lambda and the coefficients of each position in turn."""
+        return [self.square, *(a for series in self.coefficients for a in series)]
+
     def amplitude_residual(self) -> arb:
         """h(q(0)) - S."""
-        q, total = self.start, arb(0)
-        for (i, j), coefficient in self.system.scaled(None):
-            total += coefficient * q[i] * q[j]
+        q = self.start
+        total = sum((coefficient * q[i] * q[j] for (i, j), coefficient in self.system.scaled(None)), arb(0))
         if self.tail_series is not None:
             assert self.system.tail is not None
             total += self.system.tail.amplitude(self.tail_series, self.square)
@@ -330,10 +330,10 @@ def system_of(coordinates: Coordinates, S: float, step: int = 2, decimals: bool 
     return CosineSystem(forces, form[0], scale, ball(exact(S, decimals)), step)
 
 
-def _near(log: float) -> arb:
+def _near(logarithm: float) -> arb:
     """A number with the digits of a double near exp(log), of any size."""
-    power = round(log / math.log(2.0))
-    return arb(math.exp(log - power * math.log(2.0))) * arb(2) ** power
+    power = round(logarithm / log(2.0))
+    return arb(exp(logarithm - power * log(2.0))) * arb(2) ** power
 
 
 def energy_terms(coordinates: Coordinates, forces: Sequence[Terms], decimals: bool = False) -> Terms | None:
@@ -381,13 +381,8 @@ def potential(forces: Sequence[Terms], first: int) -> Terms | None:
 
 def evaluate(terms: Terms, values: Sequence[arb]) -> arb:
     """A polynomial at balls."""
-    total = arb(0)
-    for factors, coefficient in terms.items():
-        product = ball(coefficient)
-        for n in factors:
-            product *= values[n]
-        total += product
-    return total
+    products = (prod((values[n] for n in factors), start=ball(c)) for factors, c in terms.items())
+    return sum(products, arb(0))
 
 
 def weights_of(forces: Sequence[Terms], first: int) -> list[Fraction] | None:

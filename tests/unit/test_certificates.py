@@ -393,7 +393,7 @@ def test_rounding_of_matrix_products_is_enclosed():
             rows, block = bounds._column(n, H)
             identity = np.zeros((size, H))
             identity[1 + n * H + np.arange(H), np.arange(H)] = 1.0
-            found = bounds._image(rows, block, identity)
+            found = bounds.image(rows, block, identity)
             exact = flint.arb_mat(bounds.matrix[:, rows].tolist()) * flint.arb_mat(block.middle.tolist())
             for j in range(H):
                 column = [abs(flint.arb(identity[i, j]) - exact[i, j]) for i in range(size)]
