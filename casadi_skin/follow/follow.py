@@ -39,6 +39,8 @@ from casadi_skin.zero.settings import End, Point, Target
 
 # Solutions of the points of a branch, with their stability and the ledger ---------------------------------------------
 
+DEAF_SECONDS = 0.02  # for which interruptions may wait: to hold them back for each point costs 3 per cent of a family
+
 
 class BranchRun:
     """Iterates over the solutions of a branch.
@@ -90,13 +92,22 @@ class BranchRun:
             yield one
 
     def __iter__(self) -> Iterator[Solution]:
-        results = self._results()
-        while True:  # the contexts are not those of the caller's work between two solutions
+        return chain.from_iterable(self._at_a_time(0.0))
+
+    def _at_a_time(self, seconds: float) -> Iterator[list[Solution]]:
+        """Solutions, as many at a time as take so many seconds; the first is one by itself."""
+        results, some = self._results(), list[Solution]()
+        while True:  # the contexts are not those of the caller's work in between
+            over = time.monotonic() + (seconds if self.solutions else 0.0)
             with one_thread(), interrupts_deferred(), np.errstate(all="ignore"), self._watch():
-                result = next(results, None)
-            if result is None:
+                some = []
+                for result in results:
+                    some.append(result)
+                    if time.monotonic() >= over:
+                        break
+            if not some:
                 return
-            yield result
+            yield some
 
     def _watch(self) -> AbstractContextManager[None]:
         """Solvers end when the time is over, but for the first solution."""
@@ -162,8 +173,10 @@ class BranchRun:
 
     def to_end(self, progress: Callable[[Any], None] | None = None) -> Branch:
         """The branch followed to its end; `progress` is called with each solution."""
-        for solution in self:
-            if progress is not None:
+        if progress is None:
+            deque(self._at_a_time(DEAF_SECONDS), maxlen=0)
+        else:
+            for solution in self:
                 progress(solution)
         return self.branch()
 
