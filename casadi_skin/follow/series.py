@@ -57,7 +57,7 @@ class Polished:
 TURNING_SAMPLES = 9  # of a stretch, at which the turning of the tangent is measured
 AT_BASE = 1e-6  # of the unit of the series: nearer to the base a crossing is the base itself
 SPARSE_TURN_FACTOR = 2.0  # times the turn that a walk aims for which predicts each point from the last
-CONFIRMED_TOGETHER = 16  # points, of one stretch or several, that the corrector confirms at a time
+CONFIRMED_TOGETHER = 20  # points, of one stretch or several, that the corrector confirms at a time
 SHORT_STEP_FACTOR = (
     3.0  # times the precision of the series: the square of such a step is below the residual of correctors
 )

@@ -78,15 +78,18 @@ def residual_scale(problem: Problem, z: Array) -> float:
 
 
 class _Once:
-    """Values of a function of unknowns and numbers, kept for the next call: constraints and Jacobian are one."""
+    """Values of a function of unknowns and numbers, kept for the next call: constraints and Jacobian are one.
 
-    def __init__(self, problem: Problem) -> None:
-        self._problem = problem
+    They are those of the first `distinct` points, the last of which stands for all others.
+    """
+
+    def __init__(self, problem: Problem, count: int) -> None:
+        self._problem, self.distinct = problem, count
         self._last: tuple[Array, Array, tuple[Array, Array]] | None = None
 
     def __call__(self, z: Array, numbers: Array) -> tuple[Array, Array]:
         if self._last is None or not (np.array_equal(z, self._last[0]) and np.array_equal(numbers, self._last[1])):
-            self._last = z.copy(), numbers.copy(), self._problem.evaluated(z, numbers)
+            self._last = z.copy(), numbers.copy(), self._problem.evaluated(z[: self.distinct], numbers)
         return self._last[2]
 
 
@@ -145,13 +148,17 @@ class _Constraints(ca.Callback):  # type: ignore[misc]
         found = [None if result is None else np.frombuffer(result).reshape(count, -1) for result in results]
         z, rows, scale = z.reshape(count, size), held[:, :size], held[:, size + 1 :]
         residuals, nonzeros = self._evaluate(z, numbers)
+        distinct = len(residuals)
         if is_over():
             residuals = np.full(residuals.shape, np.nan)  # which ends the iteration
         if found[0] is not None:
-            np.divide(residuals, scale, out=found[0][:, :-1])
+            found[0][:distinct, :-1] = residuals / scale[:distinct]
+            found[0][distinct:, :-1] = found[0][distinct - 1, :-1]
             found[0][:, -1] = np.einsum("ij,ij->i", rows, z) - held[:, size]
         if self._with_jacobian and found[1] is not None:
-            found[1][:, self._open], found[1][:, self._closing] = nonzeros / scale, rows[:, self._in_row]
+            found[1][:distinct, self._open] = nonzeros / scale[:distinct]
+            found[1][:distinct, self._closing] = rows[:distinct, self._in_row]
+            found[1][distinct:] = found[1][distinct - 1]
         return 0
 
 
@@ -205,7 +212,7 @@ class IpoptCorrector(Corrector):
         count: int = 1,
     ) -> None:
         self.problem = problem
-        evaluate = _Once(problem)
+        self._evaluate = evaluate = _Once(problem, count)
         g, jac_g = (
             _Constraints(problem, evaluate, count, with_jacobian, one_scalar) for with_jacobian in (False, True)
         )
@@ -227,6 +234,7 @@ class IpoptCorrector(Corrector):
     def all_corrected(self, points: Sequence[HeldState]) -> list[Correction]:
         """Corrections of up to `count` points, which share their status; the last point fills the rest."""
         count, size = self._guess.shape
+        self._evaluate.distinct = len(points)
         check_time_limit(f"Ipopt, {size * count} unknowns")
         for k in range(count):
             z, row, value = points[min(k, len(points) - 1)]
@@ -314,7 +322,7 @@ class ArbitratedCorrector(Corrector):
             verdicts = [] if self.together == 1 else self._ipopt(count=self.together).all_corrected(some)
             if not (verdicts and all(verdict.converged for verdict in verdicts)):
                 verdicts = [self._verdict(*point) for point in some]
-            found += [self._agreed(point[0], verdict) for point, verdict in zip(some, verdicts, strict=True)]
+            found += self._agreed([point[0] for point in some], verdicts)
         return found
 
     def _verdict(self, z: Array, row: Array, value: float) -> Correction:
@@ -332,14 +340,16 @@ class ArbitratedCorrector(Corrector):
                 return found
         return self._ipopt(one_scalar).correct(z, row, value)
 
-    def _agreed(self, z: Array, verdict: Correction) -> Correction:
-        """The verdict on a solution, which is the solution itself where both are the same within the tolerance."""
-        if not verdict.converged:
-            return verdict
+    def _agreed(self, solutions: Sequence[Array], verdicts: Sequence[Correction]) -> list[Correction]:
+        """The verdicts, which are the solutions themselves where both are the same within the tolerance."""
+        z, found = np.array(solutions), np.array([verdict.z for verdict in verdicts])
         with np.errstate(all="ignore"):
-            apart = float(np.sqrt(np.sum(self.problem.metric(z, 1.0) * (verdict.z - z) ** 2)))
-        agrees = apart <= AGREED_TOLERANCES * self.tolerance
-        return Correction(z, verdict.status, 0) if agrees else verdict
+            apart = np.sqrt(np.einsum("ij,ij->i", self.problem.metrics(z, 1.0), (found - z) ** 2))
+        agree = apart <= AGREED_TOLERANCES * self.tolerance
+        return [
+            Correction(one, verdict.status, 0) if verdict.converged and same else verdict
+            for one, verdict, same in zip(solutions, verdicts, agree.tolist(), strict=True)
+        ]
 
     def _is_optimal(self, z: Array) -> bool:
         """Whether z meets the test at which Ipopt ends: no scaled residual above the tolerance."""
