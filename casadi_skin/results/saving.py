@@ -38,7 +38,7 @@ from casadi_skin.results.store import (
 from casadi_skin.zero.orbit import Extended, extended
 from casadi_skin.zero.statement import Statement
 
-FORMAT = "casadi_skin result 3"
+FORMAT = "casadi_skin result 4"
 ACCEPTED_RESULTS = "accepted: a file that save_result wrote"
 
 

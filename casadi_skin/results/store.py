@@ -65,7 +65,7 @@ SAVED_CLASSES = {  # that a file may name, by module: "other=own" where the name
     "points.diagram": "Diagram",
     "points.edges": "EdgeCurve EdgePoint",
     "stability.growth": "TransientGrowth",
-    "stability.result": "ContinuousSpectrum CutTail FullPeriodFloquet ReversibleFloquet",
+    "stability.result": "ContinuousSpectrum CutTail Floquet",
     "stability.tongues.diagram": "Passage Place StabilityDiagram StabilityEdge StableWindow Tongue",
     "stability.tongues.interpolation": "MatrixSeries Piece",
     "zero.augmented": "Singularity",
@@ -267,7 +267,7 @@ READERS: Mapping[str, Callable[..., Any]] = {  # what each word begins, from a r
 
 # The journal of a run: results, appended to one file and flushed to disk at once --------------------------------------
 
-MARK, FORMAT = b"cskj", 4
+MARK, FORMAT = b"cskj", 5
 RECORD_HEADER = struct.Struct("<4sIII")  # mark, format, length of what follows, CRC-32 of these and of what follows
 Record = TypeVar("Record")
 Data = bytes | mmap.mmap

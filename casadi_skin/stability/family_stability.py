@@ -19,7 +19,7 @@ from casadi_skin.solve.watch import one_thread
 from casadi_skin.stability.flows import CvodesFlow, FlowMap, OrbitState, SplittingFlow, Transition, complement
 from casadi_skin.stability.multipliers import floquet_vectors, floquets, vectors_of_map
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.result import Floquet, ReversibleFloquet
+from casadi_skin.stability.result import Floquet, reversible_floquet
 from casadi_skin.zero.family import Coordinates, FamilyRequest
 from casadi_skin.zero.problem import Array, Buffers, Problem
 from casadi_skin.zero.settings import Point, Refinement
@@ -127,13 +127,12 @@ class FamilyStability(ABC):
             return whole.floquets([self.on_all_positions(point) for point in points], by)
         states = [orbit_state(point) for point in points]
         flow = self.flow if by in (None, self.request.method.flow) else self._flow(str(by))
+        symplectic, pairs = self.coordinates.symplectic, 1 + self.coordinates.free_motions.shape[1]
         with one_thread():
-            results = floquets(flow, states, self.accelerations, self.tolerance, self.coordinates.symplectic)
-        pairs = 1 + self.coordinates.free_motions.shape[1]
-        results = results if pairs == 1 else [replace(found, pairs=pairs) for found in results]
+            results = floquets(flow, states, self.accelerations, self.tolerance, symplectic, pairs)
         return [self._with_resting(point, found) for point, found in zip(points, results, strict=True)]
 
-    def _with_resting(self, point: Point, floquet: ReversibleFloquet) -> ReversibleFloquet:
+    def _with_resting(self, point: Point, floquet: Floquet) -> Floquet:
         """The stability of all positions, from that of those which are solved for."""
         resting, frequency = self.coordinates.resting
         if not resting:
@@ -142,9 +141,9 @@ class FamilyStability(ABC):
         off = phase * point.error.Omega / point.Omega
         error = abs(np.sin(2.0 * phase)) * off + off**2 + np.finfo(float).eps
         mu = np.full(resting, -(np.sin(phase) ** 2), complex)
-        return ReversibleFloquet(mu, np.full(resting, error), floquet.trivial_deviation, floquet.power)
+        return reversible_floquet(mu, np.full(resting, error), floquet.trivial_deviation, floquet.power)
 
-    def _localised(self, localised: Localised, point: Point, by: str | None) -> ReversibleFloquet:
+    def _localised(self, localised: Localised, point: Point, by: str | None) -> Floquet:
         """Stability of localised perturbations, on as many sites as decide it."""
         from casadi_skin.stability.multipliers import localised_floquet
 

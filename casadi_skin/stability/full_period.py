@@ -31,7 +31,7 @@ from casadi_skin.stability.closed_maps import (
     units_of,
     vectors_along,
 )
-from casadi_skin.stability.result import LARGEST_LOGARITHM, FullPeriodFloquet
+from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.problem import Array, Indices
 from casadi_skin.zero.stated_problem import TURNED_FIELD_RTOL, BoundaryProblem, Closure
@@ -44,18 +44,27 @@ TRIVIAL_DRIFT = (
 )
 
 
-def judged(found: Multipliers, better: Multipliers | None, tolerance: float, left: float = 0.0) -> FullPeriodFloquet:
-    """Multipliers with the errors that better ones show, of which the part `left` is in these too; infinite without."""
-    errors = np.full(found.rounding.size, np.inf)
+def judged(
+    found: Multipliers, better: Multipliers | None, tolerance: float, left: float = 0.0, least: float = 0.0
+) -> Floquet:
+    """Multipliers with the errors that better ones show, of which the part `left` is in these too; infinite without.
+
+    Relative errors are at least the part `least` of the largest.
+    """
+    near, others = found.trivial.values, found.others.values
+    sizes, errors = np.maximum(1.0, np.abs(others)), np.full(others.size, np.inf)
     if better is not None:
         errors = DISTANCE_SAFETY / (1.0 - left) * _distances(found.others, better.others) + found.rounding
-    near, count = found.trivial.values, found.trivial.values.size
-    deviation = float(np.prod(np.abs(near - 1.0)) ** (1.0 / max(count, 1))) if count else 0.0
-    return FullPeriodFloquet(
-        np.concatenate([near, found.others.values]),
-        found.matrix * np.exp(min(found.size, LARGEST_LOGARITHM)),
-        count, deviation, errors, float(TRIVIAL_DRIFT * tolerance * found.norm),
-        np.concatenate([found.trivial.logs, found.others.logs]), found.lost,
+        errors = np.maximum(errors, least * sizes * np.max(errors / sizes, initial=0.0))
+    deviation = float(np.prod(np.abs(near - 1.0)) ** (1.0 / near.size)) if near.size else 0.0
+    decisive = np.abs(others) >= 1.0 - errors
+    error = float(np.max((errors / sizes)[decisive | ~decisive.any()], initial=0.0))
+    largest, on_circle = float(np.max(np.abs(others), initial=0.0)), np.abs(np.abs(others) - 1.0) <= errors
+    return Floquet(
+        np.concatenate([near, others]), np.concatenate([found.trivial.logs, found.others.logs]), near.size, deviation,
+        errors, on_circle, np.abs(others.imag) <= errors, error, largest, np.empty(0, complex), np.empty(0),
+        monodromy=found.matrix * np.exp(min(found.size, LARGEST_LOGARITHM)), lost=found.lost,
+        allowed_deviation=float(TRIVIAL_DRIFT * tolerance * found.norm),
     )  # fmt: skip
 
 
@@ -285,7 +294,7 @@ def _ends_of(problem: BoundaryProblem, z: Array, size: int) -> Array:
     return z[: problem.states].reshape(problem.columns, -1)[:: problem.table.ends.size, :size]
 
 
-def by_collocation(orbit: Closed | Returned, better: Closed | Returned | None, tolerance: float) -> FullPeriodFloquet:
+def by_collocation(orbit: Closed | Returned, better: Closed | Returned | None, tolerance: float) -> Floquet:
     """Multipliers from the interval maps of the linearised equations; `better` is the orbit on a finer mesh."""
     found = _multipliers(orbit, tolerance)
     if better is None:
@@ -310,7 +319,7 @@ def _multipliers(orbit: Closed | Returned, tolerance: float) -> Multipliers:
     return multipliers_along(orbit.over_the_period(maps), orbit.trivial(tolerance, ends), units, contraction)
 
 
-def by_cvodes(orbit: Closed, better: Closed | None, tolerance: float) -> FullPeriodFloquet:
+def by_cvodes(orbit: Closed, better: Closed | None, tolerance: float) -> Floquet:
     """Multipliers from the sensitivity of the flow over the period to its start; raises IntegrationError.
 
     Their errors are seen on the better solution, with a tighter local tolerance.
@@ -318,12 +327,9 @@ def by_cvodes(orbit: Closed, better: Closed | None, tolerance: float) -> FullPer
     local = max(LOCAL_TOLERANCE_RATIO * tolerance, TIGHTEST_LOCAL_TOLERANCE)
     found = _by_sensitivities(orbit, local, tolerance)
     tighter = max(TIGHTER_RATIO * local, TIGHTEST_OF_ALL)
-    result = judged(found, _by_sensitivities(better or orbit, tighter, tolerance), tolerance, LEFT_ERROR_RATIO)
-    sizes = np.maximum(1.0, np.abs(result.others))
-    errors = np.maximum(
-        result.other_errors, LEAST_ERROR_RATIO * sizes * np.max(result.other_errors / sizes, initial=0.0)
-    )
-    return replace(result, other_errors=errors, blurred=int(np.count_nonzero(result.log_moduli < np.log(local))))
+    finer = _by_sensitivities(better or orbit, tighter, tolerance)
+    result = judged(found, finer, tolerance, LEFT_ERROR_RATIO, LEAST_ERROR_RATIO)
+    return replace(result, blurred=int(np.count_nonzero(result.log_moduli < np.log(local))))
 
 
 def _by_sensitivities(orbit: Closed, local: float, tolerance: float) -> Multipliers:
@@ -344,7 +350,7 @@ def _by_sensitivities(orbit: Closed, local: float, tolerance: float) -> Multipli
     return multipliers_along((matrix * units[:, None] / units)[None], closed, units)
 
 
-FULL_PERIOD_FLOWS: Mapping[str, Callable[[Any, Any, float], FullPeriodFloquet]] = {
+FULL_PERIOD_FLOWS: Mapping[str, Callable[[Any, Any, float], Floquet]] = {
     "collocation": by_collocation,
     "cvodes": by_cvodes,
 }

@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casadi_skin.stability.flows import FlowMap, OrbitState, Transition, complement
 from casadi_skin.stability.reduction import (
@@ -32,10 +31,9 @@ from casadi_skin.stability.reduction import (
     stacked,
     with_reversed_blocks,
 )
-from casadi_skin.stability.result import ContinuousSpectrum, CutTail, ReversibleFloquet
+from casadi_skin.stability.result import Booleans, ContinuousSpectrum, CutTail, Floquet, reversible_floquet, root_of
 from casadi_skin.zero.problem import Array, Indices
 
-Booleans = NDArray[np.bool_]
 LARGE_EIGENVALUE_COUNT = 128  # eigenvalues from which on only those that are close are coupled
 DECIDING_COUPLING = 0.01  # of an eigenvalue's error otherwise: couplings that matter
 MACHINE_EPSILON = float(np.finfo(float).eps)
@@ -105,14 +103,14 @@ POWERS_BY_FRACTION = {0.25: 2, 0.5: 1}  # of lambda(M) that give multipliers, by
 class _Solved:
     """Results, with the part of the errors of mu that the flow makes, relative to max(1, |mu|), of each orbit."""
 
-    results: list[ReversibleFloquet]
+    results: list[Floquet]
     flow_errors: Array
     reflections: Reflections | None
     systems: Eigensystems
     similar: Array
 
 
-def floquet(transition: Transition, acceleration: Array) -> ReversibleFloquet:
+def floquet(transition: Transition, acceleration: Array) -> Floquet:
     """Multipliers of a reversible orbit from its transition matrix over a quarter (odd orbits) or half of the period.
 
     `acceleration` is q'' at phase zero, shape (n,), which gives the trivial pair. The errors are those of the flow.
@@ -126,16 +124,17 @@ def floquets(
     accelerations: Callable[[Sequence[OrbitState]], Array],
     tolerance: float,
     symplectic: bool = True,
-) -> list[ReversibleFloquet]:
+    pairs: int = 1,
+) -> list[Floquet]:
     """Multipliers of several orbits of one model, with the errors of the flow and of the orbits in those of mu.
 
     The flow's part is brought below `tolerance`, relative to max(1, |mu|), where mu is not near a defective pair.
     `accelerations` gives q'' at phase zero, shape (orbits, n); `symplectic` is true where the equations are Hamiltonian
-    in positions and velocities. Raises FlowError.
+    in positions and velocities, `pairs` the number of pairs of trivial multipliers. Raises FlowError.
     """
 
     def solve(found: Sequence[Transition], places: Indices) -> _Solved:
-        return _solve(found, starts[places], better[places], symplectic)
+        return _solve(found, starts[places], better[places], symplectic, pairs)
 
     starts, better = np.split(accelerations([*orbits, *(orbit.better or orbit for orbit in orbits)]), 2)
     transitions = flow.transitions(orbits, min(NORM_PER_MU * tolerance, COARSEST_ERROR))
@@ -161,21 +160,25 @@ def floquets(
 
 
 def _solve(
-    transitions: Sequence[Transition], accelerations: Array | None, better: Array | None, symplectic: bool = True
+    transitions: Sequence[Transition],
+    accelerations: Array | None,
+    better: Array | None,
+    symplectic: bool = True,
+    pairs: int = 1,
 ) -> _Solved:
     """With the trivial direction that accelerations give taken out; of all mu, with no trivial one, where without."""
     power, matrices = POWERS_BY_FRACTION[transitions[0].fraction], stacked([t.matrix for t in transitions])
     truncations = stacked([np.zeros_like(t.matrix) if t.truncation is None else t.truncation for t in transitions])
-    pairs = [
+    sides = [
         stacked(side)
         for side in zip(*((t.matrix, t.matrix) if t.pair is None else t.pair for t in transitions), strict=True)
     ]
     if not symplectic:
         matrices, truncations = with_reversed_blocks(matrices, truncations)
-        pairs = [with_reversed_blocks(side, np.zeros_like(side))[0] for side in pairs]
+        sides = [with_reversed_blocks(side, np.zeros_like(side))[0] for side in sides]
     own, others = (None if each is None else Reflections.of(each) for each in (accelerations, better))
     similar, deviations = half_cosines(matrices), np.zeros(len(transitions))
-    reduced, parts = similar, [half_cosine_errors(matrices, truncations), *map(half_cosines, pairs)]
+    reduced, parts = similar, [half_cosine_errors(matrices, truncations), *map(half_cosines, sides)]
     if own is not None and others is not None:
         similar = own.similar(similar)
         # (0, a_0) is a left eigenvector: the first row is (trivial, 0, ..., 0) but for the errors of flow and orbit.
@@ -193,7 +196,7 @@ def _solve(
             errors[those], first = eigenvalue_errors(systems, *of_those)
             flow_errors[those] = np.max(first / np.maximum(1.0, np.abs(systems.values)), axis=1)
     rows = zip(mu, errors, deviations.tolist(), strict=True)
-    return _Solved([ReversibleFloquet(*row, power) for row in rows], flow_errors, own, systems, similar)
+    return _Solved([reversible_floquet(*row, power, pairs) for row in rows], flow_errors, own, systems, similar)
 
 
 def _round_off(transitions: Sequence[Transition], matrices: Array) -> Array:
@@ -235,7 +238,7 @@ def floquet_vectors(
     assert reflections is not None
     A, _, C, _ = transition.blocks()
     columns = [vector.astype(complex) for vector in trivial_pair(transition, acceleration)]
-    for mu, root, reduced in zip(result.mu, result.root, systems.right[0].T, strict=True):
+    for mu, root, reduced in zip(result.mu, root_of(result.mu, result.mu_error)[0], systems.right[0].T, strict=True):
         x = reflections.vector(reduced)
         velocity = 2.0 * A.T @ (C @ x)
         for value in (root**2, root**-2):
@@ -335,7 +338,7 @@ def localised_floquet(
     Omega: float,
     cut_first: bool,
     cell: int = 1,
-) -> ReversibleFloquet:
+) -> Floquet:
     """Localised multipliers of a symplectic transition matrix of a cut variational problem.
 
     Arguments:
@@ -364,11 +367,11 @@ def localised_floquet(
     mu, local = systems.values[0], cut <= tolerance * np.maximum(1.0, np.abs(systems.values[0]))
     if not bound:  # the velocity of the flow may decay enough to be localised all the same
         local &= np.abs(mu - trivial) > errors + cut
-    off = ~ReversibleFloquet(mu, errors, found.trivial_deviation, power).is_inside & ~local
+    off = ~root_of(mu, errors)[1] & ~local
     waves, undecided = mu[off & (cut > WAVE_CHANGE)], mu[off & (cut <= WAVE_CHANGE)]
     tail = CutTail(ContinuousSpectrum(Omega, bands, power), n, waves, undecided)
     deviation = found.trivial_deviation if bound else 0.0
-    return ReversibleFloquet(mu[local], (errors + cut)[local], deviation, power, tail=tail)
+    return reversible_floquet(mu[local], (errors + cut)[local], deviation, power, tail=tail)
 
 
 def _by_deviation(systems: Eigensystems, similar: Array, trivial: float) -> Array:

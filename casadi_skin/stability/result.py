@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +13,7 @@ from casadi_skin.model.result import Result
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.zero.problem import Array, Indices
 
+Booleans = NDArray[np.bool_]
 LARGEST_LOGARITHM = float(np.log(np.finfo(float).max))
 ERROR_DIRECTIONS = np.exp(0.25j * np.pi * np.arange(8))  # in which a mu off the real axis may be wrong
 
@@ -31,36 +30,55 @@ class LostMultiplierWarning(UserWarning):
     """Several multipliers are so far from 1 that maps over the intervals of the mesh have lost their digits."""
 
 
-class Floquet(Result, ABC):
+@dataclass(frozen=True, eq=False, repr=False)
+class Floquet(Result):
     """Linear stability of one orbit, from its multipliers, each with an error by which it is judged.
 
     Attributes:
-        multipliers: all multipliers over the period, the trivial ones first, shape (components of the full state,).
+        multipliers: all multipliers over the period, the trivial ones first, shape (components of the full state,);
+            those of a reversible orbit then as lambda, 1/lambda of each mu in turn.
+        log_moduli: natural logarithms of their moduli, also of those that no double holds; -inf of zeros.
         trivial: number of multipliers that are 1 for every orbit: one in an autonomous model, two in a conservative or
-            reversible one, none in a forced one.
+            reversible one, two more for each momentum that is conserved, none in a forced one.
         trivial_deviation: distance of the trivial ones from their exact value.
-        monodromy: matrix over the full period at phase zero, shape (n, n); None where it was not formed.
         other_errors: estimated absolute errors of `others`, of one shape with them.
-        allowed_deviation: largest `trivial_deviation` of multipliers that can be trusted.
-        mu, mu_error: eigenvalues of B^T C with their errors, of reversible orbits; empty of others.
+        on_circle: which of `others` lie on the unit circle, within estimated errors.
+        real: which of `others` are real within estimated errors, of those off the unit circle.
+        error: estimated absolute error of the multipliers; relative of those that are larger than 1. The largest of
+            those that are not inside the circle by more than their error; of all where all are. Of a reversible orbit
+            the largest of any mu and, where it is unstable, of `max_abs_multiplier`.
+        max_abs_multiplier: largest modulus of a multiplier, the trivial ones left out; 1 for a stable reversible orbit.
+        mu, mu_error: eigenvalues of B^T C with their errors, of reversible orbits; empty of others. Where there is a
+            `tail`, its cut is in the errors.
         power: of the map M of mu, lambda(M) + 1/lambda(M) = 2 + 4 mu, that gives the multipliers: 2 or 1.
         tail: of an orbit at the edge of a long linear tail, whose multipliers are those of localised vectors alone:
             the waves of the tail; None of others.
         counted: number of localised multipliers outside the circle of an infinite tail, by Hill's determinant, which
             nothing cuts: it decides `stable`, and how many are unstable. None where they are not counted.
+        monodromy: matrix over the full period at phase zero, shape (n, n); None where it was not formed.
+        allowed_deviation: largest `trivial_deviation` of multipliers that can be trusted.
+        lost: whether maps over intervals have lost digits of multipliers that are far from 1.
+        blurred: how many multipliers are smaller than the errors of sensitivities: their logarithms are not known.
     """
 
     multipliers: ComplexArray
+    log_moduli: Array
     trivial: int
     trivial_deviation: float
-    monodromy: Array | None
     other_errors: Array
-    allowed_deviation: float
+    on_circle: Booleans
+    real: Booleans
+    error: float
+    max_abs_multiplier: float
     mu: ComplexArray
     mu_error: Array
-    power: int
-    tail: CutTail | None
-    counted: int | None
+    power: int = 1
+    tail: CutTail | None = None
+    counted: int | None = None
+    monodromy: Array | None = None
+    allowed_deviation: float = np.inf
+    lost: bool = False
+    blurred: int = 0
 
     def __repr__(self) -> str:
         largest = f"largest modulus {self.max_abs_multiplier:.8g}, " if self.others.size else ""
@@ -75,26 +93,15 @@ class Floquet(Result, ABC):
     @cached_property
     def exponents(self) -> Exponents:
         """Logarithms of `others` with their errors."""
-        moduli = np.log(10.0) * np.asarray(self.log10_abs_multipliers)[self.trivial :]
-        moduli = np.maximum(moduli, SMALLEST_LOGARITHM)
+        moduli = np.maximum(self.log_moduli[self.trivial :], SMALLEST_LOGARITHM)
         with np.errstate(over="ignore"):
             noise = np.log1p(self.other_errors * np.exp(-moduli))
         return Exponents(moduli + 1j * np.angle(self.others), noise)
 
     @property
-    def outside(self) -> NDArray[np.bool_]:
+    def outside(self) -> Booleans:
         """Which of `others` lie off the unit circle on its outside, by more than errors allow."""
-        return np.abs(self.others) > 1.0 + self.other_errors
-
-    @property
-    def on_circle(self) -> NDArray[np.bool_]:
-        """Which of `others` lie on the unit circle, within estimated errors."""
-        return np.abs(np.abs(self.others) - 1.0) <= self.other_errors
-
-    @property
-    def real(self) -> NDArray[np.bool_]:
-        """Which of `others` are real within estimated errors, of those off the unit circle."""
-        return np.abs(self.others.imag) <= self.other_errors
+        return ~self.on_circle & (np.abs(self.others) > 1.0)
 
     @property
     def stable(self) -> bool:
@@ -121,161 +128,21 @@ class Floquet(Result, ABC):
         return (self.listed if self.counted is None else self.counted) - self.unstable_real
 
     @property
-    def max_abs_multiplier(self) -> float:
-        """Largest modulus of a multiplier, the trivial ones left out."""
-        return float(np.max(np.abs(self.others), initial=0.0))
-
-    @property
-    def error(self) -> float:
-        """Estimated absolute error of the multipliers; relative of those that are larger than 1.
-
-        The largest of those that are not inside the circle by more than their error; of all where all are.
-        """
-        decisive = np.abs(self.others) >= 1.0 - self.other_errors
-        errors = self.other_errors / np.maximum(1.0, np.abs(self.others))
-        return float(np.max(errors[decisive] if decisive.any() else errors, initial=0.0))
-
-    @property
-    @abstractmethod
     def log10_abs_multipliers(self) -> Array:
         """Decimal logarithms of the moduli of all multipliers, also of those that no double holds; -inf of zeros."""
+        return np.asarray(self.log_moduli / np.log(10.0))
 
     @property
     def beyond_doubles(self) -> bool:
         """Whether a multiplier exceeds the largest double, which stands for it."""
-        return bool(np.any(self.log10_abs_multipliers > LARGEST_LOGARITHM / np.log(10.0)))
+        return bool(np.any(self.log_moduli > LARGEST_LOGARITHM))
 
     def warn(self) -> None:
-        """Warn where the trivial multipliers have drifted by more than errors allow."""
+        """Warn where the trivial multipliers have drifted by more than errors allow, and where digits are lost."""
         if self.trivial_deviation > self.allowed_deviation:
             words = f"the trivial multiplier is off by {self.trivial_deviation:.1e}"
             words += f", more than {self.allowed_deviation:.1e}; try a smaller tolerance"
             warnings.warn(words, TrivialMultiplierWarning, stacklevel=4)
-
-
-@dataclass(frozen=True, repr=False)
-class ReversibleFloquet(Floquet):
-    """Stability of a reversible orbit with n positions, from n - k values of mu beside the k trivial ones.
-
-    `mu` and `mu_error`, its estimated errors, have shape (n - k,); `trivial_deviation` is how far the trivial
-    eigenvalue is from its exact value. Of the k `pairs` of trivial multipliers one is of time and of the family, one of
-    each momentum that is conserved. Where there is a `tail`, `mu_error` holds what its cut makes.
-    """
-
-    mu: ComplexArray
-    mu_error: Array
-    trivial_deviation: float
-    power: int
-    pairs: int = field(default=1, kw_only=True)
-    tail: CutTail | None = field(default=None, kw_only=True)
-    counted: int | None = field(default=None, kw_only=True)
-    monodromy: None = field(default=None, init=False)
-    allowed_deviation: float = field(default=np.inf, init=False)
-
-    @property
-    def trivial(self) -> int:  # type: ignore[override]
-        return 2 * self.pairs
-
-    @property
-    def outside(self) -> NDArray[np.bool_]:
-        return np.column_stack([~self.is_inside, np.zeros(self.mu.size, dtype=bool)]).ravel()
-
-    @property
-    def on_circle(self) -> NDArray[np.bool_]:
-        return np.repeat(self.is_inside, 2)
-
-    @property
-    def real(self) -> NDArray[np.bool_]:
-        return np.repeat(self.is_real, 2)
-
-    @cached_property
-    def is_real(self) -> NDArray[np.bool_]:
-        """Which mu are real within their estimated errors."""
-        return np.abs(self.mu.imag) <= self.mu_error
-
-    @cached_property
-    def is_inside(self) -> NDArray[np.bool_]:
-        """Which mu are real and in [-1, 0] within their estimated errors."""
-        inside = (self.mu.real >= -1.0 - self.mu_error) & (self.mu.real <= self.mu_error)
-        return self.is_real & inside
-
-    @cached_property
-    def root(self) -> ComplexArray:
-        """sqrt(mu) + sqrt(1 + mu) with modulus >= 1, whose square is lambda(M); on the unit circle for a stable mu."""
-        stable = np.where(self.is_inside, np.clip(self.mu.real, -1.0, 0.0), 0.0)
-        on_circle = np.sqrt(1.0 + stable) + 1j * np.sqrt(-stable)
-        mu = np.where(self.is_real, self.mu.real + 0j, self.mu)
-        off_circle = np.sqrt(mu) + np.sqrt(1.0 + mu)
-        off_circle = np.where(np.abs(off_circle) < 1.0, 1.0 / off_circle, off_circle)
-        return np.where(self.is_inside, on_circle, off_circle)
-
-    @cached_property
-    def multipliers(self) -> ComplexArray:  # type: ignore[override]
-        """All 2n multipliers over the period, shape (2n,): the trivial pairs, exactly 1, then each lambda, 1/lambda."""
-        outer = self.root ** (2 * self.power)
-        return np.concatenate([np.ones(self.trivial, complex), np.stack([outer, 1.0 / outer], axis=1).ravel()])
-
-    @property
-    def log10_abs_multipliers(self) -> Array:
-        return np.asarray(np.log10(np.abs(self.multipliers)))
-
-    @cached_property
-    def other_errors(self) -> Array:  # type: ignore[override]
-        """From the multipliers at mu changed by its error: near the circle they go with the root of mu."""
-        directions = np.where(self.is_real, np.sign(ERROR_DIRECTIONS.real)[:, None], ERROR_DIRECTIONS[:, None])
-        mu = np.where(self.is_real, self.mu.real, self.mu) + self.mu_error * directions
-        moved = (np.sqrt(mu + 0j) + np.sqrt(1.0 + mu + 0j)) ** (2 * self.power)
-        pairs = np.stack([moved, 1.0 / moved], axis=-1)  # the multipliers of a mu, in either order
-        own = np.stack([self.root, 1.0 / self.root], axis=-1) ** (2 * self.power)
-        distances = np.min(np.abs(own[..., :, None] - pairs[..., None, :]), axis=-1)
-        return np.asarray(np.max(distances, axis=0).ravel())
-
-    @property
-    def max_abs_multiplier(self) -> float:
-        """Largest modulus of a multiplier, the trivial pair left out; exactly 1 for a stable orbit."""
-        return float(np.max(np.abs(self.root[~self.is_inside]) ** (2 * self.power), initial=1.0))
-
-    @cached_property
-    def error(self) -> float:
-        """Estimated absolute error: the largest of any mu and, for an unstable orbit, of `max_abs_multiplier`."""
-        largest, size, outside = float(np.max(self.mu_error, initial=0.0)), self.max_abs_multiplier, self.outside
-        if not outside.any():
-            return largest
-        moduli, errors = np.abs(self.others[outside]), self.other_errors[outside]
-        with np.errstate(invalid="ignore"):
-            return max(largest, float(np.max(moduli + errors) - size), float(size - np.max(moduli - errors)))
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class FullPeriodFloquet(Floquet):
-    """Stability from all eigenvalues of a monodromy matrix.
-
-    `log_moduli` are natural logarithms of the moduli of the multipliers, which doubles may not hold; `lost` is whether
-    maps over intervals have lost digits of those that are far from 1; `blurred` how many multipliers are smaller than
-    the errors of sensitivities, so that their logarithms are not known.
-    """
-
-    multipliers: ComplexArray
-    monodromy: Array
-    trivial: int
-    trivial_deviation: float
-    other_errors: Array
-    allowed_deviation: float
-    log_moduli: Array
-    lost: bool = False
-    blurred: int = 0
-    mu: ClassVar[ComplexArray] = np.empty(0, dtype=complex)  # type: ignore[misc]
-    mu_error: ClassVar[Array] = np.empty(0)  # type: ignore[misc]
-    power: ClassVar[int] = 1  # type: ignore[misc]
-    tail: ClassVar[None] = None  # type: ignore[misc]
-    counted: ClassVar[None] = None  # type: ignore[misc]
-
-    @property
-    def log10_abs_multipliers(self) -> Array:
-        return np.asarray(self.log_moduli / np.log(10.0))
-
-    def warn(self) -> None:
-        super().warn()
         if self.lost:
             words = "several multipliers are far from 1, and what grows and decays is not resolved: not even"
             warnings.warn(f"{words} their orders of magnitude are known", LostMultiplierWarning, stacklevel=4)
@@ -283,10 +150,56 @@ class FullPeriodFloquet(Floquet):
             words = f"{self.blurred} of the multipliers by cvodes are smaller than errors of its sensitivities: their"
             words += " orders of magnitude are not known; collocation has them"
             warnings.warn(words, LostMultiplierWarning, stacklevel=4)
-        huge = int(np.count_nonzero(self.log_moduli > LARGEST_LOGARITHM))
-        if huge:
+        if self.beyond_doubles:
+            huge = int(np.count_nonzero(self.log_moduli > LARGEST_LOGARITHM))
             words = f"{huge} of the multipliers exceed the largest double, which stands for them"
             warnings.warn(f"{words}: see log10_abs_multipliers", HugeMultiplierWarning, stacklevel=4)
+
+
+def root_of(mu: ComplexArray, mu_error: Array) -> tuple[ComplexArray, Booleans, Booleans]:
+    """sqrt(mu) + sqrt(1 + mu) with modulus >= 1, whose square is lambda(M); on the unit circle for a stable mu.
+
+    Beside it which mu are real and in [-1, 0] within their errors, that is stable, and which are real within them.
+    """
+    real = np.abs(mu.imag) <= mu_error
+    stable = real & (mu.real >= -1.0 - mu_error) & (mu.real <= mu_error)
+    mu = np.where(stable, np.clip(mu.real, -1.0, 0.0), np.where(real, mu.real, mu)) + 0j
+    root = np.sqrt(mu) + np.sqrt(1.0 + mu)
+    return np.where(~stable & (np.abs(root) < 1.0), 1.0 / root, root), stable, real
+
+
+def reversible_floquet(
+    mu: ComplexArray,
+    mu_error: Array,
+    trivial_deviation: float,
+    power: int,
+    pairs: int = 1,
+    tail: CutTail | None = None,
+    counted: int | None = None,
+) -> Floquet:
+    """Stability of a reversible orbit with n positions, from n - k values of mu beside k pairs of trivial multipliers.
+
+    Of these `pairs` one is of time and of the family, one of each momentum that is conserved. The errors of the
+    multipliers are from those at mu changed by its error: near the circle they go with the root of mu.
+    """
+    root, stable, real = root_of(mu, mu_error)
+    directions = np.where(real, np.sign(ERROR_DIRECTIONS.real)[:, None], ERROR_DIRECTIONS[:, None])
+    moved = np.where(real, mu.real, mu) + mu_error * directions + 0j
+    own, moved = (
+        np.stack([outer, 1.0 / outer], axis=-1)  # the multipliers of a mu, in either order
+        for outer in (root ** (2 * power), (np.sqrt(moved) + np.sqrt(1.0 + moved)) ** (2 * power))
+    )
+    errors = np.max(np.min(np.abs(own[..., :, None] - moved[..., None, :]), axis=-1), axis=0)
+    moduli, away = np.abs(own[~stable, 0]), errors[~stable, 0]
+    largest, error = float(np.max(moduli, initial=1.0)), float(np.max(mu_error, initial=0.0))
+    if moduli.size:
+        with np.errstate(invalid="ignore"):
+            error = max(error, float(np.max(moduli + away) - largest), float(largest - np.max(moduli - away)))
+    multipliers = np.concatenate([np.ones(2 * pairs, complex), own.ravel()])
+    return Floquet(
+        multipliers, np.log(np.abs(multipliers)), 2 * pairs, trivial_deviation, errors.ravel(), np.repeat(stable, 2),
+        np.repeat(real, 2), error, largest, mu, mu_error, power, tail, counted,
+    )  # fmt: skip
 
 
 # The continuous spectrum of an orbit at the edge of an infinite linear medium: arcs of the unit circle in closed form
@@ -401,7 +314,7 @@ class CutTail:
     @property
     def of_finite_size(self) -> Floquet:
         """The multipliers of `finite_size`, beside the trivial pair."""
-        return ReversibleFloquet(self.finite_size, np.zeros(self.finite_size.size), 0.0, self.continuous.power)
+        return reversible_floquet(self.finite_size, np.zeros(self.finite_size.size), 0.0, self.continuous.power)
 
 
 # Multipliers of one orbit by their logarithms -------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import numpy as np
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.stability.result import Floquet, ReversibleFloquet
+from casadi_skin.stability.result import Floquet, reversible_floquet
 from tests.studies.exact import LONG_DOUBLES, ExactOrbit, exact_orbit
 from tests.studies.exact_multipliers import Complex, exact_mu, paired
 
@@ -165,7 +165,7 @@ def measure(case: Case) -> Outcome:
         quantity = _multiplier_quantity(case, floquet, mu)
         outcome = replace(outcome, quantities=(*outcome.quantities, quantity), stable=floquet.stable)
         _check_sharp(quantity, uncertain)
-        known = ReversibleFloquet(mu.astype(complex), np.full(mu.size, STABLE_WITHIN), 0.0, floquet.power)
+        known = reversible_floquet(mu.astype(complex), np.full(mu.size, STABLE_WITHIN), 0.0, floquet.power)
         return replace(outcome, reference_stable=known.stable)
     except Exception as error:  # whatever it is, the case is counted and shown
         return replace(outcome, reason=f"{type(error).__name__}: {' '.join(str(error).split())}"[:200])

@@ -137,14 +137,14 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "EdgeCurve": lambda: softer().edge(1).curve("gamma", 0.26),
     "Equilibrium": rest,
     "Evolution": evolution,
-    "FullPeriodFloquet": lambda: cycle().floquet(),
+    "Floquet": lambda: cycle().floquet(),
+    "Floquet at an edge": lambda: endless().floquet(),
+    "Floquet of a family": lambda: member().floquet(),
     "LatticeModes": lambda: lattice_modes(RING),
-    "ReversibleFloquet at an edge": lambda: endless().floquet(),
     "Orbit": cycle,
     "ParetoFront": front,
     "ProvedStability": lambda: member().proved_stability,
     "ProvedStretch": lambda: family().certify(0.1, 0.2),
-    "ReversibleFloquet": lambda: member().floquet(),
     "SearchResult": search,
     "SearchResult of an orbit": search_of_an_orbit,
     "SmallestKick": kick,
@@ -172,7 +172,7 @@ LEADING_ON: dict[str, Callable[[Any], Any]] = {  # computed from a result, as it
 }
 
 
-QUICK = ("Bands", "Branch", "Equilibrium", "Evolution", "FullPeriodFloquet", "LatticeModes", "Orbit", "Spectrum")
+QUICK = ("Bands", "Branch", "Equilibrium", "Evolution", "Floquet", "LatticeModes", "Orbit", "Spectrum")
 SLOWER = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in MAKERS]
 
 
@@ -248,7 +248,7 @@ def test_print_tells_the_numbers() -> None:
     assert "hopf at 0" in branch or "hopf at -" in branch
     assert "Branch of equilibria of Hopf" in branch
     assert "-0.25+1i, -0.25-1i" in str(made("Spectrum"))
-    assert "stable" in str(made("FullPeriodFloquet"))
+    assert "stable" in str(made("Floquet"))
     assert "not computed; stability=True" in str(small_family())
     assert not any("not computed" in str(result) for result in (small_family(stability=True), made("Branch")))
 

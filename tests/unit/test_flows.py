@@ -32,7 +32,7 @@ from casadi_skin.stability.flows import (
 )
 from casadi_skin.stability.multipliers import LARGE_EIGENVALUE_COUNT, eigenvalue_errors, floquet
 from casadi_skin.stability.reduction import Eigensystems, half_cosines
-from casadi_skin.stability.result import Floquet, ReversibleFloquet
+from casadi_skin.stability.result import Floquet, reversible_floquet
 from casadi_skin.zero.family import family_request
 from casadi_skin.zero.settings import End, Point
 
@@ -366,17 +366,17 @@ def test_the_error_of_the_multipliers_follows_from_that_of_mu(power: int) -> Non
         return float((half + np.sqrt(half**2 - 1)) ** power)
 
     for mu, error in ((0.2, 1e-6), (1e-8, 4e-9)):
-        result = ReversibleFloquet(np.array([-0.3, mu], complex), np.array([1e-7, error]), 0.0, power)
+        result = reversible_floquet(np.array([-0.3, mu], complex), np.array([1e-7, error]), 0.0, power)
         expected = max(largest(mu + error) - largest(mu), largest(mu) - largest(mu - error))
         assert result.error == pytest.approx(expected, rel=1e-6)
-    stable = ReversibleFloquet(np.array([-0.3, -0.9], complex), np.array([1e-7, 1e-9]), 0.0, power)
+    stable = reversible_floquet(np.array([-0.3, -0.9], complex), np.array([1e-7, 1e-9]), 0.0, power)
     assert stable.error == 1e-7
-    pair = ReversibleFloquet(np.array([-0.5 + 0.1j, -0.5 - 0.1j]), np.full(2, 1e-6), 0.0, power)
+    pair = reversible_floquet(np.array([-0.5 + 0.1j, -0.5 - 0.1j]), np.full(2, 1e-6), 0.0, power)
     assert 1e-6 < pair.error < 1e-4
-    assert ReversibleFloquet(np.zeros(0, complex), np.zeros(0), 0.0, power).error == 0.0
+    assert reversible_floquet(np.zeros(0, complex), np.zeros(0), 0.0, power).error == 0.0
 
 
-def exact_floquet(orbit: Orbit) -> ReversibleFloquet:
+def exact_floquet(orbit: Orbit) -> Floquet:
     """The same orbit at twice its resolution, corrected to round-off, with a flow of many steps."""
     space, problem = orbit.space, orbit.point.problem
     assert isinstance(space, Family)

@@ -19,7 +19,7 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.family_changes import EdgeOrbits, localised_changes
 from casadi_skin.native import eliminated
 from casadi_skin.runs.program import main
-from casadi_skin.stability.result import ReversibleFloquet
+from casadi_skin.stability.result import reversible_floquet
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.stability.tongues.hill import Hill, Layout, Medium, Parity, count, crossings, zeros_in
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
@@ -313,7 +313,7 @@ def test_the_count_decides_stability_where_the_cut_resolves_no_multiplier() -> N
 def test_counted_numbers_beside_a_complex_pair_leave_complex_ones_in_twos(
     counted: int, numbers: tuple[int, int]
 ) -> None:
-    found = ReversibleFloquet(np.array([-0.5 + 0.1j, -0.5 - 0.1j]), np.full(2, 1e-9), 0.0, 2, counted=counted)
+    found = reversible_floquet(np.array([-0.5 + 0.1j, -0.5 - 0.1j]), np.full(2, 1e-9), 0.0, 2, counted=counted)
     assert found.listed == 2
     assert (found.unstable_real, found.unstable_complex) == numbers
     assert found.stable == (counted == 0)

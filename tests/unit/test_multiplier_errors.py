@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from casadi_skin import Chain, OdeModel, Orbit, find_orbit, follow_family
-from casadi_skin.stability.result import Floquet, ReversibleFloquet
+from casadi_skin.stability.result import Floquet, reversible_floquet
 
 Array = np.ndarray
 
@@ -80,7 +80,7 @@ def test_multipliers_do_not_depend_on_the_units_of_the_states(by: str) -> None:
 
 
 def test_errors_of_multipliers_from_mu_go_with_the_root_of_mu_near_the_circle() -> None:
-    found = ReversibleFloquet(np.array([-0.5, 1e-4, 1e-12 + 0j]), np.array([1e-9, 1e-9, 1e-10]), 0.0, 2)
+    found = reversible_floquet(np.array([-0.5, 1e-4, 1e-12 + 0j]), np.array([1e-9, 1e-9, 1e-10]), 0.0, 2)
     slope = abs(np.diff([(np.sqrt(m) + np.sqrt(1 + m)) ** 4 for m in (1e-4, 1e-4 + 1e-9)])[0])
     assert found.other_errors.shape == found.others.shape
     assert found.other_errors[0] == pytest.approx(4e-9, rel=1e-3)
