@@ -74,11 +74,11 @@ def boundaries(scene: Scene, path: Path, found: Map, report: Callable[[str], Non
     for chosen in np.ndindex(cells.shape[:-2]):
         axes, of_family = (grid.axes[along[0]], grid.axes[along[1]]), grid.amplitude in along
         plane = Plane(found, axes, cells[chosen], bound, report)
-        if of_family and "first_tongue" in found.texts:
+        if of_family and "first_tongue" in found.columns:
             turned = grid.amplitude == along[0]
             edges = _tongue_lines(plane.turned if turned else plane)
             lines[chosen] = tuple(line[:, ::-1] if turned else line for line in edges)
-        elif not of_family and "stable" in found.numbers:
+        elif not of_family and "stable" in found.columns:
             lines[chosen] = tuple(_curves(plane))
     return lines
 
@@ -128,11 +128,12 @@ class Entry:
 def _tongue_lines(plane: Plane) -> list[Points]:
     """Lines of the boundary; where an edge cannot be followed, its line joins the families."""
     entries, lines, found = list[Entry](), list[Points](), plane.map
+    tongues = found.values("first_tongue").ravel()
     for value, family, known in zip(plane.axes[0].values, plane.cells, plane.known, strict=True):
         if np.any(known):
             cell = int(family[known][0])
-            S, tongue = float(found.numbers["first_instability"][cell]), found.text("first_tongue", cell)
-            entries.append(Entry(float(value), S, tongue, cell))
+            S = float(found.columns["first_instability"][cell])
+            entries.append(Entry(float(value), S, tongues[cell], cell))
     values = [entry.value for entry in entries]
     for tongue, group in groupby(range(len(entries)), key=lambda k: entries[k].tongue):
         places = list(group)
@@ -231,7 +232,7 @@ def _curves(plane: Plane) -> Iterator[Points]:
 
 def _pairs(plane: Plane) -> Iterator[Pair]:
     """Places of computed neighbours of which one is stable and the other is not."""
-    states, stable = plane.map.states[plane.cells], plane.map.numbers["stable"][plane.cells]
+    states, stable = plane.map.states[plane.cells], plane.map.columns["stable"][plane.cells]
     for axis in (0, 1):
         for line in range(states.shape[1 - axis]):
             at = [(k, line) if axis == 0 else (line, k) for k in range(states.shape[axis])]

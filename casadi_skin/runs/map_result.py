@@ -119,8 +119,8 @@ class Map(WithVerbs):
         grid: its cells.
         states: of cells, shape (cells,): UNKNOWN, DONE, ENDED where its branch ended early, or FAILED.
         attempts: at cells, shape (cells,).
-        numbers: quantities by name, NaN where there is none; shape (cells,).
-        texts: quantities by name, places among the different texts, the first of which is empty; shape (cells,).
+        columns: quantities by name, on the disk; NaN where there is none, texts as places among the different ones;
+            shape (cells,).
         meanings: of quantities by name.
         seconds, finished: time that tasks took, and number of cells that they gave, in all journals.
         waits: whether shares of a batch array are not there yet.
@@ -136,21 +136,25 @@ class Map(WithVerbs):
         self, directory: Path, grid: Grid, scene: Scene, own: str | None, report: Callable[[str], None]
     ) -> None:
         """Read the journals of a directory; `own` is the name of the one that is written, None where none is."""
-        self.directory, self.grid = directory, grid
+        self.directory, self.grid, table = directory, grid, scene.map
+        assert table is not None
+        watched = table.watch or WATCHED
         self.boundary: Lines = {}
-        self._wanted = None if scene.map is None else scene.map.quantities
-        watched = (None if scene.map is None else scene.map.watch) or WATCHED
         self._levels = watched if isinstance(watched, Mapping) else dict.fromkeys(watched, ())
-        wanted = self._wanted
-        self._kept = None if wanted is None else {*wanted, *OF_BOUNDARY, *(self._levels if grid.refined else ())}
+        self._wanted = None if table.quantities is None else {*table.quantities, STARTED_FROM}
+        self._kept = None  # names of columns, but for all of them
+        if self._wanted is not None:
+            self._kept = {*self._wanted, REASON, *OF_BOUNDARY, *(self._levels if grid.refined else ())}
         self._head, size = MapHead(digest(scene)), grid.size
         self.states, self.attempts = np.zeros(size, dtype=np.int8), np.zeros(size, dtype=np.int8)
         self._places, self._sources = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int16)
         self._outside, self._axes = np.zeros(size, dtype=bool), {axis.name for axis in grid.axes}
-        self.numbers, self.texts = dict[str, NDArray[np.float64]](), {REASON: on_disk(np.int32, (size,))}
-        self._words, self._texts = {"": 0}, [""]
-        self._first, self._counts = dict[str, tuple[int, int]](), set[str]()
-        self.meanings = {STARTED_FROM: "the cell whose solution the second start began at"}
+        self.columns, self._kinds = dict[str, NDArray[np.float64]](), dict[str, type]()
+        self._texts, self._first = {"": 0}, dict[str, tuple[int, int]]()
+        self.meanings = {
+            STARTED_FROM: "the cell whose solution the second start began at",
+            REASON: "why a cell failed, or ended early",
+        }
         self.seconds, self.finished = 0.0, 0
         self._ends = dict[Path, int]()  # how far each journal is read
         self._journal: Journal[MapRecord] | None = None
@@ -219,41 +223,28 @@ class Map(WithVerbs):
         for i, cell in enumerate(record.cells):
             row = Row({}, record.reason) if record.kind else record.rows[i]
             self.states[cell] = FAILED if record.kind else ENDED if row.fault else DONE
-            self._put(cell, row, record.neighbour)
+            has_start = record.neighbour >= 0 and row.values
+            start = {STARTED_FROM: self.grid.name(record.neighbour)} if has_start else {}
+            self._put(cell, {**row.values, **start, REASON: row.fault})
 
-    def _put(self, cell: int, row: Row, neighbour: int) -> None:
-        """Put the row of a cell into the columns."""
-        self.texts[REASON][cell] = self._word(row.fault)
-        for place, (name, value) in enumerate(row.values.items()):
-            if name not in self._axes and (self._kept is None or name in self._kept):
-                self._first[name] = min(self._first.get(name, (cell, place)), (cell, place))
-                self._column(name, value)[cell] = self._word(value) if isinstance(value, str) else value
-        if neighbour >= 0 and row.values:
-            self._first[STARTED_FROM] = (self.grid.size, 0)
-            self._column(STARTED_FROM, "")[cell] = self._word(self.grid.name(neighbour))
-
-    def _column(self, name: str, value: Value) -> NDArray[Any]:
-        """The column of a quantity, made with its first value."""
-        if isinstance(value, str):
-            if name not in self.texts:
-                self.texts[name] = on_disk(np.int32, (self.grid.size,))
-            return self.texts[name]
-        if name not in self.numbers:
-            self.numbers[name] = on_disk(np.float64, (self.grid.size,))
-            self.numbers[name][:] = np.nan
-            self._counts |= {name} if isinstance(value, int) else set()
-        return self.numbers[name]
-
-    def _word(self, text: str) -> int:
-        if text not in self._words:
-            self._words[text] = len(self._texts)
-            self._texts.append(text)
-        return self._words[text]
+    def _put(self, cell: int, values: Mapping[str, Value]) -> None:
+        """Put values of a cell into the columns, each made with its first value."""
+        for place, (name, value) in enumerate(values.items()):
+            if name in self._axes or not (self._kept is None or name in self._kept):
+                continue
+            if name not in self.columns:
+                self.columns[name], self._kinds[name] = on_disk(np.float64, (self.grid.size,)), type(value)
+                self.columns[name][:] = np.nan
+            self._first[name] = min(self._first.get(name, (cell, place)), (cell, place))
+            number = self._texts.setdefault(value, len(self._texts)) if isinstance(value, str) else value
+            self.columns[name][cell] = number
 
     def forget_outside(self, mine: bool = False) -> None:
         """Take cells that failed for reasons outside of their computation as not computed; of a share its own alone."""
         chosen = self._outside & (self._sources == 0) if mine else self._outside
-        self.states[chosen] = self.attempts[chosen] = self.texts[REASON][chosen] = UNKNOWN
+        self.states[chosen] = self.attempts[chosen] = UNKNOWN
+        if REASON in self.columns:
+            self.columns[REASON][chosen] = np.nan
         self._outside[chosen] = False
 
     def start(self, cell: int) -> tuple[tuple[float, ...], float]:
@@ -291,10 +282,11 @@ class Map(WithVerbs):
 
     def _watched(self, name: str, levels: Sequence[float], cells: Cells) -> NDArray[np.float64]:
         """A word or a whole number itself, a number by the levels that it is above; -inf where there is none."""
-        if name not in self.numbers:
-            return self.texts[name][cells].astype(float) if name in self.texts else np.zeros(cells.size)
-        values = self.numbers[name][cells]
-        found = values if name in self._counts and not levels else np.sum([values > at for at in levels or ()], axis=0)
+        if name not in self.columns:
+            return np.zeros(cells.size)
+        values, kind = self.columns[name][cells], self._kinds[name]
+        itself = kind is str or (kind is int and not levels)
+        found = values if itself else np.sum([values > at for at in levels or ()], axis=0)
         return np.where(np.isnan(values), -np.inf, found)
 
     @property
@@ -320,14 +312,19 @@ class Map(WithVerbs):
     def failures(self, most: int | None = None) -> list[tuple[str, str]]:
         """Cells that failed or ended early, in words, each with its reason; no more than `most` of them."""
         cells = np.flatnonzero(self.states >= ENDED)[:most].tolist()
-        return [(self.grid.name(cell), self.text(REASON, cell)) for cell in cells]
+        return [
+            (self.grid.name(cell), str(words)) for cell, words in zip(cells, self.cells(REASON, cells), strict=True)
+        ]
 
     @property
     def names(self) -> list[str]:
         """Names of the quantities, in the order in which cells have them."""
-        wanted = self._wanted
-        known = [n for n in self._first if wanted is None or n in wanted or n == STARTED_FROM]
-        return sorted(known, key=self._first.__getitem__)
+        known = [n for n in self._first if n != REASON and (self._wanted is None or n in self._wanted)]
+        return sorted(known, key=lambda name: (name == STARTED_FROM, self._first[name]))
+
+    def is_text(self, name: str) -> bool:
+        """Whether a quantity, or the reasons why cells failed, are texts."""
+        return name == REASON or self._kinds[name] is str
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Values of a quantity by name, shape as the axes: NaN or an empty text where there is none.
@@ -339,20 +336,16 @@ class Map(WithVerbs):
 
     def values(self, name: str) -> NDArray[Any]:
         """Values of a quantity, or reasons why cells failed, as they are on the disk; shape as the axes."""
-        if name in self.numbers:
-            return self.numbers[name].reshape(self.shape)
-        texts = np.array(self._texts, dtype=object)[self.texts[name]]
-        return np.asarray(texts.reshape(self.shape))
-
-    def text(self, name: str, cell: int) -> str:
-        """The text of a cell; empty where there is none."""
-        return self._texts[int(self.texts[name][cell])]
+        values: NDArray[Any] = self.columns.get(name, np.full(self.grid.size, np.nan))
+        if self.is_text(name):
+            values = np.array([*self._texts], dtype=object)[np.nan_to_num(values).astype(int)]
+        return np.asarray(values.reshape(self.shape))
 
     def cells(self, name: str, cells: Sequence[int]) -> Iterator[Cell]:
         """Values of a quantity at cells as a table has them: nothing for NaN, a whole number where all of them are."""
-        if name not in self.numbers:
-            return (self.text(name, cell) for cell in cells)
-        values = self.numbers[name]
+        if self.is_text(name):
+            return iter(self.values(name).ravel()[cells])
+        values = self.columns[name]
         known = values[np.isfinite(values)]
         whole = bool(np.all(known == np.round(known)) and np.all(np.abs(known) < LARGEST_WHOLE_NUMBER))
         found = (float(values[cell]) for cell in cells)
@@ -442,21 +435,12 @@ class Map(WithVerbs):
 
         Numbers of a model of the user's have whatever unit the model has.
         """
-        names = list[str]()
-        for axis in self.grid.axes:
-            name = re.sub(r"\W+", "_", axis.name)
-            while name in names:
-                name = f"{name}_"
-            names.append(name)
+        taken = set[str]()
+        names = [_distinct(re.sub(r"\W+", "_", axis.name), "_", taken) for axis in self.grid.axes]
         variables = list(self._variables(names, {"units": "1"} if dimensionless else {}))
-        taken, unique = {f"{v.name}_length" for v in variables if v.values.dtype.kind in "USO"}, list[Variable]()
-        for place, variable in enumerate(variables):
-            name = variable.name
-            while place >= len(names) and (name in taken or name in names):
-                name = f"{name}_of_cell"
-            taken.add(name)
-            unique.append(replace(variable, name=name))
-        return Dataset(unique, attributes)
+        taken |= {f"{v.name}_length" for v in variables if v.values.dtype.kind in "USO"}
+        unique = [replace(v, name=_distinct(v.name, "_of_cell", taken)) for v in variables[len(names) :]]
+        return Dataset([*variables[: len(names)], *unique], attributes)
 
     def _variables(self, names: Sequence[str], units: Mapping[str, str]) -> Iterator[Variable]:
         """Axes under these names, and quantities over them: NaN and empty texts where there is none."""
@@ -474,12 +458,9 @@ class Map(WithVerbs):
         yield Variable(
             "status", over, self.states.reshape(self.grid.shape), "what is known of a cell", attributes=flags
         )
-        for name in self.names:
-            number = name in self.numbers
-            yield Variable(
-                name, over, self.values(name), self.meanings.get(name, name), number, units if number else {}
-            )
-        yield Variable(REASON, over, self.values(REASON), "why a cell failed, or ended early")
+        for name in (*self.names, REASON):
+            number, meaning = not self.is_text(name), self.meanings.get(name, name)
+            yield Variable(name, over, self.values(name), meaning, number, units if number else {})
 
     def write_boundary(self, lines: Lines) -> None:
         """Keep the lines of the boundary, in boundary.csv as well: their points in their order."""
@@ -499,10 +480,10 @@ class Map(WithVerbs):
     @property
     def drawn_names(self) -> list[str]:
         """Quantities with a picture: numbers that change over the map, but for error bars."""
-        names, known = list[str](), self.states != UNKNOWN
+        known, names = self.states != UNKNOWN, list[str]()
         for name in self.names:
-            if name in self.numbers and not name.endswith("_error") and name not in NOT_DRAWN:
-                values = self.numbers[name][known]
+            if not (self.is_text(name) or name.endswith("_error") or name in NOT_DRAWN):
+                values = self.columns[name][known]
                 finite = values[np.isfinite(values)]
                 if finite.size < values.size or float(np.ptp(finite)) > 0.0:
                     names.append(name)
@@ -518,7 +499,7 @@ class Map(WithVerbs):
 
     def _panels(self, name: str) -> tuple[list[Axis], list[MapAxis], Callable[[Sequence[int]], Panel]]:
         """Axes that are not drawn, those that are, and the panel of a quantity at places along the first."""
-        check_name("quantity", name, [n for n in self.names if n in self.numbers])
+        check_name("quantity", name, [n for n in self.names if not self.is_text(n)])
         axes, along = self.grid.axes, self._along
         others = [i for i in range(len(axes)) if i not in along]
 
@@ -544,6 +525,14 @@ class Map(WithVerbs):
         for key in at:
             check_name("at", key, [axis.name for axis in others])
         draw_maps([places], name, drawn, [panel([_place_of(axis, at) for axis in others])])
+
+
+def _distinct(name: str, more: str, taken: set[str]) -> str:
+    """The name, with `more` behind it until it is not taken; it is taken then."""
+    while name in taken:
+        name += more
+    taken.add(name)
+    return name
 
 
 def _place_of(axis: Axis, given: Mapping[str, Any]) -> int:
