@@ -1,18 +1,15 @@
-"""The axes of a map: keys of [map] that are no options, checked one by one, and where their values go in a scene."""
+"""The axes of a map: what they may be together, their values, and where these go in a scene."""
 
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import msgspec
-
 from casadi_skin.model.arguments import cut, did_you_mean, nearest
-from casadi_skin.runs.rules import SceneError, refusal, toml_repr, with_kind
-from casadi_skin.runs.scene import OPTIONS, AxisTable, ChainTable, MapTable, RangeTable, Scene, accepted_by
+from casadi_skin.runs.rules import SceneError, refusal, toml_repr
+from casadi_skin.runs.scene import OPTIONS, ChainTable, RangeTable, Scene
 
 ACCEPTED_AXES = "a table { from, to, points }, or a list of values"
 AMPLITUDE = ("family", "S")  # the orbit at an amplitude: cells that differ by it alone are orbits of one family
@@ -20,59 +17,6 @@ MAPPED_TASKS = ("family", "equilibrium", "orbit", "solution", "search")  # the t
 TOGETHER_SEPARATOR = ","  # between the names of parameters that one axis moves
 MOST_CELLS = 10_000_000  # of a map at its finest: an index of them is kept in memory
 Path = tuple[str, ...]
-
-
-def with_axes(raw: dict[str, Any]) -> dict[str, Any]:
-    """The tables of a scene with what [map] has beside its options under `axes`; raises SceneError for a bad axis."""
-    table = raw.get("map")
-    if not isinstance(table, dict):
-        return raw
-    given = table.get("axes", {})
-    if not isinstance(given, dict):
-        raise refusal("[map] axes", with_kind(given), accepted_by(MapTable, "axes"))
-    options = {name: value for name, value in table.items() if name in OPTIONS}
-    axes = {**given, **{name: value for name, value in table.items() if name not in OPTIONS}}
-    for name, value in axes.items():
-        if name in given and name in table:
-            raise refusal(f"[map] {cut(name)}", "again in its axes", "each parameter once")
-        _check_axis(name, value)
-    return {**raw, "map": {**options, "axes": axes}}
-
-
-def _check_axis(name: str, value: object) -> None:
-    """Raises SceneError where a key of [map] is neither an option nor an axis."""
-    place, known = f"[map] {cut(name)}", RangeTable.__struct_encode_fields__
-    if _is(AxisTable, value):
-        return
-    if isinstance(value, dict):
-        for key, item in value.items():
-            if key not in known:
-                near = nearest(key, known)
-                raise SceneError(f"{place}, {cut(key)}: unknown key; {did_you_mean(near, ', '.join(known))}")
-            if not _is(RangeTable, {"from": 0.0, "to": 1.0, "points": 2, key: item}):
-                raise refusal(f"{place}, {key}", with_kind(item), accepted_by(RangeTable, key))
-        missing = next(key for key in ("from", "to", "points") if key not in value)
-        raise SceneError(f"{place}, {missing}: missing; accepted: {accepted_by(RangeTable, missing)}")
-    if isinstance(value, list):
-        raise refusal(place, toml_repr(value), "a list of one or more finite numbers or names")
-    near = nearest(name, OPTIONS)
-    raise SceneError(f"{place}: given {with_kind(value)}; {did_you_mean(near, ACCEPTED_AXES)}")
-
-
-def _is(kind: Any, value: object) -> bool:
-    """Whether msgspec takes a value, which raises SystemError on integers beyond the floats."""
-    try:
-        return not any(isinstance(n, int) and abs(n) > sys.float_info.max for n in _leaves(value)) and (
-            msgspec.convert(value, kind) is not None
-        )
-    except msgspec.ValidationError:
-        return False
-
-
-def _leaves(value: object) -> Iterable[object]:
-    if not isinstance(value, dict | list):
-        return (value,)
-    return (leaf for item in (value.values() if isinstance(value, dict) else value) for leaf in _leaves(item))
 
 
 # Axes with their values -----------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 from casadi_skin.model.arguments import LONGEST_VALUE_TEXT, cut, did_you_mean, nearest
-from casadi_skin.runs.axes import check_map, with_axes
+from casadi_skin.runs.axes import ACCEPTED_AXES, check_map
 from casadi_skin.runs.rules import (
     SceneError,
     Unknown,
@@ -26,10 +26,13 @@ from casadi_skin.runs.rules import (
     with_kind,
 )
 from casadi_skin.runs.scene import (
+    OPTIONS,
     TABLES,
+    AxisList,
     BondTable,
     ChainTable,
     CurveTable,
+    MapTable,
     RangeTable,
     Scene,
     SearchCondition,
@@ -93,7 +96,6 @@ def _check_decimals(text: str) -> None:
 
 def scene_of(raw: dict[str, Any]) -> Scene:
     """The scene that tables of plain values ask for, checked; raises SceneError."""
-    raw = with_axes(raw)
     scene = _converted(raw)
     check_scene(scene)
     check_map(scene)
@@ -162,6 +164,7 @@ class _Reading:
     def table(self, kind: type[Table], place: str, given: Any) -> Any:
         """A table from plain values; nothing where it has a fault."""
         before, values = len(self.faults), dict[str, Any]()
+        given = self._with_axes(given) if kind is MapTable else given
         if not isinstance(given, dict):
             self.faults.append(refusal(place, with_kind(given), f"one table {place}"))
             return None
@@ -177,6 +180,8 @@ class _Reading:
                 self.unknown.append(Unknown(fault, shown, ", ".join(known.values()) or "no keys"))
             elif name in TABLES and not place:
                 values[name] = self.table(TABLES[name], f"[{name}]", value)
+            elif kind is MapTable and name == "axes" and isinstance(value, dict):
+                values[name] = {axis: self._axis(axis, item) for axis, item in value.items()}
             else:
                 values[keys[name].name] = self._value(kind, keys[name], f"{place} {name}".lstrip(), value)
         for name in (name for name, key in keys.items() if key.required and name not in given):
@@ -185,19 +190,14 @@ class _Reading:
 
     def _value(self, kind: type[Table], key: msgspec.structs.FieldInfo, place: str, value: Any) -> Any:
         """The value of a key; msgspec checks its type and bounds."""
-        part, message, where = LATTICE_PARTS.get(place), "", ""
+        part, where = LATTICE_PARTS.get(place), ""
         if part and isinstance(value, list) and all(isinstance(item, dict) for item in value):
             for i, item in enumerate(value, start=1):
                 self.table(part, f"[{place.replace('] ', '.')}]] {i}", item)
-        # no key takes an integer beyond the floats, and msgspec up to 0.20 raises SystemError on it
-        huge = (leaf for leaf in _leaves(value) if isinstance(leaf, int) and abs(leaf) > sys.float_info.max)
-        found = next(huge, None)
         try:
-            if found is None:
-                return msgspec.convert(value, key.type)
-            value = found
+            return _taken(value, key.type)
         except msgspec.ValidationError as error:
-            message = str(error)
+            message, value = str(error.args[0]), error.args[1] if len(error.args) > 1 else value
         accepted = accepted_by(kind, key.encode_name)
         whole = part or kind in LATTICE_PARTS.values()  # of sites and bonds values are shown as they are
         item = None if whole else re.search(r"`\$\[(\d+)\]", message)
@@ -210,6 +210,38 @@ class _Reading:
         end = did_you_mean(near and toml_repr(near), accepted)
         self.faults.append(SceneError(f"{place}: given {given}{where}; {end}"))
         return None
+
+    def _with_axes(self, given: Any) -> Any:
+        """The keys of [map], those that are no options among its axes."""
+        if not isinstance(given, dict) or not isinstance(axes := given.get("axes", {}), dict):
+            return given
+        own = {name: value for name, value in given.items() if name not in OPTIONS}
+        again = (name for name in own if name in axes)
+        self.faults += [refusal(f"[map] {cut(name)}", "again in its axes", "each parameter once") for name in again]
+        return {**{name: value for name, value in given.items() if name not in own}, "axes": {**axes, **own}}
+
+    def _axis(self, name: str, value: Any) -> Any:
+        """An axis of a map: a range, or a list; nothing where it has a fault."""
+        place = f"[map] {cut(name)}"
+        if isinstance(value, dict):
+            return self.table(RangeTable, f"{place},", value)
+        try:
+            return _taken(value, AxisList)
+        except msgspec.ValidationError:
+            words = f"{toml_repr(value)}; accepted: a list of one or more finite numbers or names"
+            if not isinstance(value, list):
+                words = f"{with_kind(value)}; {did_you_mean(nearest(name, OPTIONS), ACCEPTED_AXES)}"
+            self.faults.append(SceneError(f"{place}: given {words}"))
+            return None
+
+
+def _taken(value: Any, kind: Any) -> Any:
+    """What msgspec makes of a value; raises ValidationError for others, with the integer that no float reaches."""
+    huge = (leaf for leaf in _leaves(value) if isinstance(leaf, int) and abs(leaf) > sys.float_info.max)
+    found = next(huge, None)
+    if found is not None:  # no key takes it, and msgspec up to 0.20 raises SystemError on it
+        raise msgspec.ValidationError("", found)
+    return msgspec.convert(value, kind)
 
 
 def _converted(raw: dict[str, Any]) -> Scene:

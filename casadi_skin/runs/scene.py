@@ -552,7 +552,7 @@ class RangeTable(Table, frozen=True):
 
 _Value = int | Finite | Text
 _Together = Annotated[tuple[_Value, ...], Meta(min_length=2)]  # a value for each of several parameters
-AxisTable = RangeTable | Annotated[tuple[_Value | _Together, ...], Meta(min_length=1)]
+AxisList = Annotated[tuple[_Value | _Together, ...], Meta(min_length=1)]
 
 
 class MapTable(Table, frozen=True):
@@ -572,7 +572,7 @@ class MapTable(Table, frozen=True):
         cell_limit: Seconds that a cell may take; accepted: {} (left out: no limit)
     """
 
-    axes: dict[str, AxisTable] = field(default_factory=dict)
+    axes: dict[str, RangeTable | AxisList] = field(default_factory=dict)
     quantities: Names | None = None
     watch: Names | dict[str, tuple[Finite, ...]] | None = None
     boundary: bool = False
