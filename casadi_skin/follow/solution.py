@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.follow.space import collocation_of
-from casadi_skin.model.arguments import check_name, number, numbers, whole
+from casadi_skin.model.arguments import check_name, check_way, number, whole
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.declarations import check_forcing_period
 from casadi_skin.model.expressions import at_instants, instants, site_numbers
@@ -653,20 +653,12 @@ def following_settings(
 ) -> ContinuationSettings:  # fmt: skip
     """Settings of a branch from a solution in a parameter, checked; raises ValueError as `follow` does."""
     check_name("parameter", parameter, [name for name in solution.parameters if name not in solution.space.free])
-    start, end = solution.parameters[parameter], number("to", to)
-    if end == start:
-        raise ValueError(f"to: given {end!r}, where the branch starts; accepted: another value")
-    back = start if back_to is None else number("back_to", back_to)
-    if back_to is not None and not (back - start) * (end - start) < 0.0:
-        side = "below" if end > start else "above"
-        raise ValueError(f"back_to: given {back:g}; accepted: a number {side} {start:g}, where the branch starts")
-    for value in numbers("at", at):
-        if not min(back, end) <= value <= max(back, end):
-            raise ValueError(f"at: given {value:g}; accepted: values from {back:g} to {end:g}")
+    start = solution.parameters[parameter]
+    end, back, values = check_way(start, to, back_to, at)
     whole("max_points", max_points, 2)
     if not number("max_step", max_step) > 0.0:
         raise ValueError(f"max_step: given {max_step!r}; accepted: a number > 0")
-    wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in at)
+    wanted = tuple(Target(Scalar.PARAMETER, (value - start) / (end - start)) for value in values)
     model = solution.model
     if solution.is_orbit and model.forced:
         check_forcing_period(model, solution, solution.period, {**solution.parameters, parameter: end})

@@ -184,6 +184,26 @@ def file_path(name: str, value: object) -> Path:
     return Path(value)
 
 
+def check_way(
+    start: float, to: object, back_to: object = None, at: object = ()
+) -> tuple[float, float, tuple[float, ...]]:
+    """Ends of a branch from a value of its parameter and the values wanted on it, as numbers: `to`, `back_to`, `at`.
+
+    A branch that comes back ends at `back_to`, at its start for None. Raises TypeError and ValueError for others.
+    """
+    end, back, wanted = number("to", to), start if back_to is None else number("back_to", back_to), numbers("at", at)
+    if end == start:
+        raise ValueError(f"to: given {end!r}, where the branch starts; accepted: another number")
+    if back_to is not None and not (back - start) * (end - start) < 0.0:
+        side = "below" if end > start else "above"
+        raise ValueError(f"back_to: given {back!r}; accepted: a number {side} {start!r}, where it starts")
+    low, high = sorted((back, end))
+    for item, value in enumerate(wanted, start=1):
+        if not low <= value <= high:
+            raise ValueError(f"at: given {value!r} as item {item}; accepted: numbers from {low!r} to {high!r}")
+    return end, back, wanted
+
+
 def check_places(given: Any, amplitude_max: float, linear_period: float, mode: int) -> None:
     """Raises ValueError for places where orbits are wanted, and a last period, that a family does not come to.
 

@@ -13,6 +13,7 @@ from msgspec.structs import asdict, astuple
 
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.lattice import Lattice, LongLattice
+from casadi_skin.model.arguments import check_way
 from casadi_skin.model.conserved import pinned_components, symmetry_class
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.loading import call, named, read_source, run_file
@@ -219,18 +220,10 @@ def _of_continuation(request: Request) -> Rules:
     if family:
         return
     state_of(table.monitors or {}, request.equations.state_names, "[continuation] monitors")
-    start, to, back = values[table.parameter], table.to, table.back_to
-    yield "continuation to", to == start and f"{to!r}, where the branch starts", "another number"
-    beyond = limits and table.parameter == "gamma" and abs(to) > 1
-    yield "continuation to", beyond and f"{to!r} for gamma", "numbers from -1 to 1"
-    if back is not None:
-        side = "below" if to > start else "above"
-        same = not (back - start) * (to - start) < 0.0
-        yield "continuation back_to", same, f"a number {side} {start!r}, where it starts"
-    low, high = sorted((start if back is None else back, to))
-    for item, value in enumerate(table.at, start=1):
-        outside = not low <= value <= high and f"{value!r} as item {item}"
-        yield "continuation at", outside, f"numbers from {low!r} to {high!r}"
+    beyond = limits and table.parameter == "gamma" and abs(table.to) > 1
+    yield "continuation to", beyond and f"{table.to!r} for gamma", "numbers from -1 to 1"
+    with faults_at("[continuation] "):
+        check_way(values[table.parameter], table.to, table.back_to, table.at)
 
 
 def _of_jumps(request: Request) -> Rules:

@@ -124,8 +124,11 @@ def test_options_out_of_range_are_refused(options: dict[str, Any], words: str) -
     ("arguments", "words"),
     [
         ({"parameter": "stifness", "to": 2.0}, "parameter: given 'stifness'; did you mean stiffness?"),
-        ({"parameter": "stiffness", "to": 1.0}, "to: given 1.0, where the branch starts; accepted: another value"),
-        ({"parameter": "stiffness", "to": 2.0, "at": [3.0]}, "at: given 3; accepted: values from 1 to 2"),
+        ({"parameter": "stiffness", "to": 1.0}, "to: given 1.0, where the branch starts; accepted: another number"),
+        (
+            {"parameter": "stiffness", "to": 2.0, "at": [3.0]},
+            "at: given 3.0 as item 1; accepted: numbers from 1.0 to 2.0",
+        ),
         ({"parameter": "stiffness", "to": 2.0, "max_points": 0}, "max_points: given 0; accepted: a whole number >= 2"),
         ({"parameter": "stiffness", "to": 2.0, "max_step": -1.0}, "max_step: given -1.0; accepted: a number > 0"),
     ],

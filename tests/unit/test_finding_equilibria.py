@@ -181,7 +181,7 @@ def test_following_is_refused_for_names_and_values_that_do_not_fit() -> None:
     ):
         with pytest.raises(ValueError, match=words):
             start.follow(*arguments)
-    with pytest.raises(ValueError, match="at: given 3; accepted: values from"):
+    with pytest.raises(ValueError, match=r"^at: given 3\.0 as item 1; accepted: numbers from"):
         start.follow("q2", 1.0, at=[3.0])
 
 
