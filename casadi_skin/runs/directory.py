@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from enum import Enum
 from glob import escape
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from casadi_skin.model.files import leftovers, replacing
 from casadi_skin.model.methods import FORMATS
@@ -17,6 +18,9 @@ from casadi_skin.runs.output import InputError
 from casadi_skin.runs.reading import parse_scene
 from casadi_skin.runs.rules import SceneError
 from casadi_skin.runs.scene import Scene
+
+if TYPE_CHECKING:
+    from casadi_skin.runs.request import Request
 
 SCENE_FILE = "scene.toml"
 JOURNAL_FILE = "journal.msgpack"
@@ -54,14 +58,16 @@ class Existing(Enum):
     SHARE = "share"  # with processes that begin at the same time, and compute other shares of the same map
 
 
-def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) -> bool:
-    """Make `directory` ready for a run of `scene`; False where a resumed run has nothing left to do.
+def prepare(directory: Path, request: Request, scene_text: str, existing: Existing) -> bool:
+    """Make `directory` ready for a run of a request; False where a resumed run has nothing left to do.
 
     Raises DirectoryError where the directory may not be used; nothing is written then.
     """
     names = (*WRITTEN_FILES, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURE_STEMS for kind in FORMATS), "*.fmu")
     check_writable(directory)
     shared = existing is Existing.SHARE
+    if shared or existing is Existing.RESUME:
+        _check_same_source(directory, request)
     left = leftovers(directory, names) if directory.is_dir() and not shared else []
     accepted = "an empty or new directory, --resume or --overwrite"
     held = _check_free(directory, existing is not Existing.REFUSE, accepted, left)
@@ -71,7 +77,7 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
             words = "accepted: an empty or new directory, or that of the map"
             raise DirectoryError(f"{directory}: holds {held[0]}; {words}")
     if held and existing is not Existing.OVERWRITE:
-        _check_same(directory, scene)
+        _check_same(directory, request.scene)
     written = any((directory / name).exists() for name in ("family.nc", "search.nc", "branch.nc", "dynamics.nc"))
     if written and existing is Existing.RESUME and not (directory / JOURNAL_FILE).exists():
         _check_complete(directory)
@@ -82,7 +88,7 @@ def prepare(directory: Path, scene: Scene, scene_text: str, existing: Existing) 
         path.unlink(missing_ok=True)
     make_directory(directory)
     if not (held and shared):
-        _write_scene(directory, scene_text)
+        _write_scene(directory, request, scene_text)
     return True
 
 
@@ -97,16 +103,21 @@ def _check_complete(directory: Path) -> None:
             raise DirectoryError(f"{error}; --overwrite computes it anew") from error
 
 
-def renew(directory: Path, scene_text: str) -> None:
+def renew(directory: Path, request: Request, scene_text: str) -> None:
     """Make the directory of a run that was removed; its journal is empty."""
     directory.mkdir(parents=True)
-    _write_scene(directory, scene_text)
+    _write_scene(directory, request, scene_text)
     (directory / JOURNAL_FILE).touch()
 
 
-def _write_scene(directory: Path, scene_text: str) -> None:
-    with replacing(directory / SCENE_FILE) as temporary:
-        temporary.write_text(f"{MADE_BY_RUN}\n{scene_text}", encoding="utf-8")
+def _write_scene(directory: Path, request: Request, scene_text: str) -> None:
+    """Write the copies of the scene, and of the file of its model."""
+    texts = {directory / SCENE_FILE: f"{MADE_BY_RUN}\n{scene_text}"}
+    if request.path is not None:
+        texts[directory / f"{SCENE_MODEL}{request.path.suffix}"] = request.source
+    for path, text in texts.items():
+        with replacing(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
 
 
 def make_directory(directory: Path) -> None:
@@ -196,13 +207,15 @@ def check_writable(directory: Path) -> None:
         raise DirectoryError(f"{directory}: cannot be written (in {parent}); accepted: a directory that can be")
 
 
-def check_same_source(directory: Path, path: Path, source: str) -> None:
+def _check_same_source(directory: Path, request: Request) -> None:
     """Raises DirectoryError where the directory is a run of a model file that has been changed since."""
+    path = request.path
+    if path is None:
+        return
     held = directory / f"{SCENE_MODEL}{path.suffix}"
-    if held.exists() and held.read_text(encoding="utf-8") != source:
-        raise DirectoryError(
-            f"{directory}: was begun with another {path.name} (see {held.name}); accepted: the same, or --overwrite"
-        )
+    if held.exists() and held.read_text(encoding="utf-8") != request.source:
+        words = f"was begun with another {path.name} (see {held.name}); accepted: the same, or --overwrite"
+        raise DirectoryError(f"{directory}: {words}")
 
 
 def _check_same(directory: Path, scene: Scene) -> None:

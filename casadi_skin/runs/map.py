@@ -23,17 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.model.arguments import file_path, short_repr, truth, whole
-from casadi_skin.model.files import replacing
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.runs.axes import Axis
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.directory import (
     JOURNAL_FILE,
     SCENE_FILE,
-    SCENE_MODEL,
     DirectoryError,
     Existing,
-    check_same_source,
     in_use,
     prepare,
 )
@@ -277,7 +274,8 @@ class MapRun:
             engine = None if self.collect else self._engine(progress)
             if engine is not None:
                 held.callback(engine.close)
-            self._prepare()
+            existing = Existing.SHARE if self.shared else self.existing
+            prepare(self.directory, self.request, self.text, existing)
             given = self.directory, self.grid, self.scene, None if self.collect else own, progress.report
             found = held.enter_context(Map(*given))
             if self.existing is Existing.RESUME:
@@ -302,15 +300,6 @@ class MapRun:
             return local_engine(self.workers)
         engine = given_engine(self.executor) if self.executor is not None else dask_engine(str(self.scheduler))
         return replace(engine, take_over=take_over)
-
-    def _prepare(self) -> None:
-        request = self.request
-        if request.path is not None and (self.shared or self.existing is Existing.RESUME):
-            check_same_source(self.directory, request.path, request.source)
-        prepare(self.directory, self.scene, self.text, Existing.SHARE if self.shared else self.existing)
-        if request.path is not None:
-            with replacing(self.directory / f"{SCENE_MODEL}{request.path.suffix}") as temporary:
-                temporary.write_text(request.source, encoding="utf-8")
 
     def _compute(self, found: Map, engine: Engine, progress: Progress) -> bool:
         """Compute the missing cells; False where the share of another part is still to come.

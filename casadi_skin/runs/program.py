@@ -148,11 +148,9 @@ def _run_in(
     directory: Path, existing: Existing, request: Request, text: str, arguments: argparse.Namespace, progress: Progress
 ) -> int:
     """Compute a request in a directory of this process, and return the exit status."""
-    from casadi_skin.runs.directory import Existing, check_same_source, prepare
+    from casadi_skin.runs.directory import prepare
 
-    if existing is Existing.RESUME and request.path is not None:
-        check_same_source(directory, request.path, request.source)
-    if not prepare(directory, request.scene, text, existing):
+    if not prepare(directory, request, text, existing):
         if arguments.json:
             print_results(directory, True, ())
         elif not arguments.quiet:
@@ -236,7 +234,7 @@ def spectrum(arguments: argparse.Namespace) -> int:
             from casadi_skin.runs.directory import Existing, prepare
             from casadi_skin.runs.run import write_spectrum
 
-            prepare(arguments.out, scene, text, Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE)
+            prepare(arguments.out, request, text, Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE)
             write_spectrum(request, arguments.out)
         frequencies = [float(omega) for omega in linear_frequencies(request.model, request.parameters)]
     if arguments.json:

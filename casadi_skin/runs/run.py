@@ -13,7 +13,6 @@ import numpy as np
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
-from casadi_skin.model.files import replacing
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.results import figures
 from casadi_skin.results.dataset import dataset_of, write_columns, write_csv, write_netcdf
@@ -29,7 +28,7 @@ from casadi_skin.results.tables import (
     write_special_points,
 )
 from casadi_skin.runs.branches import Branches
-from casadi_skin.runs.directory import JOURNAL_FILE, SCENE_MODEL, renew
+from casadi_skin.runs.directory import JOURNAL_FILE, renew
 from casadi_skin.runs.output import Progress
 from casadi_skin.runs.parts import ended_well, mode_of, origin, picture
 from casadi_skin.runs.request import Request
@@ -83,9 +82,6 @@ class Run(Branches):
         """Compute, write, and return whether everything requested was found."""
         scene, journal = self.request.scene, self.directory / JOURNAL_FILE
         journal.touch()
-        if self.request.path is not None:
-            with replacing(self.directory / f"{SCENE_MODEL}{self.request.path.suffix}") as temporary:
-                temporary.write_text(self.request.source, encoding="utf-8")
         try:
             with one_thread():
                 if scene.search is None:  # its journal is of another kind
@@ -122,7 +118,7 @@ class Run(Branches):
     def _write_results(self) -> None:
         self.progress.say("writing tables and pictures")
         if not self.directory.exists():
-            renew(self.directory, self.scene_text)
+            renew(self.directory, self.request, self.scene_text)
             self.failures.append(f"{self.directory}: was removed during the run; what was computed is there again")
         if self.request.scene.spectrum is not None:
             write_spectrum(self.request, self.directory)
