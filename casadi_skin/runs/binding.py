@@ -69,6 +69,10 @@ def bind(scene: Scene, scene_path: Path, files: Files | None = None) -> Request:
     for rules in (_of_solutions, _of_continuation, _of_jumps, _of_families):
         check_rules(scene, rules(request))
     _check_perturbation(request)
+    if scene.map is not None:
+        from casadi_skin.runs.map_grid import axes_of
+
+        axes_of(scene)
     if scene.spectrum is not None:
         check_spectrum(request)
     if scene.search is not None:

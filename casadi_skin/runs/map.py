@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from casadi_skin.model.arguments import file_path, short_repr, truth, whole
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.runs.axes import Axis
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.directory import (
     JOURNAL_FILE,
@@ -35,7 +34,7 @@ from casadi_skin.runs.directory import (
     prepare,
 )
 from casadi_skin.runs.map_cell import LOST, Computer, Result, check_quantities, compute
-from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Cells, Grid, Task, needed, plain, scene_at
+from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Cells, Grid, Task, needed, plain, scene_at
 from casadi_skin.runs.map_lines import boundaries, check_boundary
 from casadi_skin.runs.map_result import DONE, FAILED, MOST_ATTEMPTS, WATCHED, Map
 from casadi_skin.runs.output import Progress

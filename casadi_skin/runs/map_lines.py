@@ -18,11 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.follow.special_points import SpecialPoint
-from casadi_skin.runs.axes import Axis
 from casadi_skin.runs.binding import Files, bind
 from casadi_skin.runs.first_solution import first_solution
 from casadi_skin.runs.map_cell import followed
-from casadi_skin.runs.map_grid import Cells, Grid, Settings, plain, scene_at
+from casadi_skin.runs.map_grid import Axis, Cells, Grid, Settings, plain, scene_at
 from casadi_skin.runs.map_result import DONE, UNKNOWN, Lines, Map
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.rules import SceneError

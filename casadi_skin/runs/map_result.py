@@ -42,10 +42,9 @@ from casadi_skin.results.figures.style import save
 from casadi_skin.results.quantities import Cell
 from casadi_skin.results.store import Journal, mapped, record_at, scan
 from casadi_skin.results.words import Columns, Shown, listed, show
-from casadi_skin.runs.axes import Axis
 from casadi_skin.runs.directory import SCENE_FILE, DirectoryError
 from casadi_skin.runs.map_cell import OUTSIDE_FAULTS, Result, Row, Value
-from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Cells, Grid, Labels, Task, needed
+from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Cells, Grid, Labels, Task, needed
 from casadi_skin.runs.output import Progress
 from casadi_skin.runs.reading import parse_scene, read_text
 from casadi_skin.runs.rules import SceneError

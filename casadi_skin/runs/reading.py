@@ -13,7 +13,6 @@ from typing import Any
 import msgspec
 
 from casadi_skin.model.arguments import LONGEST_VALUE_TEXT, cut, did_you_mean, nearest
-from casadi_skin.runs.axes import ACCEPTED_AXES, check_map
 from casadi_skin.runs.rules import (
     SceneError,
     Unknown,
@@ -26,6 +25,7 @@ from casadi_skin.runs.rules import (
     with_kind,
 )
 from casadi_skin.runs.scene import (
+    ACCEPTED_AXES,
     OPTIONS,
     TABLES,
     AxisList,
@@ -98,7 +98,6 @@ def scene_of(raw: dict[str, Any]) -> Scene:
     """The scene that tables of plain values ask for, checked; raises SceneError."""
     scene = _converted(raw)
     check_scene(scene)
-    check_map(scene)
     return scene
 
 

@@ -16,7 +16,7 @@ from casadi_skin.lattice.stiffness import square_of_family
 from casadi_skin.model.arguments import LONGEST_VALUE_TEXT, check_name, check_places, cut, did_you_mean
 from casadi_skin.model.methods import COLLOCATION_TABLES, FULL_PERIOD_FLOWS
 from casadi_skin.runs.output import InputError
-from casadi_skin.runs.scene import AMPLITUDE, SELECTED, TABLES, MethodTable, Scene, one_of
+from casadi_skin.runs.scene import ACCEPTED_AXES, AMPLITUDE, SELECTED, TABLES, MethodTable, Scene, one_of
 
 LONGEST_LIST = 400  # characters of a message on several names
 
@@ -121,6 +121,7 @@ def with_kind(value: object) -> str:
 LONGEST_ENVELOPE = 700.0  # the same as in dynamics, which loads numerics
 KICKS = ("site", "vector", "seed")  # keys of [dynamics], one of which a perturbation has
 STARTS = ("mode", *KICKS)  # of which a motion from rest has one
+MAPPED_TASKS = ("family", "equilibrium", "orbit", "solution", "search")  # the tasks of cells of maps
 MISSING = "missing"
 BESIDE_SOLUTION = "beside [equilibrium], [orbit] or [solution]"
 
@@ -167,7 +168,17 @@ class Seen:
 
 def check_scene(scene: Scene) -> None:
     """Raises SceneError for the first key that does not go with another one."""
-    for rules in (_of_how, _of_what, _of_branches, _of_families, _of_lengths, _of_dynamics, _of_search, _of_export):
+    for rules in (
+        _of_how,
+        _of_what,
+        _of_branches,
+        _of_families,
+        _of_lengths,
+        _of_dynamics,
+        _of_search,
+        _of_export,
+        _of_map,
+    ):
         check_rules(scene, rules(Seen(scene)))
 
 
@@ -414,3 +425,18 @@ def _of_export(s: Seen) -> Rules:
     yield "export c", without and '"orbit" without S', "with S, that of the orbit"
     yield "export S", not s.family, "beside a [family], one of whose orbits it names"
     yield from _orbit_of_family(s, "export")
+
+
+def _of_map(s: Seen) -> Rules:
+    """Rules of [map]; where its axes lead is known with the model."""
+    table = s.map
+    if not table:
+        return
+    tasks = "beside [family], [equilibrium], [orbit], [solution] or [search]"
+    yield "map", not s.scene.given(*MAPPED_TASKS) and "with a scene that asks for no solution", tasks
+    if not table.axes:
+        yield f"[map]: no axis; accepted: a parameter of the scene with {ACCEPTED_AXES}"
+    yield "map growth", table.growth and not s.stability and " without [stability]", "beside [stability]"
+    accepted = "with a whole number of sites: an infinite chain has no tongues to be followed"
+    for name in ("growth", "boundary"):
+        yield f"map {name}", getattr(table, name) and s.sites == math.inf and "with sites = inf", accepted

@@ -701,6 +701,7 @@ class Scene(Table, frozen=True):
         return plain[0] == plain[1]
 
 
+ACCEPTED_AXES = "a table { from, to, points }, or a list of values"  # of a map
 OPTIONS: tuple[str, ...] = MapTable.__struct_encode_fields__
 TABLES: Mapping[str, type[Table]] = MappingProxyType(
     {

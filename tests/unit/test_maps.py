@@ -19,10 +19,9 @@ from scipy.io import netcdf_file
 
 from casadi_skin import Chain, follow_family, read_map, run_map
 from casadi_skin.results.figures.map import COLOUR_MAP, MapAxis, Panel, map_figure
-from casadi_skin.runs.axes import Axis
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.map_cell import FAMILY_SUFFIX, Computer, Result, Row, known_names
-from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Grid, needed, plain, scene_at
+from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Grid, needed, plain, scene_at
 from casadi_skin.runs.map_lines import Entry, boundaries, checked, lowest
 from casadi_skin.runs.map_result import UNKNOWN as NOT_COMPUTED
 from casadi_skin.runs.map_result import Map
