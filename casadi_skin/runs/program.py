@@ -158,8 +158,7 @@ def _run_in(
         return DONE
 
     from casadi_skin.model.interrupts import TimeLimit, time_limited
-    from casadi_skin.runs.run import Run
-    from casadi_skin.runs.summary import print_summary
+    from casadi_skin.runs.run import Run, print_summary
 
     run, stopped, limit = Run(request, text, directory, progress), "", TimeLimit(request.scene.time_limit)
     try:
