@@ -6,9 +6,9 @@ That of the usual families of a chain is known from the scene alone; numerics ar
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from itertools import islice
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from casadi_skin.lattice.stiffness import stiffness
 from casadi_skin.model import methods
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from casadi_skin.follow.family import Family
     from casadi_skin.model.conserved import SymmetryClass
     from casadi_skin.runs.request import Request
-    from casadi_skin.zero.problem import Problem
-    from casadi_skin.zero.settings import ErrorEstimate
+    from casadi_skin.zero.settings import Point
 
+Result = TypeVar("Result")
 KNOWN_TABLES = {"chain", "family", "spectrum", "stability"}  # tables whose plan is known from the scene
 COMMON_TABLES = {"title", "figures", "accuracy", "method"}  # which any scene has
 SMALLEST_SCALED_S, LARGEST_SCALED_S = 1e-100, 1e100  # sizes of g S that are checked no further
@@ -40,6 +40,7 @@ UNKNOWNS = {
     methods.SHOOTING: "positions and velocities, integrated by CVODES",
 }
 TYPICAL_SAMPLES = (60, 450)  # orbits of a family that its changes of stability are sought with
+MEASURED_POINTS = 8  # at the begin of a family
 TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to end modes of long or steep ones
 
 
@@ -192,60 +193,40 @@ def _families(request: Request, measure: bool) -> Lines:
 
 
 def _measured(request: Request, family: Family) -> Lines:
-    """The problem at the start of the first family, and the cost of all."""
-    started = time.perf_counter()
-    problem, error = _first_problem(family)
-    building = time.perf_counter() - started
+    """The problem of the first points of the first family, and the cost of all: that of one, times the usual number."""
+    from casadi_skin.follow.follow import BranchRun
+
+    def follow() -> list[Point]:
+        return [orbit.point for orbit in islice(BranchRun(family), MEASURED_POINTS)]
+
+    stability, families = request.scene.stability, len(request.families)
+    points, first = _timed(follow)  # builds
+    if not points:
+        return [("expected cost", "not known: no step, however short, leads from the linear mode")]
+    each = _timed(follow)[1] / len(points)
+    building, multipliers, words = max(first - each * len(points), 0.0), 0.0, ""
+    if stability is not None:
+        _timed(lambda: family.floquets(points[:1]))  # builds the variational system
+        multipliers = _timed(lambda: family.floquets(points[-1:]))[1]
+        words = f" and {1e3 * multipliers:.2g} ms for its multipliers"
+    events = stability is not None and stability.events and family.coordinates.localised is None
+    counts = zip(TYPICAL_POINTS, TYPICAL_SAMPLES if events else (0, 0), strict=True)
+    low, high = (families * (building + (usual + samples) * (each + multipliers)) for usual, samples in counts)
+    of_all = f"{low:.1g} to {high:.1g} s for {families} famil{'y' if families == 1 else 'ies'}"
+    of_one = f"{1e3 * building:.0f} ms to build, {1e3 * each:.2g} ms a point{words} (measured now)"
+    problem, error = points[0].problem, points[0].error.relative(family.coordinates.frequency)
     sizes = f"{problem.size} at the start ({problem.resolution_in_words()}); {problem.size - 1} equations"
     return [
         ("unknowns", f"{sizes}; more where the tolerance asks for it"),
         ("non-zeros", f"{problem.pattern[0].size} in the Jacobian"),
-        ("first error", f"{error.relative(family.coordinates.frequency):.1e} estimated at the start"),
-        ("expected cost", _cost(request, family, problem, building)),
+        ("first error", f"{error:.1e} estimated at the start"),
+        ("expected cost", f"{of_one}; {of_all}"),
     ]
 
 
-def _first_problem(family: Family) -> tuple[Problem, ErrorEstimate]:
-    """The coarsest problem that meets the tolerance at a small amplitude, and its error there."""
-    start = family.start
-    problem, z = start.problem, start.z + start.step * start.tangent
-    while True:
-        row = problem.parameter_row()
-        correction = family.levels.corrector(problem).correct(z, row, float(row @ z))
-        error = family.levels.error(problem, correction.z)
-        finer = family.levels.finer(problem)
-        at_top = finer is None or family.levels.finer(finer) is None  # the last level has no error to show
-        if finer is None or at_top or error.relative(problem.frequency(z)) <= family.tolerance:
-            return problem, error
-        problem, z = finer, problem.prolong(correction.z, finer)
-
-
-def _cost(request: Request, family: Family, problem: Problem, building: float) -> str:
-    """Cost from one measured solve (and one transition matrix), times the usual number of points."""
-    start, families = family.start, len(request.families)
-    z = start.problem.prolong(start.z + start.step * start.tangent, problem)
-    row = problem.parameter_row()
+def _timed(act: Callable[[], Result]) -> tuple[Result, float]:
     started = time.perf_counter()
-    z = family.levels.corrector(problem).correct(z, row, float(row @ z)).z
-    family.levels.error(problem, z)
-    point = time.perf_counter() - started
-    words = f"{1e3 * building:.0f} ms to build, {1e3 * point:.2g} ms a point"
-    if request.scene.stability is not None:
-        there = replace(start, problem=problem, z=z, better=None)
-        for _ in range(2):
-            started = time.perf_counter()
-            if family.coordinates.localised is None:
-                family.flow.transition(problem, z)
-            else:
-                family.floquets([there])
-            multipliers = time.perf_counter() - started
-        point += multipliers
-        words += f" and {1e3 * multipliers:.2g} ms for its multipliers"
-    stability = request.scene.stability
-    events = stability is not None and stability.events and family.coordinates.localised is None
-    counts = zip(TYPICAL_POINTS, TYPICAL_SAMPLES if events else (0, 0), strict=True)
-    low, high = (families * (building + (points + samples) * point) for points, samples in counts)
-    return f"{words} (measured now); {low:.1g} to {high:.1g} s for {families} famil{'y' if families == 1 else 'ies'}"
+    return act(), time.perf_counter() - started
 
 
 # Equilibria -----------------------------------------------------------------------------------------------------------
