@@ -15,7 +15,9 @@ site: its ratio is sinh(c kappa) / sinh((c + 1) kappa) for c cells.
 
 from __future__ import annotations
 
+import cmath
 import math
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -95,11 +97,16 @@ class Tail:
 
     def anywhere(self, square: float) -> Place:
         """Where a lambda is, in a gap or in a band, from the nearest edge of it."""
-        squares = np.array([edge.square for edge in self.edges])
-        below = int(np.searchsorted(squares, square))
+        squares = self._squares
+        below = bisect_left(squares, square)
         near = [below - 1, below] if below % 2 else [k for k in self.sides(below // 2) if k is not None]
         edge = min(near, key=lambda k: abs(square - squares[k]))
-        return Place((edge + 1) // 2, edge, square - float(squares[edge]))
+        return Place((edge + 1) // 2, edge, square - squares[edge])
+
+    @cached_property
+    def _squares(self) -> list[float]:
+        """lambda of all edges."""
+        return [edge.square for edge in self.edges]
 
     def place(self, square: float) -> Place:
         """Where a lambda is; raises ArithmeticError in a band."""
@@ -148,55 +155,67 @@ class Tail:
 
     def _phase(self, half: Any, at_edge: Any) -> Any:
         """Wave number from that of the edge, in a band, from half the trace of P s C_oi beyond that at the edge."""
-        return 2.0 * np.arcsin(np.sqrt(-0.5 * half / at_edge))
+        functions = _functions_of(half)
+        return 2.0 * functions.asin(functions.sqrt(-0.5 * half / at_edge))
 
     def _vector(self, place: Place, off: Any) -> tuple[Any, Any]:
         """(amplitude across the bond, amplitude of the core's site), up to a factor; in a band of any lobe."""
         D, oo, ii, oi, C2, beyond = (_value(p, off) for p in self._polynomials[place.edge])
-        sign, c = self.edges[place.edge].sign, self.cells
+        sign, c, functions = self.edges[place.edge].sign, self.cells, _functions_of(off)
         first, second = -C2 * self.wall + oo, -ii * self.wall + D  # P s C_oi on the far wall
         half, at_edge = 0.5 * beyond, sign * oi  # half the trace is at_edge + half
-        if np.isfinite(c) and abs(2.0 * half / at_edge) * c**2 < BESIDE_EDGE:  # kappa^2 c^2: to its first power
+        if math.isfinite(c) and abs(2.0 * half / at_edge) * c**2 < BESIDE_EDGE:  # kappa^2 c^2: to its first power
             small = at_edge * (c - 1.0) / c * (1.0 - (2.0 * c - 1.0) / 3.0 * half / at_edge)
             return first - small * self.wall, second - small
         square = half * (half + 2.0 * at_edge)  # of half the difference of the eigenvalues
-        if np.real(square) >= 0.0:
+        if square.real >= 0.0:
             middle = at_edge + half
-            root = np.sqrt(square)
-            large = middle + (root if np.real(middle) >= 0.0 else -root)
-            kappa = np.arcsinh(root / (oi if np.real(oi) > 0.0 else -oi)) if oi != 0.0 else np.inf
-            if np.real(root) > 0.0 and not (
-                np.isfinite(c) and c * np.real(kappa) < FAR_END_DECAY
-            ):  # the far end is not felt
+            root = functions.sqrt(square)
+            large = middle + (root if middle.real >= 0.0 else -root)
+            kappa = functions.asinh(root / (oi if oi.real > 0.0 else -oi)) if oi != 0.0 else math.inf
+            if root.real > 0.0 and not (math.isfinite(c) and c * kappa.real < FAR_END_DECAY):  # its end is not felt
                 one, other = (oo, large + C2), (large - D, -ii)
                 return max(one, other, key=lambda v: abs(v[0]) + abs(v[1]))
             small = oi * oi / large
-            if np.isfinite(c):
-                small = small * np.expm1(-2.0 * (c - 1.0) * kappa) / np.expm1(-2.0 * c * kappa)
+            if math.isfinite(c):
+                small = small * _expm1(-2.0 * (c - 1.0) * kappa) / _expm1(-2.0 * c * kappa)
             return first - small * self.wall, second - small
-        if not np.isfinite(c):
+        if not math.isfinite(c):
             raise ArithmeticError("a harmonic lies in a band: the tail carries it away")
         theta = self._phase(half, at_edge)
-        inside = c * theta - np.pi * np.floor(np.real(c * theta) / np.pi)  # of its lobe, from 0 to pi
-        near, far = np.sin(inside), np.sin(inside - theta) * at_edge
+        inside = c * theta - math.pi * math.floor((c * theta).real / math.pi)  # of its lobe, from 0 to pi
+        near, far = functions.sin(inside), functions.sin(inside - theta) * at_edge
         return near * first - far * self.wall, near * second - far
 
     def decay(self, place: Place) -> float:
         """Logarithm by which amplitudes fall from cell to cell, away from the core; 0 in a band."""
-        _, _, _, oi, _, beyond = (_value(p, place.off) for p in self._polynomials[place.edge])
-        half, at_edge = 0.5 * beyond, self.edges[place.edge].sign * oi
+        *_, oi, _, beyond = self._polynomials[place.edge]
+        at_edge, half = self.edges[place.edge].sign * _value(oi, place.off), 0.5 * _value(beyond, place.off)
         square = half * (half + 2.0 * at_edge)
         if square <= 0.0:
             return 0.0
-        return float(np.arcsinh(np.sqrt(square) / abs(oi))) if oi != 0.0 else float("inf")
+        return math.asinh(math.sqrt(square) / abs(at_edge)) if at_edge != 0.0 else math.inf
 
     def angle(self, place: Place) -> float:
         """phi, with tan(phi) the amplitude across the bond over that of the core's site; continuous about a gap."""
+        return self._angle(place, *self._vector(place, place.off)) if place.off else self._angle(place, 0.0, 1.0)
+
+    def angle_and_slope(self, place: Place) -> tuple[float, float]:
+        """phi and d phi / d lambda, which is infinite at the edge of an infinite tail's band."""
+        if place.off == 0.0 and not math.isfinite(self.cells):
+            return self.angle(place), math.inf
+        step = COMPLEX_STEP * (abs(place.off) or self.lobe(place.edge))
+        across, down = self._vector(place, complex(place.off, step))
+        turn = down.real * across.imag - across.real * down.imag
+        return self._angle(place, across.real, down.real), turn / step / (across.real**2 + down.real**2)
+
+    def _angle(self, place: Place, across: float, down: float) -> float:
+        """phi from a vector in its direction, which says nothing at an edge."""
         below, above = self._gap_angles(place.gap)
         start = below if place.edge % 2 else above
         if place.off == 0.0:
             return start
-        turned = math.atan2(*map(float, self._vector(place, place.off)))
+        turned = math.atan2(across, down)
         if not self.in_band(place):
             upwards = 1.0 if place.gap else -1.0
             turn = upwards * (turned - below) % math.pi
@@ -238,12 +257,7 @@ class Tail:
 
     def slope(self, place: Place) -> float:
         """d phi / d lambda: infinite at the edge of an infinite tail's band."""
-        if place.off == 0.0 and not np.isfinite(self.cells):
-            return float("inf")
-        step = COMPLEX_STEP * (abs(place.off) or self.lobe(place.edge))
-        across, down = self._vector(place, place.off + 1j * step)
-        turn = down.real * across.imag - across.real * down.imag
-        return float(turn / step / (across.real**2 + down.real**2))
+        return self.angle_and_slope(place)[1]
 
     def squares(self, place: Place) -> float:
         """Sum of all amplitudes squared over across^2 + down^2 at the core's site; infinite where the tail is free."""
@@ -419,6 +433,18 @@ def _turned(across: ComplexArray, down: ComplexArray) -> ComplexArray:
     """Changes of the angle of vectors from the first, which is left out."""
     turned = (across * down[0] - down * across[0]) / (down * down[0] + across * across[0])
     return np.asarray(np.arctan(turned[1:]))
+
+
+def _functions_of(number: Any) -> Any:
+    """Functions of a number, complex or not: those of numpy take ten times as long for one."""
+    return cmath if isinstance(number, complex) else math
+
+
+def _expm1(number: Any) -> Any:
+    """exp(number) - 1; of a complex number for a step whose square is none."""
+    if isinstance(number, complex):
+        return complex(math.expm1(number.real), math.exp(number.real) * number.imag)
+    return math.expm1(number)
 
 
 def _value(coefficients: list[float], off: Any) -> Any:

@@ -8,8 +8,9 @@ smooth and monotone in bands.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property, lru_cache
 
@@ -60,7 +61,7 @@ class _End:
     phi: float  # of the other harmonic in u, if there is one
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class TailParameter:
     """u as a function of Omega, for the family of one linear mode.
 
@@ -74,7 +75,7 @@ class TailParameter:
 
     tail: Tail
     mode: Place
-    harmonics: int
+    harmonics: int = field(compare=False)
     slowest: float = 0.0
     lean: float = np.inf
 
@@ -180,19 +181,6 @@ class TailParameter:
         except ArithmeticError:
             return float("nan")
 
-    def _places(self, resolved: int, place: Place) -> list[Place]:
-        """Where all harmonics are; raises ArithmeticError where one that should be bound is not."""
-        squared, found = self.tail.square(place) / resolved**2, list[Place]()
-        if not squared > 0.0:
-            raise ArithmeticError("the frequency is not real")
-        for k in range(1, 2 * self.harmonics, 2):
-            found.append(place if k == resolved else self.tail.place(k**2 * squared))
-            if k == 1 and self.tail.decay(found[0]) < self.slowest:
-                raise ArithmeticError("the fundamental decays too slowly for the core")
-            if k > 1 and self.tail.decay(found[-1]) + self.lean <= 0.0:
-                raise ArithmeticError(f"harmonic {k} grows along the lattice")
-        return found
-
     def values(self, u: float) -> TailValues:
         """All that the core needs at u; raises ArithmeticError where a harmonic that should be bound is not."""
         return self._kept(u)
@@ -202,19 +190,31 @@ class TailParameter:
         return lru_cache(KEPT_VALUES)(self._values)
 
     def _values(self, u: float) -> TailValues:
-        resolved, place, angle = self._resolved(u)
-        places, h = self._places(resolved, place), (resolved - 1) // 2
-        squares = (2.0 * np.arange(self.harmonics) + 1.0) ** 2
-        phi = np.array([angle if n == h else self.tail.angle(one) for n, one in enumerate(places)])
-        by_square = squares * np.array([self.tail.slope(one) for one in places])  # of the angles by Omega^2
+        (resolved, place, angle), waves = _waves_at(self, u)
+        squared, h = self.tail.square(place) / resolved**2, (resolved - 1) // 2
+        if not squared > 0.0:
+            raise ArithmeticError("the frequency is not real")
+        for k in range(2 * len(waves) + 1, 2 * self.harmonics, 2):
+            waves.append(self._wave(k, place if k == resolved else self.tail.place(k**2 * squared)))
+        places, angles, slopes = zip(*waves[: self.harmonics], strict=True)
+        phi, by_square = np.array(angles), np.array(slopes) * (2.0 * np.arange(self.harmonics) + 1.0) ** 2  # by Omega^2
+        phi[h] = angle
         apart = [1 - h] if self._third else []
         squared_slope = 0.0 if np.isinf(by_square[h]) else 1.0 / (by_square[h] + np.sum(by_square[apart]))
         by_u = np.where(np.isinf(by_square), 0.0, by_square) * squared_slope
         by_u[h] = 1.0 - np.sum(by_u[apart])
-        Omega = float(np.sqrt(self.tail.square(place))) / resolved
+        Omega = math.sqrt(self.tail.square(place)) / resolved
         across, down = np.sin(phi), np.cos(phi)
         slope = squared_slope / (2.0 * Omega)
-        return TailValues(Omega, slope, across, down * by_u, down, -across * by_u, phi, places, h)
+        return TailValues(Omega, slope, across, down * by_u, down, -across * by_u, phi, list(places), h)
+
+    def _wave(self, k: int, place: Place) -> tuple[Place, float, float]:
+        """Where harmonic k is, its angle and its slope by lambda; raises ArithmeticError where it is to be bound."""
+        if k == 1 and self.slowest > 0.0 and self.tail.decay(place) < self.slowest:
+            raise ArithmeticError("the fundamental decays too slowly for the core")
+        if k > 1 and self.lean <= 0.0 and self.tail.decay(place) + self.lean <= 0.0:
+            raise ArithmeticError(f"harmonic {k} grows along the lattice")
+        return place, *self.tail.angle_and_slope(place)
 
     def series(self, u: float, orders: int) -> TailSeries:
         """Power series of the same by changes of u; raises ArithmeticError as well where none is found."""
@@ -239,6 +239,12 @@ class TailParameter:
                 if edge is not None and outwards * (phi - self.tail.angle(Place(self._gaps[k], edge, 0.0))) > 0.0:
                     return regime
         return Regime.BOUND
+
+
+@lru_cache(KEPT_VALUES)
+def _waves_at(parameter: TailParameter, u: float) -> tuple[tuple[int, Place, float], list[tuple[Place, float, float]]]:
+    """What resolves Omega at u, and all harmonics that any level has asked for: they are the same on all levels."""
+    return parameter._resolved(u), []
 
 
 # Power series, in u, of what the core needs of its tail ---------------------------------------------------------------
