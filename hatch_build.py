@@ -46,8 +46,10 @@ def compile_kernels(target: Path) -> None:
     with tempfile.TemporaryDirectory(dir=target.parent) as folder:
         objects = []
         if platform.machine() in ("x86_64", "AMD64"):
-            _run([*compiler, *flags, "-mavx2", "-c", *sources], folder)
-            objects = sorted(str(path) for path in Path(folder).glob("*.o"))
+            for instructions in ("avx2", "avx512f"):
+                Path(folder, instructions).mkdir()
+                _run([*compiler, *flags, f"-m{instructions}", "-c", *sources], f"{folder}/{instructions}")
+            objects = sorted(str(path) for path in Path(folder).glob("*/*.o"))
         _run([*compiler, *flags, "-shared", *sources, *objects, "-o", "kernels.library", "-lm"], folder)
         Path(folder, "kernels.library").replace(target)
 

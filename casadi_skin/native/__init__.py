@@ -1,6 +1,6 @@
 """Kernels in C, built with the package where there is a compiler; without one numpy takes the same steps.
 
-`kernels.library` beside this file has all of them, on x86-64 twice: for any processor, and for AVX2. hatch_build.py
+`kernels.library` beside this file has all of them, on x86-64 for any processor, for AVX2 and for AVX-512. hatch_build.py
 compiles it when the package is built; nothing is compiled or cached at run time. Products are rounded before they are
 added: numbers are those of numpy but for the order of sums. The library knows nothing of Python. The tables below say
 how the arguments of its functions and the fields of its structures follow one another.
@@ -55,6 +55,7 @@ ROW = "iiiiii" + "aa"
 SERIES = "iiiii" + "aaaaaaaa" + 2 * (TERMS + "aa")
 TAIL = "iiiiiii" + "aaaaaaaaaa" + "r"
 
+ENDINGS = {2: "", 4: "_avx2", 8: "_avx512"}  # of the names of functions, by the numbers that a register holds
 LANES = 8  # right-hand sides that bordered.c takes together, and components that splitting.c does, at least
 MOST = 7  # unknowns beside the band that bordered.c has room for
 
@@ -90,7 +91,7 @@ def kernels() -> Mapping[str, Any]:
         library = ctypes.CDLL(str(LIBRARY))
         if library.sources() != digest_of_sources():
             return {}
-        ending = "_avx2" if library.has_avx2() else ""
+        ending = ENDINGS[library.numbers_together()]
         found: Mapping[str, Any] = {name: getattr(library, name + ending) for name in FUNCTIONS}
     except (OSError, AttributeError):  # AttributeError: built from older sources
         return {}
@@ -109,7 +110,8 @@ def kernels_in_words() -> str:
     """Which kernels are in use: `compiled for AVX2`, `compiled`, or `numpy`, also where the library is out of date."""
     if not kernels():
         return "numpy; the library is of other sources or of another system" if LIBRARY.exists() else "numpy"
-    return "compiled for AVX2" if kernels()["series_put"].__name__.endswith("_avx2") else "compiled"
+    _, _, processor = kernels()["invariant"].__name__.partition("_")
+    return "compiled" + {"": "", "avx2": " for AVX2", "avx512": " for AVX-512"}[processor]
 
 
 def _call(name: str, *arguments: Any) -> None:

@@ -7,7 +7,7 @@
 
 #include "kernel.h"
 
-enum { LANES = 4, ROWS = 4 }; /* columns side by side, and rows that go together */
+enum { LANES = REGISTER > 4 ? REGISTER : 4, ROWS = 4 }; /* columns side by side, and rows that go together */
 typedef double lanes __attribute__((vector_size(LANES * sizeof(double)), aligned(sizeof(double)), may_alias));
 
 /* result (rows, width) += sign A B with A (rows, inner), its rows `down` numbers apart, and B (inner, width). */

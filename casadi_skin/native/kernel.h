@@ -1,16 +1,21 @@
 /* What the kernels share: their names, and terms of polynomials.
 
-   Every source is compiled for any processor, and on x86-64 for AVX2 too, under names of its own. Fields of structures
-   have eight bytes each, as native/__init__.py writes them. */
+   Every source is compiled for any processor, and on x86-64 for AVX2 and AVX-512 too, under names of its own: REGISTER
+   numbers go together. Fields of structures have eight bytes each, as native/__init__.py writes them. */
 
 #include <stdint.h>
 
 _Static_assert(sizeof(void *) == 8 && sizeof(double) == 8, "fields of structures have eight bytes");
 
-#ifdef __AVX2__
+#if defined(__AVX512F__)
+#define NAMED(name) name##_avx512
+enum { REGISTER = 8 };
+#elif defined(__AVX2__)
 #define NAMED(name) name##_avx2
+enum { REGISTER = 4 };
 #else
 #define NAMED(name) name
+enum { REGISTER = 2 };
 #endif
 #define KERNEL(name) __attribute__((visibility("default"))) int NAMED(name) /* returns 0, or 1 where it fails */
 

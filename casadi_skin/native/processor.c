@@ -5,12 +5,15 @@
 #ifndef __AVX2__
 KERNEL(sources)(void) { return SOURCES; }
 
-KERNEL(has_avx2)(void)
+/* The numbers that go together in the fastest of the kernels that the processor can run. */
+KERNEL(numbers_together)(void)
 {
 #ifdef __x86_64__
-    return __builtin_cpu_supports("avx2") != 0;
-#else
-    return 0;
+    if (__builtin_cpu_supports("avx512f"))
+        return 8;
+    if (__builtin_cpu_supports("avx2"))
+        return 4;
 #endif
+    return REGISTER;
 }
 #endif

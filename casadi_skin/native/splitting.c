@@ -8,12 +8,7 @@
 
 #include "kernel.h"
 
-#ifdef __AVX2__
-enum { LANES = 4 };
-#else
-enum { LANES = 2 };
-#endif
-enum { ALIGNED = 64, COLUMNS = 8, WIDEST = 24 }; /* columns that go together: as many as bands allow for, and at most */
+enum { LANES = REGISTER, ALIGNED = 64, COLUMNS = 8, WIDEST = 24 }; /* columns that go together: as many as bands allow for, and at most */
 typedef double lanes __attribute__((vector_size(LANES * sizeof(double)), may_alias));
 
 #define INLINED static inline __attribute__((always_inline))

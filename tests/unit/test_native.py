@@ -99,34 +99,38 @@ def test_orders_solved_by_the_kernel_are_those_solved_one_by_one(sites: int) -> 
 
 @needs_kernels
 def test_multipliers_of_a_family_do_not_depend_on_the_kernels() -> None:
-    """Those for any processor and those for AVX2 give the same bits, numpy the same numbers but for rounding."""
+    """Those for any processor, for AVX2 and for AVX-512 give the same bits, numpy the same numbers but for rounding."""
 
     def family() -> Branch:
         return follow_family(Chain(10, 1.0, 0.25, -1.0), 1, 1.0, at=(0.2, 1.0), stability=True, tolerance=1e-9)
 
     found = family()
-    with plain_library():
-        assert native.kernels_in_words() == "compiled"
-        plain = family()
+    plain = []
+    for numbers, words in {2: "compiled", 4: "compiled for AVX2", 8: "compiled for AVX-512"}.items():
+        if numbers <= ctypes.CDLL(str(native.LIBRARY)).numbers_together():
+            with library_for(numbers):
+                assert native.kernels_in_words() == words
+                plain.append(family())
     with numpy_alone():
         assert native.kernels_in_words() == "numpy"
         by_numpy = family()
     assert found.changes
     assert len(by_numpy.changes) == len(found.changes)
-    for one, other, last in zip(found.orbits, plain.orbits, by_numpy.orbits, strict=True):
-        np.testing.assert_array_equal(one.floquet().multipliers, other.floquet().multipliers)
-        assert (one.Omega, one.S) == (other.Omega, other.S)
+    for one, last, *others in zip(found.orbits, by_numpy.orbits, *(each.orbits for each in plain), strict=True):
+        for other in others:
+            np.testing.assert_array_equal(one.floquet().multipliers, other.floquet().multipliers)
+            assert (one.Omega, one.S) == (other.Omega, other.S)
         assert abs(one.Omega - last.Omega) <= 1e-10
         assert abs(one.S - last.S) <= 1e-8
         np.testing.assert_allclose(one.floquet().multipliers, last.floquet().multipliers, rtol=0, atol=1e-10)
 
 
 @contextmanager
-def plain_library() -> Iterator[None]:
-    """The kernels for any processor."""
+def library_for(numbers: int) -> Iterator[None]:
+    """The kernels for processors whose registers hold so many numbers."""
 
     class Plain(ctypes.CDLL):
-        has_avx2 = staticmethod(lambda: 0)
+        numbers_together = staticmethod(lambda: numbers)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("casadi_skin.native.ctypes.CDLL", Plain)
@@ -160,7 +164,7 @@ def test_kernels_are_built_in_a_clone_and_nothing_else_is_left_there(tmp_path: P
     library = ctypes.CDLL(str(made))
     for name in native.FUNCTIONS:
         assert hasattr(library, name)
-        assert hasattr(library, f"{name}_avx2") == (platform.machine() == "x86_64")
+        assert all(hasattr(library, name + end) == (platform.machine() == "x86_64") for end in ("_avx2", "_avx512"))
 
 
 @pytest.mark.parametrize(("compiler", "words"), [("/bin/false", "/bin/false"), ("no-such-cc", "No such file")])
