@@ -1,9 +1,9 @@
 """Kernels in C, built with the package where there is a compiler; without one numpy takes the same steps.
 
-`kernels.library` beside this file has all of them, on x86-64 for any processor, for AVX2 and for AVX-512. hatch_build.py
-compiles it when the package is built; nothing is compiled or cached at run time. Products are rounded before they are
-added: numbers are those of numpy but for the order of sums. The library knows nothing of Python. The tables below say
-how the arguments of its functions and the fields of its structures follow one another.
+`kernels.library` beside this file has all of them, on x86-64 for any processor, for AVX2 and for AVX-512;
+hatch_build.py compiles it when the package is built, nothing is compiled or cached at run time. Products are rounded
+before they are added: numbers are those of numpy but for the order of sums. The library knows nothing of Python. The
+tables below say how the arguments of its functions and the fields of its structures follow one another.
 
 | source | what it computes | the same by numpy |
 | --- | --- | --- |

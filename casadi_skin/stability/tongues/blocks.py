@@ -10,7 +10,7 @@ happen: for mu that may meet others, that come near -1 or 0, or that are outside
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any
@@ -273,6 +273,13 @@ class Matrices:
             return taken
         return replace(taken, parts=np.ascontiguousarray(taken.parts.real), errors=taken.errors.real)
 
+    @classmethod
+    def joined(cls, several: Sequence[Matrices]) -> Matrices:
+        """Those of several bundles as one."""
+        if len(several) == 1:
+            return several[0]
+        return cls(*(np.concatenate([getattr(each, name.name) for each in several]) for name in fields(cls)))
+
     @property
     def symplectic(self) -> bool:
         """Whether there are forms p and q."""
@@ -325,14 +332,22 @@ class Blocks:
     forms: Forms
 
     @property
+    def largest(self) -> Indices:
+        """Sizes of the largest blocks, (intervals,)."""
+        return np.asarray(np.max(np.sum(self.labels[:, :, None] == self.labels[:, None, :], axis=2), axis=1))
+
+    @property
     def done(self) -> Booleans:
         """Which intervals are not too long."""
         found = np.zeros(len(self.mu), dtype=bool)
         found[self.rows] = self.forms.found
         return found
 
-    def matrices(self, bounds: Array, noise: Array) -> Iterator[Matrices]:
-        """Those of all blocks by their numbers of mu, with bounds (intervals, 2) and noise (intervals, 3 or 1)."""
+    def matrices(self, bounds: Array, noise: Array, first: int) -> Iterator[Matrices]:
+        """Those of all blocks by their numbers of mu, with bounds (intervals, 2) and noise (intervals, 3 or 1).
+
+        Their intervals are numbered from the `first` on.
+        """
         known, columns, labels = self.forms, self.columns[self.rows], self.labels[self.rows]
         rows, places = np.nonzero((columns >= 0) & known.found[:, None])
         blocks = rows * labels.shape[1] + labels[rows, columns[rows, places]]
@@ -347,7 +362,7 @@ class Blocks:
             scales = np.stack([np.sqrt(right * left), right, left], axis=1)[:, : noise.shape[1]]
             mu, owners = columns[i[:, None], members], self.rows[i]
             is_real = np.all(self.real[owners[:, None], mu], axis=1)
-            yield Matrices(owners, mu, is_real, bounds[owners], k, change, noise[owners] * scales, tails_of(k))
+            yield Matrices(first + owners, mu, is_real, bounds[owners], k, change, noise[owners] * scales, tails_of(k))
 
     def finer(self, i: int, columns: Indices, matrices: Array) -> Numbers | None:
         """K, P and Q on the columns (c,) of whole blocks of one interval from the matrices at more nodes, if found."""
@@ -372,9 +387,12 @@ def blocks_of(matrices: Array, errors: Array) -> list[tuple[Indices, Blocks]]:
     mu, vectors = np.linalg.eig(matrices[:, MIDDLE_NODE, 0])
     real = np.abs(mu.imag) <= REAL_MU_ATOL
     found = []
-    for chosen in (np.flatnonzero(real.all(axis=1)), np.flatnonzero(~real.all(axis=1))):
+    kinds = real.all(axis=1)
+    if mu.shape[1] <= LARGEST_BLOCK and not kinds.all():  # small ones cost less together
+        kinds[:] = False
+    for chosen in (np.flatnonzero(kinds), np.flatnonzero(~kinds)):
         if chosen.size:
-            basis = vectors[chosen].real if real[chosen[0]].all() else vectors[chosen]
+            basis = vectors[chosen].real if kinds[chosen[0]] else vectors[chosen]
             K, changes = (each if chosen.size == len(mu) else each[chosen] for each in (matrices, errors))
             found.append((chosen, _blocks(K, changes, mu[chosen], basis.copy(), real[chosen])))
     return found

@@ -25,7 +25,15 @@ from casadi_skin.stability.tongues.blocks import (
 )
 from casadi_skin.stability.tongues.chebyshev import SERIES_DEGREE
 from casadi_skin.stability.tongues.diagram import signatures_of
-from casadi_skin.stability.tongues.interpolation import FAILURE_ERRORS, Gap, MatrixSeries, Search, in_words
+from casadi_skin.stability.tongues.interpolation import (
+    FAILURE_ERRORS,
+    Gap,
+    MatrixSeries,
+    Search,
+    errors_of,
+    in_words,
+    values_of,
+)
 from casadi_skin.stability.tongues.pairs import FINE_DEGREE, Block, complex_blocks, find_segments, real_blocks
 from casadi_skin.stability.tongues.rotation import Spectrum
 from casadi_skin.zero.problem import Array, Indices
@@ -36,6 +44,8 @@ SHORT_INTERVAL = 1e-3  # of the piece: an interval shorter than that whose linea
 BATCH_WORK = 2e7  # work on intervals that are looked at together, from small coordinates on
 FIRST_INTERVALS = 4  # of a series: on fewer few come apart
 LARGE_SERIES_ROWS = 16  # of matrices whose whole series is tried first: four intervals cost more than one in vain
+SMALL_SERIES_ROWS = 6  # of matrices whose series are stacked: most have two intervals each
+FAR_TOO_LONG = 0.6  # of all mu, in one block: quarters are the next, not halves of which most fail as well
 NOT_LOOKED_AT = "not looked at: the limit of work is reached"
 MANY_MEET_WORDS = "more than two multipliers meet in one place, as far as errors show"
 
@@ -49,13 +59,10 @@ class Interval:
     end: float
     whole: float
 
-    @property
-    def halves(self) -> Sequence[Interval]:
-        """Both halves; of the whole of a large series the equal intervals that others begin with."""
-        if self.series.size > LARGE_SERIES_ROWS and self.end - self.start == self.whole:
-            return _equal_parts(self.series, FIRST_INTERVALS)
-        middle = 0.5 * (self.start + self.end)
-        return replace(self, end=middle), replace(self, start=middle)
+    def parts(self, count: int) -> list[Interval]:
+        """Equal parts."""
+        stops = np.linspace(self.start, self.end, count + 1).tolist()
+        return [replace(self, start=a, end=b) for a, b in pairwise(stops)]
 
     def nodes(self, degree: int) -> Array:
         """Coordinates of the nodes of any degree."""
@@ -66,10 +73,10 @@ class Interval:
         """Whether it is given up rather than halved."""
         return self.end - self.start <= SHORTEST_INTERVAL * self.whole
 
-    def halves_of_block(self, k: Array, errors: Array, noise: Array) -> Sequence[Interval]:
-        """The halves, with the matrices of one of its blocks alone, (J, 3 or 1, m, m)."""
+    def parts_of_block(self, k: Array, errors: Array, noise: Array) -> list[Interval]:
+        """Parts with the matrices of one of its blocks alone, (J, 3 or 1, m, m)."""
         coefficients = chebyshev.combined(chebyshev.transform(len(k) - 1), k[None])[0]
-        return replace(self, series=MatrixSeries(self.start, self.end, coefficients, errors, noise)).halves
+        return replace(self, series=MatrixSeries(self.start, self.end, coefficients, errors, noise)).parts(2)
 
 
 def find_crossings(
@@ -102,23 +109,22 @@ def find_crossings(
 
 
 def first_intervals(series: MatrixSeries) -> list[Interval]:
-    """The equal intervals to begin with."""
-    return _equal_parts(series, 1 if series.size > LARGE_SERIES_ROWS else FIRST_INTERVALS)
-
-
-def _equal_parts(series: MatrixSeries, count: int) -> list[Interval]:
-    stops = np.linspace(series.start, series.end, count + 1).tolist()
-    return [Interval(series, a, b, series.end - series.start) for a, b in pairwise(stops)]
+    """The intervals to begin with."""
+    whole = Interval(series, series.start, series.end, series.end - series.start)
+    return whole.parts(1 if series.size > LARGE_SERIES_ROWS else FIRST_INTERVALS)
 
 
 @dataclass
 class _Part:
-    """An interval and what comes out of it: blocks of one or two mu, halves of larger ones, and the rest.
+    """An interval and what comes out of it: blocks of one or two mu, parts of larger ones, and the rest.
 
-    `rough` are blocks whose series need more nodes: their columns, matrices like errors, and bounds on their norms.
+    It is number `place` of those that `apart` are the blocks of. `rough` are blocks whose series need more nodes: their
+    columns, matrices like errors, and bounds on their norms.
     """
 
     interval: Interval
+    apart: Blocks
+    place: int
     too_long: bool
     blocks: list[Block] = field(default_factory=list)
     larger: list[Interval] = field(default_factory=list)
@@ -126,11 +132,23 @@ class _Part:
 
 
 def _generation(intervals: Sequence[Interval], found: Search, whole: int, known: list[Block]) -> list[Interval]:
-    """Look at intervals; returns their halves, or those of blocks in them, that are still to be looked at.
+    """Look at intervals; returns their parts, or those of blocks in them, that are still to be looked at.
 
-    The blocks of the others are added to those that are `known`.
+    The blocks of the others are added to those that are `known`. Where linear algebra fails intervals are looked at
+    fewer at a time, and a single one is cut, or is a gap where it is short.
     """
-    parts = [part for batch in _batches(intervals) for part in _looked_at(batch, found, whole)]
+    try:
+        parts = _take_apart(intervals, found, whole)
+    except FAILURE_ERRORS as error:
+        if len(intervals) > 1:
+            half = len(intervals) // 2
+            parts_of = [_generation(some, found, whole, known) for some in (intervals[:half], intervals[half:])]
+            return [*parts_of[0], *parts_of[1]]
+        (interval,) = intervals
+        if interval.end - interval.start > SHORT_INTERVAL * interval.whole:
+            return interval.parts(2)
+        found.gaps.append(Gap(interval.start, interval.end, in_words(error)))
+        return []
     longer = [part for part in parts if not part.too_long and not part.interval.is_shortest]
     find_segments([block for part in longer for block in part.blocks if block.is_coarse])
     waiting: list[Interval] = []
@@ -138,7 +156,8 @@ def _generation(intervals: Sequence[Interval], found: Search, whole: int, known:
         if part.too_long and part.interval.is_shortest:
             found.gaps.append(Gap(part.interval.start, part.interval.end, MANY_MEET_WORDS))
         elif part.too_long or any(block.is_blurred for block in part.blocks):
-            waiting += part.interval.halves
+            is_far = part.apart.largest[part.place] > FAR_TOO_LONG * part.interval.series.size
+            waiting += part.interval.parts(4 if is_far else 2)
         else:
             waiting += part.larger
             known += part.blocks
@@ -155,87 +174,82 @@ def _batches(intervals: Sequence[Interval]) -> Iterator[list[Interval]]:
         yield from (group[first : first + most] for first in range(0, len(group), most))
 
 
-def _looked_at(batch: Sequence[Interval], found: Search, whole: int) -> list[_Part]:
-    """Blocks of intervals of one size; those whose linear algebra fails are too long, or gaps where they are short."""
-    try:
-        return list(_take_apart(batch, found, whole))
-    except FAILURE_ERRORS as error:
-        if len(batch) > 1:
-            return [part for interval in batch for part in _looked_at([interval], found, whole)]
-        (interval,) = batch
-        if interval.end - interval.start > SHORT_INTERVAL * interval.whole:
-            return [_Part(interval, True)]
-        found.gaps.append(Gap(interval.start, interval.end, in_words(error)))
-        return []
-
-
-def _take_apart(batch: Sequence[Interval], found: Search, whole: int) -> Iterator[_Part]:
-    """Blocks of intervals of one size."""
-    size = batch[0].series.size
-    found.intervals[size] = found.intervals.get(size, 0) + len(batch)
-    matrices, errors = _at_nodes(batch)
-    for chosen, blocks in blocks_of(matrices, errors):
-        parts = [_Part(batch[k], not done) for k, done in zip(chosen.tolist(), blocks.done.tolist(), strict=True)]
-        bounds = np.array([(part.interval.start, part.interval.end) for part in parts])
-        if size == whole:
-            signatures = signatures_of(blocks.mu, blocks.vectors, matrices[chosen, MIDDLE_NODE])
-            half = 0.5 * (bounds[:, 1:] - bounds[:, :1])
-            rows = (bounds[:, 0] + half[:, 0]).tolist(), blocks.mu, blocks.rates.astype(complex) / half, signatures
-            found.spectra += [Spectrum(*row) for row in zip(*rows, strict=True)]
-        shortest = np.array([part.interval.is_shortest for part in parts])
-        for those in blocks.matrices(bounds, np.stack([part.interval.series.noise for part in parts])):
-            _sort(parts, those, shortest)
-        for i, part in enumerate(parts):
-            if part.rough:
-                _refine(part, blocks, i)
-        yield from parts
+def _take_apart(intervals: Sequence[Interval], found: Search, whole: int) -> list[_Part]:
+    """Blocks of intervals: those of one number of mu together, whatever matrices they come from."""
+    parts, bundles = list[_Part](), defaultdict[tuple[int, bool], list[Matrices]](list)
+    for batch in _batches(intervals):
+        size, (matrices, errors) = batch[0].series.size, _at_nodes(batch)
+        found.intervals[size] = found.intervals.get(size, 0) + len(batch)
+        for chosen, blocks in blocks_of(matrices, errors):
+            those, first = [batch[k] for k in chosen.tolist()], len(parts)
+            bounds = np.array([(interval.start, interval.end) for interval in those])
+            if size == whole:
+                signatures = signatures_of(blocks.mu, blocks.vectors, matrices[chosen, MIDDLE_NODE])
+                half = 0.5 * (bounds[:, 1:] - bounds[:, :1])
+                rows = (bounds[:, 0] + half[:, 0]).tolist(), blocks.mu, blocks.rates.astype(complex) / half, signatures
+                found.spectra += [Spectrum(*row) for row in zip(*rows, strict=True)]
+            done = blocks.done.tolist()
+            parts += [_Part(each, blocks, i, not done[i]) for i, each in enumerate(those)]
+            for of_size in blocks.matrices(bounds, np.stack([interval.series.noise for interval in those]), first):
+                for is_real in np.unique(of_size.is_real).tolist():
+                    some = of_size.take(of_size.is_real == is_real)
+                    bundles[some.members.shape[1], is_real].append(some)
+    for bundle in bundles.values():
+        _sort(parts, Matrices.joined(bundle))
+    for part in parts:
+        if part.rough:
+            _refine(part)
+    return parts
 
 
 def _at_nodes(batch: Sequence[Interval]) -> tuple[Array, Array]:
-    """The matrices of intervals, and matrices like their errors, (intervals, J, 3 or 1, m, m) each."""
-    groups: dict[int, list[int]] = defaultdict(list)
-    for i, interval in enumerate(batch):
-        groups[id(interval.series)].append(i)
-    shape = SERIES_DEGREE + 1, *batch[0].series.coefficients.shape[1:]
-    matrices, errors = np.empty((len(batch), *shape)), np.empty((len(batch), *shape))
+    """The matrices of intervals, and matrices like their errors, (intervals, J, 3 or 1, m, m) each.
+
+    Small series of one degree are stacked: most have a few intervals each.
+    """
+    groups: dict[tuple[int, ...], list[int]] = defaultdict(list)
+    for i, each in enumerate(interval.series for interval in batch):
+        is_small = each.size <= SMALL_SERIES_ROWS
+        groups[(len(each.coefficients), len(each.errors)) if is_small else (id(each),)].append(i)
+    shape = len(batch), SERIES_DEGREE + 1, *batch[0].series.coefficients.shape[1:]
+    matrices, errors = np.empty(shape), np.empty(shape)
     for numbers in groups.values():
-        series, places = batch[numbers[0]].series, np.concatenate([batch[i].nodes(SERIES_DEGREE) for i in numbers])
-        matrices[numbers], errors[numbers] = (
-            each.reshape(-1, *shape) for each in (series.at(places), series.errors_at(places))
-        )
+        places = np.stack([batch[i].nodes(SERIES_DEGREE) for i in numbers])
+        series = list({id(batch[i].series): batch[i].series for i in numbers}.values())
+        series = series if len(series) == 1 else [batch[i].series for i in numbers]
+        matrices[numbers], errors[numbers] = values_of(series, places), errors_of(series, places)
     return matrices, errors
 
 
-def _sort(parts: Sequence[_Part], found: Matrices, shortest: Booleans) -> None:
-    """Put the blocks of one number of mu of intervals where they belong."""
-    if not found.is_real.all():
-        those = found.take(~found.is_real)
-        for i, block in zip(those.owners.tolist(), complex_blocks(those), strict=True):
-            parts[i].blocks.append(block)
-    if not found.is_real.any():
+def _sort(parts: Sequence[_Part], those: Matrices) -> None:
+    """Put blocks of one number of mu, all real or none, where they belong."""
+    owners, blocks = [parts[i] for i in those.owners.tolist()], list[Block | None]()
+    if not those.is_real.all():
+        for part, block in zip(owners, complex_blocks(those), strict=True):
+            part.blocks.append(block)
         return
-    those = found.take(found.is_real)
-    again, blocks = those.rough & ~shortest[those.owners], list[Block | None]()
+    again = those.rough & ~np.array([part.interval.is_shortest for part in owners], dtype=bool)
     if those.members.shape[1] > 2:
         rest = ~are_definite(those.parts)
     else:
         blocks, quiet, too_long = real_blocks(those)
         again, rest = again & ~quiet & those.coarse, ~quiet
-    for n, i in enumerate(those.owners.tolist()):
+    for n, part in enumerate(owners):
         if again[n] and rest[n]:
-            parts[i].rough.append((those.members[n], those.errors[n], those.noise[n]))
+            part.rough.append((those.members[n], those.errors[n], those.noise[n]))
         elif not blocks and rest[n]:
             noise = those.noise[n] + those.tails[n]
-            parts[i].larger += parts[i].interval.halves_of_block(those.parts[n], those.errors[n], noise)
+            part.larger += part.interval.parts_of_block(those.parts[n], those.errors[n], noise)
         elif blocks:
-            parts[i].too_long = parts[i].too_long or bool(too_long[n])
-            parts[i].blocks += [block for block in blocks[n : n + 1] if block is not None]
+            part.too_long = part.too_long or bool(too_long[n])
+            part.blocks += [block for block in blocks[n : n + 1] if block is not None]
 
 
-def _refine(part: _Part, blocks: Blocks, i: int) -> None:
-    """Give series of a higher degree to some blocks of an interval, whose halves are then looked at on their own."""
+def _refine(part: _Part) -> None:
+    """Give series of a higher degree to some blocks of an interval, whose parts are then looked at on their own."""
     fine = part.interval.series.at(part.interval.nodes(FINE_DEGREE))
-    found, first = blocks.finer(i, np.concatenate([members for members, _, _ in part.rough]), fine), 0
+    columns = np.concatenate([members for members, _, _ in part.rough])
+    found, first = part.apart.finer(part.place, columns, fine), 0
     for members, errors, noise in part.rough:
         inside = slice(first, first + members.size)
         first += members.size
@@ -243,7 +257,7 @@ def _refine(part: _Part, blocks: Blocks, i: int) -> None:
         if k is None or are_rough(k[None], tails := tails_of(k[None]))[0]:
             part.too_long = True
             return
-        part.larger += part.interval.halves_of_block(k, errors, noise + tails[0])
+        part.larger += part.interval.parts_of_block(k, errors, noise + tails[0])
 
 
 def are_definite(parts: Array) -> Booleans:
