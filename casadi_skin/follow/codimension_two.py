@@ -14,7 +14,7 @@ in one way, orbits and solutions of boundary-value problems in another.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
@@ -24,15 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.follow.branch_points import double_between, interpolated
-from casadi_skin.follow.normal_forms import (
-    NullVectors,
-    branching_terms,
-    critical_pair,
-    lyapunov_terms,
-    quadratic_term,
-    second_singular,
-)
-from casadi_skin.follow.point import PointSolver
+from casadi_skin.follow.normal_forms import branching_terms, quadratic_term, second_singular
 from casadi_skin.follow.search import (
     TANGENT_DIFFERENCE_STEP,
     TEST_ZERO_XTOL,
@@ -45,7 +37,7 @@ from casadi_skin.follow.search import (
     nearest_order,
     zero_between,
 )
-from casadi_skin.follow.space import Followed, SolutionSpace
+from casadi_skin.follow.space import ORBITS, Followed
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import FULL_TURN, Exponents, turned
 from casadi_skin.zero.augmented import Augmented
@@ -63,8 +55,8 @@ from casadi_skin.zero.kinds import (
     CurveKind,
     Unresolved,
 )
+from casadi_skin.zero.linearised import LinearisedEquations
 from casadi_skin.zero.problem import EPSILON, Array
-from casadi_skin.zero.rest import NullSpace
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import PERIOD
 
@@ -96,7 +88,8 @@ class CurveSearch(Search):
     """Points of codimension two on one stretch of a curve.
 
     Attributes:
-        kind: of the special points that the curve connects.
+        space: of the curve.
+        kind: of the special points that it connects.
         kinds: of the points that it may meet.
         turn: period of the imaginary parts of exponents.
         tests: functions of a point that vanish at points of some kinds.
@@ -104,9 +97,9 @@ class CurveSearch(Search):
 
     turn: ClassVar[float] = np.inf
 
-    def __init__(self, solver: PointSolver, kind: str, kinds: CurveKind, before: Point, after: Point) -> None:
-        super().__init__(solver, before, after)
-        self.kind, self.kinds = kind, kinds
+    def __init__(self, space: Followed, kinds: Mapping[str, CurveKind], before: Point, after: Point) -> None:
+        super().__init__(space.point_solver, before, after)
+        self.space, self.kind, self.kinds = space, space.kind, kinds[space.kind]
 
     @cached_property
     def tests(self) -> dict[str, Test]:
@@ -118,13 +111,25 @@ class CurveSearch(Search):
             found |= self.branching_tests() if self.kind == BRANCH_POINT else self.coefficient_tests()
         return found
 
+    @property
     @abstractmethod
+    def has_coefficient(self) -> bool:
+        """Whether the coefficient of the normal form is known beside that of a fold of equilibria or of solutions."""
+
     def coefficient_tests(self) -> dict[str, Test]:
         """That of the coefficient of the normal form; raises RuntimeError without derivatives."""
+        if self.kind == FOLD and self.space.connects != ORBITS:
+            return self.bounded(CUSP, quadratic_term(self.space, self.ends[0]))
+        return self.bounded(self.kinds.degenerate, self.space.coefficient) if self.has_coefficient else {}
 
-    @abstractmethod
     def branching_terms(self, point: Point) -> tuple[Array, Array]:
         """Terms of the quadratic and of the cubic coefficient of the branching equation; raises RuntimeError."""
+        return branching_terms(self.space.linearised(point), self._reference)
+
+    @cached_property
+    def _reference(self) -> LinearisedEquations:
+        found: LinearisedEquations = self.space.linearised(self.ends[0])
+        return found
 
     def branching_tests(self) -> dict[str, Test]:
         """That of the coefficient at whose zero the branching equation degenerates: cubic where a symmetry is lost."""
@@ -162,9 +167,9 @@ class CurveSearch(Search):
 
         return test
 
-    @abstractmethod
     def second_singular(self, point: Point) -> float:
         """The second smallest singular value of the Jacobian at a branch point."""
+        return second_singular(self.space.linearised(point))
 
     def is_rounding(self, test: Test) -> bool:
         """Whether a test changes its sign as it goes to zero with the orbit, down to what a finer level changes."""
@@ -277,61 +282,18 @@ class CurveSearch(Search):
 class EquilibriumCurveSearch(CurveSearch):
     """Of folds, Hopf points and branch points of equilibria."""
 
-    def __init__(self, equations: SolutionSpace, kind: str, before: Point, after: Point) -> None:
-        super().__init__(equations.point_solver, kind, EQUILIBRIUM_CURVES[kind], before, after)
-        self.equations, self.statics = equations, equations.statics
+    def __init__(self, space: Followed, before: Point, after: Point) -> None:
+        super().__init__(space, EQUILIBRIUM_CURVES, before, after)
 
-    def coefficient_tests(self) -> dict[str, Test]:
-        if self.kind == HOPF and not self.statics.exact:  # noise of differences has roots of its own
-            return {}
-        return self.bounded(self.kinds.degenerate, self._quadratic() if self.kind == FOLD else self.lyapunov)
+    @property
+    def has_coefficient(self) -> bool:
+        return bool(self.space.statics.exact)  # noise of differences has roots of its own
 
-    def _quadratic(self) -> Test:
-        """The quadratic coefficient of a fold; its sign goes on from the start by the normal of the parameters' curve.
-
-        The left null vector itself may turn by more than a right angle within a step, in units in which its largest
-        component passes through zero.
-        """
-        system, names, sizes = self.ends[0].problem, list(self.statics.values), self.equations.sizes
-        courses = [course for course in (*system.free, system.walking) if course is not None]
-        ranges = np.array([course.extent for course in courses])
-        columns = [names.index(course.name) for course in courses]
-
-        def vectors(point: Point) -> tuple[Array, Array, Array]:
-            found = _null_space(point)
-            psi = found.left[:, -1] / sizes
-            return found.right[:, -1], psi, psi @ self.statics.by_parameters(*_place(point))[:, columns] * ranges
-
-        first = vectors(self.ends[0])[2]
-
-        def test(point: Point) -> float:
-            v, psi, normal = vectors(point)
-            d = sizes * v
-            return float(np.copysign(1.0, normal @ first) * (psi @ self.statics.second(*_place(point), d, d).real))
-
-        return test
-
-    def branching_terms(self, point: Point) -> tuple[Array, Array]:
-        if not self.statics.exact:
-            raise NotImplementedError
-        sizes, (x, p) = self.equations.sizes, _place(point)
-        psi = point.problem.border(point.z).left[:, 0]
-        v = _null_space(point).right[:, -1]
-        v = v / np.linalg.norm(v) * np.sign(v @ self._null_vector)
-        A, d = point.problem.rates(point.z), sizes * v
-        twice = self.statics.second(x, p, d, d).real / sizes
-        closed = np.block([[A, psi[:, None]], [v[None, :], np.zeros((1, 1))]])
-        bent = sizes * np.linalg.solve(closed, np.append(-twice, 0.0))[:-1]
-        thrice = self.statics.third(x, p, d, d, d).real / sizes
-        curved = self.statics.second(x, p, d, bent).real / sizes
-        return 0.5 * psi * twice, np.concatenate([psi * thrice / 6.0, 0.5 * psi * curved])
-
-    @cached_property
-    def _null_vector(self) -> Array:
-        return _null_space(self.ends[0]).right[:, -1]
+    def branching_tests(self) -> dict[str, Test]:
+        return super().branching_tests() if self.space.statics.exact else {}
 
     def exponents(self, point: Point) -> tuple[ComplexArray, ComplexArray, Array]:
-        sample = self.equations.sample(point)
+        sample = self.space.sample(point)
         places = self._critical(point, sample.values)
         rates, noise = np.delete(sample.rates, places), np.delete(sample.noise, places)
         return np.delete(sample.values, places), rates, noise
@@ -354,57 +316,30 @@ class EquilibriumCurveSearch(CurveSearch):
             others[np.argmin(np.abs(others))] += values[critical[0]]
         return others
 
-    def second_singular(self, point: Point) -> float:
-        matrix = point.problem.rates(point.z)  # in one scale: rows may vanish there
-        return float(np.linalg.svd(matrix, compute_uv=False)[-2])
-
     def error(self, point: Point, test: Test, slope: float, width: float) -> float:
         return float(width * abs(point.tangent[-1]) + point.error.relative(1.0))
-
-    def lyapunov(self, point: Point, widening: float = 1.0) -> float:
-        """Twice the frequency times the first Lyapunov coefficient; infinite where a pair is real."""
-        statics = self.statics if widening == 1.0 else replace(self.statics, widening=widening)
-        if kappa(point) <= 0.0:
-            return np.inf
-        A = statics.jacobian(*_place(point))
-        try:
-            omega, q, adjoint = critical_pair(A, point.problem.singularity.rate * float(np.sqrt(kappa(point))))
-            return float(np.sum(lyapunov_terms(statics, *_place(point), A, omega, q, adjoint)))
-        except np.linalg.LinAlgError:  # at a pole, where another eigenvalue is zero to the last digit
-            return np.inf
 
     def found_by_ends(self) -> Iterator[Point]:
         """The generalized Hopf point between two of a program, whose higher derivatives are differences.
 
         None is sought where l1 at both ends is smaller than what twice the steps of differences change.
         """
-        if self.kind != HOPF or self.statics.exact or kappa(self.ends[1]) <= 0.0:
+        if self.kind != HOPF or self.has_coefficient or kappa(self.ends[1]) <= 0.0:
             return
-        l1 = [self.lyapunov(end) for end in self.ends]
+        l1 = [self.space.coefficient(end) for end in self.ends]
 
         def noise(point: Point) -> float:
-            return abs(self.lyapunov(point, 2.0) - self.lyapunov(point))
+            return float(abs(self.space.coefficient(point, 2.0) - self.space.coefficient(point)))
 
         larger = self.ends[int(np.argmax(np.abs(l1)))]
         if not l1[0] * l1[1] < 0.0 or max(np.abs(l1)) <= noise(larger):
             return
-        located = self.root(*self.ends, self.kinds.degenerate, self.lyapunov)
+        located = self.root(*self.ends, self.kinds.degenerate, self.space.coefficient)
         if located is not None:
             slope = (l1[1] - l1[0]) / (self.ends[1].parameter - self.ends[0].parameter)
-            moved = abs((noise(located[1]) + abs(self.lyapunov(located[1]))) / slope)
+            moved = abs((noise(located[1]) + abs(self.space.coefficient(located[1]))) / slope)
             error = located[1].error
             yield replace(located[1], error=replace(error, parameter=error.parameter + float(moved)))
-
-
-def _place(point: Point) -> tuple[Array, Array]:
-    """The state and the parameters of an equilibrium."""
-    return point.problem.state(point.z), point.problem.parameters(point.z)
-
-
-def _null_space(point: Point) -> NullSpace:
-    """Null vectors of dF/dy, in the sizes of the branch: tests along it have one scale."""
-    matrix = point.problem.rates(point.z)
-    return NullSpace.of_rates(matrix, np.ones(len(matrix)))
 
 
 def kappa(point: Point) -> float:
@@ -421,23 +356,14 @@ class OrbitCurveSearch(CurveSearch):
     turn = FULL_TURN
 
     def __init__(self, space: Followed, before: Point, after: Point) -> None:
-        super().__init__(space.point_solver, space.kind, ORBIT_CURVES[space.kind], before, after)
-        self.space = space
+        super().__init__(space, ORBIT_CURVES, before, after)
         self.closes = space.periodic is not None or space.repeats
         ends = [(end, space.floquet(end).exponents) for end in self.ends] if self.closes else []
         self.sampler = ExponentSampler(space.multipliers_alone, self.metric, ends)
 
-    def coefficient_tests(self) -> dict[str, Test]:
-        if self.kind == FOLD and self.space.periodic is None:
-            return self.bounded(CUSP, quadratic_term(self.space, self.ends[0]))
-        return self.bounded(self.kinds.degenerate, self.space.coefficient) if self.closes else {}
-
-    def branching_terms(self, point: Point) -> tuple[Array, Array]:
-        return branching_terms(self.space, point, self._null_vectors)
-
-    @cached_property
-    def _null_vectors(self) -> NullVectors:
-        return NullVectors(self.space.linearised(self.ends[0]))
+    @property
+    def has_coefficient(self) -> bool:
+        return bool(self.closes)
 
     def symmetric_ratio(self, point: Point) -> float:
         return max(SYMMETRIC_TERM_RATIO, 100.0 * point.error.profile)
@@ -473,9 +399,6 @@ class OrbitCurveSearch(CurveSearch):
                 if abs(joined) <= MEETING_DISTANCE and abs(joined.imag) <= EPSILON:
                     values[nearest] = place + joined.real
         return values, noise
-
-    def second_singular(self, point: Point) -> float:
-        return second_singular(self.space, point)
 
     def is_rounding(self, test: Test) -> bool:
         if PERIOD not in self.space.statement.free:

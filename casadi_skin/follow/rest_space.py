@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.follow.codimension_two import EquilibriumCurveSearch, special_on_curve
+from casadi_skin.follow.normal_forms import terms_of
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.rest_events import special_between
 from casadi_skin.follow.search import Sample
@@ -36,7 +37,8 @@ from casadi_skin.solve.levels import ExactLevels, Levels
 from casadi_skin.solve.newton import Correction
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.augmented import Singularity, SingularRest, singular_rest
-from casadi_skin.zero.kinds import EQUILIBRIUM_CURVES, HOPF, Unresolved
+from casadi_skin.zero.kinds import BRANCH_POINT, EQUILIBRIUM_CURVES, HOPF, Unresolved
+from casadi_skin.zero.linearised import LinearisedRest
 from casadi_skin.zero.problem import EPSILON, Array, Scalar, SingularError
 from casadi_skin.zero.rest import (
     DERIVATIVE_ROUNDING,
@@ -282,9 +284,30 @@ class CurveSpace(EquilibriumSpace):
         """The parameter that is solved for with the state."""
         return () if self.second is None else (self.second.name,)
 
+    def linearised(self, point: Point, widening: float = 1.0) -> LinearisedRest:
+        """The equations around a point, in the sizes of the branch: tests along it have one scale.
+
+        Raises ArithmeticError where a pair is real.
+        """
+        problem, z, names = point.problem, point.z, list(self.statics.values)
+        statics = self.statics if widening == 1.0 else replace(self.statics, widening=widening)
+        ways = {names.index(course.name): course.extent for course in (*problem.free, problem.walking) if course}
+        left = problem.border(z).left[:, 0] if self.kind == BRANCH_POINT else None
+        near = problem.frequency_of(z) if self.kind == HOPF else None
+        x, p = problem.state(z), problem.parameters(z)
+        return LinearisedRest(statics, x, p, problem.scale, np.ones(problem.states), ways, left, near)
+
+    def coefficient(self, point: Point, widening: float = 1.0) -> float:
+        """The coefficient of the normal form of a Hopf point; infinite where a pair is real, or an eigenvalue zero."""
+        try:
+            linear = self.linearised(point, widening)
+            return float(np.sum(terms_of(self.kind, linear, *linear.critical(self.kind))))
+        except (ArithmeticError, np.linalg.LinAlgError):
+            return np.inf
+
     def special_between(self, before: Point, after: Point, gaps: list[Unresolved]) -> Iterator[Point]:
         """Points of codimension two on the stretch between two points, in order; `gaps` gets parts not resolved."""
-        yield from special_on_curve(EquilibriumCurveSearch(self, self.kind, before, after), gaps)
+        yield from special_on_curve(EquilibriumCurveSearch(self, before, after), gaps)
 
     def stop(self, point: Point) -> tuple[End | None, str]:
         """Beyond a Bogdanov-Takens point there are neutral saddles in place of Hopf points."""

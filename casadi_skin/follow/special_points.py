@@ -300,7 +300,7 @@ class Located:
     @property
     def frequency(self) -> float:
         """Imaginary part of the critical eigenvalues of a Hopf point."""
-        return float(self.singularity.rate * np.sqrt(self.point.z[self.point.problem.added_index]))
+        return float(self.point.problem.frequency_of(self.point.z))
 
 
 def locate_rest(space: SolutionSpace, kind: str, near: Array, pair: complex | None = None) -> Located | None:

@@ -14,7 +14,7 @@ from casadi_skin.follow.boundary_space import BoundarySpace, hopf_near
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.codimension_two import OrbitCurveSearch, kappa, special_on_curve
 from casadi_skin.follow.follow import BranchRun
-from casadi_skin.follow.normal_forms import critical_angle, critical_functions, terms_of
+from casadi_skin.follow.normal_forms import critical_angle, terms_of
 from casadi_skin.follow.rest_space import find_equilibrium
 from casadi_skin.follow.solution import Solution, following_settings
 from casadi_skin.follow.space import FAMILY, ORBITS, BoundaryError, of_last_points
@@ -30,7 +30,7 @@ from casadi_skin.model.arguments import check_name
 from casadi_skin.points.edges import EdgeCurve, edge_curve, parameters_of
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.augmented import SingularProblem
-from casadi_skin.zero.kinds import EDGE, FOLD, HOPF, ORBIT_CURVES, TORUS, Unresolved
+from casadi_skin.zero.kinds import EDGE, FOLD, HOPF, KINDS, ORBIT_CURVES, Unresolved
 from casadi_skin.zero.linearised import Linearised
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point
 from casadi_skin.zero.stated_problem import PERIOD, Closure
@@ -69,7 +69,10 @@ class OrbitCurveSpace(BoundarySpace):
 
     def linearised(self, point: Point) -> Linearised:
         """The equations of the orbit of a point around it."""
-        return Linearised(cast(SingularProblem, point.problem), point.z, self.statement)
+        assert self.singularity is not None
+        angle = KINDS[self.kind].angle
+        angle = float(np.arccos(np.clip(kappa(point), -1.0, 1.0))) if angle is None else angle
+        return Linearised(cast(SingularProblem, point.problem), point.z, self.statement, angle, self.singularity.turn)
 
     def special_between(self, before: Point, after: Point, gaps: list[Unresolved]) -> Iterator[Point]:
         """Points of codimension two on the stretch between two points, in order; `gaps` gets parts not resolved."""
@@ -102,11 +105,8 @@ class OrbitCurveSpace(BoundarySpace):
     @of_last_points
     def coefficient(self, point: Point) -> float:
         """The coefficient of the normal form."""
-        assert self.singularity is not None
-        angle = float(np.arccos(np.clip(kappa(point), -1.0, 1.0))) if self.kind == TORUS else 0.0
-        linear, turn = self.linearised(point), self.singularity.turn
-        functions = critical_functions(self.kind, linear, angle, turn)
-        return float(np.sum(terms_of(self.kind, linear, angle, *functions, turn)))
+        linear = self.linearised(point)
+        return float(np.sum(terms_of(self.kind, linear, *linear.critical(self.kind))))
 
 
 def curve(

@@ -9,12 +9,12 @@ import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.branch_points import leaving_tangent
-from casadi_skin.follow.normal_forms import critical_pair
 from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.space import BoundaryError
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.points.ends import Left, fitted
 from casadi_skin.points.lost_symmetry import lost_operations
+from casadi_skin.zero.linearised import critical_pair
 from casadi_skin.zero.orbit import FIRST_INTERVALS, OrbitRequest, Periodic, Sizes, boundary_method, statement_of
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest import Statics, sizes_of

@@ -118,6 +118,12 @@ class Augmented(Problem):
         """
         return self.size - 2
 
+    def frequency_of(self, z: Array) -> float:
+        """That of the critical pair of a Hopf point; raises ArithmeticError of a real one."""
+        if not z[self.added_index] > 0.0:
+            raise ArithmeticError("a neutral saddle has no frequency")
+        return float(self.singularity.rate * np.sqrt(z[self.added_index]))
+
     @abstractmethod
     def own(self, z: Array) -> tuple[Array, Array]:
         """Residuals of the solution's own equations, and the values of their Jacobian."""
@@ -543,7 +549,7 @@ def _start_of_plane(
     problem: BoundaryProblem, z: Array, angle: float, sizes: Array, turn: Array, autonomous: bool
 ) -> Vector:
     """The start of the function q with q(1) = exp(i angle) turn q(0), of an autonomous orbit across the velocity."""
-    q = null_vectors(Linearised(problem, z, problem.statement).twisted(complex(np.exp(1j * angle)), turn))[0]
+    q = null_vectors(Linearised(problem, z, problem.statement, angle, turn).twisted())[0]
     start = q[: problem.formulation.states]
     if not autonomous:
         return start

@@ -65,6 +65,11 @@ class Kind:
     of_equilibria: CurveKind | None = None
     of_orbits: CurveKind | None = None
 
+    @property
+    def has_coefficient(self) -> bool:
+        """Whether the normal form has a coefficient, which may vanish."""
+        return any(curve is not None and curve.degenerate for curve in (self.of_equilibria, self.of_orbits))
+
 
 DASHED, DOTTED = (0, (4.0, 1.4)), (0, (1.0, 1.2))
 KINDS: Mapping[str, Kind] = {

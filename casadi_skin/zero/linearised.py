@@ -1,15 +1,19 @@
-"""The collocation equations of a solution to first, second and third order, and the null vectors of the first.
+"""Equations of a solution around it to first, second and third order, and the null vectors of the first.
 
-Null vectors come from inverse iteration on the sparse matrix, so that multipliers of any size do no harm; higher
-derivatives are those of the field at the stages, of the conditions and of the integrals, exact by CasADi.
+Of orbits and solutions of boundary-value problems, whose equations are those of collocation, and of equilibria,
+f(x, p) = 0, in one way: F(x + v) = F(x) + J v + D(v, v)/2 + D(v, v, v)/6 + ..., with J of shape (unknowns, unknowns).
+
+Null vectors of collocation come from inverse iteration on the sparse matrix, so that multipliers of any size do no
+harm, those of equilibria from singular values. Higher derivatives of collocation are those of the field at the stages,
+of the conditions and of the integrals, exact by CasADi.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -17,26 +21,171 @@ from numpy.typing import NDArray
 
 from casadi_skin.model.expressions import Expression
 from casadi_skin.zero.discretisation import Formulation
-from casadi_skin.zero.problem import Array, SingularError
+from casadi_skin.zero.kinds import KINDS
+from casadi_skin.zero.problem import EPSILON, Array, SingularError
+from casadi_skin.zero.rest import BalancedMatrix, NullSpace, Statics, balanced, upper_pair
 from casadi_skin.zero.stated_problem import BoundaryProblem
 from casadi_skin.zero.statement import Statement
 
 Vector = NDArray[Any]  # of real or complex numbers
 ITERATION_ROUNDS = 4  # of inverse iteration
 INVERSE_ITERATION_SHIFT = 1e-13  # of the largest entry of a matrix that may be singular to the last digit
+ORTHOGONAL_PRODUCT = 1e-10  # of the norms of null vectors in balanced units: a product that is zero
+PLACES_ALONG_SOLUTION = 65  # at which null vectors are compared
 SHIFT_TRIALS = 5  # shifts, each three times as large as the one before
+
+
+def by_parts(form: Callable[..., Array], size: int, *directions: Vector) -> Vector:
+    """A real multilinear form at real or complex directions, from their real and imaginary parts, shape (size,)."""
+    parts, total = [(v.real, v.imag) for v in directions], np.zeros(size, dtype=complex)
+    for choice in np.ndindex(*(2,) * len(parts)):
+        chosen = [part[c] for c, part in zip(choice, parts, strict=True)]
+        if all(map(np.any, chosen)):
+            total += 1j ** sum(choice) * form(*chosen)
+    return np.asarray(total if any(map(np.iscomplexobj, directions)) else total.real)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearisedRest:
+    """The equations f(x, p) = 0 of an equilibrium; unknowns are its state over some sizes.
+
+    Its attributes and methods mean what those of the same names do of collocation (see `Linearised`).
+
+    Attributes:
+        statics: the model at rest.
+        x, p: state and parameters.
+        sizes: of the components, shape (n,).
+        units: by which null vectors are measured, in the sizes.
+        ways: numbers of the two parameters of a curve, with the way that each goes.
+        left: the left null vector at a branch point of a curve.
+        near: frequency near that of the critical pair.
+    """
+
+    statics: Statics
+    x: Array
+    p: Array
+    sizes: Array
+    units: Array
+    ways: Mapping[int, float] = field(default_factory=dict)
+    left: Array | None = None
+    near: float | None = None
+
+    @property
+    def inner(self) -> int:
+        """Number of equations, of components and of state values."""
+        return self.statics.size
+
+    components = states = inner
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """df/dx in the sizes."""
+        return self.statics.jacobian(self.x, self.p) * self.sizes / self.sizes[:, None]
+
+    @cached_property
+    def by_parameters(self) -> Array:
+        """Derivatives by the parameters of the curve over their ways, shape (n, 2)."""
+        columns = self.statics.by_parameters(self.x, self.p)[:, list(self.ways)]
+        return np.asarray(columns * list(self.ways.values()) / self.sizes[:, None])
+
+    @cached_property
+    def null_vectors(self) -> tuple[Array, Array]:
+        """Right and left null vector."""
+        found = NullSpace.of_rates(self.jacobian, self.units)
+        return found.right[:, -1], found.left[:, -1] if self.left is None else self.left
+
+    @cached_property
+    def pair(self) -> tuple[float, Vector, Vector]:
+        """The frequency of the critical pair, q with J q = i omega q, and its adjoint with product 1."""
+        return critical_pair(self.jacobian, self.near)
+
+    def critical(self, kind: str) -> tuple[Vector, Vector]:
+        """Of pairs q and p with p.q = 1; v with v.v = 1, whose largest entry is positive, and psi with psi.v = 1.
+
+        psi.psi = 1 where both are orthogonal.
+        """
+        if KINDS[kind].angle is None:
+            return self.pair[1:]
+        v, psi = self.null_vectors
+        v = self.normalised(v) * np.sign(v[np.argmax(np.abs(v))])
+        product, crossed = float(psi @ v), float(np.linalg.norm(psi * self.units) * np.linalg.norm(v / self.units))
+        return v, psi / (product if abs(product) > ORTHOGONAL_PRODUCT * crossed else np.linalg.norm(psi))
+
+    def scales(self, kind: str) -> tuple[float, float]:
+        """The critical frequency of a kind, and the unit of time of its coefficient."""
+        omega = self.pair[0] if KINDS[kind].angle is None else 0.0
+        return omega, omega or 1.0
+
+    def derivative(self, *directions: Vector) -> Vector:
+        """The second or third derivative in as many directions, shape (n,)."""
+        form = self.statics.second if len(directions) == 2 else self.statics.third
+
+        def scaled(*v: Array) -> Array:
+            return form(self.x, self.p, *(self.sizes * one for one in v)) / self.sizes
+
+        return by_parts(scaled, self.inner, *directions)
+
+    full_derivative = derivative
+
+    def response(self, forcing: Vector, multiple: int = 0) -> Vector:
+        """The answer to a forcing at a multiple of the critical frequency.
+
+        Raises LinAlgError where another eigenvalue is zero, to rounding.
+        """
+        if not multiple and not np.linalg.cond(balanced(self.jacobian)[0]) < 1.0 / EPSILON:
+            raise np.linalg.LinAlgError
+        shift = 1j * multiple * self.pair[0] * np.eye(self.inner) if multiple else 0.0
+        return np.asarray(np.linalg.solve(self.jacobian - shift, -forcing))
+
+    def velocity(self, v: Vector) -> Vector:
+        """Contribution of -v in the field."""
+        return -v
+
+    def normalised(self, v: Array) -> Array:
+        """A right null vector of norm 1."""
+        return np.asarray(v / np.linalg.norm(v))
+
+    def along(self, v: Array) -> Array:
+        """Values by which two right null vectors are compared."""
+        return v
+
+    def seen(self, v: Array) -> Array:
+        """1: left null vectors along a curve of branch points have one sign and size."""
+        return np.ones(1)
+
+
+def critical_pair(A: Array, near: float | None = None) -> tuple[float, Vector, Vector]:
+    """The frequency omega > 0 of the critical pair of eigenvalues, q with A q = i omega q, and its adjoint.
+
+    The pair is that nearest to i `near`, by default that nearest to the imaginary axis.
+    """
+    linear = BalancedMatrix(A)
+    values = linear.eigensystem[0]
+    k = upper_pair(values, None if near is None else 1j * near)
+    right, left = linear.vectors(k)
+    q = right / np.linalg.norm(right)
+    return float(values[k].imag), q, np.asarray(left / np.vdot(left, q).conj())
 
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """The equations of a solution around it; unknowns x are its states, then the free parameters of its statement.
+    """The collocation equations of a solution; unknowns x are its states, then the free parameters of its statement.
 
     The problem may have more scalars, which are held.
+
+    Attributes:
+        problem, z, statement: the solution and its statement.
+        angle: of the critical multipliers.
+        turn: the matrix S of solutions that close as x(1) = S x(0), where it is not 1.
+        length: of the interval.
     """
 
     problem: BoundaryProblem
     z: Array
     statement: Statement
+    angle: float = 0.0
+    turn: Array | None = None
+    length: float = 1.0
 
     @property
     def components(self) -> int:
@@ -45,7 +194,7 @@ class Linearised:
 
     @property
     def states(self) -> int:
-        """Number of state values."""
+        """Number of state values among the unknowns."""
         return self.problem.states
 
     @property
@@ -55,7 +204,7 @@ class Linearised:
 
     @property
     def inner(self) -> int:
-        """Number of equations of collocation, before the conditions."""
+        """Number of equations of the field, before the conditions."""
         return self.states - self.components
 
     @cached_property
@@ -75,19 +224,21 @@ class Linearised:
 
     @cached_property
     def null_vectors(self) -> tuple[Array, Array]:
-        """Those of `jacobian`."""
+        """Right and left one of `jacobian`."""
         return null_vectors(self.jacobian)
 
-    def by_scalar(self, place: int) -> Array:
-        """The derivative by one of all scalars, from their first or last, dense."""
-        return np.asarray(self.matrix[:, [self.states + place if place >= 0 else place]].toarray().ravel())
+    @cached_property
+    def by_parameters(self) -> Array:
+        """Derivatives by both parameters of a curve of special points, shape (unknowns, 2)."""
+        return np.asarray(self.matrix[:, [self.unknowns, -1]].toarray())
 
-    def twisted(self, factor: complex, turn: Array | None = None) -> Any:
-        """The derivative of the equations of the state alone, for v(1) = factor v(0) or factor turn v(0), sparse."""
+    def twisted(self, multiple: int = 1) -> Any:
+        """The derivative of the equations of the state alone, for v(1) = exp(i multiple angle) turn v(0), sparse."""
         from scipy.sparse import csc_matrix, eye, hstack, vstack
 
-        n = self.components
-        number = factor.real if factor.imag == 0.0 else factor
+        n, turn, half = self.components, self.turn, self.angle == np.pi
+        factor = complex(np.exp(1j * multiple * self.angle))
+        number = (-1.0) ** multiple if half else factor.real if factor.imag == 0.0 else factor
         start = csc_matrix(-number * (np.eye(n) if turn is None or not turn.size else turn))
         closing = hstack([start, csc_matrix((n, self.states - 2 * n)), eye(n)])
         return vstack([self.matrix[: self.inner, : self.states], closing]).tocsc()
@@ -117,18 +268,52 @@ class Linearised:
         """Contribution of -v in the field to the equations of collocation, shape (inner,)."""
         return -self._increments(self._at(v, self.problem.stages)[0])
 
+    def critical(self, kind: str) -> tuple[Vector, Vector]:
+        """The Floquet function with mean square 1, of a fold with the changes of free parameters; and its adjoint."""
+        problem = self.problem
+        v, adjoint = self.null_vectors if KINDS[kind].angle == 0.0 else null_vectors(self.twisted())
+        weights = np.outer(problem.constants, problem.table.extended[-1]).ravel()
+        values = v[: self.states].reshape(problem.columns, -1)[problem.stages]
+        v = v / np.sqrt(float(weights @ np.sum(np.abs(values) ** 2, axis=1)))
+        largest = v[: self.components][np.argmax(np.abs(v[: self.components]))]
+        return v * (abs(largest) / largest), adjoint
+
+    def scales(self, kind: str) -> tuple[float, float]:
+        """The critical frequency, and the unit of time of coefficients."""
+        return self.angle / self.length, self.length
+
+    def normalised(self, v: Array) -> Array:
+        """A right null vector with mean square 1 along the solution."""
+        return np.asarray(v / np.sqrt(v[: self.states] @ v[: self.states] / self.problem.columns))
+
+    def along(self, v: Array) -> Array:
+        """Values along the solution by which two right null vectors are compared."""
+        places = np.linspace(0.0, 1.0, PLACES_ALONG_SOLUTION)
+        return np.append(self.problem.sample(v, places), v[self.states :])
+
+    def seen(self, v: Array) -> Array:
+        """What the left null vector sees of v, by which its sign and size are compared.
+
+        Means of products of components, and products of conditions with the ends of v.
+        """
+        psi, n, inner = self.null_vectors[1], self.components, self.inner
+        ends = np.concatenate([v[:n], v[inner:]])
+        return np.concatenate([self.products(psi, v).ravel(), np.outer(psi[inner:], ends).ravel()])
+
+    def response(self, forcing: Vector, multiple: int = 0) -> Vector:
+        """The answer v to a forcing of the field at a multiple of the critical frequency, J v = -forcing."""
+        from scipy.sparse.linalg import splu
+
+        factors = splu(self.twisted(multiple) if multiple else self.jacobian)
+        right = np.zeros(factors.shape[0], dtype=forcing.dtype)
+        right[: forcing.size] = -forcing
+        return np.asarray(factors.solve(right))
+
     # Higher derivatives ---------------------------------------------------------------------------------------------
 
     def derivative(self, *directions: Vector) -> Vector:
         """The second or third derivative of the equations of collocation in as many directions, shape (inner,)."""
-        parts = [(v.real, v.imag) for v in directions]
-        total: Vector = np.zeros(self.inner, dtype=complex)
-        for choice in np.ndindex(*(2,) * len(parts)):  # real or imaginary part of each
-            chosen = [part[c] for c, part in zip(choice, parts, strict=True)]
-            if all(np.any(v) for v in chosen):
-                values = self._along_stages("field", chosen)
-                total += 1j ** sum(choice) * self._increments(values)
-        return total if any(np.iscomplexobj(v) for v in directions) else np.asarray(total.real)
+        return by_parts(lambda *v: self._increments(self._along_stages("field", v)), self.inner, *directions)
 
     def full_derivative(self, *directions: Array) -> Array:
         """The same of all equations in real directions: conditions and integrals follow."""
@@ -177,6 +362,9 @@ def _directional(formulation: Formulation, name: str, order: int, count: int = 1
         values = sum(parts, kind.zeros(values.numel()))
         directions += along
     return ca.Function("derivative", [*given, *directions], [ca.densify(values)]).map(count)
+
+
+LinearisedEquations: TypeAlias = Linearised | LinearisedRest
 
 
 def velocities(problem: BoundaryProblem, z: Array) -> Array:

@@ -7,7 +7,7 @@ that stiff models and components of any unit are solved alike.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -330,39 +330,20 @@ class Statics:
         """Whether higher derivatives are exact; those of a program, as an FMU, are differences of its Jacobian."""
         return not programs_in(self.function)
 
-    def second(self, x: Array, p: Array, u: ComplexArray | Array, v: ComplexArray | Array) -> ComplexArray:
-        """f_xx u v for complex directions, shape (n,)."""
+    def second(self, x: Array, p: Array, a: Array, b: Array) -> Array:
+        """f_xx a b, shape (n,)."""
+        if self.exact:
+            return np.array(self._second(x, p, a, b)).ravel()
+        h = self.widening * SECOND_DERIVATIVE_STEP * self._scale(x, a)
+        return np.asarray((self.jacobian(x + h * a, p) - self.jacobian(x - h * a, p)) @ b / (2.0 * h))
 
-        def real(a: Array, b: Array) -> Array:
-            if self.exact:
-                return np.array(self._second(x, p, a, b)).ravel()
-            h = self.widening * SECOND_DERIVATIVE_STEP * self._scale(x, a)
-            return np.asarray((self.jacobian(x + h * a, p) - self.jacobian(x - h * a, p)) @ b / (2.0 * h))
-
-        return self._by_parts(real, u, v)
-
-    def third(
-        self, x: Array, p: Array, u: ComplexArray | Array, v: ComplexArray | Array, w: ComplexArray | Array
-    ) -> ComplexArray:
-        """f_xxx u v w for complex directions, shape (n,)."""
-
-        def real(a: Array, b: Array, c: Array) -> Array:
-            if self.exact:
-                return np.array(self._third(x, p, a, b, c)).ravel()
-            h, k = (self.widening * THIRD_DERIVATIVE_STEP * self._scale(x, along) for along in (a, b))
-            ends = [(i * j, self.jacobian(x + i * h * a + j * k * b, p)) for i in (-1, 1) for j in (-1, 1)]
-            return np.asarray(sum(sign * matrix for sign, matrix in ends) @ c / (4.0 * h * k))
-
-        return self._by_parts(real, u, v, w)
-
-    def _by_parts(self, form: Callable[..., Array], *directions: ComplexArray | Array) -> ComplexArray:
-        """A real multilinear form at complex directions, from their real and imaginary parts, shape (n,)."""
-        parts, total = [(v.real, v.imag) for v in directions], np.zeros(self.size, complex)
-        for choice in np.ndindex(*(2,) * len(parts)):
-            chosen = [part[c] for c, part in zip(choice, parts, strict=True)]
-            if all(map(np.any, chosen)):
-                total += 1j ** sum(choice) * form(*chosen)
-        return total
+    def third(self, x: Array, p: Array, a: Array, b: Array, c: Array) -> Array:
+        """f_xxx a b c, shape (n,)."""
+        if self.exact:
+            return np.array(self._third(x, p, a, b, c)).ravel()
+        h, k = (self.widening * THIRD_DERIVATIVE_STEP * self._scale(x, along) for along in (a, b))
+        ends = [(i * j, self.jacobian(x + i * h * a + j * k * b, p)) for i in (-1, 1) for j in (-1, 1)]
+        return np.asarray(sum(sign * matrix for sign, matrix in ends) @ c / (4.0 * h * k))
 
     def _scale(self, x: Array, along: Array) -> float:
         """A step along a direction that is the size of x, 1 at least."""
