@@ -13,7 +13,7 @@ from itertools import groupby
 from typing import cast
 
 import numpy as np
-from numpy.polynomial.polynomial import polyval
+from numpy.polynomial.polynomial import polyder, polyroots, polyval
 
 from casadi_skin.solve.bordered import BorderedSolver, Steps
 from casadi_skin.solve.levels import Levels, Measured, step_error
@@ -25,7 +25,6 @@ from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
 
 PREDICTING_POINTS = 4  # points that a prediction is made from
 REACH_MARGIN = 1.0 + 1e-9  # times what all terms can change a value by: rounding is far below
-CROSSING_SAMPLES = 33  # samples in which the crossings of a value, and the turns between them, are separated
 ALIGNED_COSINE = 0.7  # cosine of the turn since a point, at least: three steps turn by less, a corner by more
 
 
@@ -84,25 +83,23 @@ class LocalCurve:
 
         `end` is the length of the curve by default.
         """
-        course, end = self.coefficients[:, index], self.length if end is None else end
-        scaled = course * end ** np.arange(course.size)
-        values = [value for value in values if abs(scaled[0] - value) <= REACH_MARGIN * np.sum(np.abs(scaled[1:]))]
-        if not values:
-            return []
-        turn = np.arange(1, course.size) * course[1:]
-        grid, powers = np.linspace(0.0, end, CROSSING_SAMPLES), _powers_of_unit(CROSSING_SAMPLES, course.size)
-        steepness, slopes = powers[:, :-1] @ (turn * end ** np.arange(turn.size)), turn.tolist()
-        turns = np.array([_zero(slopes, a, b) for a, b in _brackets(grid, steepness)])
-        nodes, heights = grid, powers @ scaled
-        if turns.size:
-            order = np.argsort(np.concatenate([grid, turns]), kind="stable")
-            nodes = np.concatenate([grid, turns])[order]
-            heights = np.concatenate([heights, polyval(turns, course)])[order]
-        found = set()
+        end, found = self.length if end is None else end, list[tuple[float, float]]()
+        scaled = self.coefficients[:, index] * end ** np.arange(self.coefficients.shape[0])
         for value in values:
-            gap = [float(course[0] - value), *course[1:].tolist()]
-            found |= {(_zero(gap, a, b), value) for a, b in _brackets(nodes, heights - value)}
-        return sorted((sigma, value) for sigma, value in found if sigma > 0.0)
+            gap = np.append(scaled[0] - value, scaled[1:])
+            if np.any(gap[1:]) and abs(gap[0]) <= REACH_MARGIN * np.sum(np.abs(gap[1:])):
+                found += [(end * place, value) for place in _roots_within(gap)]
+        return sorted(found)
+
+
+def _roots_within(coefficients: Array) -> list[float]:
+    """The real roots of a polynomial in (0, 1], each with two Newton steps."""
+    coefficients = np.trim_zeros(coefficients)  # a root at 0 itself is none
+    roots, slope = polyroots(coefficients), polyder(coefficients)
+    real = roots[np.isreal(roots)].real
+    for _ in range(2):
+        real = real - polyval(real, coefficients) / polyval(real, slope)
+    return [min(float(root), 1.0) for root in real if 0.0 < root <= REACH_MARGIN]
 
 
 def predictor(z: Array, t: Array, before: Sequence[tuple[Array, Array]], row: Array) -> Callable[[float], Array]:
@@ -171,38 +168,6 @@ def _powers_of_unit(samples: int, count: int) -> Array:
 
 def _powers(tau: float | Array, count: int) -> Array:
     return np.asarray(np.power.outer(tau, np.arange(count)))
-
-
-def _zero(coefficients: list[float], low: float, high: float) -> float:
-    """The zero of a polynomial between two places, where it has opposite signs: Newton's method, or halving.
-
-    Written out, as scipy.optimize takes as long to load as a family to be followed.
-    """
-    rises = _value(coefficients, low)[0] < 0.0
-    closest, x = 1e-15 * abs(high - low), 0.5 * (low + high)
-    for _ in range(100):
-        value, slope = _value(coefficients, x)
-        low, high = (x, high) if (value < 0.0) == rises else (low, x)
-        step = value / slope if slope else np.inf
-        following = x - step if low < x - step < high else 0.5 * (low + high)
-        if value == 0.0 or abs(following - x) <= closest:
-            return x
-        x = following
-    return x
-
-
-def _value(coefficients: list[float], x: float) -> tuple[float, float]:
-    """A polynomial and its derivative at x, by Horner's scheme."""
-    value = slope = 0.0
-    for coefficient in reversed(coefficients):
-        slope, value = slope * x + value, value * x + coefficient
-    return value, slope
-
-
-def _brackets(nodes: Array, values: Array) -> list[tuple[float, float]]:
-    """Neighbouring nodes between which the values change sign, or where they reach zero."""
-    changes = np.flatnonzero((values[:-1] != 0.0) & (np.sign(values[:-1]) != np.sign(values[1:])))
-    return [(float(nodes[i]), float(nodes[i + 1])) for i in changes]
 
 
 # Corrected points of a branch: near a guess, at a value of the parameter or Omega, between two other points -----------
