@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
-from typing import ClassVar, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +30,10 @@ from casadi_skin.follow.search import (
     TEST_ZERO_XTOL,
     ExponentSampler,
     NotLocatedError,
-    Sample,
+    SampledStretch,
     Search,
-    Stretch,
     beside_on_tangent,
+    gap_between,
     nearest_order,
     zero_between,
 )
@@ -91,11 +91,8 @@ class CurveSearch(Search):
         space: of the curve.
         kind: of the special points that it connects.
         kinds: of the points that it may meet.
-        turn: period of the imaginary parts of exponents.
         tests: functions of a point that vanish at points of some kinds.
     """
-
-    turn: ClassVar[float] = np.inf
 
     def __init__(self, space: Followed, kinds: Mapping[str, CurveKind], before: Point, after: Point) -> None:
         super().__init__(space.point_solver, before, after)
@@ -151,12 +148,8 @@ class CurveSearch(Search):
         return SYMMETRIC_TERM_RATIO
 
     @abstractmethod
-    def exponents(self, point: Point) -> tuple[ComplexArray, ComplexArray, Array]:
-        """Eigenvalues, or logarithms of multipliers, but the critical ones, their rates along the curve, and noise."""
-
-    @abstractmethod
     def others(self, point: Point) -> ComplexArray:
-        """The same values alone."""
+        """Eigenvalues, or logarithms of multipliers, but the critical ones."""
 
     def tracked(self, at: complex) -> Test:
         """The real part of the value that is nearest to a place on the axis."""
@@ -183,15 +176,10 @@ class CurveSearch(Search):
         """Points that the signs of noisy coefficients at both ends show."""
         yield from ()
 
-    def sampled(self, point: Point) -> Sample:
-        own = self.own(point)
-        ahead = beside_on_tangent(own, TANGENT_DIFFERENCE_STEP)
-        values = [(test(own), test(ahead)) for test in self.tests.values()]
-        leading = tuple((here, (there - here) / TANGENT_DIFFERENCE_STEP) for here, there in values)
-        row = self.metric(point) * point.tangent
-        return Sample(point, row, *self.exponents(own), np.zeros_like(point.z), 1.0, leading, self.turn)
+    def values(self, point: Point) -> Array:
+        return np.array([test(point) for test in self.tests.values()])
 
-    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point] | None:
+    def found(self, stretch: SampledStretch, depth: int, last: bool) -> Sequence[Point] | None:
         if self._is_beyond(stretch):
             return ()
         settled = stretch.settled.copy()
@@ -213,35 +201,29 @@ class CurveSearch(Search):
         """Which of the tests vanish where the curve ends."""
         return np.array([kind in self.kinds.ends for kind in self.tests], dtype=bool)
 
-    def _is_beyond(self, stretch: Stretch) -> bool:
+    def _is_beyond(self, stretch: SampledStretch) -> bool:
         """Whether a part lies beyond a point at which the curve ends."""
         start, here = (
             np.array([g for g, _ in sample.leading or ()]) for sample in (self.sample(self.first), stretch.first)
         )
         return bool(np.any(self._ends & (start * here < 0.0)))
 
-    def _poles(self, stretch: Stretch) -> NDArray[np.bool_]:
+    def _poles(self, stretch: SampledStretch) -> NDArray[np.bool_]:
         """Which of the leading quantities change their sign through infinity: they are larger there than beside it."""
         ends = np.abs(stretch.quantities[0][[0, -1], : stretch.leading])
         return np.asarray(stretch.changed[: stretch.leading] & (np.min(ends, axis=0) > POLE_COEFFICIENT))
 
-    def _changed(self, stretch: Stretch) -> NDArray[np.bool_]:
+    def _changed(self, stretch: SampledStretch) -> NDArray[np.bool_]:
         return stretch.changed[: stretch.leading] & ~self._poles(stretch)
 
-    def _passed(self, stretch: Stretch) -> Iterator[tuple[str, Test]]:
+    def _passed(self, stretch: SampledStretch) -> Iterator[tuple[str, Test]]:
         """Kinds of the points that are passed, each with a function that changes its sign there."""
         changed = self._changed(stretch)
         if np.any(changed & self._ends):
             changed &= self._ends
         passed = [(kind, test) for (kind, test), one in zip(self.tests.items(), changed, strict=True) if one]
-        passed += [(kind, self.tracked(at)) for kind, at in self._crossings(stretch)]
+        passed += [(one.kind, self.tracked(1j * one.angle)) for one in stretch.crossings(self.kinds.another)]
         yield from (one for one in passed if not self.is_rounding(one[1]))
-
-    def _crossings(self, stretch: Stretch) -> Iterator[tuple[str, complex]]:
-        """Kinds of the points at which another eigenvalue or multiplier is critical, with its place."""
-        plus, minus, pair = self.kinds.another
-        for one in stretch.crossings():
-            yield (pair if not one.real else minus if one.angle else plus), 1j * one.angle
 
     # Locating ---------------------------------------------------------------------------------------------------------
 
@@ -359,7 +341,7 @@ class OrbitCurveSearch(CurveSearch):
         super().__init__(space, ORBIT_CURVES, before, after)
         self.closes = space.periodic is not None or space.repeats
         ends = [(end, space.floquet(end).exponents) for end in self.ends] if self.closes else []
-        self.sampler = ExponentSampler(space.multipliers_alone, self.metric, ends)
+        self.sampler = ExponentSampler(space.multipliers_alone, ends)
 
     @property
     def has_coefficient(self) -> bool:
@@ -421,10 +403,9 @@ class OrbitCurveSearch(CurveSearch):
         moved += 4.0 * EPSILON  # of the way between both values of the parameter, which it is computed from
         return float(moved / point.problem.parameter_size(point.z) + EPSILON)
 
-    def given_up(self, stretch: Stretch) -> Sequence[Point]:
-        start, end = (self.space.parameters(s.point)[self.space.parameter] for s in (stretch.first, stretch.last))
-        words = "points of codimension two may be missing"
-        self.gaps.append(Unresolved(start, end, words, self.kind, self.space.parameter))
+    def given_up(self, stretch: SampledStretch) -> Sequence[Point]:
+        ends = stretch.first.point, stretch.last.point
+        self.gaps.append(gap_between(self.space, *ends, "points of codimension two may be missing", self.kind))
         return ()
 
 

@@ -1,7 +1,7 @@
 """Events of a branch of orbits: where multipliers cross the unit circle, with the account of their number outside.
 
 Between two orbits of a branch the multipliers are samples of `ExponentSampler`; the stretch is divided until each
-quantity has no root on it, or one simple root within the bounds of its errors (see `Stretch`). The orbit
+quantity has no root on it, or one simple root within the bounds of its errors (see `SampledStretch`). The orbit
 at a root is the solution of the extended equations of its kind, or, where there are none, the root of the quantity.
 The events account for the change in the number n_u of multipliers outside the circle,
 
@@ -21,14 +21,16 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.search import ExponentSampler, Sample, Search, Stretch
+from casadi_skin.follow.search import Crossing, ExponentSampler, Sample, SampledStretch, Search, gap_between
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import snapped, target_of
 from casadi_skin.follow.special_points import special_orbit
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.watch import TimeLimitError
 from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.result import FULL_TURN
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, KREIN, TORUS, Unresolved
+from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point
 
 if TYPE_CHECKING:
@@ -48,15 +50,6 @@ class Event(NamedTuple):
 
     place: float
     solution: Solution
-    kind: str
-    angle: float
-    jump: int
-
-
-class Passage(NamedTuple):
-    """A quantity of a stretch that changes its sign: the event that it means."""
-
-    quantity: int
     kind: str
     angle: float
     jump: int
@@ -113,7 +106,7 @@ class _OrbitSearch(Search):
         exponents = [end.floquet().exponents for end in (before, after)]
         super().__init__(space.point_solver, before.point, after.point)
         known = list(zip(self.ends, exponents, strict=True))
-        self.space, self.sampler = space, ExponentSampler(space.multipliers_alone, self.metric, known)
+        self.space, self.sampler = space, ExponentSampler(space.multipliers_alone, known)
 
     def outside(self, point: Point) -> tuple[int, int]:
         """The number of multipliers outside the circle at a point, and how many errors leave open."""
@@ -122,15 +115,15 @@ class _OrbitSearch(Search):
     def is_clear(self, point: Point) -> bool:
         return self.outside(point)[1] <= min(self.outside(end)[1] for end in (self.first, self.last))
 
-    def passes(self, stretch: Stretch) -> bool:
+    def passes(self, stretch: SampledStretch) -> bool:
         return super().passes(stretch) and self.balanced(stretch) and self.meeting(stretch) is None
 
-    def balanced(self, stretch: Stretch, jumps: int = 0) -> bool:
+    def balanced(self, stretch: SampledStretch, jumps: int = 0) -> bool:
         """Whether jumps account for the change in the number of multipliers outside the circle."""
         (start, open_at_start), (end, open_at_end) = (self.outside(end.point) for end in (stretch.first, stretch.last))
         return abs(end - start - jumps) <= min(open_at_start, open_at_end)
 
-    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Event] | None:
+    def found(self, stretch: SampledStretch, depth: int, last: bool) -> Sequence[Event] | None:
         if not any(self.is_clear(sample.point) for sample in stretch.samples):
             return self.given_up(stretch)
         if not np.all(stretch.settled):
@@ -145,32 +138,32 @@ class _OrbitSearch(Search):
         twice = any(_is_same(one, other) and one.jump != other.jump for one, other in pairwise(known))
         return None if twice or len(known) < len(passages) else known
 
-    def suspected(self, stretch: Stretch) -> float | None:
+    def suspected(self, stretch: SampledStretch) -> float | None:
         return self.meeting(stretch) or super().suspected(stretch)
 
-    def meeting(self, stretch: Stretch) -> float | None:
+    def meeting(self, stretch: SampledStretch) -> float | None:
         """A place at which two pairs that pass one another on the circle have left it; None where none have."""
         return None
 
-    def passages(self, stretch: Stretch) -> Iterator[Passage]:
+    def passages(self, stretch: SampledStretch) -> Iterator[Crossing]:
         """Quantities that change their sign on a stretch that is resolved."""
         raise NotImplementedError
 
-    def collision(self, stretch: Stretch, passages: Sequence[Passage]) -> Sequence[Event] | None:
+    def collision(self, stretch: SampledStretch, passages: Sequence[Crossing]) -> Sequence[Event] | None:
         """The event that is none of a single quantity; None where there is none."""
         return None
 
-    def given_up(self, stretch: Stretch) -> Sequence[Event]:
-        start, end = (self.space.value(self.space.parameter, s.point) for s in (stretch.first, stretch.last))
-        (before, _), (after, unclear) = (self.outside(end.point) for end in (stretch.first, stretch.last))
+    def given_up(self, stretch: SampledStretch) -> Sequence[Event]:
+        ends = stretch.first.point, stretch.last.point
+        (before, _), (after, unclear) = map(self.outside, ends)
         words = f"from {before} to {after} multipliers outside the unit circle"
         why = f"; {unclear} on it within their errors" if unclear else ""
-        self.gaps.append(Unresolved(start, end, words + why, parameter=self.space.parameter))
+        self.gaps.append(gap_between(self.space, *ends, words + why))
         return ()
 
     # Locating ---------------------------------------------------------------------------------------------------------
 
-    def located(self, stretch: Stretch, passage: Passage) -> Event | None:
+    def located(self, stretch: SampledStretch, passage: Crossing) -> Event | None:
         """The orbit at a passage."""
         if self.space.periodic is None or self.space.symmetry.value == 1.0:
             root = stretch.root(stretch.leading + passage.quantity) / stretch.length
@@ -188,7 +181,7 @@ class _OrbitSearch(Search):
             stretch, self.root_of(stretch, self.quantity(stretch, k), float(noise), passage.kind), passage
         )
 
-    def event(self, stretch: Stretch, point: Point | None, passage: Passage) -> Event | None:
+    def event(self, stretch: SampledStretch, point: Point | None, passage: Crossing) -> Event | None:
         """A special point as the event of a passage; None where it is outside the part of the stretch."""
         if point is None:
             return None
@@ -202,13 +195,13 @@ class _OrbitSearch(Search):
 class _Free(_OrbitSearch):
     """Multipliers that move freely: each crosses the circle by itself, or with its complex conjugate."""
 
-    def sampled(self, point: Point) -> Sample:
-        return self.sampler.free(self.own(point), point)
+    turn = FULL_TURN
 
-    def passages(self, stretch: Stretch) -> Iterator[Passage]:
-        for one in stretch.crossings():
-            kind = TORUS if not one.real else DOUBLING if one.angle else BRANCH_POINT
-            yield Passage(one.quantity, kind, one.angle, one.sign if one.real else 2 * one.sign)
+    def exponents(self, point: Point) -> tuple[ComplexArray, ComplexArray, Array]:
+        return self.sampler.free(point)
+
+    def passages(self, stretch: SampledStretch) -> Iterator[Crossing]:
+        yield from stretch.crossings((BRANCH_POINT, DOUBLING, TORUS))
 
 
 class _Paired(_OrbitSearch):
@@ -221,14 +214,15 @@ class _Paired(_OrbitSearch):
         odd = space.periodic is not None and space.symmetry is SymmetryClass.QUARTER
         self.passed = (1.0,) if odd else (1.0, -1.0)
 
-    def sampled(self, point: Point) -> Sample:
-        samples = [self.sampler.paired(self.own(point), point, passed) for passed in self.passed]
-        parts = zip(*((s.values, s.rates, s.noise) for s in samples), strict=True)
-        values, rates, noise = (np.concatenate(part) for part in parts)
-        groups = np.repeat(np.arange(len(samples)), samples[0].values.size)
-        return replace(samples[0], values=values, rates=rates, noise=noise, groups=groups)
+    def exponents(self, point: Point) -> tuple[ComplexArray, ComplexArray, Array]:
+        values, rates, noise = zip(*(self.sampler.paired(point, passed) for passed in self.passed), strict=True)
+        return np.concatenate(values), np.concatenate(rates), np.concatenate(noise)
 
-    def meeting(self, stretch: Stretch) -> float | None:
+    def sampled(self, point: Point) -> Sample:
+        found, many = super().sampled(point), len(self.passed)
+        return replace(found, groups=np.repeat(np.arange(many), found.values.size // many))
+
+    def meeting(self, stretch: SampledStretch) -> float | None:
         from scipy.interpolate import BPoly
         from scipy.optimize import linear_sum_assignment
 
@@ -250,7 +244,7 @@ class _Paired(_OrbitSearch):
                         return place
         return None
 
-    def _left_at(self, stretch: Stretch, gap: BPoly) -> float | None:
+    def _left_at(self, stretch: SampledStretch, gap: BPoly) -> float | None:
         """The place near the root of a gap between two traces at which they are a complex pair; None where none is."""
         from scipy.optimize import brentq
 
@@ -274,21 +268,21 @@ class _Paired(_OrbitSearch):
             root = float(np.clip(root + (off if gap(min(root + off, 1.0)) * gap(root) <= 0.0 else -off), 0.0, 1.0))
         return None
 
-    def passages(self, stretch: Stretch) -> Iterator[Passage]:
+    def passages(self, stretch: SampledStretch) -> Iterator[Crossing]:
         g, groups = stretch.quantities[0], stretch.first.groups
         assert groups is not None
         for k in np.flatnonzero(stretch.changed):
             passed = self.passed[groups[k]]
             jump = 1 if (g[-1, k] > 0.0) == (passed > 0.0) else -1
             kind, angle = (BRANCH_POINT, 0.0) if passed > 0.0 else (DOUBLING, np.pi)
-            yield Passage(int(k), kind, angle, jump)
+            yield Crossing(int(k), kind, angle, jump)
 
     def traces(self, point: Point) -> ComplexArray:
         here = self.sampler.exponents(self.own(point))[0]
         pairs = here.pairs
         return np.empty(0, complex) if pairs is None else np.asarray(here.traces(pairs)[0], dtype=complex)
 
-    def collision(self, stretch: Stretch, passages: Sequence[Passage]) -> Sequence[Event] | None:
+    def collision(self, stretch: SampledStretch, passages: Sequence[Crossing]) -> Sequence[Event] | None:
         """A Krein collision: two pairs leave the circle where they meet, or come back: a root of (tau_k - tau_l)^2."""
         before, after = (self.traces(end.point) for end in (stretch.first, stretch.last))
         off = [np.flatnonzero(tau.imag > 0.0) for tau in (before, after)]
@@ -315,7 +309,7 @@ class _Paired(_OrbitSearch):
         noise = max(float(np.max(s.noise)) for s in (stretch.first, stretch.last)) ** 2
         angle = float(np.arccos(np.clip(0.5 * centre, -1.0, 1.0)))
         point = self.root_of(stretch, discriminant, noise, KREIN)
-        event = self.event(stretch, point, Passage(0, KREIN, angle, 2 if leaves else -2))
+        event = self.event(stretch, point, Crossing(0, KREIN, angle, 2 if leaves else -2))
         return None if event is None else [event]
 
 
@@ -434,8 +428,7 @@ class Ledger:
         return nearest
 
     def _name(self, before: Solution, after: Solution, reason: str) -> None:
-        start, end = (self.space.value(self.space.parameter, one.point) for one in (before, after))
-        self.unresolved.append(Unresolved(start, end, reason, parameter=self.space.parameter))
+        self.unresolved.append(gap_between(self.space, before.point, after.point, reason))
 
 
 def _angle_of(special: Solution) -> float:

@@ -24,7 +24,7 @@ from casadi_skin.follow.arclength import Continuation
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.events import Ledger, at_requested_value
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.search import Monitor, NotLocatedError, monitored
+from casadi_skin.follow.search import BranchStretch, Monitor, NotLocatedError, monitored
 from casadi_skin.follow.solution import Orbit, Solution, following_settings
 from casadi_skin.follow.space import FAMILY, SolutionSpace, snapped, target_of
 from casadi_skin.follow.special_points import rate
@@ -201,7 +201,7 @@ class BranchRun:
 SAME_PLACE = 1e-2  # of a stretch: a requested point that near to a special one of the same value is that one
 
 
-class StretchPoints:
+class StretchPoints(BranchStretch):
     """The points between `before` and `after`, which may lie beyond the end of the branch.
 
     `requested` are the points of the continuation on the stretch, its end among them where that comes before `after`;
@@ -212,19 +212,14 @@ class StretchPoints:
     def __init__(
         self, space: SolutionSpace, before: Point, after: Point, requested: Sequence[Point], missed: Sequence[Target]
     ) -> None:
-        self.space, self.before, self.after = space, before, after
-        self.requested, self.missed, self.unresolved = list(requested), list(missed), list[Unresolved]()
-        self._z, t = (before.problem.prolong(v, after.problem) for v in (before.z, before.tangent))
-        self._row = space.point_solver.metric(after.problem, self._z) * t
-
-    def place(self, point: Point) -> float:
-        """How far from its start along the stretch a point is."""
-        return float(self._row @ (point.problem.prolong(point.z, self.after.problem) - self._z))
+        super().__init__(space.point_solver, before, after)
+        self.space, self.requested, self.missed = space, list(requested), list(missed)
+        self.unresolved = list[Unresolved]()
 
     def special(self) -> list[Point]:
         """Special points in order, those at requested values exactly there; raises NotLocatedError."""
-        targets, found = self.space.point_solver.settings.at, list[Point]()
-        stretch = self.before, self.after, self.unresolved
+        targets, found = self.solver.settings.at, list[Point]()
+        stretch = *self.ends, self.unresolved
         for point in chain(self.space.special_between(*stretch), monitored(self.space, *stretch)):
             target = target_of(self.space, point)
             found.append(point if target is None else snapped(point, target, target in targets))
@@ -232,17 +227,17 @@ class StretchPoints:
             if all(point.parameter != target.value for point in found):
                 found += self._at(target)
         self.missed = [target for target in self.missed if all(point.parameter != target.value for point in found)]
-        return sorted(found, key=self.place)
+        return sorted(found, key=self.sigma)
 
     def _at(self, target: Target) -> Iterator[Point]:
         """The special point at a value at which no solution was found, where there is one."""
-        solver, problem = self.space.point_solver, self.after.problem
+        solver, problem = self.solver, self.last.problem
         if target.held is not Scalar.PARAMETER:
             return
-        curve, _ = solver.curve(self.before, self.after)
+        curve, _ = solver.curve(*self.ends)
         index, value = target.unknown(problem)
         for sigma, _ in curve.crossings(index, [value])[:1]:
-            guess = replace(self.after, z=curve.at(sigma), tangent=curve.slope(sigma), better=None, special="")
+            guess = replace(self.last, z=curve.at(sigma), tangent=curve.slope(sigma), better=None, special="")
             point = self.space.singular_near(guess)
             if point is not None and target_of(self.space, point) == target:
                 yield snapped(point, target, target in solver.settings.at)
@@ -251,13 +246,13 @@ class StretchPoints:
         """The requested points so near to folds that the continuation passed them by."""
         if not any(point.special == FOLD for point in special):
             return []
-        solver, found = self.space.point_solver, list[Point]()
+        solver, found = self.solver, list[Point]()
         wanted = [target for target in solver.settings.at if target.held is Scalar.PARAMETER]
-        ends = (self.before, *special, self.after)
+        ends = (self.ends[0], *special, self.last)
         for one, other in pairwise(ends):
             low, high = sorted((one.parameter, other.parameter))
-            start, end = self.place(one), self.place(other)
-            known = {point.parameter for point in self.requested if start <= self.place(point) <= end}
+            start, end = self.sigma(one), self.sigma(other)
+            known = {point.parameter for point in self.requested if start <= self.sigma(point) <= end}
             inside = tuple(t for t in wanted if low < t.value < high and t.value not in known)
             inside = tuple(t for t in inside if not (t.meets(one) or t.meets(other)))
             points = {target: point for target, point in solver.between(one, other, inside) if point is not None}
@@ -269,13 +264,13 @@ class StretchPoints:
         """All points in order but `after`, those that are no points of the continuation marked as located."""
         special = self.special()
         located = [replace(point, located=True) for point in (*special, *self.beside_folds(special))]
-        near = SAME_PLACE * abs(self.place(self.after))
+        near = SAME_PLACE * abs(self.length)
         own = [point for point in self.requested if not any(self._is(point, one, near) for one in special)]
-        return sorted([*located, *own], key=self.place)
+        return sorted([*located, *own], key=self.sigma)
 
     def _is(self, point: Point, special: Point, near: float) -> bool:
         same = special.parameter == point.parameter
-        return same and abs(self.place(special) - self.place(point)) <= near
+        return same and abs(self.sigma(special) - self.sigma(point)) <= near
 
 
 ROUNDED_PARAMETER_CHANGE = 100.0 * EPSILON  # change of the parameter, of the way to go, that is rounding

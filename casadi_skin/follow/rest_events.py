@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.follow.point import LocalCurve
-from casadi_skin.follow.search import Crossing, Sample, Search, Stretch
+from casadi_skin.follow.search import Crossing, Sample, SampledStretch, Search
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import locate_rest
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved, kind_of
@@ -130,7 +130,7 @@ def counted(equations: SolutionSpace, before: Point, after: Point) -> Counts | N
             return None
         unknowns[k] = point.z
     stack = problem.equations_at_all(unknowns)[1][:, :, : problem.statics.size]
-    stretch = Stretch.of((first, equations.sample(after)))
+    stretch = SampledStretch.of((first, equations.sample(after)))
     seen = (
         np.ones(sigma.size, dtype=bool)
         if problem.statics.size <= SMALL_STATE_COUNT
@@ -159,7 +159,7 @@ def _solved(problem: AlgebraicProblem, z: Array, row: Array, still: float, weigh
     return z, settled
 
 
-def _unlike(stretch: Stretch, matrices: Array, fractions: Array) -> np.ndarray:
+def _unlike(stretch: SampledStretch, matrices: Array, fractions: Array) -> np.ndarray:
     """Places at which a matrix is not what is between a few of them, by as much as may take an eigenvalue across."""
     from casadi_skin.follow.search import _cubic
 
@@ -196,7 +196,7 @@ def _numbers(rounding: float, matrices: Array, seen: np.ndarray) -> tuple[Indice
 
 TOGETHER_DEPTH = 4  # divisions after which a fold and a branch point that cannot be separated are one
 SHARP_TURN_COSINE = 0.5  # cosine of the turn between two points: a step turns by less
-NO_CROSSING = Crossing(0, 0.0, True, 1)  # of a fold or a branch point, which need none
+NO_CROSSING = Crossing(0, "", 0.0, 1)  # of a fold or a branch point, which need none
 MOST_RECOUNTS = 3  # divisions of a stretch where special points do not account for eigenvalues
 SAME_POINT_RTOL = 1e-9  # of a step or of a frequency
 OUTSIDE_STRETCH = 1e-6  # of a stretch: a special point farther out is another one
@@ -274,12 +274,12 @@ class _Search(Search):
     def is_clear(self, point: Point) -> bool:
         return not self.sample(point).blurred
 
-    def passes(self, ends: Stretch) -> bool:
+    def passes(self, ends: SampledStretch) -> bool:
         return False
 
-    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point] | None:
+    def found(self, stretch: SampledStretch, depth: int, last: bool) -> Sequence[Point] | None:
         crossings = self._crossings(stretch)
-        reals, pairs = ([one for one in crossings if one.real is real] for real in (True, False))
+        reals, pairs = ([one for one in crossings if (one.kind == HOPF) is pair] for pair in (False, True))
         kinds = [FOLD] * stretch.turns + [BRANCH_POINT] * stretch.reorients
         if set(kinds) == {FOLD, BRANCH_POINT} and not reals and (depth >= TOGETHER_DEPTH or last):
             kinds, reals = [BRANCH_POINT], [NO_CROSSING]  # where a branch leaves another one to one side
@@ -298,13 +298,13 @@ class _Search(Search):
         )
         return None if twice or len(known) < len(wanted) else [point for *_, point in known]
 
-    def _crossings(self, stretch: Stretch) -> list[Crossing]:
-        return list(stretch.crossings()) if self.free else []
+    def _crossings(self, stretch: SampledStretch) -> list[Crossing]:
+        return list(stretch.crossings(("", "", HOPF))) if self.free else []
 
-    def given_up(self, stretch: Stretch) -> list[Point]:
+    def given_up(self, stretch: SampledStretch) -> list[Point]:
         """Special points of a stretch that cannot be halved, at its start."""
         crossings, first, last = self._crossings(stretch), stretch.first.point, stretch.last.point
-        reals = sum(one.real for one in crossings)
+        reals = sum(one.kind != HOPF for one in crossings)
         several = reals > 1 and not (stretch.turns or stretch.reorients)  # at once, as where a symmetry keeps them
         kinds = [FOLD] * stretch.turns + [BRANCH_POINT] * (stretch.reorients or several)
         kinds += [HOPF] * (len(crossings) - reals)
@@ -316,7 +316,7 @@ class _Search(Search):
         error = replace(first.error, parameter=abs(float(last.z[-1] - first.z[-1])))
         return [replace(first, error=error, walked=False, requested=False, special=kind) for kind in kinds]
 
-    def located(self, stretch: Stretch, kind: str, crossing: Crossing) -> tuple[float, float, Point] | None:
+    def located(self, stretch: SampledStretch, kind: str, crossing: Crossing) -> tuple[float, float, Point] | None:
         """The special point of a kind at a crossing, with its place on the stretch and its frequency, or None."""
         equations, solver = self.equations, self.solver
         guess = stretch.curve.at(stretch.root({FOLD: 0, BRANCH_POINT: None}.get(kind, crossing.quantity + 1)))

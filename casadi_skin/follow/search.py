@@ -36,13 +36,14 @@ from numpy.typing import NDArray
 from casadi_skin.follow.point import LocalCurve, PointSolver
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import FULL_TURN, Exponents, Floquet, turned
-from casadi_skin.zero.kinds import Unresolved
+from casadi_skin.zero.kinds import STABILITY, Unresolved
 from casadi_skin.zero.problem import EPSILON, Array, Indices
 from casadi_skin.zero.settings import Point
 
 # A point of a branch with the quantities whose zeros are events: eigenvalues, or logarithms of multipliers ------------
 
 STILL_RATE = 1e-12  # rate of a parameter that does not change
+CERTAIN_SIGN_NOISE = 8.0  # of a quantity's noise: its size from which its sign is its own
 GROUP_DISTANCE = 1e6  # distance of values of different groups
 
 
@@ -56,7 +57,7 @@ class Sample:
         values: eigenvalues of dF/dy, shape (n,).
         rates: their rates along the unit tangent.
         noise: rounding errors of the eigenvalues.
-        bend: the second derivative of z by the length along the branch.
+        bend: the second derivative of z by the length along the branch; None where it is not looked at.
         orientation: the sign of the determinant of the Jacobian closed by `row`.
         leading: values and rates of other quantities that matter, in place of the rate of the parameter.
         turn: period of the imaginary parts: 2 pi of logarithms of multipliers, infinite of eigenvalues.
@@ -70,8 +71,8 @@ class Sample:
     values: ComplexArray
     rates: ComplexArray
     noise: Array
-    bend: Array
-    orientation: float
+    bend: Array | None = None
+    orientation: float = 1.0
     leading: tuple[tuple[float, float], ...] | None = None
     turn: float = np.inf
     groups: Indices | None = None
@@ -93,8 +94,9 @@ class Sample:
 
     def along(self, row: Array) -> tuple[float, float, float]:
         """By sigma = row . z: that of the length along the branch, and two derivatives of the parameter."""
-        rate, bend = float(row @ self.point.tangent), float(row @ self.bend)
-        t, b = self.point.tangent[-1], self.bend[-1]
+        curved = np.zeros_like(row) if self.bend is None else self.bend
+        rate, bend = float(row @ self.point.tangent), float(row @ curved)
+        t, b = self.point.tangent[-1], curved[-1]
         return 1.0 / rate, float(t / rate), float((b * rate - t * bend) / rate**3)
 
 
@@ -121,16 +123,23 @@ class _Cubics(NamedTuple):
 
 
 class Crossing(NamedTuple):
-    """A value that crosses the axis on a stretch: its place at the first end, imaginary part, whether real, and way."""
+    """A value, or a pair, that crosses the axis on a stretch.
+
+    Attributes:
+        quantity: its place at the first end.
+        kind: of the special point that it means.
+        angle: its imaginary part.
+        jump: by how many the number of unstable values grows.
+    """
 
     quantity: int
+    kind: str
     angle: float
-    real: bool
-    sign: int
+    jump: int
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class SampledStretch:
     """A stretch of branch between two ends, with a sample between them where there is one.
 
     Attributes:
@@ -146,7 +155,7 @@ class Stretch:
     real: bool
 
     @classmethod
-    def of(cls, samples: tuple[Sample, ...], real: bool = False) -> Stretch:
+    def of(cls, samples: tuple[Sample, ...], real: bool = False) -> SampledStretch:
         """The stretch through samples in order."""
         first, last = samples[0], samples[-1]
         sigma = np.array([float(first.row @ (sample.point.z - first.point.z)) for sample in samples])
@@ -249,8 +258,8 @@ class Stretch:
         g, _ = self.quantities
         return np.asarray(_sign(g[0]) != _sign(g[-1]))
 
-    def crossings(self) -> Iterator[Crossing]:
-        """Values whose real part changes its sign: each real one, and one of each pair."""
+    def crossings(self, kinds: tuple[str, str, str]) -> Iterator[Crossing]:
+        """Values whose real part changes its sign: each real one, at 0 or at half a turn, and one of each pair."""
         turn = self.first.turn
         for k in np.flatnonzero(self.changed[self.leading :]):
             first, last = self.first.values[k], self.last.values[self.order[k]]
@@ -258,8 +267,9 @@ class Stretch:
             height = (1.0 - share) * first.imag + share * last.imag
             real = is_real(first, turn) and is_real(last, turn)
             if real or height > 0.0:
-                at = abs(first.imag) if real else height
-                yield Crossing(int(k), float(at), real, 1 if last.real > first.real else -1)
+                angle, sign = float(abs(first.imag) if real else height), 1 if last.real > first.real else -1
+                kind = kinds[2] if not real else kinds[1] if angle else kinds[0]
+                yield Crossing(int(k), kind, angle, sign if real else 2 * sign)
 
     def suspected_double_root(self) -> float | None:
         """A place where a quantity of one sign at the samples seems to have the other one; None where there is none."""
@@ -346,42 +356,54 @@ CLEAR_DISTANCE = (
 )
 
 
-class Search(ABC):
-    """The search for events on one stretch between two points of the continuation, in the unknowns of the second.
+class BranchStretch:
+    """The stretch of a branch between two points of the continuation, in the unknowns of the second.
 
     Attributes:
+        solver: of points of the branch.
         ends: both ends.
         first, last: these in the unknowns of the second.
         row, length: sigma = row . (z - first.z) is the place along the stretch, from 0 to its length.
-        real: whether values of samples count that are real, or all by their real parts.
-        parts: the number of parts that the stretch has been divided into.
-        gaps: those that are not resolved.
-        deepest, most_parts: how often a part may be divided, and how many there may be.
     """
 
-    deepest, most_parts = DEEPEST_DIVISION, MOST_PARTS
-
-    def __init__(self, solver: PointSolver, before: Point, after: Point, real: bool = False) -> None:
-        self.solver, self.ends, self.real, self.parts, self.gaps = solver, (before, after), real, 0, list[Unresolved]()
-        problem = after.problem
+    def __init__(self, solver: PointSolver, before: Point, after: Point) -> None:
+        self.solver, self.ends, problem = solver, (before, after), after.problem
         z, tangent = (before.problem.prolong(v, problem) for v in (before.z, before.tangent))
         self.first = replace(before, problem=problem, z=z, tangent=tangent, better=None)
         self.last = after
         self.row = self.metric(self.first) * tangent
         self.length = float(self.row @ (after.z - z))
-        self._samples = dict[int, tuple[Point, Sample]]()
 
     def metric(self, point: Point) -> Array:
         """Weights of the unknowns of a point."""
         return self.solver.metric(point.problem, point.z)
 
-    def own(self, point: Point) -> Point:
-        """The point at which quantities are computed: the first end on its own mesh."""
-        return self.ends[0] if point is self.first else point
-
     def sigma(self, point: Point) -> float:
         """The place of a point along the stretch."""
         return float(self.row @ (point.problem.prolong(point.z, self.last.problem) - self.first.z))
+
+
+class Search(BranchStretch, ABC):
+    """The search for events on one stretch.
+
+    Attributes:
+        real: whether values of samples count that are real, or all by their real parts.
+        parts: the number of parts that the stretch has been divided into.
+        gaps: those that are not resolved.
+        deepest, most_parts: how often a part may be divided, and how many there may be.
+        turn: period of the imaginary parts of exponents.
+    """
+
+    deepest, most_parts, turn = DEEPEST_DIVISION, MOST_PARTS, np.inf
+
+    def __init__(self, solver: PointSolver, before: Point, after: Point, real: bool = False) -> None:
+        super().__init__(solver, before, after)
+        self.real, self.parts, self.gaps = real, 0, list[Unresolved]()
+        self._samples = dict[int, tuple[Point, Sample]]()
+
+    def own(self, point: Point) -> Point:
+        """The point at which quantities are computed: the first end on its own mesh."""
+        return self.ends[0] if point is self.first else point
 
     def along(self, before: Point, after: Point, fraction: float) -> Point | None:
         """The point at a fraction of the way between two points; None where it is not found."""
@@ -393,11 +415,27 @@ class Search(ABC):
             self._samples[id(point)] = point, self.sampled(point)
         return self._samples[id(point)][1]
 
-    @abstractmethod
     def sampled(self, point: Point) -> Sample:
-        """The sample at a point."""
+        """The sample at a point: its quantities, with differences along the tangent, and its exponents."""
+        own = self.own(point)
+        here, there = (self.values(one) for one in (own, beside_on_tangent(own, TANGENT_DIFFERENCE_STEP)))
+        leading = tuple(zip(here.tolist(), ((there - here) / TANGENT_DIFFERENCE_STEP).tolist(), strict=True))
+        row, still = self.metric(point) * point.tangent, CERTAIN_SIGN_NOISE * self.noise(own)
+        return Sample(point, row, *self.exponents(own), leading=leading, turn=self.turn, still=still)
 
-    def passes(self, ends: Stretch) -> bool:
+    def values(self, point: Point) -> Array:
+        """Quantities beside the exponents, shape (quantities,)."""
+        return np.empty(0)
+
+    def noise(self, point: Point) -> Array:
+        """Errors of these, likewise."""
+        return np.full(1, STILL_RATE / CERTAIN_SIGN_NOISE)
+
+    def exponents(self, point: Point) -> tuple[ComplexArray, ComplexArray, Array]:
+        """Eigenvalues or logarithms of multipliers, their rates along the branch, and noise."""
+        return np.empty(0, dtype=complex), np.empty(0, dtype=complex), np.empty(0)
+
+    def passes(self, ends: SampledStretch) -> bool:
         """Whether every quantity stays far from zero, by its values and rates at both ends."""
         if not (self.is_clear(ends.first.point) or self.is_clear(ends.last.point)):
             return False
@@ -407,22 +445,22 @@ class Search(ABC):
         return bool(np.all(clear | np.all(g == 0.0, axis=0)))
 
     @abstractmethod
-    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Any] | None:
+    def found(self, stretch: SampledStretch, depth: int, last: bool) -> Sequence[Any] | None:
         """Events on a resolved part, in order; None where it has to be divided, unless it is the last."""
 
     def is_clear(self, point: Point) -> bool:
         """Whether every quantity has its sign at a point, where a stretch may be divided."""
         return True
 
-    def suspected(self, stretch: Stretch) -> float | None:
+    def suspected(self, stretch: SampledStretch) -> float | None:
         """The place at which a stretch is best divided; None where any will do."""
         return stretch.suspected_double_root()
 
-    def given_up(self, stretch: Stretch) -> Sequence[Any]:
+    def given_up(self, stretch: SampledStretch) -> Sequence[Any]:
         """Events that are known of a part that can be divided no further; `gaps` gets its record."""
         return ()
 
-    def quantity(self, stretch: Stretch, k: int) -> Callable[[Point], float]:
+    def quantity(self, stretch: SampledStretch, k: int) -> Callable[[Point], float]:
         """The real part of an eigenvalue or logarithm, by its place at the first end, as a function of a point."""
         first, last = stretch.first.values[k], stretch.last.values[stretch.order[k]]
         way, start = turned(last - first, stretch.first.turn), self.sigma(stretch.first.point)
@@ -434,7 +472,7 @@ class Search(ABC):
 
         return value
 
-    def root_of(self, stretch: Stretch, test: Callable[[Point], float], noise: float, kind: str) -> Point | None:
+    def root_of(self, stretch: SampledStretch, test: Callable[[Point], float], noise: float, kind: str) -> Point | None:
         """The point of a stretch at which a test vanishes; at a branch point, where none is alone, the nearest one."""
         before, after = stretch.first.point, stretch.last.point
 
@@ -464,12 +502,12 @@ class Search(ABC):
     def between(self, before: Point, after: Point, depth: int = 0) -> Iterator[Any]:
         """The same between two points of it."""
         self.parts += 1
-        if self.passes(Stretch.of((self.sample(before), self.sample(after)), self.real)):
+        if self.passes(SampledStretch.of((self.sample(before), self.sample(after)), self.real)):
             return
         tried = (self.along(before, after, place) for place in TRIED_PLACES)
         middle = next((point for point in tried if point is not None), None)
         points = (before, after) if middle is None else (before, middle, after)
-        stretch = Stretch.of(tuple(self.sample(point) for point in points), self.real)
+        stretch = SampledStretch.of(tuple(self.sample(point) for point in points), self.real)
         last = depth >= self.deepest or self.parts > self.most_parts or stretch.length <= SHORTEST_PART
         found = self.found(stretch, depth, last or middle is None)
         if found is None and not last and middle is not None:
@@ -502,6 +540,12 @@ def _apart(*points: Point) -> bool:
 # Where a function of a point vanishes between two -------------------------------------------------------------------
 
 TEST_ZERO_XTOL = 1e-11  # of a step, to which a zero of a test is found
+
+
+def gap_between(space: Any, before: Point, after: Point, reason: str, kind: str = STABILITY) -> Unresolved:
+    """The record of a stretch between two points of a branch on which something may be missing."""
+    start, end = (space.value(space.parameter, point) for point in (before, after))
+    return Unresolved(start, end, reason, kind, space.parameter)
 
 
 class NotLocatedError(ArithmeticError):
@@ -572,13 +616,11 @@ class ExponentSampler:
 
     Attributes:
         alone: the multipliers at a point without their errors, which takes a fraction of the time.
-        metric: weights of the unknowns of a point, shape (unknowns,).
         ends: both ends of the stretch with their exponents: other points take the errors that are larger there.
         known: exponents and their rates that have been computed, by the unknowns of their points.
     """
 
     alone: Callable[[Point], Floquet]
-    metric: Callable[[Point], Array]
     ends: Sequence[tuple[Point, Exponents]]
     known: dict[int, tuple[Point, Exponents, Exponents]] = field(default_factory=dict)
 
@@ -598,14 +640,13 @@ class ExponentSampler:
         noise = [end.noise[nearest_order(values, end.values)] for _, end in self.ends]
         return Exponents(values, np.max(noise, axis=0))
 
-    def free(self, point: Point, own: Point) -> Sample:
-        """The sample of multipliers that move freely, at a point that `own` has in the unknowns of the stretch."""
+    def free(self, point: Point) -> tuple[ComplexArray, ComplexArray, Array]:
+        """The logarithms of multipliers that move freely, with rates and noise."""
         here, ahead = self.exponents(point)
-        rates = turned(ahead.values - here.values) / TANGENT_DIFFERENCE_STEP
-        return self._sample(own, here.values, rates, here.noise, FULL_TURN)
+        return here.values, turned(ahead.values - here.values) / TANGENT_DIFFERENCE_STEP, here.noise
 
-    def paired(self, point: Point, own: Point, passed: float) -> Sample:
-        """The sample of multipliers in pairs that may pass `passed`, 1 or -1."""
+    def paired(self, point: Point, passed: float) -> tuple[ComplexArray, ComplexArray, Array]:
+        """The same of multipliers in pairs that may pass `passed`, 1 or -1."""
         here, ahead = self.exponents(point)
         pairs = here.pairs
         assert pairs is not None
@@ -613,11 +654,7 @@ class ExponentSampler:
         away = tau - 2.0 * passed
         scale = np.sqrt(1.0 + away**2)
         values = np.asarray(np.arcsinh(away), dtype=complex)
-        return self._sample(own, values, (moved - tau) / TANGENT_DIFFERENCE_STEP / scale, noise / np.abs(scale), np.inf)
-
-    def _sample(self, own: Point, values: ComplexArray, rates: ComplexArray, noise: Array, turn: float) -> Sample:
-        row = self.metric(own) * own.tangent
-        return Sample(own, row, values, rates, noise, np.zeros_like(own.z), 1.0, (), turn)
+        return values, (moved - tau) / TANGENT_DIFFERENCE_STEP / scale, noise / np.abs(scale)
 
 
 def beside_on_tangent(point: Point, step: float) -> Point:
@@ -668,55 +705,49 @@ class Monitor:
         return float(by_x @ np.abs(x) * max(point.error.profile, EPSILON) + rounding * EPSILON)
 
 
-CERTAIN_SIGN_NOISE = 8.0  # of a quantity's noise: its size from which its sign is its own
-
-
 class MonitorSearch(Search):
     """The search for zeros of real quantities; one at a point itself belongs to the stretch before it.
 
     Attributes:
         space: of the points.
         names: of the quantities, one each.
-        values: function of a point: the quantities.
-        noise: likewise, their errors; None of quantities without.
     """
 
     def __init__(
         self, space: Any, before: Point, after: Point, names: Sequence[str], values: Callable[[Point], Array],
         noise: Callable[[Point], Array] | None = None,
     ) -> None:  # fmt: skip
+        """`values` and their errors `noise` are functions of a point, of shape (quantities,)."""
         super().__init__(space.point_solver, before, after)
-        self.space, self.names, self.values, self.noise = space, names, values, noise
+        self.space, self.names, self._values = space, names, values
+        self._noise = noise or (lambda point: np.full(len(names), STILL_RATE / CERTAIN_SIGN_NOISE))
 
-    def sampled(self, point: Point) -> Sample:
-        own, none = self.own(point), np.empty(0, dtype=complex)
-        here, there = (self.values(one) for one in (own, beside_on_tangent(own, TANGENT_DIFFERENCE_STEP)))
-        leading = tuple(zip(here.tolist(), ((there - here) / TANGENT_DIFFERENCE_STEP).tolist(), strict=True))
-        row, still = (
-            self.metric(point) * point.tangent,
-            STILL_RATE if self.noise is None else CERTAIN_SIGN_NOISE * self.noise(own),
-        )
-        return Sample(point, row, none, none, none.real, np.zeros_like(point.z), 1.0, leading, still=still)
+    def values(self, point: Point) -> Array:
+        return self._values(point)
+
+    def noise(self, point: Point) -> Array:
+        return self._noise(point)
+
+    def _certain(self, point: Point) -> NDArray[np.bool_]:
+        """Which quantities have a sign of their own at a point."""
+        own = self.own(point)
+        return np.asarray(np.abs(self.values(own)) > CERTAIN_SIGN_NOISE * self.noise(own))
 
     def is_clear(self, point: Point) -> bool:
-        own = self.own(point)
-        return self.noise is None or bool(np.all(np.abs(self.values(own)) > CERTAIN_SIGN_NOISE * self.noise(own)))
+        return bool(np.all(self._certain(point)))
 
     def divides(self, before: Point, point: Point, after: Point) -> bool:
         """Not where rounding decides the sign of a quantity that changes it, but for one that is rounding alone."""
-        if self.noise is None:
-            return True
-        first, last, own = (self.own(one) for one in (before, after, point))
-        certain = [np.abs(self.values(one)) > CERTAIN_SIGN_NOISE * self.noise(one) for one in (first, last, own)]
-        changes = np.sign(self.values(first)) != np.sign(self.values(last))
-        return bool(np.all(certain[2] | ~(changes & (certain[0] | certain[1]))))
+        first, last, inner = (self._certain(one) for one in (before, after, point))
+        changes = np.sign(self.values(self.own(before))) != np.sign(self.values(self.own(after)))
+        return bool(np.all(inner | ~(changes & (first | last))))
 
-    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[Point] | None:
+    def found(self, stretch: SampledStretch, depth: int, last: bool) -> Sequence[Point] | None:
         if not (last or np.all(stretch.settled)):
             return None
         (first, *_, g), end, events = stretch.quantities[0], self.own(stretch.last.point), list[Point]()
         for k in np.flatnonzero((np.sign(first) != np.sign(g)) & (first != 0.0)).tolist():
-            test, noise = partial(self._value, k), 0.0 if self.noise is None else float(self.noise(end)[k])
+            test, noise = partial(self._value, k), float(self.noise(end)[k])
             event = end if g[k] == 0.0 else self.root_of(stretch, test, noise, self.names[k])
             if event is None:
                 return None
@@ -729,10 +760,9 @@ class MonitorSearch(Search):
     def _value(self, k: int, point: Point) -> float:
         return float(self.values(point)[k])
 
-    def given_up(self, stretch: Stretch) -> Sequence[Point]:
-        space, kinds = self.space, " or ".join(dict.fromkeys(self.names))
-        start, end = (space.value(space.parameter, one.point) for one in (stretch.first, stretch.last))
-        self.gaps.append(Unresolved(start, end, "the quantity jumps, or is not resolved", kinds, space.parameter))
+    def given_up(self, stretch: SampledStretch) -> Sequence[Point]:
+        ends, kinds = (stretch.first.point, stretch.last.point), " or ".join(dict.fromkeys(self.names))
+        self.gaps.append(gap_between(self.space, *ends, "the quantity jumps, or is not resolved", kinds))
         return ()
 
 

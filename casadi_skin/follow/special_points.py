@@ -28,12 +28,9 @@ import numpy as np
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.search import (
     HALF_STRETCH_PLACES,
-    TANGENT_DIFFERENCE_STEP,
     NotLocatedError,
-    Sample,
+    SampledStretch,
     Search,
-    Stretch,
-    beside_on_tangent,
     zero_between,
 )
 from casadi_skin.follow.solution import Solution
@@ -79,19 +76,15 @@ def rate(point: Point) -> float:
 class _Turns(Search):
     """The search for roots of the rate of the parameter."""
 
-    def sampled(self, point: Point) -> Sample:
-        row, none = self.metric(point) * point.tangent, np.empty(0, dtype=complex)
-        ahead = beside_on_tangent(point, TANGENT_DIFFERENCE_STEP)
+    def values(self, point: Point) -> Array:
+        solver, problem = self.solver, point.problem
         try:
-            solve = self.solver.factor(point.problem, ahead.z, row)
-            moved = self.solver.tangent(point.problem, ahead.z, solve)[point.problem.parameter_index]
-            bend = (float(moved) - rate(point)) / TANGENT_DIFFERENCE_STEP
+            solve = solver.factor(problem, point.z, self.metric(point) * point.tangent)
+            return solver.tangent(problem, point.z, solve)[[problem.parameter_index]]
         except SingularError:
-            bend = 0.0
-        leading = ((rate(point), bend),)
-        return Sample(point, row, none, none, none.real, np.zeros_like(row), 1.0, leading)
+            return np.array([rate(point)])
 
-    def found(self, stretch: Stretch, depth: int, last: bool) -> Sequence[tuple[Point, Point]] | None:
+    def found(self, stretch: SampledStretch, depth: int, last: bool) -> Sequence[tuple[Point, Point]] | None:
         ends = self.own(stretch.first.point), stretch.last.point
         one, other = map(rate, ends)
         if max(abs(one), abs(other)) <= STILL_RATE:
@@ -100,7 +93,7 @@ class _Turns(Search):
             return None
         return [ends] if one * other < 0.0 else []
 
-    def _hides(self, stretch: Stretch) -> bool:
+    def _hides(self, stretch: SampledStretch) -> bool:
         """Whether the parameter itself is off by as much as turns between the samples would make it.
 
         It is the integral of its rate, and so sees a dip of the rate that the rates at the samples do not.
@@ -219,11 +212,6 @@ def check_second(point: SpecialPoint, parameter: str) -> None:
         names = (name for name in solution.parameters if name not in (parameter, *solution.space.free))
         accepted = ", ".join(names) or "none"
         raise ValueError(f"parameter: given {parameter!r}, in which the {point.kind} was found; accepted: {accepted}")
-
-
-def turns_between(before: Point, after: Point) -> bool:
-    """Whether the continuation parameter turns back between two points."""
-    return rate(before) * rate(after) < 0.0
 
 
 def folds_between(point_solver: PointSolver, before: Point, after: Point) -> Iterator[Point]:
