@@ -33,8 +33,8 @@ from casadi_skin.stability.multipliers import POWERS_BY_FRACTION, orthogonal_com
 from casadi_skin.stability.tongues.diagram import Place, StabilityDiagram, StabilityEdge
 from casadi_skin.zero.family import Targets
 from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE, Unresolved
-from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
-from casadi_skin.zero.rest import Course
+from casadi_skin.zero.problem import Array, Indices, Scalar, SingularError
+from casadi_skin.zero.rest import Course, Undiscretised
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point, Target
 
 # Orbits at edges, and the special points of a family there ------------------------------------------------------------
@@ -224,7 +224,7 @@ REAL_MU_ATOL = 1e-9  # imaginary part of a mu that is real
 EQUAL_PAIRS_DISTANCE = 1e-4  # between those of several pairs that collide together
 
 
-class EdgeProblem(Problem):
+class EdgeProblem(Undiscretised):
     """Unknowns z = (S / S0, mu, u), where the parameter goes from its start to its end as u goes from 0 to 1.
 
     The equations are that mu is the mean of those that meet, of which there are `count`, and with an orthonormal basis
@@ -238,7 +238,6 @@ class EdgeProblem(Problem):
     where they meet, vanishes instead.
     """
 
-    resolution = 1
     states = 2
 
     def __init__(
@@ -412,29 +411,8 @@ class EdgeProblem(Problem):
     def pattern(self) -> tuple[Indices, Indices]:
         return np.tile(np.arange(2), 3), np.repeat(np.arange(3), 2)
 
-    def index_of(self, scalar: Scalar) -> int:
-        """Place of u among the unknowns; there is no Omega."""
-        if scalar is Scalar.OMEGA:
-            raise ValueError("an edge has no Omega among its unknowns")
-        return 2
-
-    def prolong(self, z: Array, finer: Problem) -> Array:
-        return z.copy()
-
-    def parameter_size(self, z: Array) -> float:
-        return 1.0
-
     def profile_change(self, z: Array, step: Array) -> float:
         return float(np.max(np.abs(step[:2])))
-
-    def sample(self, z: Array, theta: Array) -> Array:
-        return np.tile(z[:2], (np.size(theta), 1))
-
-    def frequency(self, z: Array) -> float:
-        return 1.0
-
-    def frequency_step(self, z: Array, step: Array) -> float:
-        return 0.0
 
     def metric(self, z: Array, parameter_scale: float) -> Array:
         return np.array([z[0] ** -2.0, 1.0, 1.0])

@@ -91,7 +91,7 @@ class LinearisedRest:
     @cached_property
     def null_vectors(self) -> tuple[Array, Array]:
         """Right and left null vector."""
-        found = NullSpace.of_rates(self.jacobian, self.units)
+        found = NullSpace.of(self.jacobian, self.units, rows=self.units)
         return found.right[:, -1], found.left[:, -1] if self.left is None else self.left
 
     @cached_property
@@ -118,10 +118,9 @@ class LinearisedRest:
 
     def derivative(self, *directions: Vector) -> Vector:
         """The second or third derivative in as many directions, shape (n,)."""
-        form = self.statics.second if len(directions) == 2 else self.statics.third
 
         def scaled(*v: Array) -> Array:
-            return form(self.x, self.p, *(self.sizes * one for one in v)) / self.sizes
+            return self.statics.derivative(self.x, self.p, *(self.sizes * one for one in v)) / self.sizes
 
         return by_parts(scaled, self.inner, *directions)
 

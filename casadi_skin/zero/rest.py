@@ -7,6 +7,7 @@ that stiff models and components of any unit are solved alike.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -136,32 +137,24 @@ class NullSpace:
     uncertain: float
 
     @classmethod
-    def of_rates(cls, matrix: Array, units: Array, rounding: float = EPSILON) -> NullSpace:
-        """Of df/dx in x' = f(x): rows are measured by the units of the state, as columns are.
+    def of(
+        cls, matrix: Array, columns: Array, rounding: float = EPSILON, change: Array | None = None,
+        rows: Array | None = None,
+    ) -> NullSpace:  # fmt: skip
+        """Of a matrix whose unknowns are measured by `columns`; each row counts by its largest entry, or by `rows`.
 
-        The largest entry of a row is no measure of it: where the equation of one component alone is singular, all
+        A row that is within its change is zero: it counts by no entry of its own. Rows of df/dx in x' = f(x) are
+        measured by the units of the state, as columns are: where the equation of one component alone is singular, all
         entries of its row are rounding.
         """
-        left, values, right = np.linalg.svd(matrix * units / units[:, None])
-        return cls(
-            values,
-            left / units[:, None],
-            right.T * units[:, None],
-            4.0 * DERIVATIVE_ROUNDING * rounding * float(values[0]),
-        )
-
-    @classmethod
-    def of(cls, matrix: Array, columns: Array, rounding: float = EPSILON, change: Array | None = None) -> NullSpace:
-        """Of a matrix whose unknowns are measured by `columns`; each row counts by its largest entry.
-
-        A row that is within its change is zero: it counts by no entry of its own.
-        """
         scaled, off = matrix * columns, (np.zeros_like(matrix) if change is None else change) * columns
-        rows = np.max(np.abs(scaled), axis=1)
-        seen = rows > np.max(np.abs(off), axis=1)
-        rows = np.where(seen, rows, 1.0)
-        left, values, right = np.linalg.svd(np.where(seen[:, None], scaled, 0.0) / rows[:, None])
-        moved = float(np.linalg.norm(np.where(seen[:, None], off, 0.0) / rows[:, None]))
+        if rows is None:
+            rows = np.max(np.abs(scaled), axis=1)
+            seen = rows > np.max(np.abs(off), axis=1)
+            scaled, off = (np.where(seen[:, None], one, 0.0) for one in (scaled, off))
+            rows = np.where(seen, rows, 1.0)
+        left, values, right = np.linalg.svd(scaled / rows[:, None])
+        moved = float(np.linalg.norm(off / rows[:, None]))
         uncertain = 4.0 * DERIVATIVE_ROUNDING * rounding * float(values[0]) + moved
         return cls(values, left / rows[:, None], right.T * columns[:, None], uncertain)
 
@@ -297,20 +290,14 @@ class Statics:
         return ca.Function("J", [x, p], [ca.densify(ca.jacobian(f, x)), ca.densify(ca.jacobian(f, p))])
 
     @cached_property
-    def _second(self) -> ca.Function:
-        """Function (x, p, u, v) -> f_xx u v."""
+    def _forms(self) -> list[ca.Function]:
+        """Functions (x, p, u, v, ...) -> f_xx u v and f_xxx u v w."""
         x, p = self.symbols()
-        u, v = (type(x).sym(name, self.size) for name in "uv")
-        once = ca.jtimes(self.function(x, p), x, u)
-        return ca.Function("B", [x, p, u, v], [ca.densify(ca.jtimes(once, x, v))])
-
-    @cached_property
-    def _third(self) -> ca.Function:
-        """Function (x, p, u, v, w) -> f_xxx u v w."""
-        x, p = self.symbols()
-        u, v, w = (type(x).sym(name, self.size) for name in "uvw")
-        twice = ca.jtimes(ca.jtimes(self.function(x, p), x, u), x, v)
-        return ca.Function("C", [x, p, u, v, w], [ca.densify(ca.jtimes(twice, x, w))])
+        value, directions, found = self.function(x, p), [type(x).sym(name, self.size) for name in "uvw"], []
+        for k, direction in enumerate(directions):
+            value = ca.jtimes(value, x, direction)
+            found.append(ca.Function("form", [x, p, *directions[: k + 1]], [ca.densify(value)]))
+        return found
 
     def symbols(self) -> tuple[Expression, Expression]:
         """New symbols of the unknowns and of the parameters."""
@@ -330,20 +317,18 @@ class Statics:
         """Whether higher derivatives are exact; those of a program, as an FMU, are differences of its Jacobian."""
         return not programs_in(self.function)
 
-    def second(self, x: Array, p: Array, a: Array, b: Array) -> Array:
-        """f_xx a b, shape (n,)."""
+    def derivative(self, x: Array, p: Array, *directions: Array) -> Array:
+        """f_xx u v or f_xxx u v w, shape (n,)."""
         if self.exact:
-            return np.array(self._second(x, p, a, b)).ravel()
-        h = self.widening * SECOND_DERIVATIVE_STEP * self._scale(x, a)
-        return np.asarray((self.jacobian(x + h * a, p) - self.jacobian(x - h * a, p)) @ b / (2.0 * h))
-
-    def third(self, x: Array, p: Array, a: Array, b: Array, c: Array) -> Array:
-        """f_xxx a b c, shape (n,)."""
-        if self.exact:
-            return np.array(self._third(x, p, a, b, c)).ravel()
-        h, k = (self.widening * THIRD_DERIVATIVE_STEP * self._scale(x, along) for along in (a, b))
-        ends = [(i * j, self.jacobian(x + i * h * a + j * k * b, p)) for i in (-1, 1) for j in (-1, 1)]
-        return np.asarray(sum(sign * matrix for sign, matrix in ends) @ c / (4.0 * h * k))
+            return np.array(self._forms[len(directions) - 1](x, p, *directions)).ravel()
+        *others, last = directions
+        step = self.widening * (SECOND_DERIVATIVE_STEP if len(others) == 1 else THIRD_DERIVATIVE_STEP)
+        ways = np.array([step * self._scale(x, along) * along for along in others])
+        matrix = sum(
+            np.prod(signs) * self.jacobian(x + signs @ ways, p)
+            for signs in map(np.array, itertools.product((-1.0, 1.0), repeat=len(others)))
+        )
+        return np.asarray(matrix @ last / np.prod([2.0 * step * self._scale(x, along) for along in others]))
 
     def _scale(self, x: Array, along: Array) -> float:
         """A step along a direction that is the size of x, 1 at least."""
@@ -455,14 +440,46 @@ def moving(statics: Statics, x: Array, p: Array, courses: Sequence[Course]) -> A
     return np.reshape(np.array(changes), (len(courses), statics.size)).T
 
 
-class AlgebraicProblem(Problem):
+class Undiscretised(Problem):
+    """Unknowns z = (state values, scalars, u) of one resolution, without an Omega; u is about 1 at the most."""
+
+    resolution = 1
+
+    def index_of(self, scalar: Scalar) -> int:
+        """Place of u among the unknowns."""
+        if scalar is Scalar.OMEGA:
+            raise ValueError("there is no Omega among the unknowns")
+        return self.size - 1
+
+    def parameter_size(self, z: Array) -> float:
+        """1, the range of u along a branch."""
+        return max(1.0, abs(float(z[-1])))
+
+    def state(self, z: Array) -> Array:
+        """The state, in units of its own."""
+        return np.asarray(z[: self.states])
+
+    def prolong(self, z: Array, finer: Problem) -> Array:
+        return z.copy()
+
+    def sample(self, z: Array, theta: Array) -> Array:
+        return np.tile(self.state(z), (np.size(theta), 1))
+
+    def frequency(self, z: Array) -> float:
+        return 1.0
+
+    def frequency_step(self, z: Array, step: Array) -> float:
+        scalars = slice(self.states, self.size - 1)
+        return float(np.max(np.abs(step[scalars]) / np.maximum(np.abs(z[scalars]), 1.0), initial=0.0))
+
+
+class AlgebraicProblem(Undiscretised):
     """Unknowns z = (y, scalars, u): the state over its sizes, free parameters and what is added to them, u.
 
     Here F(y, p) = 0 alone, the model at rest in units of the sizes; u follows `walking`, or is held and does nothing.
     A subclass adds scalars, as many as `added`, and equations.
     """
 
-    resolution = 1
     added = 0
 
     def __init__(
@@ -474,16 +491,6 @@ class AlgebraicProblem(Problem):
     @property
     def size(self) -> int:
         return self.states + len(self.free) + self.added + 1
-
-    def index_of(self, scalar: Scalar) -> int:
-        """Place of u among the unknowns; equilibria have no Omega."""
-        if scalar is Scalar.OMEGA:
-            raise ValueError("an equilibrium has no Omega")
-        return self.size - 1
-
-    def parameter_size(self, z: Array) -> float:
-        """1, the range of u along a branch."""
-        return max(1.0, abs(float(z[-1])))
 
     # Equations ------------------------------------------------------------------------------------------------------
 
@@ -538,19 +545,6 @@ class AlgebraicProblem(Problem):
     def named(self, z: Array) -> dict[str, float]:
         """All parameters by name."""
         return dict(zip(self.statics.values, map(float, self.parameters(z)), strict=True))
-
-    def prolong(self, z: Array, finer: Problem) -> Array:
-        return z.copy()
-
-    def sample(self, z: Array, theta: Array) -> Array:
-        return np.tile(self.state(z), (np.size(theta), 1))
-
-    def frequency(self, z: Array) -> float:
-        return 1.0
-
-    def frequency_step(self, z: Array, step: Array) -> float:
-        scalars = slice(self.states, self.size - 1)
-        return float(np.max(np.abs(step[scalars]) / np.maximum(np.abs(z[scalars]), 1.0), initial=0.0))
 
     def profile_change(self, z: Array, step: Array) -> float:
         n = self.statics.size
