@@ -10,20 +10,23 @@ cells up to there are a core, whose positions are unknowns; the others answer it
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from functools import cached_property
+from collections.abc import Mapping, Sequence
+from functools import cached_property, lru_cache
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from casadi_skin.lattice.chain import check_no_parameters
 from casadi_skin.lattice.lattice import Core, EdgeMode, LongLattice, core_model, core_of
 from casadi_skin.lattice.tail import Place, Tail
-from casadi_skin.lattice.tail_parameter import Regime, TailParameter, TailSeries, TailValues
+from casadi_skin.lattice.tail_parameter import Regime, TailParameter, TailValues
 from casadi_skin.model.methods import TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.native import TAIL, Structure
 from casadi_skin.zero.cosines import (
+    KEPT_RESOLUTIONS,
+    CosineEquations,
     PolynomialForm,
     TaylorRecursion,
     TrigonometricProblem,
@@ -32,8 +35,47 @@ from casadi_skin.zero.cosines import (
 )
 from casadi_skin.zero.family import Localised, Method, normalised, shift_by_projection
 from casadi_skin.zero.model_coordinates import DEEPEST_LOG_SCALE, ModelCoordinates, check_alone
-from casadi_skin.zero.problem import FREQUENCY_WEIGHT, Array, Indices, Problem, Scalar, SingularError, Solve
+from casadi_skin.zero.problem import FREQUENCY_WEIGHT, Array, Buffers, Indices, Problem, Scalar, SingularError, Solve
 from casadi_skin.zero.settings import Point
+
+
+class EquationsWithTail:
+    """The equations of a core and of the tail, from those of the core by itself and from values of the tail.
+
+    In the place of Omega z has u. Those of the attached site are by harmonic: (T R) down - s/Omega^2 (T q) across with
+    the core's residual R and the matrix T from values at nodes to coefficients. Arguments of the function are z, the
+    numbers of the core, (s, Omega, Omega_slope), across, across_slope, down and down_slope.
+    """
+
+    def __init__(self, core: CosineEquations, harmonics: int, attached: int) -> None:
+        H, size, rows = harmonics, core.function.size1_in(0), slice(attached * harmonics, (attached + 1) * harmonics)
+        place, T = size - 2, ca.DM((2.0 / H) * cosine_matrix(H))
+        z, numbers = (ca.MX.sym(name, core.function.size1_in(k)) for k, name in enumerate(("z", "numbers")))
+        scalars, values = ca.MX.sym("scalars", 3), [ca.MX.sym(name, H) for name in ("a", "da", "d", "dd")]
+        (s, Omega, slope), (across, across_slope, down, down_slope) = ca.vertsplit(scalars), values
+        own, jacobian = core.function(ca.vertcat(z[:place], Omega, z[place + 1 :]), numbers)
+        balance, bond = T @ own[rows], s / Omega**2
+        site = T @ z[rows]
+        block = ca.diag(down) @ (T @ jacobian[rows, :])
+        block[:, rows] -= ca.diag(bond * across) @ T
+        by_u = slope * jacobian[:, place]
+        by_u[rows] = slope * block[:, place] + down_slope * balance
+        by_u[rows] += bond * (2.0 * slope / Omega * across - across_slope) * site
+
+        def with_rows(matrix: ca.MX, changed: ca.MX) -> ca.MX:
+            return ca.vertcat(matrix[: rows.start, :], changed, matrix[rows.stop :, :])
+
+        residual, jacobian = with_rows(own, down * balance - bond * across * site), with_rows(jacobian, block)
+        jacobian = ca.horzcat(jacobian[:, :place], by_u, jacobian[:, place + 1 :])
+        symbols = z, numbers, scalars, *values
+        self.function = ca.Function("equations", symbols, [residual, jacobian])
+        self.pattern = tuple(np.array(found, dtype=np.int64) for found in self.function.sparsity_out(1).get_triplet())
+        self.buffers, self.shared = Buffers(self.function), dict[Any, Any]()
+
+
+@lru_cache(maxsize=KEPT_RESOLUTIONS)
+def _equations_of(core: CosineEquations, harmonics: int, attached: int) -> EquationsWithTail:
+    return EquationsWithTail(core, harmonics, attached)
 
 
 class CoreWithTailProblem(TrigonometricProblem):
@@ -72,35 +114,15 @@ class CoreWithTailProblem(TrigonometricProblem):
         return TrigonometricProblem(self.model, self.resolution)
 
     @cached_property
-    def _places(self) -> tuple[tuple[Indices, Indices], Indices, Indices, Indices, Indices]:
-        """Of dR/dz, in terms of that of the core by itself, of which the rows of the attached site are a dense block.
-
-        Rows and columns of the non-zeros; the unknowns that the block is `touched` by; which of the core's non-zeros
-        are entries of the block, and which of it; the numbers of all among the core's, with the block's behind them;
-        and which are the core's by Omega.
-        """
-        H, (rows, columns) = self.resolution, self.core.pattern
-        own = np.arange(self.attached * H, (self.attached + 1) * H)
-        inside = (rows >= own[0]) & (rows <= own[-1])
-        of_block, others = np.flatnonzero(inside), np.flatnonzero(~inside)
-        touched = np.unique(np.concatenate([columns[of_block], own, [self.Omega_index]]))
-        block = (rows[of_block] - own[0]) * touched.size + np.searchsorted(touched, columns[of_block])
-        all_rows = np.concatenate([rows[others], np.repeat(own, touched.size)])
-        all_columns = np.concatenate([columns[others], np.tile(touched, H)])
-        order = np.lexsort((all_rows, all_columns))
-        source = np.concatenate([others, rows.size + np.arange(H * touched.size)])[order]
-        pattern, by_Omega = (all_rows[order], all_columns[order]), (all_columns[order] == self.Omega_index)
-        return pattern, touched, np.stack([of_block, block]), source, np.flatnonzero(by_Omega & (source < rows.size))
-
-    @property
-    def touched(self) -> Indices:
-        """Unknowns in the equations of the attached site by itself."""
-        return self._places[1]
-
-    @property
     def rows(self) -> slice:
         """Equations, and unknown positions, of the attached site."""
         return slice(self.attached * self.resolution, (self.attached + 1) * self.resolution)
+
+    @cached_property
+    def touched(self) -> Indices:
+        """Unknowns in the equations of the attached site by itself."""
+        rows, columns = self.core.pattern
+        return np.unique(columns[(rows >= self.rows.start) & (rows < self.rows.stop)])
 
     @cached_property
     def own_Omega(self) -> int:
@@ -113,68 +135,32 @@ class CoreWithTailProblem(TrigonometricProblem):
         `own` are unknowns of the core by itself. Derivatives are by those `touched`, of the equations times Omega^2 and
         over its value: a bond to the tail balances them.
         """
-        H, (rows, columns), (of_block, places) = self.resolution, self.core.pattern, self._places[2]
+        from scipy.sparse import csr_array
+
         residual, nonzeros = self.core.evaluate(own)
-        by_Omega, chosen = np.zeros(self.size - 1), columns == self.Omega_index
-        by_Omega[rows[chosen]] = nonzeros[chosen]
-        block, balance = np.zeros((H, self.touched.size)), residual[self.rows]
-        block.ravel()[places] = nonzeros[of_block]
+        jacobian = csr_array((nonzeros, self.core.pattern), (self.size - 1, self.size))
+        block, balance = jacobian[self.rows].toarray()[:, self.touched], residual[self.rows]
         block[:, self.own_Omega] += 2.0 / own[self.Omega_index] * balance
+        by_Omega = jacobian[:, [self.Omega_index]].toarray()[:, 0]
         return self._to_coefficients @ balance, self._to_coefficients @ block, by_Omega
 
     def recursion(self, form: PolynomialForm, orders: int) -> TailRecursion:
         """Power series of branches."""
         return TailRecursion(self, form, orders)
 
-    @property
-    def pattern(self) -> tuple[Indices, Indices]:
-        return self._places[0]
+    @cached_property
+    def equations(self) -> EquationsWithTail:  # type: ignore[override]
+        return _equations_of(self.core.equations, self.resolution, self.attached)
 
-    @property
-    def numbers(self) -> Array:
-        return self.constants
-
-    @property
-    def shared(self) -> dict[Any, Any]:
-        return self._shared
-
-    def evaluate(self, z: Array) -> tuple[Array, Array]:
-        """As that of other problems; not a number where a harmonic that should be bound is in the band."""
-        residuals, nonzeros = self.evaluate_all(z[None])
-        return residuals[0], nonzeros[0]
-
-    def evaluate_all(self, z: Array) -> tuple[Array, Array]:
+    def _values(self, z: Array, numbers: Array) -> Sequence[Array]:
+        """As those of other problems; not a number where a harmonic that should be bound is in the band."""
         try:
-            tails = [self.values(one) for one in z]
+            tail = self.values(z)
         except ArithmeticError:
-            if len(z) > 1:
-                return Problem.evaluate_all(self, z)
-            return np.full((1, self.size - 1), np.nan), np.full((1, self._places[3].size), np.nan)
-        place, H, (_, touched, (of_block, places), source, by_Omega) = self.Omega_index, self.resolution, self._places
-        columns = [(v.Omega, v.Omega_slope, v.across, v.across_slope, v.down, v.down_slope) for v in tails]
-        Omega, Omega_slope, across, across_slope, down, down_slope = (np.array(v) for v in zip(*columns, strict=True))
-        own = z.copy()
-        own[:, place] = Omega
-        residuals, nonzeros = self.core.evaluate_all(own)
-        T, bond = self._to_coefficients, (self.tail.coupling / Omega**2)[:, None]  # T is symmetric
-        # One product a state: the last bit of a larger one depends on how many there are.
-        balance, a = ((values[:, None, self.rows] @ T)[:, 0] for values in (residuals, z))
-        from_tail = bond * across * a  # the force that the core's own equations lack, over Omega^2
-        residuals[:, self.rows] = down * balance - from_tail
-
-        block = np.zeros((len(z), H, touched.size))
-        block.reshape(len(z), -1)[:, places] = nonzeros[:, of_block]
-        block = down[:, :, None] * (T @ block)
-        first = int(np.searchsorted(touched, self.rows.start))
-        block[:, :, first : first + H] -= (bond * across)[:, :, None] * T
-        relative = (Omega_slope / Omega)[:, None]
-        block[:, :, self.own_Omega] *= Omega_slope[:, None]
-        block[:, :, self.own_Omega] += down_slope * balance - bond * across_slope * a + 2.0 * relative * from_tail
-        found = np.take(nonzeros, source, axis=1, mode="clip")  # what is the block's is overwritten
-        found[:, by_Omega] *= Omega_slope[:, None]
-        of_block = np.flatnonzero(source >= nonzeros.shape[1])
-        found[:, of_block] = block.reshape(len(z), -1)[:, source[of_block] - nonzeros.shape[1]]
-        return residuals, found
+            return np.full(self.size - 1, np.nan), np.full(self.pattern[0].size, np.nan)
+        scalars = np.array([self.tail.coupling, tail.Omega, tail.Omega_slope])
+        harmonics = tail.across, tail.across_slope, tail.down, tail.down_slope
+        return self._buffers(z, numbers, scalars, *harmonics)
 
     def by_itself(self, z: Array) -> tuple[TrigonometricProblem, Array]:
         own = z.copy()
@@ -191,9 +177,6 @@ class CoreWithTailProblem(TrigonometricProblem):
         """That of the core by itself, whose equations have the largest terms."""
         core, own = self.by_itself(z)
         return core.rounding(own)
-
-    def evaluated(self, z: Array, numbers: Array) -> tuple[Array, Array]:
-        return self.evaluate_all(z)
 
     def metrics(self, z: Array, parameter_scale: float) -> Array:
         """A change of u by 1 counts as much as a wholly new profile, and the change of Omega that it makes besides."""
@@ -212,91 +195,76 @@ class CoreWithTailProblem(TrigonometricProblem):
 
 
 class TailRecursion:
-    """Coefficients of a branch of one problem with an eliminated tail, by the recursion of its core alone."""
+    """Coefficients of a branch of one problem with an eliminated tail, by the recursion of its core alone.
+
+    By order are kept u to its powers, (Omega, across, down), and of the attached site by harmonic the positions and the
+    core's balance.
+    """
 
     def __init__(self, problem: CoreWithTailProblem, form: PolynomialForm, orders: int) -> None:
+        H = problem.resolution
         self.problem, self.orders = problem, orders
         self._core = TaylorRecursion(problem.core, form, orders)
         self.end: tuple[int, float] | None = None
+        self._along, self._powers = np.zeros((orders + 1, 1 + 2 * H)), np.zeros((orders + 1, orders + 1))
+        self._across, self._down = self._along[:, 1 : 1 + H], self._along[:, 1 + H :]
+        self._found, self._balance, self._site = (np.zeros((orders + 1, size)) for size in (problem.size, H, H))
 
     def series(self, z: Array, slope: Array, solve: Solve) -> Array:
         """Coefficients z_0 = z, z_1 = slope, z_2, ..., shape (orders + 1, size); see `TaylorRecursion`.
 
         Raises SingularError where the tail has no series.
         """
-        place = self.problem.Omega_index
+        problem, place, own = self.problem, self.problem.Omega_index, z.copy()
         try:
-            tail = self.problem.tail.series(float(z[place]), self.orders)
+            tail = problem.tail.series(float(z[place]), self.orders)
         except ArithmeticError as error:
             raise SingularError(str(error)) from error
         self.end = None if np.isnan(tail.end) else (place, float(z[place]) + tail.end)
-        orders = _Orders(self.problem, tail, z)
-        self._core.put(0, orders.own)
-        orders.first(slope)
-        self._core.put(1, orders.own)
-        if not self._core.solve_all(solve, orders.structure):
-            for k in range(2, self.orders + 1):
-                orders.solved(k, self._core.right_side(k), solve)
-                self._core.put(k, orders.own)
-        return orders.found
-
-
-class _Orders:
-    """Orders of a branch in turn, with those of all that depends on it."""
-
-    def __init__(self, problem: CoreWithTailProblem, tail: TailSeries, z: Array) -> None:
-        H, orders, place = problem.resolution, tail.Omega.size - 1, problem.Omega_index
-        self._place, self._touched, self._own_Omega, self._rows = (
-            place,
-            problem.touched,
-            problem.own_Omega,
-            problem.rows,
-        )
-        self._transform, self._bond = (2.0 / H) * cosine_matrix(H), problem.tail.coupling / tail.Omega[0] ** 2
         self._by_u = np.column_stack([tail.Omega, tail.across, tail.down])  # by powers of u
-        self._along, self._powers = np.zeros(self._by_u.shape), np.zeros((orders + 1, orders + 1))
-        self._across, self._down = self._along[:, 1 : 1 + H], self._along[:, 1 + H :]
-        self.found, self._balance, self._site = (np.zeros((orders + 1, size)) for size in (problem.size, H, H))
-        self.own = z.copy()  # of the core: Omega in the place of u
-        self.own[place] = tail.Omega[0]
-        self._along[0], self.found[0] = self._by_u[0], z
-        self._balance[0], self._block, self._by_Omega = problem.attached_balance(self.own)
-        self._site[0] = self._transform @ z[self._rows]
+        self._bond = problem.tail.coupling / tail.Omega[0] ** 2
+        own[place] = tail.Omega[0]  # of the core: Omega in the place of u
+        self._found[0], self._along[0], self._site[0] = z, self._by_u[0], problem._to_coefficients @ z[problem.rows]
+        self._balance[0], self._block, self._by_Omega = problem.attached_balance(own)
+        self._core.put(0, own)
+        self._put(1, slope, np.zeros(self._by_u.shape[1]), np.zeros(problem.resolution))
+        if not self._core.solve_all(solve, self._structure):
+            for k in range(2, self.orders + 1):
+                right, *known = self._right_side(k)
+                self._put(k, solve(right), *known)
+        return self._found.copy()
 
-    def first(self, slope: Array) -> None:
-        """The first order."""
-        self._put(1, slope, np.zeros(self._by_u.shape[1]), np.zeros(self._transform.shape[0]))
-
-    def solved(self, k: int, right: Array, solve: Solve) -> None:
-        """Order k from the right-hand side of the core by itself."""
-        H, u, powers = self._transform.shape[0], self._powers[1], self._powers
-        powers[2 : k + 1, k] = powers[1:k, k - 1 : 0 : -1] @ u[1:k]
-        without = powers[2 : k + 1, k] @ self._by_u[2 : k + 1]  # as if u had no part of order k
-        known = self._block[:, self._own_Omega] * without[0] - self._transform @ right[self._rows]
-        right[:-1] -= self._by_Omega * without[0]
+    def _right_side(self, k: int) -> tuple[Array, Array, Array]:
+        """That of order k, with (Omega, across, down) and the balance as if z had no part of order k."""
+        H, powers, problem = self.problem.resolution, self._powers, self.problem
+        right = self._core.right_side(k)
+        powers[2 : k + 1, k] = powers[1:k, k - 1 : 0 : -1] @ powers[1, 1:k]
+        along = powers[2 : k + 1, k] @ self._by_u[2 : k + 1]
+        balance = self._block[:, problem.own_Omega] * along[0] - problem._to_coefficients @ right[problem.rows]
+        right[:-1] -= self._by_Omega * along[0]
         lower = np.einsum("jh,jh->h", self._down[1:k], self._balance[k - 1 : 0 : -1])
         lower -= self._bond * np.einsum("jh,jh->h", self._across[1:k], self._site[k - 1 : 0 : -1])
-        lower += without[1 + H :] * self._balance[0] - self._bond * without[1 : 1 + H] * self._site[0]
-        right[self._rows] = -self._down[0] * known - lower
-        self._put(k, solve(right), without, known)
+        lower += along[1 + H :] * self._balance[0] - self._bond * along[1 : 1 + H] * self._site[0]
+        right[problem.rows] = -self._down[0] * balance - lower
+        return right, along, balance
 
-    def _put(self, k: int, z: Array, without: Array, known: Array) -> None:
-        """Take over order k, and complete what depends on it."""
-        u = float(z[self._place])
-        self.found[k], self.own, self._powers[1, k] = z, z.copy(), u
-        self._along[k] = without + u * self._by_u[1]
-        self._site[k] = self._transform @ z[self._rows]
-        self.own[self._place] = u * self._by_u[1, 0]
-        self._balance[k] = known + self._block @ self.own[self._touched]
-        self.own[self._place] = self._along[k, 0]
+    def _put(self, k: int, z: Array, along: Array, balance: Array) -> None:
+        """Take over order k, and complete what depends on it from what does not depend on z."""
+        problem, place, own = self.problem, self.problem.Omega_index, z.copy()
+        self._found[k], self._powers[1, k], self._along[k] = z, z[place], along + z[place] * self._by_u[1]
+        self._site[k] = problem._to_coefficients @ z[problem.rows]
+        own[place] *= self._by_u[1, 0]
+        self._balance[k] = balance + self._block @ own[problem.touched]
+        own[place] = self._along[k, 0]
+        self._core.put(k, own)
 
-    def structure(self) -> Structure:
+    def _structure(self) -> Structure:
         """What the compiled kernel needs for the same from order 2 on."""
-        orders, size = self.found.shape
+        problem, (orders, size) = self.problem, self._found.shape
         return Structure(
-            TAIL, orders - 1, self._transform.shape[0], size, self._rows.start, self._place, self._touched.size,
-            self._own_Omega, self._touched, self._by_u, self._transform, self._block, self._by_Omega, self._along,
-            self._powers, self._balance, self._site, self.found, self._bond,
+            TAIL, orders - 1, problem.resolution, size, problem.rows.start, problem.Omega_index, problem.touched.size,
+            problem.own_Omega, problem.touched, self._by_u, problem._to_coefficients, self._block, self._by_Omega,
+            self._along, self._powers, self._balance, self._site, self._found, self._bond,
         )  # fmt: skip
 
 
