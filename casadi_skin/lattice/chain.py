@@ -264,12 +264,12 @@ class Chain(WithOwnParameters):
 # Declared lattices that are the chain of the paper: they are solved in its coordinates, to the last digit alike -------
 
 
-def declared_chain(declaration: Declaration, autonomous: bool, values: Mapping[str, float]) -> Chain | None:
+def declared_chain(declaration: Declaration, reversible: bool, values: Mapping[str, float]) -> Chain | None:
     """The chain that a lattice is at some values of its parameters.
 
     Arguments:
         declaration: of any lattice.
-        autonomous: whether it has neither damping nor drive.
+        reversible: whether it has neither damping nor drive.
         values: of all its parameters, by name.
 
     Returns:
@@ -279,7 +279,7 @@ def declared_chain(declaration: Declaration, autonomous: bool, values: Mapping[s
         ValueError: a formula is not finite at these values.
     """
     one = len(declaration.sites) == len(declaration.bonds) == 1 and declaration.boundary == (FIXED,)
-    if not one or not autonomous or declaration.differing:
+    if not one or not reversible or declaration.differing:
         return None
     fields = ("site", "mass"), ("site", "onsite"), ("bond", "force"), ("bond", "gain 1"), ("bond", "gain 2")
     mass, onsite, force, *gains = (_powers(declaration, values, *field) for field in fields)

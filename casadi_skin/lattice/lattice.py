@@ -16,7 +16,7 @@ import numpy as np
 
 from casadi_skin.lattice.chain import WithOwnParameters, declared_chain
 from casadi_skin.lattice.declaration import FIXED, PERIODIC, Array, Bond, Declaration, Site, Uniform, Value, listed
-from casadi_skin.lattice.equations import Equations, Structure, forcing_period_of, structure_of
+from casadi_skin.lattice.equations import Structure, forcing_period_of
 from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.model.arguments import check_name, short_repr
 from casadi_skin.model.formula import Number
@@ -54,7 +54,6 @@ class Lattice(OdeModel):
     """
 
     declaration: Declaration  # type: ignore[misc]
-    equations: Equations
     structure: Structure
 
     def __init__(
@@ -77,27 +76,25 @@ class Lattice(OdeModel):
             along, listed("sites", sites, Site, "a list of sites"), listed("bonds", bonds, Bond, "a list of bonds"),
             walls, dict(parameters or {}),
         )  # fmt: skip
-        equations = Equations(declaration)
+        structure = Structure(declaration)
         object.__setattr__(self, "declaration", declaration)
-        object.__setattr__(self, "equations", equations)
-        period = forcing_period_of(equations, forcing_period)
-        structure = structure_of(equations)
         object.__setattr__(self, "structure", structure)
+        period = forcing_period_of(structure, forcing_period)
         common: dict[str, Any] = {
-            "name": name, "parameters": equations.parameters, "nominal": equations.nominal, "checked": False,
+            "name": name, "parameters": structure.parameters, "nominal": structure.nominal, "checked": False,
         }  # fmt: skip
-        if equations.autonomous:
+        if structure.reversible:
             n, momentum = declaration.size, {}
             if structure.momentum and structure.energy is not None:
-                momentum = {"momentum": ca.sum1(ca.gradient(structure.energy, equations.v))}
+                momentum = {"momentum": ca.sum1(ca.gradient(structure.energy, structure.v))}
             super().__init__(
-                state=equations.y, rhs=equations.accelerations, order=2, velocity=equations.v,
+                state=structure.y, rhs=structure.accelerations, order=2, velocity=structure.v,
                 reversal=(1,) * n + (-1,) * n, half_period=(-1,) * (2 * n) if structure.odd else None,
                 hamiltonian=structure.energy, conserved=momentum, **common,
             )  # fmt: skip
         else:
-            state, rhs = ca.vertcat(equations.y, equations.v), ca.vertcat(equations.v, equations.accelerations)
-            time = None if period is None else equations.t
+            state, rhs = ca.vertcat(structure.y, structure.v), ca.vertcat(structure.v, structure.accelerations)
+            time = None if period is None else structure.t
             super().__init__(state=state, rhs=rhs, time=time, forcing_period=period, **common)
 
     @cached_property
@@ -107,12 +104,16 @@ class Lattice(OdeModel):
         For proofs of lattices without damping and drive: no arithmetic of numbers is rounded.
         """
         declaration, numbers = self.declaration.with_numbers_apart()
-        equations = Equations(declaration)
-        energy = structure_of(equations).energy
+        found = Structure(declaration)
         return OdeModel(
-            self.name, equations.y, equations.accelerations, equations.parameters, 2, equations.v, hamiltonian=energy,
+            self.name, found.y, found.accelerations, found.parameters, 2, found.v, hamiltonian=found.energy,
             checked=False,
         ), numbers  # fmt: skip
+
+    @property
+    def equations(self) -> Structure:
+        """The equations of motion in CasADi symbols."""
+        return self.structure
 
     def stiffness(self, parameters: Mapping[str, float] | None = None) -> Array:
         """K of y'' = -K y about rest without damping and drives, shape (sites, sites), at values of the parameters."""
@@ -134,7 +135,7 @@ class Lattice(OdeModel):
     ) -> Coordinates:
         """Those of the chain where the lattice declares one with such a family; see `follow_family`."""
         values = named_values(self, parameters or {})
-        chain = declared_chain(self.declaration, self.equations.autonomous, values)
+        chain = declared_chain(self.declaration, self.equations.reversible, values)
         if chain is not None:
             try:
                 found: Any = chain.family_coordinates(mode, amplitude_max, method)

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from casadi_skin.lattice.declaration import Array
-from casadi_skin.lattice.equations import logs_of
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.model.result import Result
 from casadi_skin.zero.model_coordinates import symmetrising_scale
@@ -231,7 +230,7 @@ def _beta(lattice: Lattice, parameters: Mapping[str, float]) -> Array:
     values = list(named_values(lattice, parameters).values())
     gains = ca.Function("g", [equations.parameters], [ca.vertcat(ca.SX(0, 1), *chain.from_iterable(equations.gains))])
     with np.errstate(invalid="ignore", divide="ignore"):
-        logs = logs_of(equations, np.array(gains(values)).reshape(-1, 2))
+        logs = equations.logs_of(np.array(gains(values)).reshape(-1, 2))
     if not np.all(np.isfinite(logs)):  # at these values opposite gains have different signs
         return found
     shaped = logs.reshape(*declaration.cells, len(declaration.sites))

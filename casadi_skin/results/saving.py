@@ -141,7 +141,7 @@ def _(value: OdeModel, _: Writer) -> Any:
 
 @written_once.register
 def _(value: Lattice, writer: Writer) -> Any:
-    if not value.equations.autonomous:
+    if not value.equations.reversible:
         return ["model", dumps(value)]
     return ["lattice", value.name, writer.value(value.declaration)]
 

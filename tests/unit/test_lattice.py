@@ -87,7 +87,7 @@ def test_what_is_not_the_chain_is_not_taken_for_it(
     onsite: str, force: str, gain: tuple[str, str], mass: str, boundary: str
 ) -> None:
     lattice = Lattice(4, [Site("a", onsite, mass)], [Bond("a", "a", (1,), force, gain)], boundary, {"gamma": 0.2})
-    assert declared_chain(lattice.declaration, lattice.equations.autonomous, {"gamma": 0.2}) is None
+    assert declared_chain(lattice.declaration, lattice.equations.reversible, {"gamma": 0.2}) is None
 
 
 @pytest.mark.parametrize(
