@@ -193,54 +193,60 @@ class Chain(WithOwnParameters):
 
     # CasADi expressions ---------------------------------------------------------------------------------------------
 
-    def _linear_force(
-        self, x: ca.SX, left: float | ca.SX, right: float | ca.SX, alpha: float | ca.SX | None = None
-    ) -> ca.SX:
-        """-(2 + alpha) x_n + left x_{n-1} + right x_{n+1} with fixed ends; alpha is the chain's unless given."""
-        zero = ca.SX.zeros(1)
-        below, above = ca.vertcat(zero, x[:-1]), ca.vertcat(x[1:], zero)
-        if self.sites == 1:
-            below, above = zero, zero
-        return -(2.0 + (self.alpha if alpha is None else alpha)) * x + left * below + right * above
+    def _model(
+        self, name: str, symbols: tuple[ca.SX, ca.SX, ca.SX], bonds: tuple[Any, Any], onsite: tuple[Any, Any],
+        weights: ca.SX | None = None, **more: Any,
+    ) -> OdeModel:  # fmt: skip
+        """q_n'' = left q_{n-1} + right q_{n+1} - stiffness q_n - cubic_n q_n^3 with fixed ends.
+
+        With weights, in which the forces are a gradient, it has an energy. The symmetries hold by construction and are
+        checked by tests, not at every making.
+
+        Arguments:
+            name: of the model.
+            symbols: positions q, velocities and parameters.
+            bonds: left and right.
+            onsite: stiffness and cubic.
+            weights: a column.
+            more: arguments of `OdeModel`.
+        """
+        (q, v, parameters), (left, right), (stiffness, cubic) = symbols, bonds, onsite
+        n, padded, energy = self.sites, ca.vertcat(0, q, 0), None
+        force = -stiffness * q + left * padded[:-2] + right * padded[2:] - cubic * q**3
+        if weights is not None:
+            energy = ca.dot(weights, v**2 / 2 + stiffness * q**2 / 2 + cubic * q**4 / 4)
+            energy -= right * ca.dot(weights[:-1] * q[:-1], q[1:])
+        return OdeModel(
+            name, q, force, parameters, 2, v, hamiltonian=energy, reversal=(1,) * n + (-1,) * n,
+            half_period=(-1,) * (2 * n), checked=False, **more,
+        )  # fmt: skip
 
     def physical_model(self) -> OdeModel:
         """The equations of motion in physical coordinates y, parameter g (paper, Eq. 1)."""
         y, v, g = ca.SX.sym("y", self.sites), ca.SX.sym("v", self.sites), ca.SX.sym("g")
-        force = self._linear_force(y, 1 + self.gamma, 1 - self.gamma) - g * y**3
-        return OdeModel("physical chain", y, force, g, 2, v, nominal=(self.g,), **self._signs(self.sites))
+        bonds = 1 + self.gamma, 1 - self.gamma
+        return self._model("physical chain", (y, v, g), bonds, (2 + self.alpha, g), nominal=(self.g,))
 
     def tunable_model(self) -> OdeModel:
         """The equations of motion in physical coordinates y with parameters alpha, gamma and g (paper, Eq. 1)."""
         y, v = (ca.vertcat(*(ca.SX.sym(f"{x}_{n}") for n in range(1, self.sites + 1))) for x in "yv")
-        alpha, gamma, g = (ca.SX.sym(name) for name in ("alpha", "gamma", "g"))
-        force = self._linear_force(y, 1 + gamma, 1 - gamma, alpha) - g * y**3
-        parameters, nominal = ca.vertcat(alpha, gamma, g), (self.alpha, self.gamma, self.g)
-        energy = None
-        if abs(self.gamma) < 1:  # that of the gauge, whose weights are at most 1
+        alpha, gamma, g = (ca.SX.sym(name) for name in self.parameters)
+        weights = None
+        if abs(self.gamma) < 1:  # those of the gauge, at most 1
             ratio = (1 - gamma) / (1 + gamma) if self.gamma >= 0 else (1 + gamma) / (1 - gamma)
-            weights = [ratio**n for n in range(self.sites)]
-            w = ca.vertcat(*(weights if self.gamma >= 0 else weights[::-1]))
-            site = v**2 / 2 + (2 + alpha) * y**2 / 2 + g * y**4 / 4
-            energy = ca.dot(w, site) - (1 - gamma) * ca.dot(w[:-1] * y[:-1], y[1:])
-        signs = self._signs(self.sites)
-        return OdeModel("chain", y, force, parameters, 2, v, nominal=nominal, hamiltonian=energy, **signs)
+            powers = [ratio**n for n in range(self.sites)]
+            weights = ca.vertcat(*(powers if self.gamma >= 0 else powers[::-1]))
+        symbols, nominal = (y, v, ca.vertcat(alpha, gamma, g)), tuple(self.parameters.values())
+        return self._model("chain", symbols, (1 + gamma, 1 - gamma), (2 + alpha, g), weights, nominal=nominal)
 
     def gauge_model(self) -> OdeModel:
         """The scaled equations q'' = -L q - kappa w q^3 in the gauge, parameter kappa = g S, with their Hamiltonian."""
         q, v, kappa = ca.SX.sym("q", self.sites), ca.SX.sym("v", self.sites), ca.SX.sym("kappa")
-        w = ca.SX(self.weights)
-        linear_part = self._linear_force(q, self.coupling, self.coupling)
-        energy = ca.dot(v, v) / 2 - ca.dot(q, linear_part) / 2 + kappa * ca.dot(w, q**4) / 4
-        return OdeModel(
-            "gauge chain", q, linear_part - kappa * w * q**3, kappa, 2, v,
-            normalisation=ca.dot(w, q**2) - 1, hamiltonian=energy, output_scale=tuple(self.rho),
-            **self._signs(self.sites),
+        w, bonds = ca.SX(self.weights), (self.coupling, self.coupling)
+        return self._model(
+            "gauge chain", (q, v, kappa), bonds, (2 + self.alpha, kappa * w), ca.SX.ones(self.sites),
+            normalisation=ca.dot(w, q**2) - 1, output_scale=tuple(self.rho),
         )  # fmt: skip
-
-    @staticmethod
-    def _signs(sites: int) -> dict[str, Any]:
-        """The symmetries of every chain; they hold by construction and are checked by tests, not at every making."""
-        return {"reversal": (1,) * sites + (-1,) * sites, "half_period": (-1,) * (2 * sites), "checked": False}
 
     def variational_matrix(self, coordinates: str = "physical") -> ca.Function:
         """Function (y, g) -> Z, or in the "gauge" (q, kappa) -> W, sparse (2N, 2N) (paper, appendix).

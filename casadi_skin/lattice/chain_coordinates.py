@@ -18,7 +18,7 @@ from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.lattice.declaration import FIXED
 from casadi_skin.lattice.lattice import Core, LongLattice, nonlinear_cells
 from casadi_skin.lattice.stiffness import square_of_family
-from casadi_skin.lattice.tail import Tail
+from casadi_skin.lattice.tail import Tail, log_sums
 from casadi_skin.model.methods import EVERY_SITE, PAYS_FROM, TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.cosines import cosine_matrix
@@ -130,17 +130,12 @@ def continued_logarithms(core: Chain, point: Point, z: Array, smallest: float) -
 
 def _continued(coefficients: Array, Omega: float, alpha: float, coupling: float, count: int) -> tuple[Array, Array]:
     """Logarithms and signs of the sum of harmonics at sites 1..count, from their coefficients at site count + 1."""
-    tail, logs, parts = Tail(count, np.array([[2.0 + alpha]]), coupling), list[Array](), list[Array]()
-    for k in np.flatnonzero(np.abs(coefficients) > KEPT_HARMONIC_RATIO * np.max(np.abs(coefficients))).tolist():
-        place = tail.anywhere(((2 * k + 1) * Omega) ** 2)
-        phi = tail.angle(place)
-        factor, part = tail.motion(place, phi, np.arange(count, 0, -1))
-        logs.append(factor)
-        parts.append(part[:, 0] * coefficients[k] / np.cos(phi))
-    largest = np.max(logs, axis=0)
-    total = np.sum(np.array(parts) * np.exp(np.array(logs) - largest), axis=0)
-    with np.errstate(divide="ignore"):
-        return largest + np.log(np.abs(total)), np.sign(total)
+    tail = Tail(count, np.array([[2.0 + alpha]]), coupling)
+    kept = np.flatnonzero(np.abs(coefficients) > KEPT_HARMONIC_RATIO * np.max(np.abs(coefficients)))
+    places = [tail.anywhere(((2 * k + 1) * Omega) ** 2) for k in kept.tolist()]
+    phi = np.array([tail.angle(place) for place in places])
+    logs, parts = tail.motions(places, phi, coefficients[kept], np.arange(count, 0, -1))
+    return log_sums(logs, parts[:, :, 0])
 
 
 def first_order_frequency(chain: Chain, mode: int, S: Array) -> Array:

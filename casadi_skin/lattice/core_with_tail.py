@@ -19,7 +19,7 @@ import numpy as np
 
 from casadi_skin.lattice.chain import check_no_parameters
 from casadi_skin.lattice.lattice import Core, EdgeMode, LongLattice, core_model, core_of
-from casadi_skin.lattice.tail import Place, Tail
+from casadi_skin.lattice.tail import Place, Tail, log_sums
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter, TailValues
 from casadi_skin.model.methods import TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
@@ -414,10 +414,10 @@ class CoreWithTail(ModelCoordinates):
         mode = self.edge_mode
         if not mode.pinned or np.isfinite(self.lattice.cells):
             return self.parameter(2).at(self.tail.angle(mode.place))
-        edge = self.tail.angle(Place(mode.place.gap, mode.place.edge, 0.0))
+        edge = self.tail.angle(Place(mode.place.edge))
         across = self._motion[-1, self.lattice.outlet] * self.lattice.bond_sign
         direction = math.atan2(across, self._motion[-2, self.lattice.inlet])
-        outwards = -self.tail.side(mode.place)
+        outwards = -mode.place.side
         return self.parameter(2).at(edge + outwards * (outwards * (direction - edge) % math.pi))
 
     @cached_property
@@ -470,12 +470,9 @@ class CoreWithTail(ModelCoordinates):
         Returns:
             Logarithms of a factor, shape (harmonics, cells), and the coefficients over it, (harmonics, cells, sites).
         """
-        values = problem.values(z)
-        found = [self.tail.motion(place, phi, numbers) for place, phi in zip(values.places, values.phi, strict=True)]
-        signs = self.lattice.bond_sign ** np.asarray(numbers, dtype=float)
-        sizes = problem.coefficients(z)[self.attached] / values.down
-        parts = sizes[:, None, None] * signs[:, None] * np.stack([part for _, part in found])
-        return np.stack([logs for logs, _ in found]), parts
+        values, sizes = problem.values(z), problem.coefficients(z)[self.attached]
+        logs, parts = self.tail.motions(values.places, values.phi, sizes, numbers)
+        return logs, self.lattice.bond_sign ** np.asarray(numbers, dtype=float)[:, None] * parts
 
     def displacements(self, problem: Problem, z: Array, theta: Array, sites: Indices | None) -> Array:
         cells, places = self._where(sites)
@@ -499,11 +496,8 @@ class CoreWithTail(ModelCoordinates):
         if not inside.all():
             beyond, at = cells[~inside], places[~inside]
             factors, parts = self._in_tail(point.problem, point.z, beyond - self.core.cells + 1)
-            largest = np.max(factors, axis=0)
-            total = np.sum(np.exp(factors - largest) * parts[:, np.arange(at.size), at], axis=0)
-            with np.errstate(divide="ignore"):
-                logs[~inside] = largest + np.log(np.abs(total)) + self._log_scale_at(beyond, at)
-            signs[~inside] = np.sign(total)
+            logs[~inside], signs[~inside] = log_sums(factors, parts[:, np.arange(at.size), at])
+            logs[~inside] += self._log_scale_at(beyond, at)
         return logs, signs
 
     # Quantities -------------------------------------------------------------------------------------------------------
@@ -533,7 +527,7 @@ class CoreWithTail(ModelCoordinates):
         """From the distance to the edge of the band beside it, else by projection on the mode."""
         values, Omega, mode = problem.values(z), problem.frequency(z), self.edge_mode.place
         place = values.places[0]
-        outside = not self.tail.in_band(place) or not np.isfinite(self.lattice.cells)
+        outside = not place.in_band or not np.isfinite(self.lattice.cells)
         if mode.edge == place.edge and self.edge_mode.pinned and outside:
             return float((place.off - mode.off) / (Omega + self.frequency))
         theta, site = quarter_phases(2 * max(32, problem.resolution)), self.attached
@@ -553,7 +547,7 @@ class CoreWithTail(ModelCoordinates):
         if mode.edge != place.edge or abs(phi - other) > CLOSE:
             apart = tail.square(place) - tail.square(mode) if mode.edge != place.edge else place.off - mode.off
             return float(tail.coupling * math.sin(phi - other) / (math.cos(phi) * math.cos(other) * apart))
-        middle = Place(place.gap, place.edge, 0.5 * (place.off + mode.off))
+        middle = Place(place.edge, 0.5 * (place.off + mode.off))
         return float(tail.squares(middle) / math.cos(tail.angle(middle)) ** 2)
 
 

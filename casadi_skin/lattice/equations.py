@@ -424,7 +424,7 @@ class Structure(Equations):
     @property
     def _has_weights(self) -> bool:
         """Whether there are weights, and doubles hold them."""
-        return self.log_weights is not None and np.max(self.log_weights, initial=0.0) <= LARGEST_LOG_WEIGHT
+        return self.log_weights is not None and bool(np.max(self.log_weights, initial=0.0) <= LARGEST_LOG_WEIGHT)
 
     @cached_property
     @quietly

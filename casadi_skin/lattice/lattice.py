@@ -17,7 +17,7 @@ import numpy as np
 from casadi_skin.lattice.chain import WithOwnParameters, declared_chain
 from casadi_skin.lattice.declaration import FIXED, PERIODIC, Array, Bond, Declaration, Site, Uniform, Value, listed
 from casadi_skin.lattice.equations import Structure, forcing_period_of
-from casadi_skin.lattice.tail import Place, Tail
+from casadi_skin.lattice.tail import End, Place, Tail
 from casadi_skin.model.arguments import check_name, short_repr
 from casadi_skin.model.formula import Number
 from casadi_skin.model.ode import OdeModel
@@ -163,14 +163,17 @@ ROUND_OFF = 1e-12
 class EdgeMode:
     """A linear mode at the edge: bound in a gap, or pinned to an edge of a band, where it decays by the gauge alone.
 
-    `angle` is that of the tail which begins at the second cell; `gap` is the number of bands below.
+    `angle` is that of the tail which begins at the second cell.
     """
 
-    gap: int
     place: Place
     square: float
     angle: float
-    pinned: bool
+
+    @property
+    def pinned(self) -> bool:
+        """Whether this is pinned to an edge of a band."""
+        return self.place.in_band
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,60 +321,45 @@ class LongLattice(WithOwnParameters):
         """Linear modes at the edge, by ascending frequency: bound ones, and where the lattice leans pinned ones."""
         tail, found = self.tail(1), []
         for gap in range(len(tail.edges) // 2 + 1):
-            found += list(self._bound(tail, gap))
-            if self.lean > 0.0:
-                found += list(self._pinned(tail, gap))
+            edges = tail.sides(gap)
+            ends = [None if edge is None else End(1, edge, self._together(tail, edge)) for edge in edges]
+            low, high = (self._limit(tail, end, side) for end, side in zip(ends, (-1.0, 1.0), strict=True))
+            for turns in range(math.ceil(low / np.pi), math.floor(high / np.pi) + 1):
+                place = tail.resolved(ends, lambda _, at: self._together(tail, at), turns * np.pi)[1]
+                square = tail.square(place)
+                found.append(EdgeMode(place, square, turns * np.pi + self._missing(square)))
         return tuple(sorted((mode for mode in found if mode.square > 0.0), key=lambda mode: mode.square))
 
     def _missing(self, square: float) -> float:
         """The angle that the edge cell has at its bond to the tail; falls with lambda."""
+        values, weights = self._at_inlet
+        with np.errstate(divide="ignore"):
+            response = float(np.sum(weights / (values - square)))
+        return float(np.arctan2(1.0, self.coupling * response) - np.pi * np.sum(values < square))
+
+    @cached_property
+    def _at_inlet(self) -> tuple[Array, Array]:
+        """Eigenvalues of the edge cell, and squares of their vectors at its bond to the tail, where these are seen."""
         values, vectors = np.linalg.eigh(self.edge_cell)
         weights = vectors[self.inlet] ** 2
-        seen = weights > ROUND_OFF
-        with np.errstate(divide="ignore"):
-            response = float(np.sum(weights[seen] / (values[seen] - square)))
-        return float(np.arctan2(1.0, self.coupling * response) - np.pi * np.sum(values[seen] < square))
+        return values[weights > ROUND_OFF], weights[weights > ROUND_OFF]
 
-    def _bound(self, tail: Tail, gap: int) -> list[EdgeMode]:
-        from scipy.optimize import brentq
+    def _together(self, tail: Tail, place: Place) -> float:
+        """The angle of the tail without that of the edge cell, a multiple of pi for a mode; grows with lambda."""
+        return tail.angle(place) - self._missing(tail.square(place))
 
-        (below, above), highest = tail.sides(gap), tail.edges[-1].square
-        low = 0.0 if below is None else tail.edges[below].square + ROUND_OFF * highest
-        high = 1e3 * highest if above is None else tail.edges[above].square - ROUND_OFF * highest
-        if not 0.0 <= low < high:
-            return []
-
-        def together(square: float) -> float:
-            return tail.angle(tail.place(square)) - self._missing(square)
-
-        turns = range(math.ceil(together(low) / np.pi), math.floor(together(high) / np.pi) + 1)
-        limits = low, high, (), 1e-300, 1e-15
-        squares = [float(brentq(lambda x, n=n: together(x) - n * np.pi, *limits)) for n in turns]
-        places = [tail.place(square) for square in squares]
-        return [EdgeMode(gap, at, square, tail.angle(at), False) for at, square in zip(places, squares, strict=True)]
-
-    def _pinned(self, tail: Tail, gap: int) -> list[EdgeMode]:
-        from scipy.optimize import brentq
-
-        found = []
-        for edge, direction in zip(tail.sides(gap), (-1.0, 1.0), strict=True):
-            if edge is None:
-                continue
-            start = tail.angle(Place(gap, edge, 0.0))
-
-            def together(phi: float) -> float:
-                return phi - self._missing(tail.square(tail.at_angle(gap, phi)))
-
-            here = together(start) / np.pi
-            turns = math.ceil(here) if direction > 0.0 else math.floor(here)
-            end = start + direction * (tail.first_turn(edge) if np.isfinite(tail.cells) else np.pi)
-            if (together(end) / np.pi - turns) * direction <= 0.0:
-                continue
-            low, high = min(start, end), max(start, end)
-            phi = float(brentq(lambda x, n=turns: together(x) - n * np.pi, low, high, xtol=1e-15, rtol=1e-15))
-            place = tail.at_angle(gap, phi)
-            found.append(EdgeMode(gap, place, tail.square(place), phi, True))
-        return found
+    def _limit(self, tail: Tail, end: End | None, side: float) -> float:
+        """The largest, or the least, such angle of a mode: in the gap, and of a pinned one in the first lobe beyond."""
+        highest = tail.edges[-1].square
+        if end is None:
+            return self._together(tail, tail.anywhere(1e3 * highest if side > 0.0 else min(0.0, tail.edges[0].square)))
+        if self.lean <= 0.0:
+            return self._together(tail, Place(end.edge.edge, -side * ROUND_OFF * highest))
+        if not np.isfinite(tail.cells):
+            return end.angle + side * np.pi
+        turn = side * tail.first_turn(end.edge.edge)
+        lobe = tail.at_angle(end.edge.gap, tail.angle(end.edge) + turn)
+        return end.angle + side * min(abs(self._together(tail, lobe) - end.angle), np.pi)
 
     def linear_spectrum(self, parameters: Mapping[str, float] | None = None) -> LinearSpectrum:
         """The ends of the bands; the lattice has too many modes for more."""

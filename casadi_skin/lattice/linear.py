@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import chain
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from casadi_skin.lattice.declaration import Array
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.model.result import Result
-from casadi_skin.zero.model_coordinates import symmetrising_scale
-from casadi_skin.zero.statement import named_values
+from casadi_skin.zero.model_coordinates import eigenmodes, symmetrising_scale
 
 ComplexArray = NDArray[np.complex128]
 HALF_ZONE_WAVE_NUMBERS = 41  # wave numbers along each direction of half a zone, its corners among them
@@ -73,17 +70,9 @@ def lattice_modes(lattice: Lattice, parameters: Mapping[str, float] | None = Non
         ValueError: unknown parameters.
     """
     K, declaration = lattice.stiffness(parameters), lattice.declaration
-    log_scale = symmetrising_scale(K)
-    if log_scale is not None:
-        scale = np.exp(log_scale)
-        S = K / scale[:, None] * scale
-        squares, modes = np.linalg.eigh(0.5 * (S + S.T))
-        right, left = scale[:, None] * modes, modes / scale[:, None]
-    else:
-        squares, right = np.linalg.eig(K)
-        order = np.lexsort((squares.imag, squares.real))
-        squares, right = squares[order], right[:, order]
-        left = np.linalg.inv(right).T
+    found = eigenmodes(K, symmetrising_scale(K))
+    scale = np.exp(found.log_scale)[:, None]
+    squares, right, left = found.squares, scale * found.modes, found.left.T / scale
     right, left = (modes / np.linalg.norm(modes, axis=0) for modes in (right, left))
     density = np.abs(right.T.reshape(-1, *declaration.cells, len(declaration.sites))) ** 2
     directions = range(len(declaration.cells))
@@ -223,21 +212,12 @@ def cell_matrices(lattice: Lattice, betas: ComplexArray, parameters: Mapping[str
 
 def _beta(lattice: Lattice, parameters: Mapping[str, float]) -> Array:
     """Decay of displacements per cell along each direction: the ratio of gauge factors of neighbouring cells."""
-    declaration, equations = lattice.declaration, lattice.equations
-    found = np.ones(len(declaration.cells))
-    if lattice.structure.log_weights is None:
-        return found
-    values = list(named_values(lattice, parameters).values())
-    gains = ca.Function("g", [equations.parameters], [ca.vertcat(ca.SX(0, 1), *chain.from_iterable(equations.gains))])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        logs = equations.logs_of(np.array(gains(values)).reshape(-1, 2))
-    if not np.all(np.isfinite(logs)):  # at these values opposite gains have different signs
-        return found
+    logs, declaration = symmetrising_scale(lattice.stiffness(parameters)), lattice.declaration
+    if logs is None:
+        return np.ones(len(declaration.cells))
     shaped = logs.reshape(*declaration.cells, len(declaration.sites))
-    for k, count in enumerate(declaration.cells):
-        if count > 1:
-            found[k] = np.exp(-0.5 * np.mean(np.diff(shaped, axis=k)))
-    return found
+    found = [np.mean(np.diff(shaped, axis=k)) if count > 1 else 0.0 for k, count in enumerate(declaration.cells)]
+    return np.asarray(np.exp(np.array(found, dtype=float)))
 
 
 def _wave_numbers(directions: int, points: int) -> Array:

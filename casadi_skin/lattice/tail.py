@@ -18,10 +18,10 @@ from __future__ import annotations
 import cmath
 import math
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -37,6 +37,7 @@ FAR_END_DECAY = 40.0  # cells times decay: beyond it the far end of the tail is 
 UNSEEN_END_DECAY = 7.0  # cells times decay beyond which that is true to 1e-6 of the decay: for predictions
 BESIDE_EDGE = 1e-8  # of (cells times decay)^2, below which derivatives of its exponentials cancel
 ROUND_OFF = 1e-14
+WITHIN_BAND = 1.0 - 1e-12  # of the width of a band: short of its other edge
 AT_END = 1e-10  # angle that rounding leaves at an end of a gap
 SAME_AS_FAR_MODE = 1e-13  # of amplitudes at the far wall: less is left of them at the frequency of a mode of that end
 
@@ -51,11 +52,33 @@ class Edge:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a harmonic is: in the gap above `gap` bands, or at or in the band beside it, `off` from edge `edge`."""
+    """Where a harmonic is: `off` in lambda from an edge of a band, counted from 0, in the gap beside it or the band."""
 
-    gap: int
     edge: int
-    off: float
+    off: float = 0.0
+
+    @property
+    def gap(self) -> int:
+        """Number of bands below the gap."""
+        return (self.edge + 1) // 2
+
+    @property
+    def side(self) -> float:
+        """1 where the gap is above the edge, -1 where it is below."""
+        return 1.0 if self.edge % 2 else -1.0
+
+    @property
+    def in_band(self) -> bool:
+        """Whether this is in the band or at its edge."""
+        return self.off * self.side <= 0.0
+
+
+class End(NamedTuple):
+    """An end of a gap: the harmonic that meets an edge of a band there, and an angle there that grows with lambda."""
+
+    harmonic: int
+    edge: Place
+    angle: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,18 +113,17 @@ class Tail:
             found += [Edge(float(square), sign) for square in np.linalg.eigvalsh(K)]
         return tuple(sorted(found, key=lambda edge: edge.square))
 
-    def sides(self, gap: int) -> tuple[int | None, int | None]:
-        """Numbers of the edges below and above a gap; None below the lowest band and above the highest."""
+    def sides(self, gap: int) -> tuple[Place | None, Place | None]:
+        """The edges below and above a gap; None below the lowest band and above the highest."""
         last = len(self.edges) // 2
-        return (2 * gap - 1 if gap else None), (2 * gap if gap < last else None)
+        return (Place(2 * gap - 1) if gap else None), (Place(2 * gap) if gap < last else None)
 
     def anywhere(self, square: float) -> Place:
         """Where a lambda is, in a gap or in a band, from the nearest edge of it."""
         squares = self._squares
         below = bisect_left(squares, square)
-        near = [below - 1, below] if below % 2 else [k for k in self.sides(below // 2) if k is not None]
-        edge = min(near, key=lambda k: abs(square - squares[k]))
-        return Place((edge + 1) // 2, edge, square - squares[edge])
+        edge = min((k for k in (below - 1, below) if 0 <= k < len(squares)), key=lambda k: abs(square - squares[k]))
+        return Place(edge, square - squares[edge])
 
     @cached_property
     def _squares(self) -> list[float]:
@@ -111,17 +133,9 @@ class Tail:
     def place(self, square: float) -> Place:
         """Where a lambda is; raises ArithmeticError in a band."""
         found = self.anywhere(square)
-        if found.off * self.side(found) < 0.0:
+        if found.off * found.side < 0.0:
             raise ArithmeticError("a harmonic lies in a band: the tail carries it away")
         return found
-
-    def side(self, place: Place) -> float:
-        """1 where the gap of a place is above its edge, -1 where it is below."""
-        return 1.0 if place.edge % 2 else -1.0
-
-    def in_band(self, place: Place) -> bool:
-        """Whether a place is in the band or at its edge."""
-        return place.off * self.side(place) <= 0.0
 
     def square(self, place: Place) -> float:
         """lambda of a place."""
@@ -153,8 +167,14 @@ class Tail:
             found.append(tuple(p.tolist() for p in (D, s * oo, s * ii, s * oi, s**2 * C2, beyond)))
         return found
 
-    def _phase(self, half: Any, at_edge: Any) -> Any:
-        """Wave number from that of the edge, in a band, from half the trace of P s C_oi beyond that at the edge."""
+    def _trace(self, place: Place) -> tuple[Any, Any]:
+        """Half the trace of P s C_oi with the cosine of the edge's wave number, and what is beyond that."""
+        oi, beyond = (_value(p, place.off) for p in self._polynomials[place.edge][3::2])
+        return self.edges[place.edge].sign * oi, 0.5 * beyond
+
+    @staticmethod
+    def _phase(at_edge: Any, half: Any) -> Any:
+        """Wave number from that of the edge, in a band, from both parts of the trace."""
         functions = _functions_of(half)
         return 2.0 * functions.asin(functions.sqrt(-0.5 * half / at_edge))
 
@@ -182,15 +202,14 @@ class Tail:
             return first - small * self.wall, second - small
         if not math.isfinite(c):
             raise ArithmeticError("a harmonic lies in a band: the tail carries it away")
-        theta = self._phase(half, at_edge)
+        theta = self._phase(at_edge, half)
         inside = c * theta - math.pi * math.floor((c * theta).real / math.pi)  # of its lobe, from 0 to pi
         near, far = functions.sin(inside), functions.sin(inside - theta) * at_edge
         return near * first - far * self.wall, near * second - far
 
     def decay(self, place: Place) -> float:
         """Logarithm by which amplitudes fall from cell to cell, away from the core; 0 in a band."""
-        *_, oi, _, beyond = self._polynomials[place.edge]
-        at_edge, half = self.edges[place.edge].sign * _value(oi, place.off), 0.5 * _value(beyond, place.off)
+        at_edge, half = self._trace(place)
         square = half * (half + 2.0 * at_edge)
         if square <= 0.0:
             return 0.0
@@ -216,15 +235,14 @@ class Tail:
         if place.off == 0.0:
             return start
         turned = math.atan2(across, down)
-        if not self.in_band(place):
+        if not place.in_band:
             upwards = 1.0 if place.gap else -1.0
             turn = upwards * (turned - below) % math.pi
             return below + upwards * (0.0 if turn > math.pi - ROUND_OFF else turn)
-        outwards, lobe = -self.side(place), self._lobe(place)
+        outwards, lobe = -place.side, self._lobe(place)
         if lobe:
             start += outwards * (self.first_turn(place.edge) + (lobe - 1) * math.pi)
-            _, _, _, oi, _, _ = (_value(p, place.off) for p in self._polynomials[place.edge])
-            sign = math.copysign(1.0, self.edges[place.edge].sign * oi)
+            sign = math.copysign(1.0, self._trace(place)[0])
             before = math.atan2(sign * self.wall, sign)
         else:
             before = self._edge_angles[place.edge]
@@ -233,27 +251,22 @@ class Tail:
 
     def _lobe(self, place: Place) -> int:
         """Number of modes of a finite tail between an edge of a band and a place in it."""
-        _, _, _, oi, _, beyond = (_value(p, place.off) for p in self._polynomials[place.edge])
-        return math.floor(self.cells * float(self._phase(0.5 * beyond, self.edges[place.edge].sign * oi)) / math.pi)
+        return math.floor(self.cells * float(self._phase(*self._trace(place))) / math.pi)
 
     def first_turn(self, edge: int) -> float:
         """The change of phi in the first lobe of a band from an edge of it."""
-        outwards, oi = 1.0 if edge % 2 == 0 else -1.0, self._polynomials[edge][3][0]
-        sign = -math.copysign(1.0, self.edges[edge].sign * oi)
+        outwards, sign = -Place(edge).side, -math.copysign(1.0, self._trace(Place(edge))[0])
         return outwards * (math.atan2(sign * self.wall, sign) - self._edge_angles[edge]) % (2.0 * math.pi)
 
     @cached_property
     def _edge_angles(self) -> list[float]:
         """Directions of the vectors at the edges."""
-        return [float(np.arctan2(*self._vector(Place(0, k, 0.0), 0.0))) for k in range(len(self.edges))]
+        return [float(np.arctan2(*self._vector(Place(k), 0.0))) for k in range(len(self.edges))]
 
     def _gap_angles(self, gap: int) -> tuple[float, float]:
         """phi at the edges below and above a gap; the same for both where there is one alone."""
-        below, above = self.sides(gap)
-        start = self._edge_angles[above if below is None else below]  # type: ignore[index]
-        if below is None or above is None:
-            return start, start
-        return start, start + (self._edge_angles[above] - start) % math.pi
+        first, *others = (self._edge_angles[edge.edge] for edge in self.sides(gap) if edge is not None)
+        return first, first + (others[0] - first) % math.pi if others else first
 
     def slope(self, place: Place) -> float:
         """d phi / d lambda: infinite at the edge of an infinite tail's band."""
@@ -267,68 +280,58 @@ class Tail:
 
     def at_angle(self, gap: int, phi: float) -> Place:
         """Where the harmonic beside or in a gap is that has the angle phi; raises ArithmeticError for none."""
-        for edge in self.sides(gap):
-            if edge is not None:
-                outwards = 1.0 if edge % 2 == 0 else -1.0
-                turn = outwards * (phi - self.angle(Place(gap, edge, 0.0)))
-                if turn >= 0.0:
-                    return self._in_band(Place(gap, edge, 0.0), turn, phi)
-        below, above = self.sides(gap)
-        if below is not None and above is not None:
-            middle = 0.5 * (self.edges[above].square - self.edges[below].square)
-            lower = phi <= self.angle(Place(gap, below, middle))
-            edge, width = (below, middle) if lower else (above, -middle)
-            return self.solved(Place(gap, edge, 0.0), width, self.angle, phi)
-        alone = above if below is None else below
-        assert alone is not None
-        farthest = -1.0 if below is None else FARTHEST_FREQUENCY
-        return self.solved(Place(gap, alone, 0.0), farthest * self.edges[alone].square, self.angle, phi)
+        ends = [None if edge is None else End(1, edge, self.angle(edge)) for edge in self.sides(gap)]
+        return self.resolved(ends, lambda _, place: self.angle(place), phi)[1]
 
-    def _in_band(self, edge: Place, turn: float, phi: float) -> Place:
-        """At the edge of a band, or in a lobe of a finite tail's waves in it."""
-        if not np.isfinite(self.cells):
-            return edge
-        first = self.first_turn(edge.edge)
-        lobe = 0 if turn <= first else 1 + math.floor((turn - first) / math.pi)
-        if lobe >= self.cells:
-            raise ArithmeticError(f"no wave has the angle {phi:g}")
-        low, high = (self.off_at_phase(edge.edge, k * math.pi / self.cells) for k in (lobe, lobe + 1))
-        return self.solved(edge, high, self.angle, phi, low)
+    def resolved(
+        self, ends: Sequence[End | None], angle: Callable[[int, Place], float], value: float
+    ) -> tuple[int, Place]:
+        """Where an angle has a value: in a gap, at the edge of an infinite tail's band, or in a finite tail's band.
 
-    def off_at_phase(self, edge: int, theta: float) -> float:
-        """How far in lambda a wave in a band is from an edge by its wave number from that of the edge."""
-        inwards = 1.0 if edge % 2 == 0 else -1.0
-        if len(self.stiffness) == 1:
-            return inwards * 4.0 * self.coupling * math.sin(0.5 * theta) ** 2
+        Arguments:
+            ends: the lower and the upper one of the gap; None for one that is absent.
+            angle: function of a harmonic and its place, monotone in the gap and in bands.
+            value: of the angle.
+
+        Returns:
+            The harmonic of the nearer end, and its place; raises ArithmeticError for none.
+        """
+        lower, upper = ends
+        for end in ends:
+            if end is not None and (turn := end.edge.side * (end.angle - value)) >= 0.0:
+                if not np.isfinite(self.cells):
+                    return end.harmonic, end.edge
+                here, other = (self.edges[k].square for k in (end.edge.edge, end.edge.edge - int(end.edge.side)))
+                lobes = self.lobe(end.edge.edge) * (turn + 2.0 * math.pi) ** 2  # further than the angle needs
+                farthest = min(lobes, WITHIN_BAND * abs(other - here))
+                return end.harmonic, self._solved(end, -end.edge.side * farthest, angle, value)
+        end = lower or upper
+        assert end is not None
+        farthest = FARTHEST_FREQUENCY if end is lower else -1.0
+        farthest *= self.square(end.edge)
+        if lower is not None and upper is not None:
+            middle = 0.5 * (self.square(lower.edge) / lower.harmonic**2 + self.square(upper.edge) / upper.harmonic**2)
+            end = lower if value <= angle(1, self.place(middle)) else upper
+            farthest = end.harmonic**2 * middle - self.square(end.edge)
+        return end.harmonic, self._solved(end, farthest, angle, value)
+
+    def _solved(self, end: End, farthest: float, angle: Callable[[int, Place], float], value: float) -> Place:
+        """The place between an end of a gap and an offset from it; raises ArithmeticError for none."""
         from scipy.optimize import brentq
 
-        width = abs(self.edges[edge + int(inwards)].square - self.edges[edge].square)
-        *_, oi, _, beyond = self._polynomials[edge]
-        sign = self.edges[edge].sign
-
-        def missing(off: float) -> float:
-            off *= inwards
-            half_sine = -0.25 * sign * _value(beyond, off) / _value(oi, off)
-            return 2.0 * math.asin(math.sqrt(min(max(half_sine, 0.0), 1.0))) - theta
-
-        return inwards * (width if theta >= math.pi else float(brentq(missing, 0.0, width, xtol=1e-300, rtol=1e-15)))
-
-    def solved(
-        self, edge: Place, farthest: float, angle: Callable[[Place], float], phi: float, nearest: float = 0.0
-    ) -> Place:
-        """The place with the angle phi between two offsets from an edge; raises ArithmeticError for none."""
-        from scipy.optimize import brentq
+        def missing(root: float) -> float:
+            return angle(end.harmonic, place(root)) - value
 
         def place(root: float) -> Place:
-            return Place(edge.gap, edge.edge, math.copysign(root * root, farthest) if root else 0.0)
+            return Place(end.edge.edge, math.copysign(root * root, farthest) if root else 0.0)
 
-        ends = [math.sqrt(abs(off)) for off in (nearest, farthest)]
-        first, last = (angle(place(end)) - phi for end in ends)
+        far = math.sqrt(abs(farthest))
+        first, last = missing(0.0), missing(far)
         if first * last > 0.0:
             if min(abs(first), abs(last)) > AT_END:
-                raise ArithmeticError(f"no wave has the angle {phi:g}")
-            return place(ends[0] if abs(first) < abs(last) else ends[1])
-        return place(float(brentq(lambda root: angle(place(root)) - phi, ends[0], ends[1], xtol=1e-300, rtol=1e-15)))
+                raise ArithmeticError(f"no wave has the angle {value:g}")
+            return place(0.0 if abs(first) < abs(last) else far)
+        return place(float(brentq(missing, 0.0, far, xtol=1e-300, rtol=1e-15)))
 
     # Amplitudes in the tail -------------------------------------------------------------------------------------------
 
@@ -343,10 +346,10 @@ class Tail:
         Returns:
             Logarithms of a factor a cell, shape (cells,), and the amplitudes over it, shape (cells, sites).
         """
-        D, oo, ii, oi, C2, beyond = (_value(p, place.off) for p in self._polynomials[place.edge])
+        D, oo, ii, oi, C2, _ = (_value(p, place.off) for p in self._polynomials[place.edge])
         P, c, n = np.array([[-C2, oo], [-ii, D]]) / oi, self.cells, np.asarray(numbers, dtype=float)
-        half, at_edge, wall = 0.5 * beyond, self.edges[place.edge].sign * oi, np.array([self.wall, 1.0])
-        sign, kappa = math.copysign(1.0, (half + at_edge) / oi), self.decay(place)
+        wall, kappa = np.array([self.wall, 1.0]), self.decay(place)
+        sign = math.copysign(1.0, sum(self._trace(place)) / oi)
         bonds = np.stack([n - 1.0, n])  # the outlet is across the first, the inlet down the second
         start = np.array([math.sin(phi), math.cos(phi)])
         if not np.isfinite(c):  # at the edge of a band no wave decays, and amplitudes are linear in the distance
@@ -357,7 +360,7 @@ class Tail:
             def sines(cells: Array | float) -> Any:
                 if kappa > 0.0:
                     return -np.expm1(-2.0 * cells * kappa)
-                theta = float(self._phase(half, at_edge)) if place.off else 0.0
+                theta = float(self._phase(*self._trace(place))) if place.off else 0.0
                 return np.sin(cells * theta) if theta else np.asarray(cells, dtype=float)
 
             def far(cells: Array | float, row: int) -> Any:
@@ -380,6 +383,16 @@ class Tail:
             found[:, rest] = np.linalg.lstsq(inner, -self.stiffness[np.ix_(rest, joined)] @ found[:, joined].T)[0].T
         return -kappa * n, found
 
+    def motions(self, places: Sequence[Place], phi: Array, sizes: Array, numbers: Indices) -> tuple[Array, Array]:
+        """The same of harmonics by their amplitudes `sizes` at the core's site.
+
+        Returns:
+            Logarithms of a factor, shape (harmonics, cells), and the amplitudes over it, (harmonics, cells, sites).
+        """
+        found = [self.motion(place, angle, numbers) for place, angle in zip(places, phi, strict=True)]
+        parts = (sizes / np.cos(phi))[:, None, None] * np.stack([part for _, part in found])
+        return np.stack([logs for logs, _ in found]), parts
+
     # Changes by complex frequencies, for power series -----------------------------------------------------------------
 
     def end_unseen(self, place: Place) -> bool:
@@ -391,48 +404,44 @@ class Tail:
         _, _, _, oi, _, beyond = self._polynomials[edge]
         return abs(2.0 * oi[0] / beyond[1]) / self.cells**2
 
-    def turns(self, edge: int, offs: Array, changes: ComplexArray, seen: bool) -> ComplexArray:
-        """Changes of phi by complex changes of lambda from places beside an edge; shapes (places,), (any, places).
+    @cached_property
+    def _stacked(self) -> list[Array]:
+        """`_polynomials` of all edges, each of shape (powers, edges), but the last over lambda off."""
+        most = len(self.stiffness) + 1
+        rows = [[np.pad(p, (0, most - len(p))) for p in (*kinds[:-1], kinds[-1][1:])] for kinds in self._polynomials]
+        return [np.array(kind).T for kind in zip(*rows, strict=True)]
 
-        Changes meet no edge of a band, but for that of the places where the far end of the tail is `seen`.
+    def turns(self, places: Sequence[Place], roots: ComplexArray, seen: NDArray[np.bool_]) -> ComplexArray:
+        """Changes of phi from the first to other distances from an edge, for each of some places.
+
+        Arguments:
+            places: beside their edges.
+            roots: of the distance into the gap, complex, shape (any, places). They change their sign round an edge.
+            seen: whether the far end of the tail is felt there. Else the tail is taken for one without end.
         """
-        D, oo, ii, oi, C2, beyond = (_value(p, offs + _with_none(changes)) for p in self._polynomials[edge])
-        half, at_edge = 0.5 * beyond, self.edges[edge].sign * oi
-        if seen:
-            kappa = 2.0 * np.arcsinh(np.sqrt(half / (2.0 * at_edge)))
+        edges, sides = [place.edge for place in places], np.array([place.side for place in places])
+        off = sides * roots**2
+        D, oo, ii, oi, C2, slope = (_value(list(kind[:, edges]), off) for kind in self._stacked)
+        at_edge = np.array([self.edges[k].sign for k in edges]) * oi
+        kappa = 2.0 * np.arcsinh(roots * np.sqrt(0.25 * sides * slope / at_edge))
+        small = at_edge * np.exp(-kappa)
+        if seen.any():
             ratio = np.expm1(-2.0 * (self.cells - 1.0) * kappa) / np.expm1(-2.0 * self.cells * kappa)
-            small = at_edge * np.exp(-kappa) * ratio
-            return _turned(oo - (C2 + small) * self.wall, D - ii * self.wall - small)
-        return self._turned_unseen(D, oo, ii, C2, half + at_edge, np.sqrt(half * (half + 2.0 * at_edge)))
-
-    def turns_by_root(self, place: Place, changes: ComplexArray) -> ComplexArray:
-        """The same by changes of the square root of the distance to the edge, which they may meet: no end is felt."""
-        root = np.sqrt(abs(place.off)) + _with_none(changes[:, None])
-        off, polynomials = self.side(place) * root**2, self._polynomials[place.edge]
-        D, oo, ii, oi, C2, _ = (_value(p, off) for p in polynomials)
-        slope, at_edge = 0.5 * _value(polynomials[-1][1:], off), self.edges[place.edge].sign * oi
-        half = slope * off
-        apart = root * np.sqrt(self.side(place) * slope * (half + 2.0 * at_edge))
-        return self._turned_unseen(D, oo, ii, C2, half + at_edge, apart)[:, 0]
-
-    def _turned_unseen(self, D: Any, oo: Any, ii: Any, C2: Any, middle: Any, apart: Any) -> ComplexArray:
-        """Changes of phi from half the sum and half the difference of the eigenvalues of P."""
-        large = middle + np.where(middle[0].real >= 0.0, 1.0, -1.0) * apart
-        one, other = (oo + 0.0 * large, large + C2), (large - D, -ii + 0.0 * large)
-        sizes = [np.abs(across[0]) + np.abs(down[0]) for across, down in (one, other)]
-        first = sizes[0] >= sizes[1]
-        return _turned(np.where(first, one[0], other[0]), np.where(first, one[1], other[1]))
+            small = np.where(seen, ratio, 1.0) * small
+        first, second = (-C2 - small, -ii), (oo, D - small)  # columns of P without the part that decays inwards
+        larger = np.abs(first[0][0]) + np.abs(first[1][0]) > np.abs(second[0][0]) + np.abs(second[1][0])
+        a, b = np.where(seen, self.wall, larger), np.where(seen, 1.0, ~larger)
+        across, down = (a * one + b * other for one, other in zip(first, second, strict=True))
+        turned = (across * down[0] - down * across[0]) / (down * down[0] + across * across[0])
+        return np.asarray(np.arctan(turned[1:]))
 
 
-def _with_none(changes: ComplexArray) -> ComplexArray:
-    """Changes with no change as their first."""
-    return np.concatenate([np.zeros((1, changes.shape[1])), changes])
-
-
-def _turned(across: ComplexArray, down: ComplexArray) -> ComplexArray:
-    """Changes of the angle of vectors from the first, which is left out."""
-    turned = (across * down[0] - down * across[0]) / (down * down[0] + across * across[0])
-    return np.asarray(np.arctan(turned[1:]))
+def log_sums(logs: Array, parts: Array) -> tuple[Array, Array]:
+    """Logarithms of the sizes of sums of parts times exp(logs) over harmonics, and the signs, shape (places,) each."""
+    largest = np.max(logs, axis=0)
+    total = np.sum(parts * np.exp(logs - largest), axis=0)
+    with np.errstate(divide="ignore"):
+        return largest + np.log(np.abs(total)), np.sign(total)
 
 
 def _functions_of(number: Any) -> Any:

@@ -9,19 +9,17 @@ smooth and monotone in bands.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property, lru_cache
 
 import numpy as np
 
-from casadi_skin.lattice.tail import FARTHEST_FREQUENCY, ComplexArray, Place, Tail
+from casadi_skin.lattice.tail import FARTHEST_FREQUENCY, ComplexArray, End, Place, Tail
 from casadi_skin.zero.problem import Array
 
 KEPT_VALUES = 256  # values that are used again: those of all places of a series at several steps
-NEWTON_STEPS = 20  # for an angle in a band
-RESOLVED = 4e-16  # of u: a difference that ends them
 
 
 class Regime(Enum):
@@ -49,16 +47,6 @@ class TailValues:
     phi: Array
     places: list[Place]
     resolved: int
-
-
-@dataclass(frozen=True)
-class _End:
-    """An end of the frequencies of which all harmonics are bound: the harmonic that meets an edge of a band there."""
-
-    harmonic: int
-    edge: Place
-    u: float
-    phi: float  # of the other harmonic in u, if there is one
 
 
 @dataclass(frozen=True)
@@ -95,24 +83,17 @@ class TailParameter:
         return found
 
     @cached_property
-    def _ends(self) -> tuple[_End | None, _End | None]:
+    def _ends(self) -> tuple[End | None, ...]:
         """The lower and the upper end; None where no harmonic meets a band."""
-        found: list[_End | None] = []
+        tail, found = self.tail, list[End | None]()
         for side, nearest in ((0, max), (1, min)):
-            met = [(k, self.tail.sides(gap)[side]) for k, gap in self._gaps.items()]
-            squares = {k: (self.tail.edges[edge].square / k**2, edge) for k, edge in met if edge is not None}
-            if not squares:
-                found.append(None)
-                continue
-            k = nearest(squares, key=lambda k: squares[k][0])
-            edge = Place(self._gaps[k], squares[k][1], 0.0)
-            found.append(_End(k, edge, self.tail.angle(edge), 0.0))
+            edges = ((k, tail.sides(gap)[side]) for k, gap in self._gaps.items())
+            met = [End(k, edge, tail.angle(edge)) for k, edge in edges if edge is not None]
+            found.append(nearest(met, key=lambda end: tail.square(end.edge) / end.harmonic**2, default=None))
         if any(end is not None and end.harmonic == 3 for end in found):
-            for side, end in enumerate(found):
-                if end is not None:
-                    phi = self.tail.angle(self._other(end.harmonic, end.edge))
-                    found[side] = _End(end.harmonic, end.edge, end.u + phi, phi)
-        return found[0], found[1]
+            others = [0.0 if end is None else tail.angle(self._other(end.harmonic, end.edge)) for end in found]
+            found = [end and end._replace(angle=end.angle + phi) for end, phi in zip(found, others, strict=True)]
+        return tuple(found)
 
     @cached_property
     def _third(self) -> bool:
@@ -123,55 +104,24 @@ class TailParameter:
         """Where the other harmonic in u is, 3 or 1; raises ArithmeticError in a band."""
         return self.tail.place(self.tail.square(place) * (9.0 if k == 1 else 1.0 / 9.0))
 
+    def _beside(self, k: int, place: Place) -> float:
+        """The part of u that is not the angle of harmonic k."""
+        return self.tail.angle(self._other(k, place)) if self._third else 0.0
+
     def _angle(self, k: int, place: Place) -> float:
         """u where harmonic k is at a place."""
-        return self.tail.angle(place) + (self.tail.angle(self._other(k, place)) if self._third else 0.0)
+        return self.tail.angle(place) + self._beside(k, place)
 
     def _resolved(self, u: float) -> tuple[int, Place, float]:
         """The harmonic that resolves Omega at u, where it is and its angle; raises ArithmeticError for none."""
-        lower, upper = self._ends
-        end, middle = (lower or upper), self._middle
-        if middle is not None and u > middle[1]:
-            end = upper
-        assert end is not None
-        k, inwards, edge = end.harmonic, 1.0 if end is lower else -1.0, self.tail.edges[end.edge.edge].square
-        if inwards * (u - end.u) <= 0.0:
-            return k, *self._pinned(end, u)
-        width = FARTHEST_FREQUENCY * edge if inwards > 0.0 else -edge
-        if middle is not None:
-            width = k**2 * middle[0] - edge
-        place = self.tail.solved(end.edge, width, lambda place: self._angle(k, place), u)
-        return k, place, u - (self.tail.angle(self._other(k, place)) if self._third else 0.0)
-
-    @cached_property
-    def _middle(self) -> tuple[float, float] | None:
-        """Omega^2 in the middle between both ends, and u there; None without one of them."""
-        lower, upper = self._ends
-        if lower is None or upper is None:
-            return None
-        squared = 0.5 * sum(self.tail.edges[end.edge.edge].square / end.harmonic**2 for end in (lower, upper))
-        return squared, self._angle(1, self.tail.place(squared))
-
-    def _pinned(self, end: _End, u: float) -> tuple[Place, float]:
-        """Where the harmonic of an end is, in the band, and its angle."""
-        phi = u - end.phi
-        for _ in range(NEWTON_STEPS):
-            place = self.tail.at_angle(end.edge.gap, phi)
-            if not self._third or place.off == 0.0:
-                return place, phi
-            other = self._other(end.harmonic, place)
-            left = phi + self.tail.angle(other) - u
-            if abs(left) <= RESOLVED * max(1.0, abs(u)):
-                return place, phi
-            rate = self.tail.slope(other) * (9.0 if end.harmonic == 1 else 1.0 / 9.0) / self.tail.slope(place)
-            phi -= left / (1.0 + rate)
-        return place, phi
+        k, place = self.tail.resolved(self._ends, self._angle, u)
+        return k, place, u - self._beside(k, place)
 
     # Values -----------------------------------------------------------------------------------------------------------
 
     def at(self, phi: float) -> float:
         """u where the angle of the fundamental is `phi`."""
-        return phi + (self.tail.angle(self._other(1, self.tail.at_angle(self.mode.gap, phi))) if self._third else 0.0)
+        return phi + self._beside(1, self.tail.at_angle(self.mode.gap, phi))
 
     def of_frequency(self, Omega: float) -> float:
         """u where the frequency is `Omega`, bound in the gap; NaN where it is not there."""
@@ -218,14 +168,12 @@ class TailParameter:
 
     def series(self, u: float, orders: int) -> TailSeries:
         """Power series of the same by changes of u; raises ArithmeticError as well where none is found."""
-        values, in_u = self.values(u), np.zeros(self.harmonics)
-        in_u[: 2 if self._third else 1] = 1.0
-        return Harmonics(self.tail, values.places, values.phi, values.resolved, in_u).series(orders)
+        return series_of(self.tail, self.values(u), 2 if self._third else 1, orders)
 
     def passed(self, values: TailValues) -> int:
         """Modes of the tail by itself that harmonics lie above, of high harmonics as counted from infinity."""
         last = len(self.tail.edges) - 1
-        above_all = Place((last + 1) // 2, last, FARTHEST_FREQUENCY * self.tail.edges[last].square)
+        above_all = Place(last, FARTHEST_FREQUENCY * self.tail.edges[last].square)
         passed = np.floor(values.phi / np.pi + 0.5)
         passed[max(self._gaps) // 2 + 1 :] -= np.floor(self.tail.angle(above_all) / np.pi + 0.5)
         return int(np.sum(passed))
@@ -233,10 +181,8 @@ class TailParameter:
     def regime(self, values: TailValues) -> Regime:
         """Whether Omega, or three times it, is pinned to a band."""
         for k, regime in ((1, Regime.PINNED), (3, Regime.THIRD)):
-            below, above = self.tail.sides(self._gaps.get(k, 0)) if k in self._gaps else (None, None)
-            phi = values.phi[(k - 1) // 2]
-            for edge, outwards in ((below, -1.0), (above, 1.0)):
-                if edge is not None and outwards * (phi - self.tail.angle(Place(self._gaps[k], edge, 0.0))) > 0.0:
+            for edge in self.tail.sides(self._gaps[k]) if k in self._gaps else ():
+                if edge is not None and edge.side * (values.phi[(k - 1) // 2] - self.tail.angle(edge)) < 0.0:
                     return regime
         return Regime.BOUND
 
@@ -276,97 +222,75 @@ class TailSeries:
     end: float = np.nan
 
 
-@dataclass(frozen=True)
-class Harmonics:
-    """Places and angles phi of all odd harmonics; place number `resolved` is known best.
+def series_of(tail: Tail, values: TailValues, in_u: int, orders: int) -> TailSeries:
+    """The series about values at a u that is the sum of the first one or two angles.
 
-    u grows by the sum of the changes of the angles times `in_u`.
+    Raises ArithmeticError where no circle has no singularity within.
     """
+    h, places = values.resolved, values.places
+    place, k2 = places[h], np.arange(1.0, 2.0 * len(places), 2.0) ** 2
+    if tail.cells >= ENDLESS_CELLS and tail.decay(place) == 0.0:
+        return _pinned(tail, values, orders)
+    seen = np.array([not tail.end_unseen(one) for one in places])
+    sides, offs = (np.array([getattr(one, name) for one in places]) for name in ("side", "off"))
+    radius, root = _widest(tail, values, k2, not seen[h]), np.sqrt(abs(place.off))
+    for _ in range(CIRCLE_HALVINGS):
+        zeta = np.append(0.0, radius * np.exp(2j * np.pi * np.arange(CIRCLE_NODES // 2 + 1) / CIRCLE_NODES))
+        squared = (zeta if seen[h] else place.side * zeta * (2.0 * root + zeta)) / k2[h]  # changes of Omega^2
+        roots = np.sqrt(sides * (offs + np.outer(squared, k2)))
+        if not seen[h]:
+            roots[:, h] = root + zeta
+        found = _integrals(values, tail.turns(places, roots, seen), squared[1:], in_u, orders)
+        if found is not None:
+            return found
+        radius *= 0.5
+    raise ArithmeticError("the tail has no power series there")
 
-    tail: Tail
-    places: Sequence[Place]
-    phi: Array
-    resolved: int
-    in_u: Array
 
-    def series(self, orders: int) -> TailSeries:
-        """The series by changes of u, as is `end`; raises ArithmeticError where no circle has no singularity within."""
-        place, tail = self.places[self.resolved], self.tail
-        k2 = np.asarray((2.0 * np.arange(self.phi.size) + 1.0) ** 2, dtype=np.float64)
-        squared = tail.square(place) / k2[self.resolved]
-        if self._is_pinned(place):
-            return self._pinned(place, squared, orders)
-        by_root = tail.end_unseen(place)
-        radius, root = self._widest(place, k2, by_root), float(np.sqrt(abs(place.off)))
-        for _ in range(CIRCLE_HALVINGS):
-            zeta = radius * np.exp(2j * np.pi * np.arange(CIRCLE_NODES // 2 + 1) / CIRCLE_NODES)
-            change = (tail.side(place) * zeta * (2.0 * root + zeta) if by_root else zeta) / k2[self.resolved]
-            turns = np.empty((zeta.size, self.phi.size), dtype=complex)
-            for (edge, seen), these in self._alike.items():
-                offs = np.array([self.places[h].off for h in these])
-                turns[:, these] = tail.turns(edge, offs, np.outer(change, k2[these]), seen)
-            if by_root:
-                turns[:, self.resolved] = tail.turns_by_root(place, zeta)
-            found = self._integrals(turns, change, squared, orders)
-            if found is not None:
-                return found
-            radius *= 0.5
-        raise ArithmeticError("the tail has no power series there")
+def _pinned(tail: Tail, values: TailValues, orders: int) -> TailSeries:
+    """Where the frequency hardly changes, as on an edge of an endless tail's band: one angle changes alone."""
+    h, k = values.resolved, np.arange(orders + 1)
+    Omega, across, down = np.zeros(orders + 1), *np.zeros((2, orders + 1, values.phi.size))
+    Omega[0], across[0], down[0] = values.Omega, values.across, values.down
+    rates = 1.0 / np.cumprod(np.maximum(k, 1))
+    across[:, h], down[:, h] = (rates * np.sin(values.phi[h] + (k + turn) * 0.5 * np.pi) for turn in (0, 1))
+    endless, place = replace(tail, cells=np.inf), values.places[h]
+    width = tail.edges[place.edge].square - tail.edges[place.edge - int(place.side)].square
+    turn = endless.angle(Place(place.edge, place.side * BAND_EDGE_RTOL * abs(width))) - values.phi[h]
+    return TailSeries(Omega, across, down, turn - np.pi * np.round(turn / np.pi))
 
-    @cached_property
-    def _alike(self) -> dict[tuple[int, bool], list[int]]:
-        """Harmonics by their edge and whether the far end of the tail is felt, but for one at a root of its own."""
-        found: dict[tuple[int, bool], list[int]] = {}
-        for h, place in enumerate(self.places):
-            unseen = self.tail.end_unseen(place)
-            if not (unseen and h == self.resolved):
-                found.setdefault((place.edge, not unseen), []).append(h)
-        return found
 
-    def _is_pinned(self, place: Place) -> bool:
-        """Whether the frequency hardly changes with u, as on an edge of an endless tail's band."""
-        return self.tail.cells >= ENDLESS_CELLS and self.tail.decay(place) == 0.0
+def _widest(tail: Tail, values: TailValues, k2: Array, by_root: bool) -> float:
+    """The radius of a circle on which no harmonic meets an edge of a band, but for the one that is resolved."""
+    reach, resolved = np.inf, values.places[values.resolved]
+    for h, place in enumerate(values.places):
+        edges = [abs(tail.square(place) - edge.square) for k, edge in enumerate(tail.edges) if k != place.edge]
+        if h != values.resolved:
+            edges.append(abs(place.off))
+        reach = min(reach, CIRCLE_RADIUS_RATIO * min(edges) * k2[values.resolved] / k2[h])
+    if by_root:
+        return float(reach / (np.sqrt(abs(resolved.off)) + np.sqrt(abs(resolved.off) + reach)))
+    return float(min(reach, CIRCLE_RADIUS_RATIO * abs(resolved.off) + LOBE_CHANGE * tail.lobe(resolved.edge)))
 
-    def _pinned(self, place: Place, squared: float, orders: int) -> TailSeries:
-        """The angle of the harmonic that is pinned changes alone."""
-        h, k = self.resolved, np.arange(orders + 1)
-        Omega, across, down = np.zeros(orders + 1), *np.zeros((2, orders + 1, self.phi.size))
-        Omega[0], across[0], down[0] = np.sqrt(squared), np.sin(self.phi), np.cos(self.phi)
-        rates = np.cumprod(np.append(1.0, 1.0 / (self.in_u[h] * k[1:])))  # of phi by u, and factorials
-        across[:, h], down[:, h] = (rates * np.sin(self.phi[h] + (k + turn) * 0.5 * np.pi) for turn in (0, 1))
-        endless, outwards = replace(self.tail, cells=np.inf), 1.0 if place.edge % 2 else -1.0
-        width = self.tail.edges[place.edge].square - self.tail.edges[place.edge - int(outwards)].square
-        turn = endless.angle(Place(place.gap, place.edge, outwards * BAND_EDGE_RTOL * abs(width))) - self.phi[h]
-        return TailSeries(Omega, across, down, self.in_u[h] * (turn - np.pi * np.round(turn / np.pi)))
 
-    def _widest(self, place: Place, k2: Array, by_root: bool) -> float:
-        """The radius of a circle on which no harmonic meets an edge of a band, but for the one that is resolved."""
-        reach = np.inf
-        for h, at in enumerate(self.places):
-            edges = [abs(self.tail.square(at) - edge.square) for k, edge in enumerate(self.tail.edges) if k != at.edge]
-            if h != self.resolved:
-                edges.append(abs(at.off))
-            reach = min(reach, CIRCLE_RADIUS_RATIO * min(edges) * k2[self.resolved] / k2[h])
-        if by_root:
-            return float(reach / (np.sqrt(abs(place.off)) + np.sqrt(abs(place.off) + reach)))
-        return float(min(reach, CIRCLE_RADIUS_RATIO * abs(place.off) + LOBE_CHANGE * self.tail.lobe(place.edge)))
-
-    def _integrals(self, turns: ComplexArray, change: ComplexArray, squared: float, orders: int) -> TailSeries | None:
-        """Coefficients from values on half of the circle; None where that is too wide."""
-        w = turns @ self.in_u
-        whole = np.concatenate([w, np.conj(w[-2:0:-1])])
-        coefficients = np.fft.fft(whole).real / CIRCLE_NODES
-        powers = np.fft.fftfreq(CIRCLE_NODES, 1.0 / CIRCLE_NODES)
-        if not np.max(np.abs(coefficients[CIRCLE_NODES // 2 :])) <= NEGATIVE_POWER_RATIO * np.max(np.abs(coefficients)):
-            return None
-        slope = (CIRCLE_NODES * np.fft.ifft(powers * coefficients))[: w.size]
-        weights = np.full(w.size, 2.0 / CIRCLE_NODES)
-        weights[[0, -1]] = 1.0 / CIRCLE_NODES
-        turning = weights * slope / w
-        if not abs(np.sum(turning).real - 1.0) <= NEGATIVE_POWER_RATIO:
-            return None
-        inverse = turning[:, None] * np.cumprod(np.column_stack([np.ones_like(w), *[1.0 / w] * orders]), axis=1)
-        values = np.column_stack([np.sqrt(squared + change), np.sin(self.phi + turns), np.cos(self.phi + turns)])
-        found = (inverse.T @ values).real
-        count = self.phi.size
-        return TailSeries(found[:, 0], found[:, 1 : 1 + count], found[:, 1 + count :])
+def _integrals(
+    values: TailValues, turns: ComplexArray, squared: ComplexArray, in_u: int, orders: int
+) -> TailSeries | None:
+    """Coefficients from changes of the angles and of Omega^2 on half of the circle; None where that is too wide."""
+    w = turns[:, :in_u].sum(axis=1)
+    whole = np.concatenate([w, np.conj(w[-2:0:-1])])
+    coefficients = np.fft.fft(whole).real / CIRCLE_NODES
+    powers = np.fft.fftfreq(CIRCLE_NODES, 1.0 / CIRCLE_NODES)
+    if not np.max(np.abs(coefficients[CIRCLE_NODES // 2 :])) <= NEGATIVE_POWER_RATIO * np.max(np.abs(coefficients)):
+        return None
+    slope = (CIRCLE_NODES * np.fft.ifft(powers * coefficients))[: w.size]
+    weights = np.full(w.size, 2.0 / CIRCLE_NODES)
+    weights[[0, -1]] = 1.0 / CIRCLE_NODES
+    turning = weights * slope / w
+    if not abs(np.sum(turning).real - 1.0) <= NEGATIVE_POWER_RATIO:
+        return None
+    inverse = turning[:, None] * np.cumprod(np.column_stack([np.ones_like(w), *[1.0 / w] * orders]), axis=1)
+    Omega = np.sqrt(values.Omega**2 + squared)
+    parts = Omega[:, None], np.sin(values.phi + turns), np.cos(values.phi + turns)
+    in_order = [(inverse.T @ part).real for part in parts]
+    return TailSeries(in_order[0][:, 0], in_order[1], in_order[2])

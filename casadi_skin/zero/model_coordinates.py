@@ -64,7 +64,19 @@ def linear_modes(force: ca.SX, state: ca.SX, name: str) -> LinearModes:
     K, at_rest = _at_rest(force, state, name)
     if np.max(np.abs(at_rest)) > REST_FORCE_RTOL * max(1.0, float(np.max(np.abs(K)))):
         raise ValueError(f"{name}: its families grow from rest at 0; accepted: forces that are finite and vanish there")
-    log_scale = scale_of_couplings(K, force, state)
+    found = eigenmodes(K, scale_of_couplings(K, force, state))
+    if found.symmetric:
+        return found
+    values, modes = found.squares, found.modes.real
+    if np.max(np.abs(values.imag)) > np.sqrt(SYMMETRY_RTOL) * np.max(np.abs(values)):
+        worst = values[np.argmax(np.abs(values.imag))]
+        raise ValueError(f"{name}: omega^2 = {worst:.6g} of a linear mode is complex; accepted: real ones")
+    left = np.asarray(np.linalg.inv(modes), dtype=np.float64)
+    return replace(found, squares=values.real, modes=modes, left=left)
+
+
+def eigenmodes(K: Array, log_scale: Array | None) -> LinearModes:
+    """Modes of a matrix, in the scale that makes it symmetric; without one they may be complex."""
     if log_scale is not None:
         scale = np.exp(log_scale)
         K = K / scale[:, None] * scale
@@ -73,13 +85,10 @@ def linear_modes(force: ca.SX, state: ca.SX, name: str) -> LinearModes:
         return LinearModes(squares, modes, modes.T, log_scale, K, True)
     from scipy.linalg import eig
 
-    values, vectors = eig(K)
-    if np.max(np.abs(values.imag)) > np.sqrt(SYMMETRY_RTOL) * np.max(np.abs(values)):
-        worst = values[np.argmax(np.abs(values.imag))]
-        raise ValueError(f"{name}: omega^2 = {worst:.6g} of a linear mode is complex; accepted: real ones")
-    order = np.argsort(values.real)
-    modes = vectors.real[:, order]
-    return LinearModes(values.real[order], modes, np.linalg.inv(modes), np.zeros(len(K)), K, False)
+    squares, modes = eig(K)
+    order = np.lexsort((squares.imag, squares.real))
+    modes = modes[:, order]
+    return LinearModes(squares[order], modes, np.linalg.inv(modes), np.zeros(len(K)), K, False)
 
 
 def _at_rest(force: ca.SX, state: ca.SX, name: str) -> tuple[Array, Array]:

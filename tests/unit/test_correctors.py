@@ -288,7 +288,7 @@ def test_the_band_is_solved_at_the_linear_mode_where_alone_it_is_singular(sites:
 def test_the_band_is_wider_next_to_a_tail(attached: int) -> None:
     """Rows of the site at a tail are those of its harmonics: entries of its neighbours are farther off than others."""
     chain = Chain(38, 1.0, 0.4, -1.0)
-    tail = TailParameter(Tail(399.0, np.array([[3.0]]), chain.coupling), Place(0, 0, 0.0), 6)
+    tail = TailParameter(Tail(399.0, np.array([[3.0]]), chain.coupling), Place(0), 6)
     problem = CoreWithTailProblem(chain.gauge_model(), 6, tail, attached)
     assert problem.half_bandwidth == 11
     z, row = random_state(problem, attached)
