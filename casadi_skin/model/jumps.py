@@ -22,7 +22,7 @@ import numpy as np
 
 from casadi_skin.model.arguments import cut
 from casadi_skin.model.equations import Array, Equations
-from casadi_skin.model.operations import interpret
+from casadi_skin.model.operations import operated, read
 
 Values: TypeAlias = Callable[[Array], Array]  # at places, one a row
 TIME, STATE, PARAMETER, INPUT = 1, 2, 4, 8  # by what an operation switches, as bits
@@ -114,13 +114,17 @@ def switches(
 
     def apply(code: int, values: list[tuple[int, ca.SX]], _: bool) -> tuple[int, ca.SX]:
         bits, a = zip(*values, strict=True)
-        result = ca.SX.unary(code, a[0]) if len(a) == 1 else ca.SX.binary(code, a[0], a[1])
+        result = operated(code, a)
         deciding = reduce(or_, _deciding(code, bits), 0)
         if code in codes and deciding:
             found.append(Switch(codes[code], a, _value(code, a, result), deciding))
         return reduce(or_, bits, 0), result
 
-    interpret(scalar, lambda i, entry: (source(i, entry), inputs[i][entry]), lambda value: (0, ca.SX(value)), apply)
+    places = [(i, entry) for i, group in enumerate(names) for entry in range(len(group))]
+    program, numbers = read(scalar)
+    program.evaluated(
+        lambda k: (source(*places[k]), inputs[places[k][0]][places[k][1]]), [(0, ca.SX(c)) for c in numbers], apply
+    )
     return (inputs, found) if found else ([], [])
 
 

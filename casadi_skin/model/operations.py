@@ -6,8 +6,10 @@ Symbols are numbered from 0 and each operation adds one number: "mul 3 5" is the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 import casadi as ca
@@ -33,42 +35,103 @@ Entries = list[int | None]  # of a column of expressions: the numbers that they 
 Value = TypeVar("Value")
 
 
-def interpret(
-    function: ca.Function,
-    argument: Callable[[int, int], Value],
-    constant: Callable[[float], Value],
-    apply: Callable[[int, list[Value], bool], Value],
-) -> list[list[Value | None]]:
-    """A function of scalar operations evaluated in values of any kind.
+@dataclass(frozen=True)
+class Program:
+    """The operations of a function of scalars, without the numbers in it.
 
-    Arguments:
-        function: of the kind SXFunction.
-        argument: the value of an entry of an argument, by the numbers of both.
-        constant: that of a number.
-        apply: the result of an operation of a code; its last argument is whether nothing else holds the first value.
-
-    Returns:
-        The entries of each result, None where its sparsity has none.
+    Values are numbered: the entries of all arguments, then one an operation, which is its code with the numbers of its
+    arguments; of CONST the next number is the result. `results` has the entries of each, None where its sparsity has
+    none.
     """
-    work: dict[int, Value] = {}
-    put_out = set[int]()  # places of values that are results
+
+    inputs: tuple[int, ...]
+    operations: tuple[tuple[int, ...], ...]
+    results: tuple[tuple[int | None, ...], ...]
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        """Taken once: operations are many."""
+        return hash((self.inputs, self.operations, self.results))
+
+    @cached_property
+    def _last_uses(self) -> dict[int, int]:
+        """The operation that uses a value last; of results none is."""
+        uses = {place: k for k, (_, *places) in enumerate(self.operations) for place in places}
+        for place in (entry for entries in self.results for entry in entries if entry is not None):
+            uses[place] = len(self.operations)
+        return uses
+
+    def evaluated(
+        self,
+        argument: Callable[[int], Value],
+        numbers: Iterable[Value],
+        apply: Callable[[int, list[Value], bool], Value],
+    ) -> list[list[Value | None]]:
+        """The entries of the results in values of any kind.
+
+        Arguments:
+            argument: the value of an entry of an argument, asked for where it is used.
+            numbers: values of the numbers.
+            apply: the result of an operation of a code; last it is told whether nothing else holds the first value.
+        """
+        first, following, values = sum(self.inputs), iter(numbers), dict[int, Value]()
+
+        def value(place: int) -> Value:
+            if place < first and place not in values:
+                values[place] = argument(place)
+            return values[place]
+
+        uses = self._last_uses
+        for k, (code, *places) in enumerate(self.operations):
+            if code == ca.OP_CONST:
+                values[first + k] = next(following)
+                continue
+            is_free = places[0] >= first and uses[places[0]] == k and places[0] not in places[1:]
+            values[first + k] = apply(code, [value(place) for place in places], is_free)
+            for place in places:
+                if uses[place] == k and place >= first:
+                    values.pop(place, None)
+        return [[None if entry is None else value(entry) for entry in entries] for entries in self.results]
+
+    def expressions(self, inputs: Sequence[ca.SX], numbers: ca.SX) -> list[ca.SX]:
+        """The results as columns of expressions in arguments, and in symbols that stand for the numbers."""
+        symbols = ca.vertcat(*inputs).elements()
+        found = self.evaluated(symbols.__getitem__, numbers.elements(), lambda code, values, _: operated(code, values))
+        return [ca.vertcat(*(ca.SX(0) if entry is None else entry for entry in entries)) for entries in found]
+
+
+def operated(code: int, values: Sequence[ca.SX]) -> ca.SX:
+    """The expression of an operation of expressions."""
+    return ca.SX.unary(code, values[0]) if len(values) == 1 else ca.SX.binary(code, values[0], values[1])
+
+
+def read(function: ca.Function) -> tuple[Program, list[float]]:
+    """The program of a function of the kind SXFunction, and its numbers."""
+    first, work = [0], dict[int, int]()  # the value in each place of the function's own
+    for i in range(function.n_in()):
+        first.append(first[-1] + function.nnz_in(i))
+    operations, numbers = list[tuple[int, ...]](), list[float]()
     filled = [function.sparsity_out(i).find() for i in range(function.n_out())]
-    results: list[list[Value | None]] = [[None] * function.numel_out(i) for i in range(function.n_out())]
+    results: list[list[int | None]] = [[None] * function.numel_out(i) for i in range(function.n_out())]
     for k in range(function.n_instructions()):
-        code, given, out = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
-        if code == ca.OP_OUTPUT:
-            results[out[0]][filled[out[0]][out[1]]] = work[given[0]]
-            put_out.add(given[0])
-            continue
-        if code == ca.OP_INPUT:
-            work[out[0]] = argument(given[0], given[1])
-        elif code == ca.OP_CONST:
-            work[out[0]] = constant(function.instruction_constant(k))
+        code, out = function.instruction_id(k), function.instruction_output(k)
+        if code == ca.OP_CONST:
+            numbers.append(function.instruction_constant(k))
+            given = []
         else:
-            is_free = out[0] == given[0] and given[0] not in put_out
-            work[out[0]] = apply(code, [work[place] for place in given], is_free)
-        put_out.discard(out[0])
-    return results
+            given = function.instruction_input(k)
+        if code == ca.OP_INPUT:
+            work[out[0]] = first[given[0]] + given[1]
+        elif code == ca.OP_OUTPUT:
+            results[out[0]][filled[out[0]][out[1]]] = work[given[0]]
+        else:
+            operations.append((code, *(work[place] for place in given)))
+            work[out[0]] = first[-1] + len(operations) - 1
+    inputs = tuple(function.nnz_in(i) for i in range(function.n_in()))
+    return Program(inputs, tuple(operations), tuple(map(tuple, results))), numbers
 
 
 def to_operations(function: ca.Function) -> tuple[list[str], list[Entries]]:
@@ -80,25 +143,21 @@ def to_operations(function: ca.Function) -> tuple[list[str], list[Entries]]:
     expanded = _expanded(function)
     if expanded.n_instructions() > MOST_OPERATIONS:
         raise ValueError(f"have {expanded.n_instructions()} operations; accepted: up to {MOST_OPERATIONS}")
-    first = [0]
-    for i in range(expanded.n_in()):
-        first.append(first[-1] + expanded.numel_in(i))
-    operations, depths = list[str](), [0] * first[-1]
-
-    def add(depth: int, *words: object) -> int:
-        operations.append(" ".join(map(str, words)))
-        depths.append(depth)
-        return len(depths) - 1
-
-    def apply(code: int, places: list[int], _: bool) -> int:
-        name = _named(code, function)
-        places = places[: 1 if name in ONE_ARGUMENT else 2]
-        return add(1 + max(depths[place] for place in places), name, *places)
-
-    results = interpret(expanded, lambda i, entry: first[i] + entry, lambda value: add(0, CONSTANT, repr(value)), apply)
+    program, numbers = read(expanded)
+    count, following = sum(program.inputs), iter(numbers)
+    operations, depths = list[str](), [0] * count
+    for code, *places in program.operations:
+        if code == ca.OP_CONST:
+            operations.append(f"{CONSTANT} {next(following)!r}")
+            depths.append(0)
+        else:
+            name = _named(code, function)
+            places = places[: 1 if name in ONE_ARGUMENT else 2]
+            operations.append(" ".join(map(str, (name, *places))))
+            depths.append(1 + max(depths[place] for place in places))
     if max(depths, default=0) > MOST_DEPTH:
         raise ValueError(f"have {max(depths)} operations one upon the other; accepted: up to {MOST_DEPTH}")
-    return operations, results
+    return operations, [list(entries) for entries in program.results]
 
 
 def _expanded(function: ca.Function) -> ca.Function:

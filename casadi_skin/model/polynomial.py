@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.model.operations import NAMES, interpret
+from casadi_skin.model.operations import NAMES, Program, operated, read
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -51,11 +50,18 @@ def polynomial_terms(expression: ca.SX, state: ca.SX, parameter: ca.SX) -> tuple
 
     Raises NotPolynomialError naming the operation that is none.
     """
+    read_in = read(ca.Function("polynomial", [state, parameter], [ca.densify(expression)]))
+    return terms_of_results(*read_in, state.numel())[0]
+
+
+def terms_of_results(program: Program, numbers: Sequence[float], states: int) -> list[tuple[Monomials, ...]]:
+    """The same of all results of a program of `states` and one parameter, its last argument."""
+    found = _Ring((), _product, float, MAX_TERMS).polynomials(program, numbers, lambda k: {(k,): 1.0})
+    return [_grouped(components, states) for components in found]
+
+
+def _grouped(components: Iterable[_Polynomial], last: int) -> tuple[Monomials, ...]:
     groups: dict[tuple[int, int], list[tuple[int, float, tuple[int, ...]]]] = defaultdict(list)
-    last = state.numel()
-    components = _Ring((), _product, float, MAX_TERMS).polynomials(
-        expression, [state, parameter], lambda k: {(k,): 1.0}
-    )
     for row, terms in enumerate(components):
         for variables, coefficient in terms.items():
             states = tuple(v for v in variables if v < last)
@@ -95,7 +101,7 @@ def exact_terms(
             raise NotPolynomialError(f"{fixed[k - last].name()} is in the expression, which is no fraction")
         return {(): Fraction(value)} if value else {}
 
-    return list(_Ring((), _product, Fraction, MAX_TERMS).polynomials(expression, [variables, fixed], variable))
+    return _Ring((), _product, Fraction, MAX_TERMS).of_column(expression, [variables, fixed], variable)
 
 
 def constants(expression: ca.SX, inputs: list[ca.SX]) -> set[float]:
@@ -122,7 +128,7 @@ def homogeneous_parts(expression: ca.SX, state: ca.SX, fixed: ca.SX | None = Non
     constants = ca.SX(0, 1) if fixed is None else fixed
     n, symbols = state.numel(), ca.vertcat(state, constants)
     ring = _Ring(0, int.__add__, ca.SX)
-    entries = list(ring.polynomials(expression, [state, constants], lambda k: {int(k < n): symbols[k]}))
+    entries = ring.of_column(expression, [state, constants], lambda k: {int(k < n): symbols[k]})
     degrees = sorted({degree for entry in entries for degree in entry})
     parts = {d: ca.vertcat(*(entry.get(d, ca.SX(0)) for entry in entries)) for d in degrees}
     return {d: part for d, part in parts.items() if not part.is_zero()}
@@ -152,15 +158,18 @@ class _Ring:
     number: Callable[[Any], Any]
     most: int = sys.maxsize
 
-    def polynomials(
+    def of_column(
         self, expression: ca.SX, inputs: list[ca.SX], variable: Callable[[int], _Polynomial]
-    ) -> Iterator[_Polynomial]:
-        """The components of a column without coefficients 0; variables are numbered through all inputs."""
-        function = ca.Function("polynomial", inputs, [ca.densify(expression)])
-        first = np.cumsum([0, *(symbol.numel() for symbol in inputs)]).tolist()
-        (entries,) = interpret(function, lambda i, entry: variable(first[i] + entry), self._constant, self._apply)
-        for entry in entries:
-            yield {k: c for k, c in (entry or {}).items() if isinstance(c, ca.SX) or c != 0}
+    ) -> list[_Polynomial]:
+        """The components of a column; variables are numbered through all inputs."""
+        return self.polynomials(*read(ca.Function("polynomial", inputs, [ca.densify(expression)])), variable)[0]
+
+    def polynomials(
+        self, program: Program, numbers: Sequence[float], variable: Callable[[int], _Polynomial]
+    ) -> list[list[_Polynomial]]:
+        """The entries of the results of a program without coefficients 0."""
+        results = program.evaluated(variable, map(self._constant, numbers), self._apply)
+        return [[{k: c for k, c in (e or {}).items() if isinstance(c, ca.SX) or c != 0} for e in r] for r in results]
 
     def _constant(self, value: Any) -> _Polynomial:
         return {self.unit: self.number(value)} if value else {}
@@ -205,9 +214,8 @@ class _Ring:
                 power = self._multiply(power, a)
             return power
         constants = [polynomial.get(self.unit, ca.SX(0)) for polynomial in arguments if set(polynomial) <= {self.unit}]
-        operate: Any = ca.SX.unary if len(arguments) == 1 else ca.SX.binary
         if self.number is ca.SX and len(constants) == len(arguments):  # expressions in what is fixed
-            return {self.unit: operate(operation, *constants)}
+            return {self.unit: operated(operation, constants)}
         names = dict.fromkeys((ca.OP_DIV, ca.OP_INV), "a division by a variable") | dict.fromkeys(powers, "a power")
         name = names.get(operation, NAMES.get(operation, f"operation {operation} of CasADi"))
         raise NotPolynomialError(f"{name} is in the expression")
@@ -222,69 +230,3 @@ def _sum(total: _Polynomial, terms: _Polynomial, factor: Any) -> _Polynomial:
         scaled = coefficient if factor == 1 else factor * coefficient
         total[key] = total[key] + scaled if key in total else scaled
     return total
-
-
-# Expressions with their numbers as symbols: models that differ in numbers alone share functions -----------------------
-
-Instruction = tuple[int, tuple[int, ...], tuple[int, ...]]  # operation, outputs, inputs
-
-
-@dataclass(frozen=True)
-class Program:
-    """The instructions of a function of scalars, without the numbers in it.
-
-    `inputs` and `outputs` count the elements of each argument and result, `numbers` those that were taken out, and
-    `work` the places for values in between.
-    """
-
-    inputs: tuple[int, ...]
-    numbers: int
-    outputs: tuple[int, ...]
-    work: int
-    instructions: tuple[Instruction, ...]
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    @cached_property
-    def _hash(self) -> int:
-        """Taken once: instructions are many."""
-        return hash((self.inputs, self.numbers, self.outputs, self.work, self.instructions))
-
-    def expressions(self, inputs: Sequence[ca.SX], numbers: ca.SX) -> list[ca.SX]:
-        """The results as columns of expressions in arguments, and in symbols that stand for the numbers."""
-        work: list[ca.SX] = [ca.SX(0)] * self.work
-        results = [[ca.SX(0)] * count for count in self.outputs]
-        used = 0
-        for operation, out, into in self.instructions:
-            if operation == ca.OP_INPUT:
-                work[out[0]] = inputs[into[0]][into[1]]
-            elif operation == ca.OP_OUTPUT:
-                results[out[0]][out[1]] = work[into[0]]
-            elif operation == ca.OP_CONST:
-                work[out[0]] = numbers[used]
-                used += 1
-            elif len(into) == 1:
-                work[out[0]] = ca.SX.unary(operation, work[into[0]])
-            else:
-                work[out[0]] = ca.SX.binary(operation, work[into[0]], work[into[1]])
-        return [ca.vertcat(*entries) for entries in results]
-
-
-def lifted(inputs: Sequence[ca.SX], results: Sequence[ca.SX], most: int) -> tuple[Program, Array] | None:
-    """The program of dense columns, and its numbers; None where it has more than `most` instructions."""
-    function = ca.Function("lifted", list(inputs), [ca.densify(result) for result in results])
-    if function.n_instructions() > most:
-        return None
-    instructions: list[Instruction] = []
-    numbers: list[float] = []
-    for k in range(function.n_instructions()):
-        operation = function.instruction_id(k)
-        if operation == ca.OP_CONST:
-            numbers.append(function.instruction_constant(k))
-            into: tuple[int, ...] = ()
-        else:
-            into = tuple(function.instruction_input(k))
-        instructions.append((operation, tuple(function.instruction_output(k)), into))
-    sizes = tuple(function.nnz_in(i) for i in range(len(inputs))), len(numbers), tuple(int(r.numel()) for r in results)
-    return Program(*sizes, int(function.sz_w()), tuple(instructions)), np.array(numbers)

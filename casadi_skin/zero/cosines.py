@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.polynomial import Monomials, Program, lifted, polynomial_terms
+from casadi_skin.model.operations import Program, read
+from casadi_skin.model.polynomial import Monomials, terms_of_results
 from casadi_skin.native import Structure, TaylorKernel, kernels
 from casadi_skin.zero.problem import (
     EPSILON,
@@ -105,8 +106,8 @@ class PolynomialForm:
 
 @lru_cache(maxsize=8)
 def _form(model: OdeModel) -> PolynomialForm:
-    force, norm = (polynomial_terms(e, model.state, model.parameters) for e in (model.rhs, model.normalisation))
-    return PolynomialForm(force, norm)
+    program, numbers = _program(model)
+    return PolynomialForm(*terms_of_results(program, numbers.tolist(), model.size))
 
 
 class Recursion(Protocol):
@@ -335,7 +336,7 @@ def _second_derivative(values: ca.MX) -> ca.MX:
 
 # The problem of a family ------------------------------------------------------------------------------------------
 
-# Instructions of a model up to which it is worth while to compare them with those of others.
+# Operations of a model up to which it is worth while to compare them with those of others.
 LONGEST_COMPARED_PROGRAM = 4000
 KEPT_RESOLUTIONS = 32  # resolutions of models whose functions are kept
 ALIASING_FACTOR = 4.0  # error of a coarser orbit per size of the harmonics that it leaves out: measured
@@ -351,10 +352,12 @@ def _sampling(harmonics: int, theta: bytes) -> Array:
 
 
 @lru_cache(maxsize=8)
-def _lifted(model: OdeModel) -> tuple[Program, Array] | None:
-    """The force and the normalisation of a model without their numbers, and these; None where they are long."""
-    symbols = [model.state, model.velocity, model.parameters]
-    return lifted(symbols, [model.rhs, model.normalisation], LONGEST_COMPARED_PROGRAM)
+def _program(model: OdeModel) -> tuple[Program, Array]:
+    """The force and the normalisation of a model, of its state and its parameter, without their numbers, and these."""
+    at_rest = ca.substitute(model.normalisation, model.velocity, ca.SX.zeros(model.size))
+    results = [ca.densify(model.rhs), ca.densify(at_rest)]
+    program, numbers = read(ca.Function("program", [model.state, model.parameters], results))
+    return program, np.array(numbers)
 
 
 @lru_cache(maxsize=8)
@@ -367,8 +370,9 @@ def _half_bandwidth(model: OdeModel) -> int:
 @lru_cache(maxsize=KEPT_RESOLUTIONS)
 def _equations_of(program: Program, harmonics: int, thread: int) -> CosineEquations:
     """Those of a thread: the arguments of functions are arrays of their own."""
-    symbols = [ca.SX.sym(name, size) for name, size in zip("qvpc", (*program.inputs, program.numbers), strict=True)]
-    return CosineEquations(harmonics, symbols, *program.expressions(symbols[:3], symbols[3]))
+    numbers = sum(code == ca.OP_CONST for code, *_ in program.operations)
+    q, p, c = (ca.SX.sym(name, size) for name, size in zip("qpc", (*program.inputs, numbers), strict=True))
+    return CosineEquations(harmonics, [q, ca.SX.sym("v", q.numel()), p, c], *program.expressions([q, p], c))
 
 
 class TrigonometricProblem(OrbitProblem):
@@ -415,10 +419,14 @@ class TrigonometricProblem(OrbitProblem):
     @cached_property
     def equations(self) -> CosineEquations:
         """The equations as functions, of z and `numbers`."""
-        lifted = _lifted(self.model)
-        if lifted is None:
+        if not self._shares:
             return self._own_equations()
-        return _equations_of(lifted[0], self.resolution, threading.get_ident())
+        return _equations_of(_program(self.model)[0], self.resolution, threading.get_ident())
+
+    @cached_property
+    def _shares(self) -> bool:
+        """Whether the program is short enough to be compared."""
+        return len(_program(self.model)[0].operations) <= LONGEST_COMPARED_PROGRAM
 
     @property
     def compiled(self) -> ca.Function:
@@ -426,8 +434,7 @@ class TrigonometricProblem(OrbitProblem):
 
     @cached_property
     def numbers(self) -> Array:
-        lifted = _lifted(self.model)
-        return self.constants if lifted is None else lifted[1]
+        return _program(self.model)[1] if self._shares else self.constants
 
     @property
     def shared(self) -> dict[Any, Any]:
