@@ -14,12 +14,13 @@ import sys
 from collections.abc import Iterable, Mapping
 from functools import cache
 from types import MappingProxyType, NoneType, UnionType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 from msgspec import Meta, Struct, field
 
 from casadi_skin.model import methods
+from casadi_skin.model.methods import Continuation, Corrector, Flow, Format, Integrator, Tail, Transcription
 from casadi_skin.optimise.names import FREE, NAMED
 
 AMPLITUDE = "S"  # the parameter of branches that leave families
@@ -59,22 +60,6 @@ CPart = Literal["rhs", "jacobian", "variational", "flow", "residual", "newton", 
 PRESETS: tuple[str, ...] = get_args(Preset)
 LEAVING: tuple[str, ...] = get_args(Leaving)  # the same as in points.diagram, which loads numerics
 C_PARTS: tuple[str, ...] = get_args(CPart)  # the same as in export, which loads numerics
-if TYPE_CHECKING:
-    Transcription: TypeAlias = str
-    Corrector: TypeAlias = str
-    Walker: TypeAlias = str
-    Flow: TypeAlias = str
-    Tail: TypeAlias = str
-    Evolver: TypeAlias = str
-    Format: TypeAlias = str
-else:  # the names of methods are those of the one registry
-    Transcription = Literal[tuple(methods.TRANSCRIPTIONS)]
-    Corrector = Literal[tuple(methods.CORRECTORS)]
-    Walker = Literal[tuple(methods.CONTINUATIONS)]
-    Flow = Literal[tuple(dict.fromkeys((*methods.FLOWS, *methods.FULL_PERIOD_FLOWS)))]
-    Tail = Literal[methods.TAILS]
-    Evolver = Literal[tuple(methods.INTEGRATORS)]
-    Format = Literal[methods.FORMATS]
 
 
 # The words of keys ----------------------------------------------------------------------------------------------------
@@ -443,7 +428,7 @@ class DynamicsTable(Table, frozen=True):
     duration: Positive | None = None
     periods: Positive | None = None
     samples: Samples | None = None
-    method: Evolver = "cvodes"
+    method: Integrator = "cvodes"
     tolerance: Tolerance = 1e-11
     size: Positive | None = None
     site: Mode | None = None
@@ -624,7 +609,7 @@ class MethodTable(Table, frozen=True):
     degree: Annotated[int, Meta(ge=1, le=12)] | None = None
     intervals: Intervals | None = None
     corrector: Corrector = "ipopt"
-    walker: Walker | None = None
+    walker: Continuation | None = None
     flow: Flow | None = None
     tail: Tail | None = None
 

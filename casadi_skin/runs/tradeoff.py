@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import math
 import pickle
+import re
+import resource
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -279,18 +281,14 @@ def measure(family: FamilyRequest, setting: Setting, reference: Reference, repea
 
 
 def peak_memory(task: tuple[FamilyRequest | None, bool] = (None, False), *_: object) -> float:
-    """Peak resident memory of this process in MB, once it has followed a family; nan where no system reports it."""
+    """Peak resident memory of this process in MB, once it has followed a family."""
     family, stability = task
     if family is not None:
         followed(Family(family), stability)
     status = Path("/proc/self/status")  # getrusage counts the memory of the process that started this one, too
-    if status.exists():
-        lines = dict(line.split(":", 1) for line in status.read_text(encoding="utf-8").splitlines() if ":" in line)
-        return 1.024e-3 * int(lines["VmHWM"].split()[0]) if "VmHWM" in lines else nan
-    if sys.platform == "win32":
-        return nan
-    import resource
-
+    peak = re.search(r"VmHWM:\s*(\d+)", status.read_text(encoding="utf-8")) if status.exists() else None
+    if peak is not None:
+        return 1.024e-3 * int(peak[1])
     return (1e-6 if sys.platform == "darwin" else 1.024e-3) * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 

@@ -350,12 +350,11 @@ class Method:
     stability_sites: int | None = None
 
     def __post_init__(self) -> None:
-        flows = (*methods.FLOWS, *(name for name in methods.FULL_PERIOD_FLOWS if name not in methods.FLOWS))
         for name, accepted in (
             ("transcription", tuple(methods.TRANSCRIPTIONS)),
             ("corrector", tuple(methods.CORRECTORS)),
             ("walker", tuple(methods.CONTINUATIONS)),
-            ("flow", flows),
+            ("flow", tuple(methods.ALL_FLOWS)),
             ("tail", methods.TAILS),
         ):
             given = getattr(self, name)
