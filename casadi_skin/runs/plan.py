@@ -5,8 +5,9 @@ That of the usual families of a chain is known from the scene alone; numerics ar
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -25,6 +26,7 @@ from casadi_skin.runs.scene import (
 
 if TYPE_CHECKING:
     from casadi_skin.follow.family import Family
+    from casadi_skin.lattice.lattice import Lattice, LongLattice
     from casadi_skin.model.conserved import SymmetryClass
     from casadi_skin.runs.request import Request
     from casadi_skin.zero.settings import Point
@@ -39,6 +41,8 @@ UNKNOWNS = {
     methods.TRIGONOMETRIC: "positions only, as odd cosines",
     methods.SHOOTING: "positions and velocities, integrated by CVODES",
 }
+ZERO_SQUARE_RATIO = 1e-13  # of the largest omega^2: smaller ones are 0
+MOST_MODES = 600  # whose frequencies a plan computes at once
 TYPICAL_SAMPLES = (60, 450)  # orbits of a family that its changes of stability are sought with
 MEASURED_POINTS = 8  # at the begin of a family
 TYPICAL_POINTS = (15, 150)  # a family, from interior modes of short chains to end modes of long or steep ones
@@ -160,8 +164,6 @@ def _model_lines(request: Request) -> Lines:
     if request.scene.chain is not None:
         return [_chain_line(model.sites, model.alpha, model.gamma, model.g)]
     if request.scene.lattice is not None:
-        from casadi_skin.runs.lattices import lattice_lines, long_lattice_lines
-
         lattice = request.scene.lattice
         return long_lattice_lines(model) if lattice.long else lattice_lines(model, request.parameters)
     words = {
@@ -227,6 +229,68 @@ def _measured(request: Request, family: Family) -> Lines:
 def _timed(act: Callable[[], Result]) -> tuple[Result, float]:
     started = time.perf_counter()
     return act(), time.perf_counter() - started
+
+
+# Lattices -----------------------------------------------------------------------------------------------------------
+
+
+def lattice_lines(lattice: Lattice, parameters: Mapping[str, float]) -> Lines:
+    """The declaration of a lattice, and the properties found in it."""
+    declared = lattice.declaration
+    size = f"{' x '.join(map(str, declared.cells))} cells of {len(declared.sites)}, {declared.size} sites"
+    by_cell = f"; by cell {', '.join(declared.by_cell)}" if declared.by_cell else ""
+    return [
+        ("lattice", f"{size}, {len(declared.bonds)} bonds a cell; ends {', '.join(declared.boundary)}"),
+        ("parameters", (named(parameters) or "none") + by_cell),
+        *lattice.structure.lines(),
+        ("linear", _linear(lattice, parameters)),
+    ]
+
+
+def _linear(lattice: Lattice, parameters: Mapping[str, float]) -> str:
+    """Frequencies about rest without damping and drives, the digits that they lose, and bands and gaps of the cell."""
+    import numpy as np
+
+    from casadi_skin.lattice.linear import REAL_SQUARE_RTOL, bands, lattice_modes
+
+    words = []
+    if lattice.declaration.size <= MOST_MODES:
+        modes = lattice_modes(lattice, parameters)
+        squares = modes.squares
+        words.append(f"omega {_from_to(squares.real.min(), squares.real.max())}")
+        if not modes.real:
+            count = int(np.sum(np.abs(squares.imag) > REAL_SQUARE_RTOL * np.max(np.abs(squares))))
+            words[0] += f"; {count} of {squares.size} omega^2 are complex: it has no families"
+        lost = np.log10(np.max(1.0 / np.abs(np.sum(modes.left * modes.right, axis=0))))
+        if lattice.structure.log_weights is None and lost >= 1.0:
+            words.append(f"left and right modes differ so that about {lost:.0f} digits of them are lost")
+    if not lattice.declaration.differing:
+        found = bands(lattice, parameters)
+        low, high = found.squares.real.min(axis=0), found.squares.real.max(axis=0)
+        ring = "" if lattice.structure.log_weights is not None else "real part of a ring's "
+        words.append(f"{ring}bands {', '.join(_from_to(a, b) for a, b in zip(low, high, strict=True))}")
+        gaps = [_from_to(a, b) for a, b in found.gaps]
+        words.append(f"gaps {', '.join(gaps)}" if gaps else "no gap")
+    return "; ".join(words) or f"not computed for more than {MOST_MODES} sites that differ"
+
+
+def _from_to(low: float, high: float) -> str:
+    """Ends of a range of omega^2 as those of omega, imaginary where omega^2 < 0."""
+    zero = ZERO_SQUARE_RATIO * max(abs(low), abs(high))
+    ends = (f"{math.sqrt(abs(end)):.6g}{'i' if end < -zero else ''}" if abs(end) > zero else "0" for end in (low, high))
+    return "from " + " to ".join(ends)
+
+
+def long_lattice_lines(lattice: LongLattice) -> Lines:
+    """A lattice with a linear tail, and the linear modes at its edge."""
+    modes = [f"{math.sqrt(mode.square):.6g}{' (pinned to a band)' if mode.pinned else ''}" for mode in lattice.modes]
+    edge = "last" if lattice.at_last else "first"
+    sites = f"{lattice.cells} cells of {len(lattice.sites)}, {len(lattice.bonds)} bonds a cell"
+    return [
+        ("lattice", f"{sites}; ends {lattice.boundary}; a linear tail behind the {edge} cells"),
+        ("parameters", named(dict(lattice.parameters)) or "none"),
+        ("edge modes", ", ".join(modes) or "none"),
+    ]
 
 
 # Equilibria -----------------------------------------------------------------------------------------------------------

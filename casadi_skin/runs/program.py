@@ -231,7 +231,7 @@ def spectrum(arguments: argparse.Namespace) -> int:
             raise InputError(f"{arguments.scene}: {error}") from error
         if arguments.out is not None:
             from casadi_skin.runs.directory import Existing, prepare
-            from casadi_skin.runs.run import write_spectrum
+            from casadi_skin.runs.tasks import write_spectrum
 
             prepare(arguments.out, request, text, Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE)
             write_spectrum(request, arguments.out)

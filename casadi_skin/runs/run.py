@@ -19,7 +19,7 @@ from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS, SolutionSpace
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.results import figures
-from casadi_skin.results.dataset import dataset_of, write_columns, write_csv, write_netcdf
+from casadi_skin.results.dataset import dataset_of, write_csv, write_netcdf
 from casadi_skin.results.quantities import Cell, Place, certified, columns_of, csv_row, places_of
 from casadi_skin.results.tables import (
     EVENT_COLUMNS,
@@ -39,7 +39,6 @@ from casadi_skin.runs.parts import ended_well, mode_of, origin, picture
 from casadi_skin.runs.request import Request
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.kinds import count_in_words
-from casadi_skin.zero.model_coordinates import linear_frequencies
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -127,6 +126,8 @@ class Run(Branches):
             renew(self.directory, self.request, self.scene_text)
             self.failures.append(f"{self.directory}: was removed during the run; what was computed is there again")
         if self.request.scene.spectrum is not None:
+            from casadi_skin.runs.tasks import write_spectrum
+
             write_spectrum(self.request, self.directory)
         branches = [branch for branch in self.branches if len(branch)]
         if not branches:
@@ -275,18 +276,6 @@ def _edge_rows(mode: int, listed: str, number: int, curve: EdgeCurve) -> Iterato
     for k in range(len(curve)):
         values: dict[str, Cell] = {name: values[k].item() for name, values in columns.items()}
         yield {"mode": mode, "edge": number, "kind": curve.kind, "table": listed, **values}
-
-
-def write_spectrum(request: Request, directory: Path) -> None:
-    """spectrum.csv and the picture of the linear spectrum; of a lattice also where modes live, and its bands."""
-    if request.scene.lattice is not None:
-        from casadi_skin.runs.lattices import write_lattice_spectrum
-
-        write_lattice_spectrum(request.scene, request.model, request.parameters, directory)
-        return
-    frequencies = linear_frequencies(request.model, request.parameters)
-    write_columns(directory / "spectrum.csv", {"mode": np.arange(len(frequencies)) + 1, "omega": frequencies})
-    picture(request.scene, directory / "spectrum", figures.spectrum_figure, request.model, request.parameters)
 
 
 # The summary on standard output ---------------------------------------------------------------------------------------

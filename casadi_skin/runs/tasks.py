@@ -1,4 +1,6 @@
-"""The tasks of a scene beside its branches: time evolution, a search, exports. Each is planned, run, and put in words.
+"""The tasks of a scene beside its branches: time evolution, a search, exports, each planned, run, and put in words.
+
+The files of the linear spectrum are written here, too.
 
 What one of them alone needs is loaded when it is run: a scene that asks for none of them loads nothing of it.
 """
@@ -7,7 +9,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -18,8 +20,10 @@ import numpy as np
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.closed_forms import Array
+from casadi_skin.lattice.declaration import CELL_INDICES
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.model.interrupts import interrupts_deferred
+from casadi_skin.results import figures
 from casadi_skin.results.dataset import Dataset, write_columns, write_netcdf
 from casadi_skin.results.figures.style import number
 from casadi_skin.runs.branches import Branches
@@ -228,7 +232,6 @@ def _origin_of(orbit: Orbit | None, dynamics: DynamicsTable) -> tuple[dict[str, 
 
 def _write_spreading(scene: Scene, found: Spreading, lattice: Lattice, directory: Path) -> None:
     """spreading.csv, energies.csv and the picture of where the energy of a lattice is."""
-    from casadi_skin.lattice.declaration import CELL_INDICES
     from casadi_skin.results.figures.evolutions import spreading_figure
 
     centres = {f"centre_{name}": values for name, values in zip(CELL_INDICES, found.centre.T, strict=False)}
@@ -388,3 +391,49 @@ class Search(Task):
             near = result.nearest
             lines.append(f"nearest: from start {near.start.number}, {near.worst} off by {near.gap:.3g}")
         return lines
+
+
+# The linear spectrum; of a lattice also where modes live, bands of the cell, the skin effect -------------------------
+
+
+def write_spectrum(request: Request, directory: Path) -> None:
+    """spectrum.csv and the picture of the linear spectrum; of a lattice also where modes live, and its bands."""
+    if request.scene.lattice is not None:
+        _write_lattice_spectrum(request.scene, request.model, request.parameters, directory)
+        return
+    from casadi_skin.zero.model_coordinates import linear_frequencies
+
+    frequencies = linear_frequencies(request.model, request.parameters)
+    write_columns(directory / "spectrum.csv", {"mode": np.arange(len(frequencies)) + 1, "omega": frequencies})
+    picture(request.scene, directory / "spectrum", figures.spectrum_figure, request.model, request.parameters)
+
+
+def _write_lattice_spectrum(scene: Scene, lattice: Lattice, parameters: Mapping[str, float], directory: Path) -> None:
+    """spectrum.csv, where modes live, with pictures; where all cells are alike also bands and the skin effect."""
+    from casadi_skin.lattice.linear import bands, brillouin_zone, lattice_modes, winding_numbers
+    from casadi_skin.results.figures.bands import band_figure, skin_figure
+
+    modes, alike = lattice_modes(lattice, parameters), not lattice.declaration.differing
+    has_skin = alike and len(lattice.declaration.cells) == 1
+    if has_skin:
+        windings = winding_numbers(lattice, modes.squares, parameters)
+        sizes = np.abs(brillouin_zone(lattice, modes.squares, parameters)).mean(axis=1)
+    columns: dict[str, Any] = {"mode": np.arange(modes.frequencies.size) + 1}
+    columns |= {"omega": modes.frequencies.real, "growth": modes.frequencies.imag}
+    columns |= {"participation": modes.participation, "left_participation": modes.left_participation}
+    for name, centre, decay in zip(CELL_INDICES, modes.centre.T, modes.decay.T, strict=False):
+        columns |= {f"centre_{name}": centre, f"decay_{name}": decay}
+    if has_skin:
+        columns |= {"winding_number": windings, "beta": sizes}
+    write_columns(directory / "spectrum.csv", columns)
+    if has_skin:
+        picture(scene, directory / "skin", skin_figure, lattice, parameters)
+    if modes.real and lattice.order == 2:
+        picture(scene, directory / "spectrum", figures.spectrum_figure, lattice, parameters)
+    if alike:
+        found = bands(lattice, parameters)
+        columns = {f"k_{name}": k for name, k in zip(CELL_INDICES, found.wave_numbers.T, strict=False)}
+        for b, squares in enumerate(found.squares.T, start=1):
+            columns |= {f"omega_squared_{b}": squares.real, f"imaginary_part_{b}": squares.imag}
+        write_columns(directory / "bands.csv", columns)
+        picture(scene, directory / "bands", band_figure, lattice, parameters)
