@@ -35,7 +35,7 @@ from casadi_skin.runs.directory import (
 )
 from casadi_skin.runs.map_cell import LOST, Computer, Result, check_quantities, compute
 from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Cells, Grid, Task, needed, plain, scene_at
-from casadi_skin.runs.map_lines import boundaries, check_boundary
+from casadi_skin.runs.map_lines import boundaries
 from casadi_skin.runs.map_result import DONE, FAILED, MOST_ATTEMPTS, WATCHED, Map
 from casadi_skin.runs.output import Progress
 from casadi_skin.runs.parts import origin
@@ -211,7 +211,6 @@ class MapRun:
             self.grid = Grid.of(self.scene)
             self.request = bind(self.scene, self.path)
             check_quantities(self.request, self.grid)
-            check_boundary(self.scene, self.grid)
             named = [pair for pair in self.grid.settings(0) if pair[0][:2] == ("model", "parameters")]
             if named:  # names of the model's parameters
                 bind(scene_at(plain(self.scene), named), self.path)
@@ -440,7 +439,6 @@ def map_lines(scene: Scene, request: Request, path: Path) -> list[tuple[str, str
     """Pairs (subject, text) that describe the map of a scene; raises SceneError for one that cannot be meant."""
     grid, table = Grid.of(scene), scene.map
     check_quantities(request, grid)
-    check_boundary(scene, grid)
     assert table is not None
     cells = grid.coarsest
     families = grid.families(cells)

@@ -21,10 +21,9 @@ from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.runs.binding import Files, bind
 from casadi_skin.runs.first_solution import first_solution
 from casadi_skin.runs.map_cell import followed
-from casadi_skin.runs.map_grid import Axis, Cells, Grid, Settings, plain, scene_at
+from casadi_skin.runs.map_grid import Axis, Cells, Settings, plain, scene_at
 from casadi_skin.runs.map_result import DONE, UNKNOWN, Lines, Map
 from casadi_skin.runs.request import Request
-from casadi_skin.runs.rules import SceneError
 from casadi_skin.runs.scene import Scene
 from casadi_skin.zero.kinds import EDGE, FOLD, HOPF
 
@@ -35,27 +34,6 @@ MOST_STARTS = 24  # of curves in a plane
 LONGEST_CURVE_STEP = 0.05  # longest, of a curve
 Points = NDArray[np.float64]  # shape (points, 2)
 Pair = tuple[tuple[int, int], tuple[int, int]]  # places of two neighbouring cells in a plane
-
-
-def check_boundary(scene: Scene, grid: Grid) -> None:
-    """Raises SceneError for a map whose boundary of stability cannot be followed."""
-    if scene.map is None or not scene.map.boundary:
-        return
-    ranges = [i for i, axis in enumerate(grid.axes) if axis.numeric]
-    if len(ranges) != 2:
-        raise SceneError("[map] boundary: given without two ranges; accepted: beside two ranges")
-    if scene.family is not None:
-        if scene.stability is None or not scene.stability.events or grid.amplitude not in ranges:
-            words = "accepted: beside [family] a range of S, and [stability] with its events"
-            raise SceneError(f"[map] boundary: given without S or [stability]; {words}")
-        varied = [path for axis in grid.axes for path in axis.paths]
-        if isinstance(scene.family.mode, tuple) and len(scene.family.mode) > 1 and ("family", "mode") not in varied:
-            raise SceneError("[map] boundary: given with several families in a cell; accepted: one, or an axis mode")
-    elif scene.continuation is not None or (scene.equilibrium is None and scene.orbit is None):
-        words = "accepted: with [family], or with [equilibrium] or [orbit] alone"
-        raise SceneError(f"[map] boundary: given with a scene of other branches; {words}")
-    elif scene.orbit is not None and scene.stability is None:
-        raise SceneError("[map] boundary: given without [stability]; accepted: beside [orbit] with a [stability]")
 
 
 def boundaries(scene: Scene, path: Path, found: Map, report: Callable[[str], None]) -> Lines:

@@ -440,3 +440,19 @@ def _of_map(s: Seen) -> Rules:
     accepted = "with a whole number of sites: an infinite chain has no tongues to be followed"
     for name in ("growth", "boundary"):
         yield f"map {name}", getattr(table, name) and s.sites == math.inf and "with sites = inf", accepted
+    ranges = {name for name, axis in table.axes.items() if not isinstance(axis, tuple)}
+    yield "map boundary", len(ranges) != 2 and "without two ranges", "beside two ranges"
+    if s.family:
+        accepted = "beside [family] a range of S, and [stability] with its events"
+        known = s.stability.events and ranges & {"S", "family.S"}
+        yield "map boundary", not known and "without S or [stability]", accepted
+        moved = {part.strip() for name in table.axes for part in name.split(",")}
+        several = len(s.modes) > 1 and not moved & {"mode", "family.mode"}
+        yield "map boundary", several and "with several families in a cell", "one, or an axis mode"
+    else:
+        others, accepted = (
+            s.continuation or s.solution or s.search,
+            "with [family], or with [equilibrium] or [orbit] alone",
+        )
+        yield "map boundary", others and "with a scene of other branches", accepted
+        yield "map boundary", s.orbit and not s.stability and "without [stability]", "beside [orbit] with a [stability]"
