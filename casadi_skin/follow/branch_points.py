@@ -306,7 +306,7 @@ def interpolated(
     apart = abs((roots[1] - roots[0]) * rate) + near.error.relative(1.0)
     error = replace(near.error, parameter=float(apart))
     z = np.asarray(unknowns(roots[0]))
-    return roots[0], replace(near, z=z, error=error, better=None, requested=False, walked=False)
+    return roots[0], near.marked(near.special, z=z, error=error, better=None)
 
 
 # Branch points of boundary-value problems: where the Jacobian bordered by the tangent is singular --------------------

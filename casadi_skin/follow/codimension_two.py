@@ -182,7 +182,7 @@ class CurveSearch(Search):
     def found(self, stretch: SampledStretch, depth: int, last: bool) -> Sequence[Point] | None:
         if self._is_beyond(stretch):
             return ()
-        settled = stretch.settled.copy()
+        settled = stretch.isolates_roots.copy()
         settled[: stretch.leading] |= self._poles(stretch)
         ending = self._changed(stretch) & settled[: stretch.leading] & self._ends
         if depth >= NEAR_END and np.any(ending):
@@ -254,8 +254,7 @@ class CurveSearch(Search):
         length = self.solver.curve(before, after)[1]
         width = length * min(abs(beside.fraction - zero.fraction), 10.0 * TEST_ZERO_XTOL)
         moved = self.error(point, test, slope / length, width)
-        error = replace(point.error, parameter=moved)
-        return zero.fraction, replace(point, error=error, requested=False, walked=False, special=kind)
+        return zero.fraction, point.marked(kind, error=replace(point.error, parameter=moved))
 
 
 # Curves of equilibria -------------------------------------------------------------------------------------------------

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.normal_forms import critical_angle
 from casadi_skin.follow.search import Crossing, ExponentSampler, Sample, SampledStretch, Search, gap_between
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import snapped, target_of
@@ -29,7 +30,7 @@ from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.watch import TimeLimitError
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import FULL_TURN
-from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, KREIN, TORUS, Unresolved
+from casadi_skin.zero.kinds import CROSSING_KINDS, KREIN, Unresolved
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point
 
@@ -64,7 +65,7 @@ def at_requested_value(solution: Solution) -> Solution:
     nearest = complex(others[np.argmin(np.abs(solution.floquet().exponents.values.real))])
     if abs(np.log(abs(nearest))) > CRITICAL_LOG_MODULUS:
         return solution
-    kind = TORUS if nearest.imag else DOUBLING if nearest.real < 0.0 else BRANCH_POINT
+    kind = CROSSING_KINDS[2 if nearest.imag else int(nearest.real < 0.0)]
     found = special_orbit(cast(BoundarySpace, space), kind, point, abs(float(np.angle(nearest))))
     target = None if found is None else target_of(space, found)
     if found is None or target is None or target.value != point.parameter:
@@ -126,7 +127,7 @@ class _OrbitSearch(Search):
     def found(self, stretch: SampledStretch, depth: int, last: bool) -> Sequence[Event] | None:
         if not any(self.is_clear(sample.point) for sample in stretch.samples):
             return self.given_up(stretch)
-        if not np.all(stretch.settled):
+        if not np.all(stretch.isolates_roots):
             return None
         passages = list(self.passages(stretch))
         if not self.balanced(stretch, sum(passage.jump for passage in passages)):
@@ -201,7 +202,7 @@ class _Free(_OrbitSearch):
         return self.sampler.free(point)
 
     def passages(self, stretch: SampledStretch) -> Iterator[Crossing]:
-        yield from stretch.crossings((BRANCH_POINT, DOUBLING, TORUS))
+        yield from stretch.crossings(CROSSING_KINDS)
 
 
 class _Paired(_OrbitSearch):
@@ -274,8 +275,8 @@ class _Paired(_OrbitSearch):
         for k in np.flatnonzero(stretch.changed):
             passed = self.passed[groups[k]]
             jump = 1 if (g[-1, k] > 0.0) == (passed > 0.0) else -1
-            kind, angle = (BRANCH_POINT, 0.0) if passed > 0.0 else (DOUBLING, np.pi)
-            yield Crossing(int(k), kind, angle, jump)
+            kind = CROSSING_KINDS[int(passed < 0.0)]
+            yield Crossing(int(k), kind, critical_angle(kind), jump)
 
     def traces(self, point: Point) -> ComplexArray:
         here = self.sampler.exponents(self.own(point))[0]
@@ -382,7 +383,7 @@ class Ledger:
             return
         start, open_at_start = first.floquet().exponents.outside
         if special and not leaving and self._count is not None:
-            self._passed(before, self._count, start, _angle_of(before))
+            self._passed(before, self._count, start, critical_angle(before.point.special, before))
         self._count = start
         events, gaps = events_between(self.space, first, last)
         self.unresolved += gaps
@@ -429,12 +430,3 @@ class Ledger:
 
     def _name(self, before: Solution, after: Solution, reason: str) -> None:
         self.unresolved.append(gap_between(self.space, before.point, after.point, reason))
-
-
-def _angle_of(special: Solution) -> float:
-    """The angle of the multiplier that is on the circle at a special orbit."""
-    kind = special.point.special
-    if kind == TORUS:
-        others = special.floquet().others
-        return float(abs(np.angle(others[np.argmin(np.abs(np.abs(others) - 1.0))])))
-    return np.pi if kind == DOUBLING else 0.0

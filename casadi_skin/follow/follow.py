@@ -297,7 +297,7 @@ class BranchIterator:
         self.space, self._known, self.missed, self.unresolved = space, known, list(missed), list(unresolved)
         self.end: End | None = None
         self.detail = ""
-        self._settled = len(missed)  # targets that are known to be missed
+        self._known_misses = len(missed)  # targets that are known to be missed
 
     @cached_property
     def _continuation(self) -> Continuation:
@@ -412,7 +412,7 @@ class BranchIterator:
         if after is before:
             return []
         missed, last = self.missed, self.space.point_solver.settings.parameter_max
-        stretch = StretchPoints(self.space, before, after, points, missed[self._settled :])
+        stretch = StretchPoints(self.space, before, after, points, missed[self._known_misses :])
         try:
             found = stretch.points()
         except NotLocatedError as error:
@@ -422,8 +422,8 @@ class BranchIterator:
             words = still or f"{error}, {before.problem.describe_parameters(before.z)}"
             self.stop(End.STILL if still else End.NO_STEP, words)
             return []
-        missed[self._settled :] = stretch.missed
-        self._settled = len(missed)
+        missed[self._known_misses :] = stretch.missed
+        self._known_misses = len(missed)
         self.unresolved += [part for part in stretch.unresolved if part not in self.unresolved]
         if after is self._continuation.beyond and all(point.parameter != last for point in found):
             found = list(points)  # up to where the branch was followed

@@ -105,11 +105,11 @@ def _closed(point: SpecialPoint) -> Closure | None:
     return cast("Closure | None", closure)
 
 
-def critical_angle(kind: str, orbit: Solution) -> float:
-    """The angle of the critical multipliers; of pairs that of the complex one nearest to the unit circle."""
+def critical_angle(kind: str, orbit: Solution | None = None) -> float:
+    """The angle of the critical multipliers; of pairs, at an orbit, of the complex one nearest to the unit circle."""
     angle = kind_of(kind).angle
-    if angle is not None:
-        return angle
+    if orbit is None or angle is not None:
+        return angle or 0.0
     others = orbit.floquet().others
     upper = others[others.imag > 0.0]
     return abs(float(np.angle(upper[np.argmin(np.abs(np.abs(upper) - 1.0))])))

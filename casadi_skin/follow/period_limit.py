@@ -95,7 +95,7 @@ def _marked(space: SolutionSpace, orbit: Point, limit: Limit, period: Sequence[S
         z[orbit.problem.parameter_index] = space.fraction(limit.parameter)
     kind = HOMOCLINIC if len(places_of(space, period)) == 1 else HETEROCLINIC
     error = replace(orbit.error, parameter=limit.error / size + own)
-    return replace(orbit, z=z, error=error, special=kind, walked=False, requested=False)
+    return orbit.marked(kind, z=z, error=error)
 
 
 def _grows(after: Sequence[Stay], before: Sequence[Stay]) -> bool:

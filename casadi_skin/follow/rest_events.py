@@ -87,7 +87,7 @@ class Counts:
                 z = self.unknowns[k]
                 with suppress(SingularError):
                     tangent = solver.tangent(problem, z, solver.factor(problem, z, self.row))
-                    found.append(replace(self.before, z=z, tangent=tangent, walked=False, requested=False, special=""))
+                    found.append(self.before.marked("", z=z, tangent=tangent))
         return [point for point in found if not equations.sample(point).blurred]
 
     def violation(self, events: Sequence[Point]) -> tuple[int, int] | None:
@@ -283,7 +283,7 @@ class _Search(Search):
         kinds = [FOLD] * stretch.turns + [BRANCH_POINT] * stretch.reorients
         if set(kinds) == {FOLD, BRANCH_POINT} and not reals and (depth >= TOGETHER_DEPTH or last):
             kinds, reals = [BRANCH_POINT], [NO_CROSSING]  # where a branch leaves another one to one side
-        elif not (last or np.all(stretch.settled)):
+        elif not (last or np.all(stretch.isolates_roots)):
             return None
         if not (kinds or crossings):
             return ()
@@ -314,7 +314,7 @@ class _Search(Search):
         words = f"more than can be distinguished: {words}"
         self.gaps.append(_gap(self.equations, float(first.z[-1]), float(last.z[-1]), words, kinds[0]))
         error = replace(first.error, parameter=abs(float(last.z[-1] - first.z[-1])))
-        return [replace(first, error=error, walked=False, requested=False, special=kind) for kind in kinds]
+        return [first.marked(kind, error=error) for kind in kinds]
 
     def located(self, stretch: SampledStretch, kind: str, crossing: Crossing) -> tuple[float, float, Point] | None:
         """The special point of a kind at a crossing, with its place on the stretch and its frequency, or None."""

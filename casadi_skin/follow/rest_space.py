@@ -322,7 +322,7 @@ def curve_space(point: SpecialPoint, parameter: str, to: float, **options: Any) 
     started, or a branch point does not stay one.
     """
     solution = point.solution
-    if not solution.is_equilibrium or point.kind not in EQUILIBRIUM_CURVES or solution.space.free:
+    if not (solution.is_equilibrium and point.has_curve) or solution.space.free:
         raise ValueError(f"curve: given a {point.kind}; accepted: a fold, Hopf point or branch point of equilibria")
     check_second(point, parameter)
     settings = following_settings(solution, parameter, to, **options)

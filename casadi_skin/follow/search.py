@@ -3,8 +3,8 @@
 The quantities are the rate of the parameter, the real parts of eigenvalues, logarithms of multipliers, or monitors of
 users. Each is known with its derivative at both ends of a stretch and at a place between. A cubic through the ends
 predicts the value in between; by how much it fails there bounds the errors of the cubics through neighbouring samples,
-which have the shape 16 t^2 (1 - t)^2, 0 <= t <= 1, and the slope 32 t (1 - t) (1 - 2 t). A quantity is settled where no
-root, or one that is simple, is within that bound; the stretch is divided until all are.
+which have the shape 16 t^2 (1 - t)^2, 0 <= t <= 1, and the slope 32 t (1 - t) (1 - 2 t). The roots of a quantity are
+isolated where none, or one that is simple, is within that bound; the stretch is divided until all are.
 
 Multipliers mu_k, k = 1 ... m, the trivial ones left out, are smooth along the branch but where two of them meet.
 Where they move freely a sample holds, each of shape (m,),
@@ -240,7 +240,7 @@ class SampledStretch:
         return cubics, CUBIC_ERROR_BOUND * missed + COMMON_ERROR_MARGIN * np.ptp(cubics.values, axis=1, keepdims=True)
 
     @cached_property
-    def settled(self) -> NDArray[np.bool_]:
+    def isolates_roots(self) -> NDArray[np.bool_]:
         """Whether each quantity has no root within the bounds, or a simple one that shows at the ends."""
         g, _ = self.quantities
         cubics, bound = self._halves
@@ -275,7 +275,7 @@ class SampledStretch:
         """A place where a quantity of one sign at the samples seems to have the other one; None where there is none."""
         g, _ = self.quantities
         towards = _sign(g[0]) * self._halves[0].values
-        same = np.all(_sign(g) == _sign(g[0]), axis=0) & ~self.settled
+        same = np.all(_sign(g) == _sign(g[0]), axis=0) & ~self.isolates_roots
         least = np.where(same, np.min(towards, axis=(0, 1)) / np.maximum(np.max(np.abs(g), axis=0), 1e-300), 1.0)
         quantity = int(np.argmin(least))
         if least[quantity] > 0.0:
@@ -491,9 +491,7 @@ class Search(BranchStretch, ABC):
         rates = np.array([abs(value - zero.value) for _, value in others]) / np.maximum(moved, 1e-300)
         off = (abs(zero.value) + noise) / max(np.min(rates), 1e-300) / root.problem.parameter_size(root.z)
         error = float(min(off, stretch.reach(root)) + root.error.relative(1.0))
-        return replace(
-            root, error=replace(root.error, parameter=error), special=kind, walked=False, requested=False
-        )  # fmt: skip
+        return root.marked(kind, error=replace(root.error, parameter=error))
 
     def on_stretch(self) -> list[Any]:
         """Events on the stretch in order; `gaps` are the parts that are not resolved."""
@@ -743,7 +741,7 @@ class MonitorSearch(Search):
         return bool(np.all(inner | ~(changes & (first | last))))
 
     def found(self, stretch: SampledStretch, depth: int, last: bool) -> Sequence[Point] | None:
-        if not (last or np.all(stretch.settled)):
+        if not (last or np.all(stretch.isolates_roots)):
             return None
         (first, *_, g), end, events = stretch.quantities[0], self.own(stretch.last.point), list[Point]()
         for k in np.flatnonzero((np.sign(first) != np.sign(g)) & (first != 0.0)).tolist():
@@ -752,9 +750,9 @@ class MonitorSearch(Search):
             if event is None:
                 return None
             simple = min(noise / abs(first[k]), 1.0) if event is end else 0.0  # of the stretch, as where it is settled
-            least = stretch.reach(event) * (simple if stretch.settled[k] else 1.0)
+            least = stretch.reach(event) * (simple if stretch.isolates_roots[k] else 1.0)
             error = replace(event.error, parameter=max(event.error.parameter, least))
-            events.append(replace(event, error=error, special=self.names[k], walked=False, requested=False))
+            events.append(event.marked(self.names[k], error=error))
         return sorted(events, key=self.sigma)
 
     def _value(self, k: int, point: Point) -> float:

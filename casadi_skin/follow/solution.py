@@ -116,13 +116,16 @@ class Solution(Result):
         return at_instants(t, states[:, : len(self.space.state_names)])
 
     def __getitem__(self, name: str) -> float | Array:
-        """The value of a parameter, or the values of a state at `t`; raises KeyError for other names."""
-        names = self.space.state_names
-        if name in self.parameters:
-            return self.parameters[name]
-        if name not in names:
-            raise KeyError(f"{name}; known: {', '.join((*names, *self.parameters))}")
-        return self.states[:, names.index(name)]
+        """The value of a parameter, or of a state: at `t`, of an equilibrium one; raises KeyError for other names."""
+        known = self._named_states | self.parameters
+        if name not in known:
+            raise KeyError(f"{name}; known: {', '.join(known)}")
+        found: float | Array = known[name]
+        return found
+
+    @property
+    def _named_states(self) -> dict[str, Any]:
+        return dict(zip(self.space.state_names, self.states.T, strict=True))
 
     def value(self, name: str) -> float:
         """A quantity that the branch can be corrected at; exactly the requested value at a requested solution."""
@@ -296,14 +299,9 @@ class Equilibrium(Solution):
         """The state at any times, shape (time, component), or at one, shape (component,): it is the same at all."""
         return at_instants(t, np.tile(self.state, (instants(t).size, 1)))
 
-    def __getitem__(self, name: str) -> float | Array:
-        """The value of a parameter or of a state; raises KeyError for other names."""
-        if name in self.parameters:
-            return self.parameters[name]
-        names = self.model.state_names
-        if name not in names:
-            raise KeyError(f"{name}; known: {', '.join((*names, *self.parameters))}")
-        return float(self.state[names.index(name)])
+    @property
+    def _named_states(self) -> dict[str, Any]:
+        return dict(zip(self.model.state_names, map(float, self.state), strict=True))
 
     def centred_model(self) -> OdeModel:
         """The model in displacements from this state, which rests at 0: families grow from its linear modes.

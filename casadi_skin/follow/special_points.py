@@ -38,7 +38,7 @@ from casadi_skin.follow.space import SolutionSpace, corrector_of
 from casadi_skin.model.result import Result
 from casadi_skin.solve.levels import ExactLevels
 from casadi_skin.zero.augmented import Augmented, Singularity, SingularProblem, singular_rest, singularity_of
-from casadi_skin.zero.kinds import FOLD, HOPF, ORBIT_CURVES, TORUS, Unresolved, kind_of
+from casadi_skin.zero.kinds import EQUILIBRIUM_CURVES, FOLD, HOPF, ORBIT_CURVES, TORUS, Unresolved, kind_of
 from casadi_skin.zero.orbit import Sizes
 from casadi_skin.zero.problem import EPSILON, Array, Scalar, SingularError
 from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
@@ -89,7 +89,7 @@ class _Turns(Search):
         one, other = map(rate, ends)
         if max(abs(one), abs(other)) <= STILL_RATE:
             return []
-        if not (last or (np.all(stretch.settled) and not self._hides(stretch))):
+        if not (last or (np.all(stretch.isolates_roots) and not self._hides(stretch))):
             return None
         return [ends] if one * other < 0.0 else []
 
@@ -138,6 +138,12 @@ class SpecialPoint(Result):
     def __str__(self) -> str:
         """One line, as `repr`, also within other words."""
         return repr(self)
+
+    @property
+    def has_curve(self) -> bool:
+        """Whether points of its kind form curves in two parameters, where something keeps them."""
+        curves = EQUILIBRIUM_CURVES if self.solution.is_equilibrium else ORBIT_CURVES
+        return self.mu is None and self.kind in curves
 
     @property
     def has_criticality(self) -> bool:
@@ -389,7 +395,7 @@ def ending(
         z[place] = values.get(name, z[place])
     z[-1] = u
     error = replace(error, parameter=error.parameter / problem.parameter_size(z))
-    return replace(orbit, z=z, error=error, better=None, walked=False, requested=False, special=kind)
+    return orbit.marked(kind, z=z, error=error, better=None)
 
 
 def special_orbit(space: SolutionSpace, kind: str, near: Point, angle: float = np.pi) -> Point | None:
@@ -403,11 +409,9 @@ def special_orbit(space: SolutionSpace, kind: str, near: Point, angle: float = n
     special, start = located.point, space.statement.values[space.parameter]
     problem = space.levels.problem(special.problem.resolution).with_constants(special.problem.constants)
     z = np.append(special.z[: problem.size - 1], (located.value - start) / (space.to - start))
-    error = located.error / abs(space.to - start) / problem.parameter_size(z)
+    error = replace(special.error, parameter=located.error / abs(space.to - start) / problem.parameter_size(z))
     there, tangent = (near.problem.prolong(v, problem) for v in (near.z, near.tangent))
     if space.point_solver.distance(problem, there, z) > NEAR_STEP_FRACTION * space.point_solver.settings.max_step:
         return None
-    return replace(
-        near, problem=problem, z=z, tangent=tangent, error=replace(special.error, parameter=error), better=None,
-        special=kind, walked=False, requested=False, at_round_off=special.at_round_off,
-    )  # fmt: skip
+    known = {"problem": problem, "z": z, "tangent": tangent, "error": error, "at_round_off": special.at_round_off}
+    return near.marked(kind, better=None, **known)

@@ -32,7 +32,7 @@ from casadi_skin.stability.flows import FlowError
 from casadi_skin.stability.multipliers import POWERS_BY_FRACTION, orthogonal_complements, reduced_matrices
 from casadi_skin.stability.tongues.diagram import Place, StabilityDiagram, StabilityEdge
 from casadi_skin.zero.family import Targets
-from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, EDGE, Unresolved
+from casadi_skin.zero.kinds import EDGE, KINDS_BY_TURNS, Unresolved
 from casadi_skin.zero.problem import Array, Indices, Scalar, SingularError
 from casadi_skin.zero.rest import Course, Undiscretised
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point, Target
@@ -133,7 +133,7 @@ def edges_left(branch: Branch) -> Iterator[SpecialPoint | Unresolved]:
         if breaking is not None:
             if not breaking.lost:  # a branch of the same class crosses, where the equations are singular
                 orbit = between(branch, edge) or orbit
-            kind, values = BRANCH_POINT if breaking.turns == 1 else DOUBLING, {**orbit.parameters, "S": edge.S}
+            kind, values = KINDS_BY_TURNS[breaking.turns], {**orbit.parameters, "S": edge.S}
             yield SpecialPoint(kind, branch.space.parameter, values, edge.error, orbit, edge.mu)
 
 

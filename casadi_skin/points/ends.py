@@ -10,7 +10,7 @@ import numpy as np
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import ending, special_orbit
 from casadi_skin.zero import mesh
-from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING
+from casadi_skin.zero.kinds import BRANCH_POINT, KINDS_BY_TURNS
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import PERIOD, stated
@@ -66,8 +66,7 @@ class Left:
 
     def _end(self, own: SolutionSpace, near: Point) -> Point | None:
         """The special orbit of those that were left near an orbit, as one of the branch that comes back."""
-        kind = DOUBLING if self.turns == 2 else BRANCH_POINT
-        found = special_orbit(self.space, kind, self._mean(own, near))
+        found = special_orbit(self.space, KINDS_BY_TURNS[self.turns], self._mean(own, near))
         if found is None:
             return None
         turned = self.turns * stated(near.problem)._fractions()

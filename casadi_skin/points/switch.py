@@ -18,7 +18,7 @@ from casadi_skin.model.arguments import duration
 from casadi_skin.points.leaving import DEFAULT_TOLERANCE, born_at, leaving_solutions
 from casadi_skin.points.lost_symmetry import breaking_space, start_of
 from casadi_skin.zero.family import MAX_POINTS
-from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLING, HOPF
+from casadi_skin.zero.kinds import HOPF, kind_of
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest import (
     ROUNDED_COMPONENT_RATIO,
@@ -101,10 +101,9 @@ def leaving_space(
         raise ValueError(f"side: given {side!r}; accepted: 1 or -1")
     if point.kind == HOPF and solution.is_orbit:
         return following_space(_at_rest(solution), parameter, to, **options)
-    of_family = point.mu is not None and solution.is_orbit
-    of_equilibria = point.kind == HOPF and solution.is_equilibrium
-    of_orbits = point.kind == DOUBLING and not solution.is_equilibrium
-    if not (of_family or of_equilibria or of_orbits or point.kind == BRANCH_POINT):
+    of_family, rests = point.mu is not None and solution.is_orbit, solution.is_equilibrium
+    born, turns = point.kind == HOPF and rests, kind_of(point.kind).turns
+    if not (of_family or born or turns == 1 or (turns and not rests)):
         accepted = "a Hopf point of equilibria, a period doubling, or a branch point"
         raise ValueError(f"follow: given a {point.kind} of {_kind_of(solution)}; accepted: {accepted}")
     start = start_of(solution) if of_family else solution
@@ -113,9 +112,9 @@ def leaving_space(
     to, at = float(to), tuple(float(value) for value in options["at"])
     if of_family:
         return breaking_space(solution, point.mu, parameter, to, at, both, side, start)  # type: ignore[arg-type]
-    if not solution.is_equilibrium:
-        return leaving_solutions(solution, 2 if of_orbits else 1, parameter, to, at, both, side)
-    if of_equilibria:
+    if not rests:
+        return leaving_solutions(solution, turns, parameter, to, at, both, side)
+    if born:
         statics = Statics(solution.space.model, solution.parameters)
         return born_at(statics, _seen(solution), parameter, to, at, both, tolerance)
     return other_branch(point, parameter, to, at, settings, side)

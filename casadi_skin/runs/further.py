@@ -20,7 +20,7 @@ from casadi_skin.results.saving import restored, saved
 from casadi_skin.runs.output import Progress
 from casadi_skin.runs.parts import Offshoots, ended_well, mode_of
 from casadi_skin.runs.scene import ContinuationTable
-from casadi_skin.zero.kinds import EQUILIBRIUM_CURVES, HOPF, ORBIT_CURVES
+from casadi_skin.zero.kinds import HOPF
 from casadi_skin.zero.settings import End
 
 EVENTS_FILE, FURTHER_EVENTS_FILE = "events.csv", "further_events.csv"  # where edges are listed
@@ -130,9 +130,7 @@ def further_spaces(
     curves = list[Branch]()
     for place, point in further.reached:
         passed = any(_passes(curve, point) for curve in curves)
-        has_curve = point.mu is None and point.kind in {*EQUILIBRIUM_CURVES, *ORBIT_CURVES}
-        at_rest = point.kind == HOPF and point.solution.is_orbit  # cycles have shrunk: their own branch has the curve
-        if table.curve is not None and has_curve and not at_rest and not passed:
+        if table.curve is not None and point.has_curve and not passed:
             try:
                 space = curve_space(point, table.curve.parameter, table.curve.to, at=(), **options)
                 yield f"{CURVE}{place}", space

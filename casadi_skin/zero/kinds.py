@@ -14,6 +14,7 @@ import numpy as np
 from casadi_skin.zero.settings import End
 
 FOLD, HOPF, BRANCH_POINT, DOUBLING, TORUS = "fold", "hopf", "branch point", "period doubling", "torus"
+CROSSING_KINDS = BRANCH_POINT, DOUBLING, TORUS  # of a multiplier at 1, at -1, and of a pair
 HOMOCLINIC, HETEROCLINIC = "homoclinic", "heteroclinic"
 BOUND = "bound"  # on a state or a free parameter, which a branch comes to
 EDGE = "edge of a tongue"  # of instability of a family
@@ -52,6 +53,7 @@ class Kind:
         changes: by which they may change the number of unstable eigenvalues of equilibria.
         shape: of G in the augmented problem (see `augmented`): numbers of left and of right null vectors.
         angle: of the critical multipliers; None of pairs, which have any.
+        turns: of the orbits that leave them; 0 where none do.
         sides: halves of the branch that leaves them that differ from each other; empty where none is followed.
         of_equilibria, of_orbits: what curves of them in two parameters meet; None where they are none of these.
     """
@@ -61,6 +63,7 @@ class Kind:
     changes: tuple[int, ...] = (0,)
     shape: tuple[int, int] = (1, 1)
     angle: float | None = 0.0
+    turns: int = 0
     sides: tuple[int, ...] = ()
     of_equilibria: CurveKind | None = None
     of_orbits: CurveKind | None = None
@@ -83,7 +86,7 @@ KINDS: Mapping[str, Kind] = {
         of_equilibria=CurveKind((ZERO_HOPF, "", HOPF_HOPF), BAUTIN, {TAKENS: End.TAKENS}, {0.0: TAKENS}),
     ),
     DOUBLING: Kind(
-        ("^", "0.6"), ("period doublings", DASHED), angle=np.pi, sides=(1,),
+        ("^", "0.6"), ("period doublings", DASHED), angle=np.pi, turns=2, sides=(1,),
         of_orbits=CurveKind(("fold-flip", "1:2 resonance", "flip-torus"), "generalized period doubling"),
     ),
     TORUS: Kind(
@@ -96,7 +99,7 @@ KINDS: Mapping[str, Kind] = {
         ),
     ),
     BRANCH_POINT: Kind(
-        ("o", "white"), ("branch points", DOTTED), changes=(0, 1), shape=(1, 2), sides=(1, -1),
+        ("o", "white"), ("branch points", DOTTED), changes=(0, 1), shape=(1, 2), turns=1, sides=(1, -1),
         of_equilibria=CurveKind((TAKENS, "", ZERO_HOPF)),
         of_orbits=CurveKind(("1:1 resonance", "fold-flip", "fold-torus")),
     ),
@@ -123,6 +126,7 @@ KINDS: Mapping[str, Kind] = {
     "flip-torus": Kind(("8", "white")),
     "torus-torus": Kind(("X", "white")),
 }  # fmt: skip
+KINDS_BY_TURNS = {kind.turns: word for word, kind in KINDS.items() if kind.turns}
 EQUILIBRIUM_CURVES = {word: kind.of_equilibria for word, kind in KINDS.items() if kind.of_equilibria}
 ORBIT_CURVES = {word: kind.of_orbits for word, kind in KINDS.items() if kind.of_orbits}
 

@@ -172,6 +172,10 @@ class Point:
         by_parameter = abs(float(self.tangent[self.problem.parameter_index])) / abs(self.parameter)
         return by_parameter / by_Omega if by_Omega > 0 else np.inf
 
+    def marked(self, special: str, **changes: Any) -> Point:
+        """A point there that is none of the continuation's own, special by a kind, with other fields changed."""
+        return replace(self, special=special, walked=False, requested=False, **changes)
+
     def snapped(self, targets: tuple[Target, ...]) -> Point:
         """This point, requested and with its value exact where it meets any of `targets`."""
         met = [target for target in targets if target.meets(self)]
