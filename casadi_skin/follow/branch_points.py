@@ -32,6 +32,7 @@ import numpy as np
 
 from casadi_skin.follow.point import LocalCurve, PointSolver
 from casadi_skin.zero.kinds import BRANCH_POINT
+from casadi_skin.zero.linearised import bordered, null_spaces, null_vectors
 from casadi_skin.zero.problem import EPSILON, Array, Problem, SingularError
 from casadi_skin.zero.settings import Point
 
@@ -55,11 +56,6 @@ class Bordered:
 
     matrix: csc_matrix
     solve: Solve
-
-    @classmethod
-    def at(cls, problem: Problem, nonzeros: Array, row: Array, solve: Solve) -> Bordered:
-        """Of a problem's Jacobian closed by `row`."""
-        return cls(closed(problem, nonzeros, row), solve)
 
 
 def closed(problem: Problem, nonzeros: Array, row: Array) -> csc_matrix:
@@ -135,9 +131,8 @@ ONE_PLACE = 1e-3  # of a step: several branches that cross within it do so in on
 WINDOW_WIDTHS = (0.1, 0.02, 0.004)  # of a step, to both sides; the widest in which interpolation is accurate is taken
 WINDOW_PLACES = 12  # places in it; an even number has none in its middle
 LEAST_PLACES = 8  # places without which nothing is interpolated
-ITERATION_ROUNDS = 4  # of inverse iteration, and of Newton's method
+ITERATION_ROUNDS = 4  # of Newton's method
 OFFSET_FROM_PLACE = 1e-2  # of the window: nearer to the place points are not corrected
-INVERSE_ITERATION_SHIFT = 1e-11  # of the largest entry of a matrix that is nearly singular
 
 
 class CrossingPlace(NamedTuple):
@@ -185,7 +180,7 @@ def _within(window: float, stretch: _Stretch, near: float, count: int, apart: fl
             matrices.append(closed(problem, problem.evaluate(unknowns[-1])[1], row))
         places = np.array(list(known))
         matrix = matrices[int(np.argmin(np.abs(places - near)))]
-        right, left = _kernels(matrix, count)
+        right, left = null_spaces(matrix, count)
         corners = np.array([_corner(one, right, left) for one in matrices])
     except (RuntimeError, SingularError):  # of SuperLU: exactly singular
         return []
@@ -201,28 +196,13 @@ def _within(window: float, stretch: _Stretch, near: float, count: int, apart: fl
     ]
 
 
-def _kernels(matrix: Any, count: int) -> tuple[Array, Array]:
-    """Orthonormal vectors that a nearly singular matrix nearly annihilates, from the right and from the left."""
-    from scipy.sparse import eye
-    from scipy.sparse.linalg import splu
-
-    shift = INVERSE_ITERATION_SHIFT * float(np.max(np.abs(matrix.data)))
-    factors: Any = splu((matrix + shift * eye(matrix.shape[0], format="csc")).tocsc())
-    right: Array = np.random.default_rng(0).normal(size=(matrix.shape[0], count))
-    for _ in range(ITERATION_ROUNDS):
-        left = np.linalg.qr(factors.solve(right, trans="T"))[0]
-        right = np.linalg.qr(factors.solve(left))[0]
-    return right, left
-
-
 def _corner(matrix: Any, right: Array, left: Array) -> Array:
     """The corner of the inverse of a matrix bordered by vectors, which is zero where these are its kernels."""
-    from scipy.sparse import bmat, csc_matrix
     from scipy.sparse.linalg import splu
 
     size, count = right.shape
-    bordered = bmat([[matrix, csc_matrix(left)], [csc_matrix(right.T), None]]).tocsc()
-    return np.asarray(splu(bordered).solve(np.vstack([np.zeros((size, count)), np.eye(count)]))[size:])
+    unit = np.vstack([np.zeros((size, count)), np.eye(count)])
+    return np.asarray(splu(bordered(matrix, right, left)).solve(unit)[size:])
 
 
 class _Zero(NamedTuple):
@@ -366,7 +346,7 @@ class _Stretch:
         z, row = found
         nonzeros = self.problem.evaluate(z)[1].copy()
         solve = self.point_solver.levels.solver(self.problem).factor(z, nonzeros, row)
-        return Bordered.at(self.problem, nonzeros, row, solve)
+        return Bordered(closed(self.problem, nonzeros, row), solve)
 
     def rates(self, fraction: float) -> Array:
         """Rates along the way of the eigenvalues that are 1 at a fraction of it; raises SingularError."""
@@ -508,9 +488,9 @@ def other_tangent(point_solver: PointSolver, point: Point) -> Array:
 
     J, t = jacobian(z), along / sizes
     t = t / np.linalg.norm(t)
-    across, psi = (vectors[:, 0] for vectors in _kernels(_below(J, t), 1))
+    across, psi = null_vectors(_below(J, t))
     across, psi = (part / np.linalg.norm(part) for part in (across - t * (t @ across), psi[:-1]))
-    first = _kernels(_below(J, across), 1)[0][:, 0]  # the tangent given may be that of a point beside it
+    first = null_vectors(_below(J, across))[0]  # the tangent given may be that of a point beside it
     first = first - across * (across @ first)
     first = first / np.linalg.norm(first)
     h = 1e-4
@@ -519,8 +499,20 @@ def other_tangent(point_solver: PointSolver, point: Point) -> Array:
         moved = (jacobian(z + h * sizes * a) - jacobian(z - h * sizes * a)) @ b / (2.0 * h)
         return float(psi @ moved)
 
-    own, mixed, curved = form(first, first), form(first, across), form(across, across)
-    root = mixed + np.copysign(np.sqrt(max(mixed**2 - own * curved, 0.0)), mixed)
-    choices = [-root * first + own * across, curved * first - root * across] if root else [across]
-    directions = [sizes * choice / np.linalg.norm(choice) for choice in choices]
-    return np.asarray(min(directions, key=lambda direction: abs(float(direction / sizes @ t))))
+    return sizes * other_direction(form, first, across, t)[0]
+
+
+def other_direction(
+    form: Callable[[Array, Array], float], first: Array, second: Array, along: Array
+) -> tuple[Array, float]:
+    """The tangent of norm 1 of the other of two branches that cross, and the discriminant, which is positive there.
+
+    Tangents are a first + b second with form(first, first) a^2 + 2 form(first, second) a b + form(second, second) b^2
+    = 0, of which that of one branch is `along`; without cancellation.
+    """
+    own, mixed, curved = form(first, first), form(first, second), form(second, second)
+    discriminant = mixed**2 - own * curved
+    root = mixed + np.copysign(np.sqrt(max(discriminant, 0.0)), mixed)
+    choices = [-root * first + own * second, curved * first - root * second] if root else [second]
+    directions = [choice / np.linalg.norm(choice) for choice in choices]
+    return min(directions, key=lambda direction: abs(float(direction @ along))), discriminant

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import Followed
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.kinds import BAUTIN, DOUBLING, FOLD, HOPF, ORBIT_CURVES, kind_of
-from casadi_skin.zero.linearised import Linearised, LinearisedEquations, LinearisedRest, Vector, null_vectors
+from casadi_skin.zero.linearised import Linearised, LinearisedEquations, LinearisedRest, Vector, bordered, null_vectors
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest import ComplexArray, Statics, balanced
 from casadi_skin.zero.settings import Point
@@ -168,18 +168,11 @@ def branching_terms(linear: LinearisedEquations, reference: LinearisedEquations)
     v = v * np.sign(np.sum(linear.along(v) * reference.along(v0)))
     over, D = linear.seen(v) @ reference.seen(v0), linear.full_derivative
     twice = D(v, v)
-    bent = splu(_bordered(linear, v, psi)).solve(np.append(-twice, 0.0))[:-1]
+    bent = splu(bordered(linear.jacobian, v[:, None], psi[:, None])).solve(np.append(-twice, 0.0))[:-1]
     return 0.5 * psi * twice / over, np.concatenate([psi * D(v, v, v) / 6.0, 0.5 * psi * D(v, bent)]) / over
 
 
 def second_singular(linear: LinearisedEquations) -> float:
     """The smallest singular value of the Jacobian bordered by its null vectors."""
-    closed = _bordered(linear, *linear.null_vectors)
+    closed = bordered(linear.jacobian, *(vector[:, None] for vector in linear.null_vectors))
     return float(np.linalg.norm(closed @ null_vectors(closed)[0]))
-
-
-def _bordered(linear: LinearisedEquations, right: Array, left: Array) -> Any:
-    from scipy.sparse import bmat, csc_matrix
-
-    blocks: Any = [[csc_matrix(linear.jacobian), csc_matrix(left[:, None])], [csc_matrix(right[None, :]), None]]
-    return bmat(blocks).tocsc()

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.branch_points import other_direction
 from casadi_skin.follow.follow import BranchRun, following_space, monitored_space
 from casadi_skin.follow.rest_space import EquilibriumSpace, find_equilibrium
 from casadi_skin.follow.solution import Equilibrium, Orbit, Solution, following_settings
@@ -17,6 +18,7 @@ from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import duration
 from casadi_skin.points.leaving import DEFAULT_TOLERANCE, born_at, leaving_solutions
 from casadi_skin.points.lost_symmetry import breaking_space, start_of
+from casadi_skin.solve.newton import Correction
 from casadi_skin.zero.family import MAX_POINTS
 from casadi_skin.zero.kinds import HOPF, kind_of
 from casadi_skin.zero.problem import Array
@@ -196,15 +198,21 @@ def _towards(
     return leaving, z, np.asarray(tangent)
 
 
+def _stepped(space: EquilibriumSpace, z: Array, tangent: Array, step: float) -> Correction:
+    """The correction of a step along a tangent."""
+    row = space.point_solver.metric(space.problem, z) * tangent
+    guess = z + step * tangent
+    return space.levels.corrector(space.problem).correct(guess, row, float(row @ guess))
+
+
 def _reach(space: EquilibriumSpace, z: Array, tangent: Array) -> float | None:
     """How far along its tangent a branch has gone where the parameter has gone its range, to leading order.
 
     None where no step shows it.
     """
-    weights, step = space.point_solver.metric(space.problem, z), PROBE_STEP
-    row = weights * tangent
+    step = PROBE_STEP
     for _ in range(PROBE_TRIES):
-        correction = space.levels.corrector(space.problem).correct(z + step * tangent, row, float(row @ z) + step)
+        correction = _stepped(space, z, tangent, step)
         gone = abs(float(correction.z[-1])) if correction.converged else np.inf
         if SHORT / 30.0 <= gone <= SHORT * 30.0:
             evenly = abs(float(tangent[-1])) * step > 0.5 * gone
@@ -215,9 +223,7 @@ def _reach(space: EquilibriumSpace, z: Array, tangent: Array) -> float | None:
 
 def _goes_on(space: EquilibriumSpace, z: Array, tangent: Array) -> bool:
     """Whether the parameter goes on to its end along a tangent, judged after a small step along it."""
-    weights = space.point_solver.metric(space.problem, z)
-    guess, row = z + PROBE_STEP * tangent, weights * tangent
-    correction = space.levels.corrector(space.problem).correct(guess, row, float(row @ guess))
+    correction = _stepped(space, z, tangent, PROBE_STEP)
     if not correction.converged:
         raise EquilibriumError(f"{space.model.name}: the other branch cannot be started: {correction.status.value}")
     return bool(correction.z[-1] > 0.0)
@@ -232,23 +238,18 @@ def _other_direction(space: EquilibriumSpace, point: Point) -> Array:
     if several > 1:
         why = f"{several} eigenvalues vanish at once; accepted: a branch point of one, as where less symmetry is left"
         raise EquilibriumError(f"{space.model.name}: more than two branches cross at the branch point: {why}")
-    first, second, psi = found.right[:, -1], found.right[:, -2], found.left[:, -1]
+    first, second, psi = found.right[:, -1] / units, found.right[:, -2] / units, found.left[:, -1]
 
     def form(a: Array, b: Array) -> float:
-        h = DIFFERENCE_STEP / np.max(np.abs(a) / units)
-        return float(psi @ (problem.jacobian(z + h * a) - problem.jacobian(z - h * a)) @ b / (2.0 * h))
+        h = DIFFERENCE_STEP / np.max(np.abs(a)) * units * a
+        change = (problem.jacobian(z + h) - problem.jacobian(z - h)) @ (units * b)
+        return float(psi @ change * np.max(np.abs(a)) / (2.0 * DIFFERENCE_STEP))
 
-    a, b, c = form(first, first), 2.0 * form(first, second), form(second, second)
-    discriminant = b * b - 4.0 * a * c
+    along = point.tangent / units / np.linalg.norm(point.tangent / units)
+    direction, discriminant = other_direction(form, first, second, along)
     if not discriminant > 0.0:
         raise EquilibriumError(f"{space.model.name}: no two branches cross at the branch point, to second order")
-    root = np.sqrt(discriminant)
-    # (alpha, beta) with a alpha^2 + b alpha beta + c beta^2 = 0, without cancellation
-    q = -0.5 * (b + np.copysign(root, b))
-    directions = [alpha * first + beta * second for alpha, beta in ((q, a), (c, q)) if alpha or beta]
-    along = point.tangent / units / np.linalg.norm(point.tangent / units)
-    unit = [direction / np.linalg.norm(direction / units) for direction in directions]
-    return min(unit, key=lambda direction: abs(float((direction / units) @ along)))
+    return units * direction
 
 
 def _off(point: Point, units: Array) -> Array:

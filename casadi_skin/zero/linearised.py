@@ -388,15 +388,28 @@ def _shifted_factors(matrix: Any) -> Any:
     raise SingularError("the linearised equations have no null vector that inverse iteration finds")
 
 
-def null_vectors(matrix: Any) -> tuple[Vector, Vector]:
-    """Right and left null vector (v, psi), psi^H matrix = 0, of a sparse matrix that is nearly singular; of norm 1.
+def null_spaces(matrix: Any, count: int = 1) -> tuple[Vector, Vector]:
+    """Orthonormal vectors that a sparse matrix nearly annihilates, from the right and from the left, as columns.
 
     By inverse iteration with a shift, a larger one where a pivot vanishes exactly; raises SingularError where all do.
     """
     factors = _shifted_factors(matrix)
-    right: Vector = np.random.default_rng(0).normal(size=matrix.shape[0]).astype(matrix.dtype)
-    left = right
+    right: Vector = np.random.default_rng(0).normal(size=(matrix.shape[0], count)).astype(matrix.dtype)
     for _ in range(ITERATION_ROUNDS):
-        left = factors.solve(right / np.linalg.norm(right), trans="H")
-        right = factors.solve(left / np.linalg.norm(left))
-    return right / np.linalg.norm(right), left / np.linalg.norm(left)
+        left = np.linalg.qr(factors.solve(right, trans="H"))[0]
+        right = np.linalg.qr(factors.solve(left))[0]
+    return right, left
+
+
+def null_vectors(matrix: Any) -> tuple[Vector, Vector]:
+    """Right and left null vector (v, psi), psi^H matrix = 0, of a sparse matrix that is nearly singular; of norm 1."""
+    right, left = null_spaces(matrix)
+    return right[:, 0], left[:, 0]
+
+
+def bordered(matrix: Any, right: Vector, left: Vector) -> Any:
+    """A matrix with columns from the left and rows from the right beside it, sparse: [[matrix, left], [right^T, 0]]."""
+    from scipy.sparse import bmat, csc_matrix
+
+    blocks: Any = [[csc_matrix(matrix), csc_matrix(left)], [csc_matrix(right.T), None]]
+    return bmat(blocks).tocsc()
