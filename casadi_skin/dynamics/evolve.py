@@ -19,7 +19,8 @@ from casadi_skin.dynamics.evolution import (
     EvolutionError,
     equations_of_motion,
 )
-from casadi_skin.follow.solution import Curve, Orbit, cosine_curve
+from casadi_skin.follow.closed_curve import Curve, cosine_curve
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.follow.space import FAMILY
 from casadi_skin.model.arguments import by_name, check_name, number, short_repr, state_by_name
 from casadi_skin.model.expressions import real_array

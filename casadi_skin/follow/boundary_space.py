@@ -34,12 +34,13 @@ from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
 from casadi_skin.zero import mesh
 from casadi_skin.zero.augmented import Singularity, SingularProblem
+from casadi_skin.zero.balanced import ROUNDED_COMPONENT_RATIO
 from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.family import TWO_PI, Method, numbered
 from casadi_skin.zero.kinds import BOUND, BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, Unresolved
 from casadi_skin.zero.orbit import FIRST_INTERVALS, Periodic, Sizes
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
-from casadi_skin.zero.rest import ROUNDED_COMPONENT_RATIO, Statics, sizes_of
+from casadi_skin.zero.rest import Statics, sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point, Refinement
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, Closure, closure_of, stated
 from casadi_skin.zero.statement import Statement

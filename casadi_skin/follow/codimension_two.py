@@ -25,12 +25,12 @@ from numpy.typing import NDArray
 
 from casadi_skin.follow.branch_points import double_between, interpolated
 from casadi_skin.follow.normal_forms import branching_terms, quadratic_term, second_singular
+from casadi_skin.follow.samples import SampledStretch
 from casadi_skin.follow.search import (
     TANGENT_DIFFERENCE_STEP,
     TEST_ZERO_XTOL,
     ExponentSampler,
     NotLocatedError,
-    SampledStretch,
     Search,
     beside_on_tangent,
     gap_between,

@@ -22,7 +22,8 @@ import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.normal_forms import critical_angle
-from casadi_skin.follow.search import Crossing, ExponentSampler, Sample, SampledStretch, Search, gap_between
+from casadi_skin.follow.samples import Crossing, Sample, SampledStretch
+from casadi_skin.follow.search import ExponentSampler, Search, gap_between
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import snapped, target_of
 from casadi_skin.follow.special_points import special_orbit

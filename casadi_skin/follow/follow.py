@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import replace
 from functools import cached_property
-from itertools import chain, pairwise
+from itertools import chain
 from typing import Any
 
 import casadi as ca
@@ -24,10 +24,10 @@ from casadi_skin.follow.arclength import Continuation
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.events import Ledger, at_requested_value
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.search import BranchStretch, Monitor, NotLocatedError, monitored
+from casadi_skin.follow.search import Monitor, NotLocatedError
 from casadi_skin.follow.solution import Orbit, Solution, following_settings
-from casadi_skin.follow.space import FAMILY, SolutionSpace, snapped, target_of
-from casadi_skin.follow.special_points import rate
+from casadi_skin.follow.space import FAMILY, SolutionSpace
+from casadi_skin.follow.special_points import StretchPoints, rate
 from casadi_skin.model.arguments import by_name, check_options, duration, function_of, short_repr, truth
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.solve.watch import TimeLimitError, one_thread, watched
@@ -194,83 +194,6 @@ class BranchRun:
             self._stopped, self.events, tuple(dict.fromkeys([*self._iterator.unresolved, *unresolved])),
             max(self._end_time - time.monotonic(), 0.0),
         )  # fmt: skip
-
-
-# The points of one stretch of a branch in order: requested ones, and special ones, which may be the same --------------
-
-SAME_PLACE = 1e-2  # of a stretch: a requested point that near to a special one of the same value is that one
-
-
-class StretchPoints(BranchStretch):
-    """The points between `before` and `after`, which may lie beyond the end of the branch.
-
-    `requested` are the points of the continuation on the stretch, its end among them where that comes before `after`;
-    `missed` the targets that it passed without a point, also by this search; `unresolved` fills with the parts on which
-    special points may be missing.
-    """
-
-    def __init__(
-        self, space: SolutionSpace, before: Point, after: Point, requested: Sequence[Point], missed: Sequence[Target]
-    ) -> None:
-        super().__init__(space.point_solver, before, after)
-        self.space, self.requested, self.missed = space, list(requested), list(missed)
-        self.unresolved = list[Unresolved]()
-
-    def special(self) -> list[Point]:
-        """Special points in order, those at requested values exactly there; raises NotLocatedError."""
-        targets, found = self.solver.settings.at, list[Point]()
-        stretch = *self.ends, self.unresolved
-        for point in chain(self.space.special_between(*stretch), monitored(self.space, *stretch)):
-            target = target_of(self.space, point)
-            found.append(point if target is None else snapped(point, target, target in targets))
-        for target in self.missed:
-            if all(point.parameter != target.value for point in found):
-                found += self._at(target)
-        self.missed = [target for target in self.missed if all(point.parameter != target.value for point in found)]
-        return sorted(found, key=self.sigma)
-
-    def _at(self, target: Target) -> Iterator[Point]:
-        """The special point at a value at which no solution was found, where there is one."""
-        solver, problem = self.solver, self.last.problem
-        if target.held is not Scalar.PARAMETER:
-            return
-        curve, _ = solver.curve(*self.ends)
-        index, value = target.unknown(problem)
-        for sigma, _ in curve.crossings(index, [value])[:1]:
-            guess = replace(self.last, z=curve.at(sigma), tangent=curve.slope(sigma), better=None, special="")
-            point = self.space.singular_near(guess)
-            if point is not None and target_of(self.space, point) == target:
-                yield snapped(point, target, target in solver.settings.at)
-
-    def beside_folds(self, special: Sequence[Point]) -> list[Point]:
-        """The requested points so near to folds that the continuation passed them by."""
-        if not any(point.special == FOLD for point in special):
-            return []
-        solver, found = self.solver, list[Point]()
-        wanted = [target for target in solver.settings.at if target.held is Scalar.PARAMETER]
-        ends = (self.ends[0], *special, self.last)
-        for one, other in pairwise(ends):
-            low, high = sorted((one.parameter, other.parameter))
-            start, end = self.sigma(one), self.sigma(other)
-            known = {point.parameter for point in self.requested if start <= self.sigma(point) <= end}
-            inside = tuple(t for t in wanted if low < t.value < high and t.value not in known)
-            inside = tuple(t for t in inside if not (t.meets(one) or t.meets(other)))
-            points = {target: point for target, point in solver.between(one, other, inside) if point is not None}
-            found += [replace(point, requested=True) for point in points.values()]
-            self.missed += [t for t in inside if t not in (*points, *self.missed)]
-        return found
-
-    def points(self) -> list[Point]:
-        """All points in order but `after`, those that are no points of the continuation marked as located."""
-        special = self.special()
-        located = [replace(point, located=True) for point in (*special, *self.beside_folds(special))]
-        near = SAME_PLACE * abs(self.length)
-        own = [point for point in self.requested if not any(self._is(point, one, near) for one in special)]
-        return sorted([*located, *own], key=self.sigma)
-
-    def _is(self, point: Point, special: Point, near: float) -> bool:
-        same = special.parameter == point.parameter
-        return same and abs(self.sigma(special) - self.sigma(point)) <= near
 
 
 ROUNDED_PARAMETER_CHANGE = 100.0 * EPSILON  # change of the parameter, of the way to go, that is rounding

@@ -22,10 +22,11 @@ import numpy as np
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import Followed
 from casadi_skin.follow.special_points import SpecialPoint
+from casadi_skin.zero.balanced import ComplexArray, balanced
 from casadi_skin.zero.kinds import BAUTIN, DOUBLING, FOLD, HOPF, ORBIT_CURVES, kind_of
 from casadi_skin.zero.linearised import Linearised, LinearisedEquations, LinearisedRest, Vector, bordered, null_vectors
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest import ComplexArray, Statics, balanced
+from casadi_skin.zero.rest import Statics
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import Closure
 

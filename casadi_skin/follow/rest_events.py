@@ -24,12 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.follow.point import LocalCurve
-from casadi_skin.follow.search import Crossing, Sample, SampledStretch, Search
+from casadi_skin.follow.samples import Crossing, Sample, SampledStretch, hermite_cubic
+from casadi_skin.follow.search import Search
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import locate_rest
+from casadi_skin.zero.balanced import BalancedMatrix
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved, kind_of
 from casadi_skin.zero.problem import EPSILON, Array, Indices, SingularError
-from casadi_skin.zero.rest import AlgebraicProblem, BalancedMatrix
+from casadi_skin.zero.rest import AlgebraicProblem
 from casadi_skin.zero.settings import Point
 
 LEDGER_PLACES = 1024  # over the range of the parameter
@@ -161,8 +163,6 @@ def _solved(problem: AlgebraicProblem, z: Array, row: Array, still: float, weigh
 
 def _unlike(stretch: SampledStretch, matrices: Array, fractions: Array) -> np.ndarray:
     """Places at which a matrix is not what is between a few of them, by as much as may take an eigenvalue across."""
-    from casadi_skin.follow.search import _cubic
-
     nodes = np.unique(np.linspace(0, len(matrices) - 1, 4).astype(int))
     weights = np.array([[np.prod([(t - fractions[j]) / (fractions[i] - fractions[j]) for j in nodes if j != i])
                          for i in nodes] for t in fractions])  # fmt: skip
@@ -171,7 +171,7 @@ def _unlike(stretch: SampledStretch, matrices: Array, fractions: Array) -> np.nd
     off = matrices - np.tensordot(weights, matrices[nodes], axes=1)
     size = np.linalg.norm(off / d[:, None] * d, axis=(1, 2))
     g, slopes = stretch.quantities
-    values, _ = _cubic(g, slopes * stretch.length, np.repeat(fractions[:, None], g.shape[1], axis=1))
+    values, _ = hermite_cubic(g, slopes * stretch.length, np.repeat(fractions[:, None], g.shape[1], axis=1))
     conditions = np.maximum(linear.conditions, BalancedMatrix(matrices[-1]).conditions[stretch.order])
     near = np.any(SURE_CHANGE_FACTOR * size[:, None] * conditions >= np.abs(values[:, stretch.leading :]), axis=1)
     near[[0, -1]] = True

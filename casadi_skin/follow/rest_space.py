@@ -15,7 +15,7 @@ from casadi_skin.follow.codimension_two import EquilibriumCurveSearch, special_o
 from casadi_skin.follow.normal_forms import terms_of
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.rest_events import special_between
-from casadi_skin.follow.search import Sample
+from casadi_skin.follow.samples import Sample
 from casadi_skin.follow.solution import Equilibrium, Solution, following_settings
 from casadi_skin.follow.space import EQUILIBRIA, EquilibriumError, ParameterSpace, corrector_of, of_last_points
 from casadi_skin.follow.special_points import SpecialPoint, check_second
@@ -37,19 +37,11 @@ from casadi_skin.solve.levels import ExactLevels, Levels
 from casadi_skin.solve.newton import Correction
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.augmented import Singularity, SingularRest, singular_rest
+from casadi_skin.zero.balanced import DERIVATIVE_ROUNDING, BalancedMatrix
 from casadi_skin.zero.kinds import BRANCH_POINT, EQUILIBRIUM_CURVES, HOPF, Unresolved
 from casadi_skin.zero.linearised import LinearisedRest
 from casadi_skin.zero.problem import EPSILON, Array, Scalar, SingularError
-from casadi_skin.zero.rest import (
-    DERIVATIVE_ROUNDING,
-    AlgebraicProblem,
-    BalancedMatrix,
-    Course,
-    Spectrum,
-    Statics,
-    sizes_at,
-    sizes_of,
-)
+from casadi_skin.zero.rest import AlgebraicProblem, Course, Spectrum, Statics, sizes_at, sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, End, Point
 
 if TYPE_CHECKING:

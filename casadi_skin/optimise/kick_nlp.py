@@ -21,7 +21,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.follow.solution import Curve, Orbit, cosine_curve
+from casadi_skin.follow.closed_curve import Curve, cosine_curve
+from casadi_skin.follow.solution import Orbit
 from casadi_skin.optimise.nlp import Limits, Nlp, Solution, optimality
 from casadi_skin.optimise.search_problem import CosineOrbit
 from casadi_skin.solve.ipopt import SOLVED_STATUS

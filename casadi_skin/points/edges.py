@@ -24,13 +24,13 @@ from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import FOLD_TOLERANCE, SpecialPoint, folds_between
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import Result
-from casadi_skin.points.lost_symmetry import breaking_of, turns_of
+from casadi_skin.points.lost_symmetry import breaking_of, shortened, turns_of
 from casadi_skin.solve.levels import ExactLevels
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability.family_stability import orbit_state
 from casadi_skin.stability.flows import FlowError
 from casadi_skin.stability.multipliers import POWERS_BY_FRACTION, orthogonal_complements, reduced_matrices
-from casadi_skin.stability.tongues.diagram import Place, StabilityDiagram, StabilityEdge
+from casadi_skin.stability.tongues.diagram import Place, StabilityEdge
 from casadi_skin.zero.family import Targets
 from casadi_skin.zero.kinds import EDGE, KINDS_BY_TURNS, Unresolved
 from casadi_skin.zero.problem import Array, Indices, Scalar, SingularError
@@ -120,7 +120,9 @@ def edges_left(branch: Branch) -> Iterator[SpecialPoint | Unresolved]:
     """Edges of real tongues of a family at which other orbits leave it, by its changes of stability."""
     diagram = branch.stability_diagram
     if diagram is None:
-        yield from _not_followed(branch.localised_diagram)
+        words, localised = "orbits that leave a family with an endless tail are not sought", branch.localised_diagram
+        places = () if localised is None else localised.all  # at which a localised multiplier is 1, some of them
+        yield from (Unresolved(one.S, one.S, words, EDGE) for one in places if one.kind == REAL_KIND)
         return
     real = (edge for edge in (*diagram.changes, *diagram.further) if edge.kind == REAL_KIND and edge.mu in (-1.0, 0.0))
     for edge in sorted(real, key=lambda edge: edge.place.coordinate):
@@ -135,14 +137,6 @@ def edges_left(branch: Branch) -> Iterator[SpecialPoint | Unresolved]:
                 orbit = between(branch, edge) or orbit
             kind, values = KINDS_BY_TURNS[breaking.turns], {**orbit.parameters, "S": edge.S}
             yield SpecialPoint(kind, branch.space.parameter, values, edge.error, orbit, edge.mu)
-
-
-def _not_followed(localised: StabilityDiagram | None) -> Iterator[Unresolved]:
-    """Places at which a localised multiplier is 1, of a family with an endless tail."""
-    for change in () if localised is None else localised.all:
-        if change.kind == REAL_KIND:
-            words = "orbits that leave a family with an endless tail are not sought"
-            yield Unresolved(change.S, change.S, words, EDGE)
 
 
 def parameters_of(family: Family) -> tuple[str, ...]:
@@ -601,11 +595,3 @@ def _resonance(family: Family, point: Point, S: float, turns: int) -> StabilityE
     target, power = -(float(np.sin(0.5 * roots[np.argmin(away)])) ** 2), POWERS_BY_FRACTION[family.symmetry.value]
     place = Place(0.0, 0.0, S, 0.0, point.Omega)
     return StabilityEdge(place, f"1:{turns} resonance", target, (), False, False, power)
-
-
-def shortened(point: Point, turns: int) -> Point:
-    """A guess of the orbit of a shorter period that an orbit of a family runs through several times."""
-    problem, z = point.problem, point.z.copy()
-    z[: problem.states] = problem.of_shorter_period(z, turns)
-    z[problem.Omega_index] *= turns
-    return replace(point, z=z, better=None)

@@ -111,6 +111,14 @@ def turns_of(orbit: Orbit) -> int:
     return max((m for m, distance in away.items() if distance <= within), default=1)
 
 
+def shortened(point: Point, turns: int) -> Point:
+    """A guess of the orbit of a shorter period that an orbit of a family runs through several times."""
+    problem, z = point.problem, point.z.copy()
+    z[: problem.states] = problem.of_shorter_period(z, turns)
+    z[problem.Omega_index] *= turns
+    return replace(point, z=z, better=None)
+
+
 def breaking_space(
     orbit: Orbit, mu: float, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings,
     side: int, start: Orbit,

@@ -19,17 +19,11 @@ from casadi_skin.model.arguments import duration
 from casadi_skin.points.leaving import DEFAULT_TOLERANCE, born_at, leaving_solutions
 from casadi_skin.points.lost_symmetry import breaking_space, start_of
 from casadi_skin.solve.newton import Correction
+from casadi_skin.zero.balanced import ROUNDED_COMPONENT_RATIO
 from casadi_skin.zero.family import MAX_POINTS
 from casadi_skin.zero.kinds import HOPF, kind_of
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest import (
-    ROUNDED_COMPONENT_RATIO,
-    Course,
-    Statics,
-    power_of_two,
-    sizes_at,
-    sizes_of,
-)
+from casadi_skin.zero.rest import Course, Statics, power_of_two, sizes_at, sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, Point
 
 PROBE_STEP = 1e-2  # of the unit of length: a step along the branch that leaves, for the direction of its parameter

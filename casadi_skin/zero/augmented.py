@@ -30,11 +30,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_skin.zero.balanced import BalancedMatrix, upper_pair
 from casadi_skin.zero.discretisation import Formulation
 from casadi_skin.zero.kinds import DOUBLING, HOPF, KINDS, TORUS
 from casadi_skin.zero.linearised import Linearised, Vector, null_vectors, velocities
 from casadi_skin.zero.problem import EPSILON, Array, Indices, Problem, SingularError, Solve
-from casadi_skin.zero.rest import AlgebraicProblem, BalancedMatrix, upper_pair
+from casadi_skin.zero.rest import AlgebraicProblem
 from casadi_skin.zero.stated_problem import ZERO_SOLUTION_SIZE, BoundaryProblem
 from casadi_skin.zero.statement import Statement
 

@@ -20,10 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.model.expressions import Expression
+from casadi_skin.zero.balanced import BalancedMatrix, NullSpace, balanced, upper_pair
 from casadi_skin.zero.discretisation import Formulation
 from casadi_skin.zero.kinds import KINDS
 from casadi_skin.zero.problem import EPSILON, Array, SingularError
-from casadi_skin.zero.rest import BalancedMatrix, NullSpace, Statics, balanced, upper_pair
+from casadi_skin.zero.rest import Statics
 from casadi_skin.zero.stated_problem import BoundaryProblem
 from casadi_skin.zero.statement import Statement
 

@@ -18,7 +18,8 @@ from small_models import forced_orbit, fput, limit_cycle, pendulums, two_wells, 
 
 from casadi_skin import Bond, BoundaryValueProblem, Branch, Chain, Lattice, OdeModel, Site, find_orbit, follow_family
 from casadi_skin.dynamics import simulate_orbit
-from casadi_skin.follow.solution import Solution, cosine_curve
+from casadi_skin.follow.closed_curve import cosine_curve
+from casadi_skin.follow.solution import Solution
 from casadi_skin.results.figures.bands import spectrum_figure
 from casadi_skin.results.figures.branches import branch_figure, smooth
 from casadi_skin.results.figures.evolutions import spacetime_figure

@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 import casadi_skin.optimise.kick
 from casadi_skin import Chain, Orbit, follow_family, smallest_kick
 from casadi_skin.dynamics import distance_from_orbit, evolve
-from casadi_skin.follow.solution import cosine_curve
+from casadi_skin.follow.closed_curve import cosine_curve
 from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.optimise.kick import KickError, SmallestKick, kick_norm
 from casadi_skin.optimise.kick_nlp import reach

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.solution import Orbit, Solution, cosine_curve
+from casadi_skin.follow.closed_curve import cosine_curve
+from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS
 from casadi_skin.model.files import replacing
 from casadi_skin.results.figures import style

@@ -1,0 +1,198 @@
+"""A linearisation in units in which it is balanced: its eigenvalues with their errors, and what of it vanishes.
+
+A is df/dx, shape (n, n), and B = A d / d in units d that are powers of two, with rows and columns alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_skin.zero.problem import EPSILON, Array
+
+ComplexArray = NDArray[np.complex128]
+# Of the machine's, in the derivatives: an eigenvalue that is zero comes out as that over its condition.
+DERIVATIVE_ROUNDING = 16.0
+ROUNDED_COMPONENT_RATIO = 1e-12  # of the usual size of a component: one that is smaller is zero
+LARGE_MOVE = 1e200  # beyond it a component moves at a singular place alone
+SLIGHT_DISTURBANCE = 1e-8  # of an equation's terms: a disturbance by which no regular equilibrium moves far
+FAINT_UNIT_RATIO = 1e-3  # of the unit by which a component acts on others: the least unit of one that hardly changes
+
+
+@dataclass(frozen=True, eq=False)
+class BalancedMatrix:
+    """A square matrix df/dx.
+
+    Attributes:
+        matrix: in the units of the state.
+        rounding: relative rounding error of its entries.
+        change: the change of the matrix by the error of the state, shape (n, n); None where that is exact.
+    """
+
+    matrix: Array
+    rounding: float = EPSILON
+    change: Array | None = None
+
+    @cached_property
+    def balanced(self) -> tuple[Array, Array]:
+        """The balanced matrix B and the units d: x = d y, B = A d / d."""
+        return balanced(self.matrix)
+
+    @cached_property
+    def uncertain(self) -> float:
+        """The norm of what the balanced matrix may be off by."""
+        B, d = self.balanced
+        moved = 0.0 if self.change is None else float(np.linalg.norm(self.change / d[:, None] * d))
+        return self.rounding * float(np.linalg.norm(B)) + moved
+
+    @cached_property
+    def eigensystem(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Eigenvalues, and left and right eigenvectors of the balanced matrix as columns of norm 1."""
+        from scipy.linalg import eig
+
+        values, left, right = (np.asarray(part, dtype=np.complex128) for part in eig(self.balanced[0], left=True))
+        return values, left, right
+
+    @cached_property
+    def conditions(self) -> Array:
+        """Condition numbers of the eigenvalues (Wilkinson 1965); infinite of defective ones."""
+        _, left, right = self.eigensystem
+        with np.errstate(divide="ignore"):
+            return np.asarray(1.0 / np.abs(np.sum(left.conj() * right, axis=0)))
+
+    def errors(self, safety: float = DERIVATIVE_ROUNDING) -> Array:
+        """Errors of the eigenvalues: by their condition, and no more than of a double one that is defective."""
+        size = safety * self.uncertain
+        return np.asarray(
+            np.minimum(size * self.conditions, np.sqrt(size * (np.linalg.norm(self.balanced[0]) + 1e-300)))
+        )
+
+    def rates(self, rate: Array) -> ComplexArray:
+        """Rates of the eigenvalues where the matrix changes at a rate; 0 of defective ones."""
+        _, left, right = self.eigensystem
+        d = self.balanced[1]
+        moving = np.sum(left.conj() * ((rate / d[:, None] * d) @ right), axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = moving / np.sum(left.conj() * right, axis=0)
+        return np.where(np.isfinite(found), found, 0.0)
+
+    def vectors(self, place: int) -> tuple[ComplexArray, ComplexArray]:
+        """Right and left eigenvector of an eigenvalue in the units of the state."""
+        _, left, right = self.eigensystem
+        d = self.balanced[1]
+        return right[:, place] * d, left[:, place] / d
+
+
+def balanced(matrix: Array) -> tuple[Array, Array]:
+    """B = A d / d with rows and columns alike, and d, powers of two; raises ArithmeticError without finite entries."""
+    from scipy.linalg import matrix_balance
+
+    if not np.all(np.isfinite(matrix)):
+        raise ArithmeticError("the derivatives are not finite at the equilibrium")
+    found, scales = matrix_balance(matrix, permute=False, separate=True)
+    return np.asarray(found), np.asarray(scales[0])
+
+
+def upper_pair(values: ComplexArray, near: complex | None = None) -> int:
+    """Place of the upper eigenvalue of the pair nearest to `near`, by default to the imaginary axis.
+
+    Raises ArithmeticError where all are real.
+    """
+    upper = np.flatnonzero(values.imag > 0.0)
+    if not upper.size:
+        raise ArithmeticError("no pair of complex eigenvalues is near the imaginary axis")
+    apart = np.abs(values[upper].real) if near is None else np.abs(values[upper] - near)
+    return int(upper[np.argmin(apart)])
+
+
+@dataclass(frozen=True, eq=False)
+class NullSpace:
+    """Null vectors of a matrix whose columns and rows have units, by its singular values in these.
+
+    Attributes:
+        values: singular values, descending; as many more columns than rows there are have none.
+        left, right: singular vectors as columns, in the units of the matrix.
+        uncertain: error of the values.
+    """
+
+    values: Array
+    left: Array
+    right: Array
+    uncertain: float
+
+    @classmethod
+    def of(
+        cls, matrix: Array, columns: Array, rounding: float = EPSILON, change: Array | None = None,
+        rows: Array | None = None,
+    ) -> NullSpace:  # fmt: skip
+        """Of a matrix whose unknowns are measured by `columns`; each row counts by its largest entry, or by `rows`.
+
+        A row that is within its change is zero: it counts by no entry of its own. Rows of df/dx in x' = f(x) are
+        measured by the units of the state, as columns are: where the equation of one component alone is singular, all
+        entries of its row are rounding.
+        """
+        scaled, off = matrix * columns, (np.zeros_like(matrix) if change is None else change) * columns
+        if rows is None:
+            rows = np.max(np.abs(scaled), axis=1)
+            seen = rows > np.max(np.abs(off), axis=1)
+            scaled, off = (np.where(seen[:, None], one, 0.0) for one in (scaled, off))
+            rows = np.where(seen, rows, 1.0)
+        left, values, right = np.linalg.svd(scaled / rows[:, None])
+        moved = float(np.linalg.norm(off / rows[:, None]))
+        uncertain = 4.0 * DERIVATIVE_ROUNDING * rounding * float(values[0]) + moved
+        return cls(values, left / rows[:, None], right.T * columns[:, None], uncertain)
+
+    def solution(self, residual: Array) -> Array:
+        """The smallest solution x, in these units, of matrix x = residual."""
+        seen = self.values > self.uncertain
+        parts = (self.left.T @ residual)[seen] / self.values[seen]
+        return np.asarray(self.right[:, : self.values.size][:, seen] @ parts)
+
+    @property
+    def vanishing(self) -> int:
+        """Number of singular values that are zero but for their error."""
+        return int(np.count_nonzero(self.values <= self.uncertain))
+
+
+def units_of(matrix: Array, x: Array, by_parameters: Array, usual: Array, otherwise: Array) -> Array:
+    """Units of the components of a state at one place, shape (n,), positive.
+
+    A component counts by its own size, or by how far it moves with the parameters over their ranges, but for no more
+    than the unit by which it acts on others: a balanced one, as large as the sizes of those that act on each other.
+
+    Arguments:
+        matrix: df/dx.
+        x: the state.
+        by_parameters: changes of f over the ranges of parameters, shape (n, parameters).
+        usual: usual sizes of the components; zero where nothing is known.
+        otherwise: sizes of components that act on each other, are all zero and do not move, but for rounding.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    B, d = balanced(matrix)
+    moved = _response(B, by_parameters / d[:, None]) * d
+    _, blocks = connected_components(matrix != 0.0, connection="strong")
+    acting, least = np.array(d), np.full_like(d, FAINT_UNIT_RATIO)
+    for block in range(int(blocks.max(initial=-1)) + 1):
+        own = blocks == block
+        for sizes in (np.maximum(np.abs(x), usual), moved, otherwise):
+            largest = float(np.max(sizes[own] / d[own]))
+            if ROUNDED_COMPONENT_RATIO * float(np.max(otherwise[own] / d[own])) < largest < LARGE_MOVE:
+                acting[own] *= largest
+                least[own] = 1.0 if sizes is otherwise else FAINT_UNIT_RATIO
+                break
+    general = np.cos(np.arange(d.size) ** 2 % 6.25)  # orthogonal to no null vector, as one is that a symmetry gives
+    disturbed = SLIGHT_DISTURBANCE * np.max(np.abs(B), axis=1, initial=0.0) * acting / d * general
+    moved = np.maximum(moved, _response(B, disturbed[:, None]) * d)  # far where the matrix is singular
+    return np.asarray(np.maximum(np.abs(x), np.clip(moved, least * acting, acting)))
+
+
+def _response(matrix: Array, change: Array) -> Array:
+    """How far the components of a state move where its equations change, shape (n,); infinite at singular places."""
+    try:
+        return np.asarray(np.max(np.abs(np.linalg.solve(matrix, change)), axis=1, initial=0.0))
+    except np.linalg.LinAlgError:
+        return np.full(len(matrix), np.inf)
