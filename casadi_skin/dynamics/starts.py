@@ -133,7 +133,7 @@ def spreading(evolution: Evolution) -> Spreading:
     energies = energies_by_site(lattice, evolution.states, evolution.parameters)
     declaration = lattice.declaration
     share = energies / energies.sum(axis=1, keepdims=True)
-    cells = np.array(list(declaration.all_cells()), dtype=float).repeat(len(declaration.sites), axis=0)
+    cells = declaration.all_cells().astype(float).repeat(len(declaration.sites), axis=0)
     centre = np.empty((len(share), len(declaration.cells)))
     square = np.zeros_like(share)
     for k, (count, boundary) in enumerate(zip(declaration.cells, declaration.boundary, strict=True)):

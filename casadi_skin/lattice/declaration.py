@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +25,7 @@ from casadi_skin.model.formula import (
 )
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 FIXED, FREE, PERIODIC = "fixed", "free", "periodic"
 BOUNDARIES = (FIXED, FREE, PERIODIC)
 CELL_INDICES = ("n", "m")  # the number of the cell along each direction, from 1
@@ -97,19 +97,15 @@ Kind = TypeVar("Kind")
 Value: TypeAlias = float | str | Sequence[float] | Sequence[Sequence[float]] | Uniform
 
 
-@dataclass(frozen=True)
-class Link:
-    """One bond of the whole lattice: indices of its ends, None at a wall, and the cell whose values it has."""
+class Links(NamedTuple):
+    """All links of one bond, shape (links,) each: the cells whose values they have, and indices of their ends.
 
-    bond: int
-    cell: tuple[int, ...]
-    start: int | None
-    end: int | None
+    The index of a wall is the number of all sites. Cells have the shape (links, directions).
+    """
 
-    @property
-    def inner(self) -> bool:
-        """Whether it joins two sites."""
-        return self.start is not None and self.end is not None
+    cells: Indices
+    start: Indices
+    end: Indices
 
 
 @dataclass(frozen=True)
@@ -289,40 +285,34 @@ class Declaration:
 
     # The whole lattice ----------------------------------------------------------------------------------------------
 
-    def all_cells(self) -> Iterator[tuple[int, ...]]:
-        """Numbers of all cells from 0, the last direction fastest."""
-        return itertools.product(*(range(count) for count in self.cells))
+    def all_cells(self) -> Indices:
+        """Numbers of all cells from 0, the last direction fastest, shape (cells, directions)."""
+        return np.indices(self.cells).reshape(len(self.cells), -1).T
 
-    def index(self, cell: tuple[int, ...], site: int) -> int:
-        """Index of a site of a cell among all positions."""
-        return int(np.ravel_multi_index(cell, self.cells)) * len(self.sites) + site
+    @cached_property
+    def links(self) -> list[Links]:
+        """The links of each bond, those to walls too, in the order of their cells."""
+        cells, sites = self.all_cells(), np.arange(self.size).reshape(-1, len(self.sites))
+        of_name, found = {site.name: sites[:, i] for i, site in enumerate(self.sites)}, []
+        for bond in self.bonds:
+            start, end = (np.append(of_name[name], self.size) for name in (bond.start, bond.end))
+            ahead, behind = (self._neighbours(cells, sense * np.array(bond.offset)) for sense in (1, -1))
+            inner, outer = np.flatnonzero(ahead >= 0), np.flatnonzero(behind == len(cells))
+            order = np.argsort(np.concatenate([inner, outer]), kind="stable")
+            starts = np.concatenate([start[inner], np.full(outer.size, self.size)])
+            ends = np.concatenate([end[ahead[inner]], end[outer]])
+            found.append(Links(np.concatenate([cells[inner], cells[outer]])[order], starts[order], ends[order]))
+        return found
 
-    def links(self) -> Iterator[Link]:
-        """All bonds of the lattice, those to walls too."""
-        numbers = {site.name: i for i, site in enumerate(self.sites)}
-        for b, bond in enumerate(self.bonds):
-            start, end = numbers[bond.start], numbers[bond.end]
-            for cell in self.all_cells():
-                there = self._neighbour(cell, bond.offset, 1)
-                if there is not None:
-                    i = self.index(cell, start)
-                    yield Link(b, cell, i, self.index(there, end) if there else None)
-                if self._neighbour(cell, bond.offset, -1) == ():
-                    yield Link(b, cell, None, self.index(cell, end))
-
-    def _neighbour(self, cell: tuple[int, ...], offset: tuple[int, ...], sense: int) -> tuple[int, ...] | None:
-        """The cell that is so far away; () behind a fixed wall, and None where the bond is absent."""
-        found, wall = [], False
-        for here, step, count, boundary in zip(cell, offset, self.cells, self.boundary, strict=True):
-            there = here + sense * step
-            if boundary == PERIODIC:
-                there %= count
-            elif not 0 <= there < count:
-                if boundary == FREE:
-                    return None
-                wall = True
-            found.append(there)
-        return () if wall else tuple(found)
+    def _neighbours(self, cells: Indices, offset: Indices) -> Indices:
+        """Numbers of the cells that are so far away; that of all cells behind a fixed wall, -1 for an absent bond."""
+        there, boundary = cells + offset, np.array(self.boundary)
+        there = np.where(boundary == PERIODIC, there % self.cells, there)
+        outside, found = (there < 0) | (there >= self.cells), np.full(len(cells), len(cells))
+        inside = ~outside.any(axis=1)
+        found[inside] = np.ravel_multi_index(tuple(there[inside].T), self.cells)
+        found[(outside & (boundary == FREE)).any(axis=1)] = -1
+        return found
 
 
 def listed(name: str, given: object, kind: type[Kind], accepted: str) -> tuple[Kind, ...]:

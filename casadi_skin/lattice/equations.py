@@ -5,7 +5,7 @@ Gauge, energy, momentum, oddness and mirrors are checked at random points.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -13,12 +13,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.lattice.declaration import CELL_INDICES, Array, Declaration, Link, read_formula
+from casadi_skin.lattice.declaration import CELL_INDICES, Array, Declaration, Indices, Links, read_formula
 from casadi_skin.model.expressions import antiderivative, expression
 from casadi_skin.model.formula import Name, Operation, Tree
 from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
 from casadi_skin.zero.model_coordinates import tree_of
-from casadi_skin.zero.problem import Indices
 
 
 class Equations:
@@ -26,10 +25,10 @@ class Equations:
 
     def __init__(self, declaration: Declaration) -> None:
         self.declaration = declaration
-        self.cells = list(declaration.all_cells())
+        self.cells, self.links = declaration.all_cells(), declaration.links
         places = [
             "_".join([*([site.name] if len(declaration.sites) > 1 else []), *(str(k + 1) for k in cell)])
-            for cell in self.cells
+            for cell in self.cells.tolist()
             for site in declaration.sites
         ]
         self.y, self.v = (ca.vertcat(*(ca.SX.sym(f"{x}_{place}") for place in places)) for x in "yv")
@@ -37,28 +36,27 @@ class Equations:
         self.parameters = ca.vertcat(*(ca.SX.sym(name) for name in declaration.scalars))
         self.parameters = self.parameters if declaration.scalars else ca.SX(0, 1)
         self.nominal = tuple(declaration.scalars.values())
+        self.wall = declaration.size  # the index of walls among the ends of links
         self.symbols = dict(zip(declaration.scalars, ca.vertsplit(self.parameters), strict=True))
-        self.links: tuple[Link, ...] = tuple(declaration.links())
         self._check_at_rest()
 
     # Formulas at cells ------------------------------------------------------------------------------------------------
 
-    def values(self, cells: Sequence[tuple[int, ...]]) -> dict[str, ca.SX]:
+    def values(self, cells: Indices) -> dict[str, ca.SX]:
         """Values of parameters and indices in some cells: a column, or one value where it is the same in all."""
-        along = np.array(cells, dtype=float).reshape(len(cells), -1).T
         values = dict(self.symbols) | {
-            name: ca.SX(ca.DM(k + 1.0)) for name, k in zip(CELL_INDICES, along, strict=False)
+            name: ca.SX(ca.DM(k + 1.0)) for name, k in zip(CELL_INDICES, cells.T, strict=False)
         }
         for name, value in self.declaration.by_cell.items():
             if isinstance(value, np.ndarray):  # of numbers, or of names of parameters
-                entries = [value[cell] for cell in cells]
+                entries = value[tuple(cells.T)].tolist()
                 named = value.dtype == object
                 values[name] = ca.vertcat(*(self.symbols[e] for e in entries)) if named else ca.SX(ca.DM(entries))
             else:
                 values[name] = expression(value, values)
         return values
 
-    def at(self, kind: str, number: int, field: str, cells: Sequence[tuple[int, ...]], **variables: ca.SX) -> ca.SX:
+    def at(self, kind: str, number: int, field: str, cells: Indices, **variables: ca.SX) -> ca.SX:
         """A formula of a site or a bond in some cells, a column."""
         values = self._everywhere if cells is self.cells else self.values(cells)
         found = expression(self.declaration.formulas[kind, number, field], values | variables)
@@ -76,40 +74,32 @@ class Equations:
         return found
 
     @cached_property
-    def inner(self) -> list[int]:
-        """Indices of the links between two sites."""
-        return [k for k, link in enumerate(self.links) if link.inner]
+    def ends(self) -> Indices:
+        """Indices of the starts and ends of all links, bond by bond, shape (links, 2)."""
+        return np.concatenate([np.empty((0, 2), np.int64), *(np.stack(links[1:], axis=1) for links in self.links)])
 
     @cached_property
-    def ends(self) -> list[tuple[int, int]]:
-        """Start and end of these."""
-        return [(self.links[k].start, self.links[k].end) for k in self.inner]  # type: ignore[misc]
+    def inner(self) -> Indices:
+        """Places among these of the links between two sites."""
+        return np.flatnonzero(self.ends.max(axis=1, initial=0) < self.wall)
 
-    @cached_property
-    def tree(self) -> list[tuple[int, int, int, bool]]:
-        """Those of a tree from the first site of each connected part, see `tree_of`."""
-        return list(tree_of(self.y.numel(), self.ends, range(self.y.numel())))
-
-    def links_of(self, bond: int) -> list[Link]:
-        """The links of a bond, in the order of cells."""
-        return [link for link in self.links if link.bond == bond]
-
-    def extensions(self, links: Sequence[Link]) -> ca.SX:
+    def extensions(self, links: Links) -> ca.SX:
         """d = y_end - y_start, with 0 at a wall, a column."""
-        positions, wall = ca.vertcat(self.y, 0), self.declaration.size
-        start, end = [link.start for link in links], [link.end for link in links]
-        there, here = (positions[[wall if i is None else i for i in ends]] for ends in (end, start))
-        return there - here
+        positions = ca.vertcat(self.y, 0)
+        return positions[links.end.tolist()] - positions[links.start.tolist()]
 
     @cached_property
     def gains(self) -> list[tuple[ca.SX, ca.SX]]:
-        """The gains at the start and at the end of every link."""
-        found: list[tuple[ca.SX, ca.SX]] = []
-        for b in range(len(self.declaration.bonds)):
-            cells = [link.cell for link in self.links_of(b)]
-            columns = (ca.vertsplit(self.at("bond", b, f"gain {k}", cells)) if cells else [] for k in (1, 2))
-            found += list(zip(*columns, strict=True))
-        return found
+        """Of each bond columns of the gains at the starts and at the ends of its links."""
+        return [
+            (self.at("bond", b, "gain 1", links.cells), self.at("bond", b, "gain 2", links.cells))
+            for b, links in enumerate(self.links)
+        ]
+
+    @property
+    def all_gains(self) -> ca.SX:
+        """The gains of all links, shape (links, 2)."""
+        return ca.vertcat(ca.SX(0, 2), *(ca.horzcat(*pair) for pair in self.gains))
 
     # The whole lattice ------------------------------------------------------------------------------------------------
 
@@ -122,17 +112,12 @@ class Equations:
     def accelerations(self) -> ca.SX:
         """y'' of every site."""
         onsite, damping, drive = (self.of_sites(field) for field in ("onsite", "damping", "drive"))
-        forces = drive - onsite - damping * self.v
-        for b in range(len(self.declaration.bonds)):
-            links = self.links_of(b)
-            force = self.at("bond", b, "force", [link.cell for link in links], d=self.extensions(links))
-            gains = [self.gains[k] for k, link in enumerate(self.links) if link.bond == b]
-            for side, sign in ((1, -1.0), (0, 1.0)):
-                ends = [(link.start, link.end)[side] for link in links]
-                moved = [k for k, i in enumerate(ends) if i is not None]
-                gain = ca.vertcat(ca.SX(0, 1), *(gains[k][side] for k in moved))
-                forces[[ends[k] for k in moved]] += sign * (gain * force[moved])
-        return forces / self.masses
+        forces = ca.vertcat(drive - onsite - damping * self.v, 0)  # the last is that on the walls
+        for b, links in enumerate(self.links):
+            force = self.at("bond", b, "force", links.cells, d=self.extensions(links))
+            for ends, gain in zip((links.end, links.start), (-self.gains[b][1], self.gains[b][0]), strict=True):
+                forces[ends.tolist()] += gain * force
+        return forces[:-1] / self.masses
 
     @cached_property
     def damped(self) -> bool:
@@ -310,30 +295,22 @@ class Structure(Equations):
         """The declared parameters, then others near them."""
         generator, nominal = np.random.default_rng(0), np.array(self.nominal)
         spread = np.array([PARAMETER_SPREAD if name.isidentifier() else 0.0 for name in self.symbols])  # numbers stay
-        gains = [gain for pair in self.gains for gain in pair]
-        evaluate = ca.Function("f", [self.parameters], [ca.vertcat(ca.SX(0, 1), *gains), self.masses])
+        evaluate = ca.Function("f", [self.parameters], [ca.densify(self.all_gains), self.masses])
         field = ca.Function("a", [self.y, self.v, self.t, self.parameters], [ca.densify(self.accelerations)])
         trials = []
         for k in range(RANDOM_POINTS):
             parameters = nominal * (1.0 + (spread * generator.uniform(-1, 1, nominal.size) if k else 0.0))
-            found = [np.array(value).ravel() for value in evaluate(parameters)]
+            gains, masses = map(np.array, evaluate(parameters))
             y, v = (generator.normal(size=self.y.numel()) for _ in "yv")
             t = generator.normal()
             for amplitude in RANDOM_AMPLITUDES:
-                trial = Trial(parameters, found[0].reshape(-1, 2), found[1], amplitude * y, v, t, field)
+                trial = Trial(parameters, gains, masses.ravel(), amplitude * y, v, t, field)
                 if np.all(np.isfinite(trial.accelerations(trial.y, v))):
                     break
             trials.append(trial)
         return trials
 
     # Weights with which the forces are a gradient, and the energy that these give -------------------------------------
-
-    def logs_of(self, gains: Array) -> Array:
-        """Logarithms of the weights along a tree of bonds, 0 where it begins, from the gains of all, (links, 2)."""
-        logs, rates = np.zeros(self.y.numel()), np.log(gains[self.inner, 0] / gains[self.inner, 1])
-        for k, here, there, forwards in self.tree:
-            logs[there] = logs[here] + rates[k] if forwards else logs[here] - rates[k]
-        return logs
 
     @property
     def log_weights(self) -> Array | None:
@@ -344,39 +321,23 @@ class Structure(Equations):
     @quietly
     def _weights(self) -> tuple[Array, list[ca.SX]] | None:
         """The same, and the weights as expressions."""
-        size, inner, logs = self.y.numel(), self.inner, list[Array]()
-        for trial in self.trials:
-            ratios = (trial.gains[:, 0] / trial.gains[:, 1])[inner]  # c_end / c_start
-            if np.any(ratios <= 0) or not np.all(np.isfinite(ratios)):
+        ends, gains = self.ends[self.inner], self.all_gains[self.inner.tolist(), :]
+        tree = list(tree_of(self.wall, ends.tolist(), range(self.wall)))
+        for trial in reversed(self.trials):  # the declared parameters are the last
+            rates, logs = np.log(trial.gains[self.inner, 0] / trial.gains[self.inner, 1]), np.zeros(self.wall)
+            for k, here, there, forwards in tree:  # c_end / c_start
+                logs[there] = logs[here] + rates[k] if forwards else logs[here] - rates[k]
+            off = np.abs(np.diff(logs[ends])[:, 0] - rates)
+            if not np.all(off <= SAME_VALUE_RTOL * self.wall):
                 return None
-            logs.append(self.logs_of(trial.gains))
-            change = np.diff(logs[-1][np.reshape(self.ends, (-1, 2)).astype(int)])[:, 0]
-            if np.any(np.abs(change - np.log(ratios)) > SAME_VALUE_RTOL * size):
-                return None
-        if self.reversible and not self._is_gradient():
-            return None
-        firsts, expressions = np.argsort(logs[0], kind="stable"), [ca.SX(1)] * size  # of each part the least is first
-        for k, here, there, forwards in tree_of(size, self.ends, firsts.tolist()):
-            first, second = self.gains[inner[k]]
+        firsts, expressions = np.argsort(logs, kind="stable"), [ca.SX(1)] * self.wall  # of each part the least is first
+        for k, here, there, forwards in tree_of(self.wall, ends.tolist(), firsts.tolist()):
+            first, second = ca.horzsplit(gains[k, :])
             alike = ca.is_equal(first, second, DEEPEST_GAIN)
             ratio = 1 if alike else first / second if forwards else second / first
             expressions[there] = expressions[here] * ratio
         (values,) = self.at_nominal(ca.log(ca.vertcat(*expressions)))
         return values, expressions
-
-    def _is_gradient(self) -> bool:
-        """Whether c_i mass_i times the derivative of the acceleration of i by y_j is that of j by y_i."""
-        derivative = ca.Function("J", [self.y, self.parameters], [ca.jacobian(self.accelerations, self.y)])
-        for trial in self.trials:
-            half = 0.5 * (self.logs_of(trial.gains) + np.log(trial.masses))
-            J = derivative(trial.y, trial.parameters).sparse()
-            i, j = J.nonzero()
-            entries, opposite = (
-                np.asarray(J[at]).ravel() * np.exp(half[at[0]] - half[at[1]]) for at in ((i, j), (j, i))
-            )
-            if not _is_zero(entries - opposite, entries, half.size):
-                return False
-        return True
 
     @cached_property
     def energies(self) -> ca.SX | None:
@@ -394,32 +355,26 @@ class Structure(Equations):
                 if potentials[key] is None:
                     return None
 
-        def potential(key: tuple[str, int, str], cells: list[tuple[int, ...]], at: ca.SX) -> ca.SX:
+        def potential(key: tuple[str, int, str], cells: Indices, at: ca.SX) -> ca.SX:
             values, name = self.values(cells), kinds[key[2]]
             others = [values[other] for other in declaration.formulas[key].names if other != name]
             rows = [at.T, *(ca.repmat(other, 1, len(cells)) if other.numel() == 1 else other.T for other in others)]
             return potentials[key](*rows).T
 
-        sites = len(declaration.sites)
-        c = ca.vertcat(*weights[1]) if weights else ca.SX.ones(declaration.size)
-        energies = c * self.masses * self.v**2 / 2
+        sites, wall = len(declaration.sites), declaration.size
+        c = ca.vertcat(*weights[1], 1) if weights else ca.SX.ones(wall + 1)
+        energies = ca.vertcat(c[:-1] * self.masses * self.v**2 / 2, 0)  # the last is that of the walls
         for s in range(sites):
-            energies[s::sites] += c[s::sites] * potential(("site", s, "onsite"), self.cells, self.y[s::sites])
-        for b in range(len(declaration.bonds)):
-            links = self.links_of(b)
-            gains = [self.gains[k] for k, link in enumerate(self.links) if link.bond == b]
-            energy = potential(("bond", b, "force"), [link.cell for link in links], self.extensions(links))
-            for chosen, ends, share in (
-                ([k for k, link in enumerate(links) if link.end is None], (0,), 1.0),
-                ([k for k, link in enumerate(links) if link.start is None], (1,), 1.0),
-                ([k for k, link in enumerate(links) if link.inner], (0, 1), 0.5),
-            ):
-                at = [[(links[k].start, links[k].end)[side] for k in chosen] for side in ends]
-                strengths = [c[at[n]] * ca.vertcat(*(gains[k][side] for k in chosen)) for n, side in enumerate(ends)]
-                strength = strengths[0] if weights or len(ends) == 1 else (strengths[0] + strengths[1]) / 2
-                for place in at if chosen else []:
-                    energies[place] += share * strength * energy[chosen]
-        return energies
+            at = list(range(s, wall, sites))
+            energies[at] += c[at] * potential(("site", s, "onsite"), self.cells, self.y[at])
+        for b, links in enumerate(self.links):
+            energy, gains = potential(("bond", b, "force"), links.cells, self.extensions(links)), self.gains[b]
+            inner = ca.DM(np.maximum(links.start, links.end) < wall)
+            mean = (gains[0] + gains[1]) / 2
+            for ends, gain in zip(links[1:], gains, strict=True):
+                strength = gain if weights else ca.if_else(inner, mean, gain)
+                energies[ends.tolist()] += c[ends.tolist()] * strength * energy * (1 - inner / 2)
+        return energies[:-1]
 
     @property
     def _has_weights(self) -> bool:

@@ -159,11 +159,7 @@ def _squares(
     lattice: Lattice, parameters: Mapping[str, float] | None, open_ends: bool, waves: Array
 ) -> tuple[ComplexArray, Array]:
     """omega^2 of waves, ascending by real part, shape (waves, sites of a cell); and |beta| along each direction."""
-    declaration = lattice.declaration
-    differing = declaration.differing
-    if differing:
-        raise ValueError(f"lattice: given cells that differ by {', '.join(differing)}; accepted: cells alike")
-    beta = _beta(lattice, parameters or {}) if open_ends else np.ones(len(declaration.cells))
+    beta = _beta(lattice, parameters or {}) if open_ends else np.ones(len(lattice.declaration.cells))
     squares = np.linalg.eigvals(cell_matrices(lattice, beta * np.exp(1j * waves), parameters)).astype(complex)
     return np.take_along_axis(squares, np.argsort(squares.real, axis=1), axis=1), beta
 
@@ -199,7 +195,12 @@ def cell_matrices(lattice: Lattice, betas: ComplexArray, parameters: Mapping[str
 
     Returns:
         Shape (many, sites of a cell, sites of a cell).
+
+    Raises:
+        ValueError: the cells differ.
     """
+    if differing := lattice.declaration.differing:
+        raise ValueError(f"lattice: given cells that differ by {', '.join(differing)}; accepted: cells alike")
     sites, directions = len(lattice.declaration.sites), len(lattice.declaration.cells)
     reach = [max((abs(bond.offset[k]) for bond in lattice.declaration.bonds), default=0) for k in range(directions)]
     around = [2 * r + 1 for r in reach]  # cells: the middle one has all of its bonds, whatever the boundary
@@ -302,5 +303,3 @@ def brillouin_zone(lattice: Lattice, squares: ArrayLike, parameters: Mapping[str
 def _check(lattice: Lattice) -> None:
     if len(lattice.declaration.cells) != 1:
         raise ValueError(f"lattice: given {len(lattice.declaration.cells)} dimensions; accepted: one")
-    if differing := lattice.declaration.differing:
-        raise ValueError(f"lattice: given cells that differ by {', '.join(differing)}; accepted: cells alike")

@@ -181,9 +181,8 @@ class TailParameter:
     def regime(self, values: TailValues) -> Regime:
         """Whether Omega, or three times it, is pinned to a band."""
         for k, regime in ((1, Regime.PINNED), (3, Regime.THIRD)):
-            for edge in self.tail.sides(self._gaps[k]) if k in self._gaps else ():
-                if edge is not None and edge.side * (values.phi[(k - 1) // 2] - self.tail.angle(edge)) < 0.0:
-                    return regime
+            if k in self._gaps and values.places[k // 2].in_band:
+                return regime
         return Regime.BOUND
 
 
