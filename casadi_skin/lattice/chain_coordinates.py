@@ -100,34 +100,6 @@ KEPT_HARMONIC_RATIO = 1e-9  # of the largest harmonic at a site: below it a harm
 GAUSS_HARMONICS = 32
 
 
-def continued_logarithms(core: Chain, point: Point, z: Array, smallest: float) -> tuple[Array, Array]:
-    """Natural logarithms of |q_n| at t = 0 in the gauge, and the signs, each (core sites,); -inf and 0 where q_n = 0.
-
-    Sites below `smallest` times the largest are computed in closed form from those above.
-    """
-    problem = point.problem
-    harmonics = problem.cosines or GAUSS_HARMONICS
-    theta = (np.arange(harmonics) + 0.5) * np.pi / (2 * harmonics)
-    start, values = np.split(problem.sample(z, np.concatenate([[0.0], theta])), [1])
-    with np.errstate(divide="ignore"):
-        logs, signs = np.log(np.abs(start[0])), np.sign(start[0])
-    if core.coupling == 0.0 or core.sites == 1:
-        return logs, signs
-    # Sites counted from the end that the modes lean away from.
-    order = slice(None) if core.gamma >= 0 else slice(None, None, -1)
-    sizes = np.max(np.abs(values), axis=0)[order]
-    stiffness = abs(point.parameter) * np.max(sizes) ** 2
-    if smallest > SMALLEST_STATE_RATIO and stiffness > 0.0:
-        smallest = min(smallest, np.sqrt(LINEAR_STIFFNESS_RATIO * core.coupling / stiffness))
-    tail = int(np.searchsorted(np.maximum.accumulate(sizes), smallest * np.max(sizes)))
-    if tail == 0:
-        return logs, signs
-    with np.errstate(under="ignore"):
-        coefficients = (2.0 / harmonics) * cosine_matrix(harmonics) @ values[:, order][:, tail]
-    logs[order][:tail], signs[order][:tail] = _continued(coefficients, point.Omega, core.alpha, core.coupling, tail)
-    return logs, signs
-
-
 def _continued(coefficients: Array, Omega: float, alpha: float, coupling: float, count: int) -> tuple[Array, Array]:
     """Logarithms and signs of the sum of harmonics at sites 1..count, from their coefficients at site count + 1."""
     tail = Tail(count, np.array([[2.0 + alpha]]), coupling)
@@ -136,11 +108,6 @@ def _continued(coefficients: Array, Omega: float, alpha: float, coupling: float,
     phi = np.array([tail.angle(place) for place in places])
     logs, parts = tail.motions(places, phi, coefficients[kept], np.arange(count, 0, -1))
     return log_sums(logs, parts[:, :, 0])
-
-
-def first_order_frequency(chain: Chain, mode: int, S: Array) -> Array:
-    """Omega of a mode at first order in S."""
-    return frequency(chain.sites, **chain.parameters, mode=mode, S=S)
 
 
 class OfChain:
@@ -167,7 +134,9 @@ class OfChain:
         return self.chain.linear_frequency(self.mode_number)
 
     def first_order_frequency(self, S: Array) -> Array | None:
-        return None if self.chain.infinite else first_order_frequency(self.chain, self.mode_number, S)
+        if self.chain.infinite:
+            return None
+        return frequency(self.chain.sites, **self.chain.parameters, mode=self.mode_number, S=S)
 
 
 class FullChain(OfChain, Coordinates):
@@ -203,7 +172,29 @@ class FullChain(OfChain, Coordinates):
         return normalised(standing_wave(self.core.sites, self._core_mode), self.core.rho)
 
     def log_solved(self, point: Point, z: Array, smallest: float) -> tuple[Array, Array]:
-        return continued_logarithms(self.core, point, z, smallest)
+        """As those of other coordinates; below `smallest` sites are computed in closed form from those above."""
+        core = self.core
+        problem = point.problem
+        harmonics = problem.cosines or GAUSS_HARMONICS
+        theta = (np.arange(harmonics) + 0.5) * np.pi / (2 * harmonics)
+        start, values = np.split(problem.sample(z, np.concatenate([[0.0], theta])), [1])
+        with np.errstate(divide="ignore"):
+            logs, signs = np.log(np.abs(start[0])), np.sign(start[0])
+        if core.coupling == 0.0 or core.sites == 1:
+            return logs, signs
+        # Sites counted from the end that the modes lean away from.
+        order = slice(None) if core.gamma >= 0 else slice(None, None, -1)
+        sizes = np.max(np.abs(values), axis=0)[order]
+        stiffness = abs(point.parameter) * np.max(sizes) ** 2
+        if smallest > SMALLEST_STATE_RATIO and stiffness > 0.0:
+            smallest = min(smallest, np.sqrt(LINEAR_STIFFNESS_RATIO * core.coupling / stiffness))
+        tail = int(np.searchsorted(np.maximum.accumulate(sizes), smallest * np.max(sizes)))
+        if tail == 0:
+            return logs, signs
+        with np.errstate(under="ignore"):
+            coefficients = (2.0 / harmonics) * cosine_matrix(harmonics) @ values[:, order][:, tail]
+        logs[order][:tail], signs[order][:tail] = _continued(coefficients, point.Omega, core.alpha, core.coupling, tail)
+        return logs, signs
 
     def nonlinear_forces(self, q: Array, parameter: float) -> Array:
         return -parameter * self.core.weights * q**3
@@ -223,7 +214,7 @@ class EdgeSite(FullChain):
         return logs, signs
 
     def first_order_frequency(self, S: Array) -> Array:
-        return first_order_frequency(self.core, 1, S)  # of the one site that moves
+        return frequency(1, **self.core.parameters, mode=1, S=S)  # of the one site that moves
 
     @property
     def output_sites(self) -> Indices:

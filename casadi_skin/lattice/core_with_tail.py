@@ -295,7 +295,6 @@ class CoreWithTail(ModelCoordinates):
         self._edge_weight = 1.0 if weights is None else float(np.exp(-np.min(weights[at_edge])))
         super().__init__(core_model(lattice, whole), 1, None, amplitude_max)
         self.mode_number, self._amplitude_max, self._stability_sites = number, amplitude_max, stability_sites
-        self._cuts: dict[int, CellsAtEdge] = {}
 
     def _check_mode(self) -> None:
         """Among modes of this edge alone: the core's cut may have one of the same frequency, which the tail has not."""
@@ -344,8 +343,7 @@ class CoreWithTail(ModelCoordinates):
         return problem.tail.regime(problem.values(point.z))
 
     def band(self) -> tuple[float, float]:
-        edges = self.tail.edges
-        return edges[0].square, edges[-1].square
+        return self.tail.edges[0], self.tail.edges[-1]
 
     # Stability of localised perturbations --------------------------------------------------------------------------
 
@@ -361,26 +359,21 @@ class CoreWithTail(ModelCoordinates):
         if self._stability_sites is not None:
             tried = [math.ceil(self._stability_sites / p)]
         sites = tuple(dict.fromkeys(p * int(min(cells, most)) for cells in tried))
-        ends = [math.sqrt(max(edge.square, 0.0)) for edge in self.tail.edges]
+        ends = [math.sqrt(max(square, 0.0)) for square in self.tail.edges]
         bands = tuple(zip(ends[::2], ends[1::2], strict=True))
         return Localised(
             sites, bands, lattice.at_last, lattice.cell, lattice.coupling, lattice.inlet, lattice.outlet, self.attached
         )
 
     def cut(self, sites: int) -> tuple[CellsAtEdge, int]:
-        return self._cells_at_edge(sites), self.mode_number
+        core = Core(sites // len(self.lattice.sites), self.core.slowest)
+        cells = CellsAtEdge(self.lattice, core, self.edge_mode, self.mode_number, self._amplitude_max)
+        return cells, self.mode_number
 
-    def _cells_at_edge(self, sites: int) -> CellsAtEdge:
-        if sites not in self._cuts:
-            core = Core(sites // len(self.lattice.sites), self.core.slowest)
-            self._cuts[sites] = CellsAtEdge(self.lattice, core, self.edge_mode, self.mode_number, self._amplitude_max)
-        return self._cuts[sites]
-
-    def on_cut_sites(self, problem: Problem, z: Array, sites: int) -> Array:
-        cut, cells = self._cells_at_edge(sites), sites // len(self.lattice.sites)
+    def on_cut_sites(self, problem: Problem, z: Array, cut: Any) -> Array:
         at_edge = -1 if self.lattice.at_last else 0
         unit = self.scale[at_edge] / cut.scale[at_edge]  # of the two gauges
-        both = self._on_cells(problem, z, cells)
+        both = self._on_cells(problem, z, cut.core.cells)
         return np.concatenate([unit * both.ravel(), [problem.frequency(z), z[problem.parameter_index]]])
 
     def _on_cells(self, problem: Problem, z: Array, cells: int) -> Array:

@@ -350,9 +350,9 @@ class LongLattice(WithOwnParameters):
 
     def _limit(self, tail: Tail, end: End | None, side: float) -> float:
         """The largest, or the least, such angle of a mode: in the gap, and of a pinned one in the first lobe beyond."""
-        highest = tail.edges[-1].square
+        highest = tail.edges[-1]
         if end is None:
-            return self._together(tail, tail.anywhere(1e3 * highest if side > 0.0 else min(0.0, tail.edges[0].square)))
+            return self._together(tail, tail.anywhere(1e3 * highest if side > 0.0 else min(0.0, tail.edges[0])))
         if self.lean <= 0.0:
             return self._together(tail, Place(end.edge.edge, -side * ROUND_OFF * highest))
         if not np.isfinite(tail.cells):
@@ -363,7 +363,7 @@ class LongLattice(WithOwnParameters):
 
     def linear_spectrum(self, parameters: Mapping[str, float] | None = None) -> LinearSpectrum:
         """The ends of the bands; the lattice has too many modes for more."""
-        squares = [edge.square for edge in self.tail(1).edges]
+        squares = self.tail(1).edges
         ends = squares[0], squares[-1]
         bands = tuple(zip(squares[::2], squares[1::2], strict=True))
         return LinearSpectrum(np.empty(0), ends, lambda _: np.empty(0), ends, bands)

@@ -43,14 +43,6 @@ SAME_AS_FAR_MODE = 1e-13  # of amplitudes at the far wall: less is left of them 
 
 
 @dataclass(frozen=True)
-class Edge:
-    """An edge of a band: lambda there, and the sign that neighbouring cells have relative to each other."""
-
-    square: float
-    sign: float
-
-
-@dataclass(frozen=True)
 class Place:
     """Where a harmonic is: `off` in lambda from an edge of a band, counted from 0, in the gap beside it or the band."""
 
@@ -103,15 +95,29 @@ class Tail:
     # Bands ------------------------------------------------------------------------------------------------------------
 
     @cached_property
-    def edges(self) -> tuple[Edge, ...]:
-        """Edges of all bands, ascending."""
+    def _edges(self) -> list[tuple[float, float]]:
+        """lambda at the edges of all bands, ascending, with the sign of neighbouring cells relative to each other."""
         found = []
         for sign in (1.0, -1.0):
             K = self.stiffness.copy()
             K[self.inlet, self.outlet] -= sign * self.coupling
             K[self.outlet, self.inlet] -= sign * self.coupling
-            found += [Edge(float(square), sign) for square in np.linalg.eigvalsh(K)]
-        return tuple(sorted(found, key=lambda edge: edge.square))
+            found += [(square, sign) for square in np.linalg.eigvalsh(K).tolist()]
+        return sorted(found, key=lambda edge: edge[0])
+
+    @cached_property
+    def edges(self) -> tuple[float, ...]:
+        """lambda at the edges of all bands, ascending."""
+        return tuple(square for square, _ in self._edges)
+
+    @cached_property
+    def signs(self) -> tuple[float, ...]:
+        """The signs that neighbouring cells have there relative to each other."""
+        return tuple(sign for _, sign in self._edges)
+
+    def width(self, place: Place) -> float:
+        """Width in lambda of the band at the edge of a place."""
+        return abs(self.edges[place.edge] - self.edges[place.edge - int(place.side)])
 
     def sides(self, gap: int) -> tuple[Place | None, Place | None]:
         """The edges below and above a gap; None below the lowest band and above the highest."""
@@ -120,15 +126,10 @@ class Tail:
 
     def anywhere(self, square: float) -> Place:
         """Where a lambda is, in a gap or in a band, from the nearest edge of it."""
-        squares = self._squares
-        below = bisect_left(squares, square)
-        edge = min((k for k in (below - 1, below) if 0 <= k < len(squares)), key=lambda k: abs(square - squares[k]))
-        return Place(edge, square - squares[edge])
-
-    @cached_property
-    def _squares(self) -> list[float]:
-        """lambda of all edges."""
-        return [edge.square for edge in self.edges]
+        below = bisect_left(self.edges, square)
+        near = (k for k in (below - 1, below) if 0 <= k < len(self.edges))
+        edge = min(near, key=lambda k: abs(square - self.edges[k]))
+        return Place(edge, square - self.edges[edge])
 
     def place(self, square: float) -> Place:
         """Where a lambda is; raises ArithmeticError in a band."""
@@ -139,7 +140,7 @@ class Tail:
 
     def square(self, place: Place) -> float:
         """lambda of a place."""
-        return self.edges[place.edge].square + place.off
+        return self.edges[place.edge] + place.off
 
     # One harmonic -----------------------------------------------------------------------------------------------------
 
@@ -148,8 +149,8 @@ class Tail:
         """Of each edge the coefficients of D, s C_oo, s C_ii, s C_oi, s^2 C_2, 2 s C_oi (cos - sign) in lambda off."""
         found, s, i, o = [], self.coupling, self.inlet, self.outlet
         rest = [n for n in range(len(self.stiffness)) if n not in (i, o)]
-        for edge in self.edges:
-            K = self.stiffness - edge.square * np.eye(len(self.stiffness))
+        for square, sign in self._edges:
+            K = self.stiffness - square * np.eye(len(self.stiffness))
             values, vectors = np.linalg.eigh(K)
 
             def product(roots: Any) -> Array:
@@ -162,7 +163,7 @@ class Tail:
             )
             D = product(values)
             C2 = product(np.linalg.eigvalsh(K[np.ix_(rest, rest)])) if i != o else np.zeros(1)
-            beyond = polynomial.polysub(polynomial.polysub(D, s**2 * C2), 2.0 * edge.sign * s * oi)
+            beyond = polynomial.polysub(polynomial.polysub(D, s**2 * C2), 2.0 * sign * s * oi)
             beyond[0] = 0.0  # at the edge
             found.append(tuple(p.tolist() for p in (D, s * oo, s * ii, s * oi, s**2 * C2, beyond)))
         return found
@@ -170,7 +171,7 @@ class Tail:
     def _trace(self, place: Place) -> tuple[Any, Any]:
         """Half the trace of P s C_oi with the cosine of the edge's wave number, and what is beyond that."""
         oi, beyond = (_value(p, place.off) for p in self._polynomials[place.edge][3::2])
-        return self.edges[place.edge].sign * oi, 0.5 * beyond
+        return self.signs[place.edge] * oi, 0.5 * beyond
 
     @staticmethod
     def _phase(at_edge: Any, half: Any) -> Any:
@@ -181,7 +182,7 @@ class Tail:
     def _vector(self, place: Place, off: Any) -> tuple[Any, Any]:
         """(amplitude across the bond, amplitude of the core's site), up to a factor; in a band of any lobe."""
         D, oo, ii, oi, C2, beyond = (_value(p, off) for p in self._polynomials[place.edge])
-        sign, c, functions = self.edges[place.edge].sign, self.cells, _functions_of(off)
+        sign, c, functions = self.signs[place.edge], self.cells, _functions_of(off)
         first, second = -C2 * self.wall + oo, -ii * self.wall + D  # P s C_oi on the far wall
         half, at_edge = 0.5 * beyond, sign * oi  # half the trace is at_edge + half
         if math.isfinite(c) and abs(2.0 * half / at_edge) * c**2 < BESIDE_EDGE:  # kappa^2 c^2: to its first power
@@ -301,9 +302,8 @@ class Tail:
             if end is not None and (turn := end.edge.side * (end.angle - value)) >= 0.0:
                 if not np.isfinite(self.cells):
                     return end.harmonic, end.edge
-                here, other = (self.edges[k].square for k in (end.edge.edge, end.edge.edge - int(end.edge.side)))
                 lobes = self.lobe(end.edge.edge) * (turn + 2.0 * math.pi) ** 2  # further than the angle needs
-                farthest = min(lobes, WITHIN_BAND * abs(other - here))
+                farthest = min(lobes, WITHIN_BAND * self.width(end.edge))
                 return end.harmonic, self._solved(end, -end.edge.side * farthest, angle, value)
         end = lower or upper
         assert end is not None
@@ -355,7 +355,7 @@ class Tail:
         if not np.isfinite(c):  # at the edge of a band no wave decays, and amplitudes are linear in the distance
             ends = start[:, None] - (bonds * (sign * P @ start - start)[:, None] if kappa == 0.0 else 0.0 * bonds)
         else:
-            sign = sign if kappa > 0.0 else self.edges[place.edge].sign
+            sign = sign if kappa > 0.0 else self.signs[place.edge]
 
             def sines(cells: Array | float) -> Any:
                 if kappa > 0.0:
@@ -422,7 +422,7 @@ class Tail:
         edges, sides = [place.edge for place in places], np.array([place.side for place in places])
         off = sides * roots**2
         D, oo, ii, oi, C2, slope = (_value(list(kind[:, edges]), off) for kind in self._stacked)
-        at_edge = np.array([self.edges[k].sign for k in edges]) * oi
+        at_edge = np.array(self.signs)[edges] * oi
         kappa = 2.0 * np.arcsinh(roots * np.sqrt(0.25 * sides * slope / at_edge))
         small = at_edge * np.exp(-kappa)
         if seen.any():

@@ -173,7 +173,7 @@ class TailParameter:
     def passed(self, values: TailValues) -> int:
         """Modes of the tail by itself that harmonics lie above, of high harmonics as counted from infinity."""
         last = len(self.tail.edges) - 1
-        above_all = Place(last, FARTHEST_FREQUENCY * self.tail.edges[last].square)
+        above_all = Place(last, FARTHEST_FREQUENCY * self.tail.edges[last])
         passed = np.floor(values.phi / np.pi + 0.5)
         passed[max(self._gaps) // 2 + 1 :] -= np.floor(self.tail.angle(above_all) / np.pi + 0.5)
         return int(np.sum(passed))
@@ -254,8 +254,7 @@ def _pinned(tail: Tail, values: TailValues, orders: int) -> TailSeries:
     rates = 1.0 / np.cumprod(np.maximum(k, 1))
     across[:, h], down[:, h] = (rates * np.sin(values.phi[h] + (k + turn) * 0.5 * np.pi) for turn in (0, 1))
     endless, place = replace(tail, cells=np.inf), values.places[h]
-    width = tail.edges[place.edge].square - tail.edges[place.edge - int(place.side)].square
-    turn = endless.angle(Place(place.edge, place.side * BAND_EDGE_RTOL * abs(width))) - values.phi[h]
+    turn = endless.angle(Place(place.edge, place.side * BAND_EDGE_RTOL * tail.width(place))) - values.phi[h]
     return TailSeries(Omega, across, down, turn - np.pi * np.round(turn / np.pi))
 
 
@@ -263,7 +262,7 @@ def _widest(tail: Tail, values: TailValues, k2: Array, by_root: bool) -> float:
     """The radius of a circle on which no harmonic meets an edge of a band, but for the one that is resolved."""
     reach, resolved = np.inf, values.places[values.resolved]
     for h, place in enumerate(values.places):
-        edges = [abs(tail.square(place) - edge.square) for k, edge in enumerate(tail.edges) if k != place.edge]
+        edges = [abs(tail.square(place) - edge) for k, edge in enumerate(tail.edges) if k != place.edge]
         if h != values.resolved:
             edges.append(abs(place.off))
         reach = min(reach, CIRCLE_RADIUS_RATIO * min(edges) * k2[values.resolved] / k2[h])

@@ -151,7 +151,7 @@ class FamilyStability(ABC):
         for sites in localised.sites:
             cut = self._cut(sites)
             flow = cut.flow if by in (None, self.request.method.flow) else cut._flow(str(by))
-            state = self._on_cut_sites(orbit_state(point), cut, sites)
+            state = self._on_cut_sites(orbit_state(point), cut)
             first, better = cut.accelerations([state, state.better or state])
             (transition,) = flow.transitions([state], self.tolerance)
             found = localised_floquet(
@@ -179,10 +179,10 @@ class FamilyStability(ABC):
             self._cuts[sites] = type(self)(replace(self.request, **changed))
         return self._cuts[sites]
 
-    def _on_cut_sites(self, state: OrbitState, cut: Self, sites: int) -> OrbitState:
+    def _on_cut_sites(self, state: OrbitState, cut: Self) -> OrbitState:
         problem = cut.levels.problem(state.problem.resolution)
-        better = None if state.better is None else self._on_cut_sites(state.better, cut, sites)
-        return OrbitState(problem, self.coordinates.on_cut_sites(state.problem, state.z, sites), better)
+        better = None if state.better is None else self._on_cut_sites(state.better, cut)
+        return OrbitState(problem, self.coordinates.on_cut_sites(state.problem, state.z, cut.coordinates), better)
 
     def accelerations(self, orbits: Sequence[OrbitState]) -> Array:
         """q'' at phase zero, shape (orbits, relative positions)."""

@@ -140,8 +140,8 @@ class Coordinates(ABC):
         """The model of so many sites at the edge alone, and the mode of the same family there."""
         raise NotImplementedError
 
-    def on_cut_sites(self, problem: Problem, z: Array, sites: int) -> Array:
-        """The unknowns of the same orbit on so many sites at the edge, as those of the family on these."""
+    def on_cut_sites(self, problem: Problem, z: Array, cut: Coordinates) -> Array:
+        """The unknowns of the same orbit on the sites of a `cut` alone, from the coordinates of the family there."""
         raise NotImplementedError
 
     def check_whole(self, purpose: str = "what is asked for") -> None:  # noqa: B027  most have every position as an unknown

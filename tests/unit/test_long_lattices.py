@@ -44,9 +44,9 @@ def test_the_tail_moves_as_all_its_sites_do(sites: int, inlet: int, outlet: int,
     far = (cells - 1) * sites + inlet
     K[far, far] -= s * wall
     tail = Tail(cells, A, s, inlet, outlet, wall)
-    for square in np.linspace(0.1, tail.edges[-1].square + 3.0, 83):
+    for square in np.linspace(0.1, tail.edges[-1] + 3.0, 83):
         place = tail.anywhere(square)
-        if np.sum([edge.square < square for edge in tail.edges]) % 2:
+        if np.sum([edge < square for edge in tail.edges]) % 2:
             assert place.in_band
             with pytest.raises(ArithmeticError, match="in a band"):
                 tail.place(square)
