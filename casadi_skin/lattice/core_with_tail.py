@@ -221,9 +221,9 @@ class TailRecursion:
         except ArithmeticError as error:
             raise SingularError(str(error)) from error
         self.end = None if np.isnan(tail.end) else (place, float(z[place]) + tail.end)
-        self._by_u = np.column_stack([tail.Omega, tail.across, tail.down])  # by powers of u
-        self._bond = problem.tail.coupling / tail.Omega[0] ** 2
-        own[place] = tail.Omega[0]  # of the core: Omega in the place of u
+        self._by_u = tail.coefficients  # by powers of u
+        own[place] = self._by_u[0, 0]  # of the core: Omega in the place of u
+        self._bond = problem.tail.coupling / own[place] ** 2
         self._found[0], self._along[0], self._site[0] = z, self._by_u[0], problem._to_coefficients @ z[problem.rows]
         self._balance[0], self._block, self._by_Omega = problem.attached_balance(own)
         self._core.put(0, own)

@@ -211,13 +211,11 @@ BAND_EDGE_RTOL = 1e-8  # of a band's width: how far Omega may leave its edge bef
 class TailSeries:
     """Coefficients by powers of u from its value: of Omega, and by harmonic of the sine and cosine of the angle phi.
 
-    Shapes are (orders + 1,) and (orders + 1, harmonics). They hold up to u = `end` where that is a number: functions of
-    an endless tail are not analytic where a harmonic leaves an edge of a band.
+    Their shape is (orders + 1, 1 + 2 harmonics). They hold up to u = `end` where that is a number: functions of an
+    endless tail are not analytic where a harmonic leaves an edge of a band.
     """
 
-    Omega: Array
-    across: Array
-    down: Array
+    coefficients: Array
     end: float = np.nan
 
 
@@ -248,14 +246,14 @@ def series_of(tail: Tail, values: TailValues, in_u: int, orders: int) -> TailSer
 
 def _pinned(tail: Tail, values: TailValues, orders: int) -> TailSeries:
     """Where the frequency hardly changes, as on an edge of an endless tail's band: one angle changes alone."""
-    h, k = values.resolved, np.arange(orders + 1)
-    Omega, across, down = np.zeros(orders + 1), *np.zeros((2, orders + 1, values.phi.size))
-    Omega[0], across[0], down[0] = values.Omega, values.across, values.down
-    rates = 1.0 / np.cumprod(np.maximum(k, 1))
-    across[:, h], down[:, h] = (rates * np.sin(values.phi[h] + (k + turn) * 0.5 * np.pi) for turn in (0, 1))
+    h, H, k = values.resolved, values.phi.size, np.arange(orders + 1)
+    found, rates = np.zeros((orders + 1, 1 + 2 * H)), 1.0 / np.cumprod(np.maximum(k, 1))
+    found[0] = np.concatenate([[values.Omega], values.across, values.down])
+    for turn, column in enumerate((1 + h, 1 + H + h)):
+        found[:, column] = rates * np.sin(values.phi[h] + (k + turn) * 0.5 * np.pi)
     endless, place = replace(tail, cells=np.inf), values.places[h]
     turn = endless.angle(Place(place.edge, place.side * BAND_EDGE_RTOL * tail.width(place))) - values.phi[h]
-    return TailSeries(Omega, across, down, turn - np.pi * np.round(turn / np.pi))
+    return TailSeries(found, turn - np.pi * np.round(turn / np.pi))
 
 
 def _widest(tail: Tail, values: TailValues, k2: Array, by_root: bool) -> float:
@@ -288,7 +286,6 @@ def _integrals(
     if not abs(np.sum(turning).real - 1.0) <= NEGATIVE_POWER_RATIO:
         return None
     inverse = turning[:, None] * np.cumprod(np.column_stack([np.ones_like(w), *[1.0 / w] * orders]), axis=1)
-    Omega = np.sqrt(values.Omega**2 + squared)
-    parts = Omega[:, None], np.sin(values.phi + turns), np.cos(values.phi + turns)
-    in_order = [(inverse.T @ part).real for part in parts]
-    return TailSeries(in_order[0][:, 0], in_order[1], in_order[2])
+    Omega, phi = np.sqrt(values.Omega**2 + squared), values.phi + turns
+    found = inverse.T @ np.column_stack([Omega, np.sin(phi), np.cos(phi)])
+    return TailSeries(np.ascontiguousarray(found.real))

@@ -92,7 +92,7 @@ def test_power_series_of_the_tail_are_its_values_beside_the_place(sites: float, 
     """In and beside the band, up to where it is not analytic if the tail is endless."""
     parameter = parameter_of(sites, edge, 6)
     series = parameter.series(u, 24)
-    found = np.column_stack([series.Omega, series.across, series.down])
+    found = series.coefficients
     reach = 0.5 * min((1e-6 / np.max(np.abs(found[k]))) ** (1 / k) for k in (23, 24))
     reach = min(reach, 0.02, 0.25 * abs(u - edge_of(parameter_of(math.inf, edge, 6))))
     for v in (-reach, -0.5 * reach, 0.5 * reach, reach):
