@@ -29,8 +29,8 @@ from casadi_skin.solve.ipopt import CORRECTORS, ArbitratedCorrector
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import Correction, Corrector, RoundedCorrector, in_family, rank_deficiency
 from casadi_skin.stability.flows import FlowError
-from casadi_skin.stability.full_period import FULL_PERIOD_FLOWS, Closed, Returned
-from casadi_skin.stability.reduction import ComplexArray
+from casadi_skin.stability.full_period import FULL_PERIOD_FLOWS, Closed
+from casadi_skin.stability.reduction import ComplexArray, vectors_of
 from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
 from casadi_skin.zero import mesh
 from casadi_skin.zero.augmented import Singularity, SingularProblem
@@ -434,7 +434,7 @@ class BoundarySpace(ParameterSpace):
     def moves_freely(self, point: Point) -> bool:
         """Whether a solution that closes does so from any phase: its velocity has the multiplier 1."""
         if self.closure is not None:
-            return Returned(stated(point.problem), point.z, self.closure).moves_freely
+            return Closed.by(self.closure, stated(point.problem), point.z).moves_freely
         return PERIOD in self.statement.free
 
     def _better(self, point: Point) -> Refinement | None:
@@ -455,24 +455,18 @@ class BoundarySpace(ParameterSpace):
     def _floquet(self, point: Point, by: str, with_errors: bool = True) -> Floquet:
         better = self._better(point) if with_errors else None
 
-        def closed(problem: BoundaryProblem, z: Array) -> Closed | Returned:
+        def closed(problem: BoundaryProblem, z: Array) -> Closed:
             if self.closure is not None:
-                return Returned(problem, z, self.closure)
+                return Closed.by(self.closure, problem, z)
             periodic, period = self._orbit_of(), self.interval(replace(point, problem=problem, z=z))[1]
             return Closed(problem, z, periodic.model, periodic.symmetry, period)
 
         finer = None if better is None else closed(stated(better.problem), better.z)
-        found: Floquet = FULL_PERIOD_FLOWS[by](closed(stated(point.problem), point.z), finer, self.tolerance)
-        return found
+        return FULL_PERIOD_FLOWS[by](closed(stated(point.problem), point.z), finer, self.tolerance)
 
     def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
         """Eigenvectors of the monodromy matrix in the order of the multipliers, largest entry 1."""
-        from scipy.optimize import linear_sum_assignment
-
-        values, vectors = np.linalg.eig(np.asarray(floquet.monodromy).astype(complex))
-        _, order = linear_sum_assignment(np.abs(floquet.multipliers[:, None] - values))
-        vectors = vectors[:, order]
-        return np.asarray(vectors / np.max(np.abs(vectors), axis=0))
+        return vectors_of(np.asarray(floquet.monodromy), floquet.multipliers)
 
     def _orbit_of(self) -> Periodic:
         if self.periodic is None:

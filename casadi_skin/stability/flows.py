@@ -9,9 +9,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from itertools import groupby
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -25,10 +25,6 @@ from casadi_skin.model.polynomial import Monomials, NotPolynomialError, polynomi
 from casadi_skin.native import kernels, transitions
 from casadi_skin.stability.reduction import blocks_of, frobenius_norms
 from casadi_skin.zero.problem import Array, Indices, Problem
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
 
 T = TypeVar("T")
 
@@ -256,15 +252,6 @@ class JacobianAlong:
         """Largest distance of a non-zero from the diagonal."""
         return int(np.max(np.abs(self.rows() - self.indices), initial=0))
 
-    def block_matrix(self, points: int) -> csr_array:
-        """Block-diagonal matrix of the J of several points; its data is J's non-zeros, point by point."""
-        from scipy.sparse import csr_array
-
-        nonzeros, each = self.indices.size, np.arange(points, dtype=np.int32)[:, None]
-        starts = np.append((nonzeros * each + self.indptr[:-1]).ravel(), np.int32(points * nonzeros))
-        columns = (self.size * each + self.indices).ravel()
-        return csr_array((np.zeros(points * nonzeros), columns, starts), shape=(points * self.size,) * 2)
-
     def rows(self) -> NDArray[np.intp]:
         """Row of each non-zero."""
         return np.repeat(np.arange(self.size), np.diff(self.indptr))
@@ -352,8 +339,12 @@ class SplittingMap:
         if kernels():
             pattern, stages = (jacobian.indptr, jacobian.indices), (sequence.kicks, sequence.drifts)
             return transitions(pattern, (jacobian.half_bandwidth, self._reach(nonzeros, h)), stages, h, nonzeros)
+        from scipy.sparse import block_diag, csr_array
+
         points, n = durations.size, jacobian.size
-        matrix, scaled = jacobian.block_matrix(points), nonzeros * (h * h)[:, None, None]
+        one = csr_array((np.ones(jacobian.indices.size), jacobian.indices, jacobian.indptr), shape=(n, n))
+        matrix: csr_array = block_diag([one] * points, format="csr")
+        scaled = nonzeros * (h * h)[:, None, None]
 
         def kick(i: int, x: Array, v: Array) -> Array:
             matrix.data = sequence.kicks[i] * scaled[:, i].ravel()
@@ -473,45 +464,47 @@ class SplittingFlow(FlowMap):
             self._level = max(level - (LOWER_LEVEL_HEADROOM * higher * error <= tolerance), len(self.orders))
         return results
 
-    def _adapted(self, orbits: Sequence[OrbitState], tolerance: float, level: int) -> list[Transition]:
-        """From the `level` on to that which should do for each orbit by its own errors, and does.
+    def _adapted(
+        self, orbits: Sequence[OrbitState], tolerance: float, level: int, known: Mapping[int, Array] | None = None
+    ) -> list[Transition]:
+        """From the `level`, and on at that which should do for each orbit by its own errors, until it does.
 
         The digits of an orbit then depend neither on the others given with it nor on those before. Raised one level at
         a time, it would end with an error just below the tolerance: 14 times larger at edges of a chain of 16 sites.
+        Matrices in some numbers of steps may be `known`.
         """
-        done, unmet = dict[int, Transition](), ""
-        places, maps = np.arange(len(orbits)), dict[int, Array]()
-        sufficient = np.full(len(orbits), level)
-        while places.size:
-            if level == len(self.step_numbers):
-                raise FlowError(unmet)
-            those, steps = [orbits[i] for i in places.tolist()], self.step_numbers[: level + 1]
-            missing = [number for number in steps[-len(self.orders) - 1 :] if number not in maps]
-            maps |= dict(zip(missing, self.matrices(missing, those), strict=True))
-            matrices, errors = self._extrapolated(steps, maps)
-            with np.errstate(over="ignore", invalid="ignore"):
-                truncation, round_off = frobenius_norms(errors), ROUND_OFF * frobenius_norms(matrices)
-            fine = truncation <= np.maximum(tolerance, round_off)
-            met, coarse = fine & (sufficient <= level), ~fine & (sufficient <= level)
-            coarsest = steps[-len(self.orders) - 1]
-            pairs = self._pairs(those, met, coarsest, maps[coarsest])
-            for k in np.flatnonzero(met).tolist():
-                total = float(truncation[k] + round_off[k])
-                known = matrices[k], self.fraction, total, errors[k], pairs.get(k)
-                done[int(places[k])] = Transition(*known, steps[-1])
-            if not met.all():
-                worst = int(np.argmax(np.where(met, -np.inf, truncation)))
-                unmet = (
-                    f"the splitting leaves {truncation[worst]:.1e} with {steps[-1]} steps; requested: "
-                    f"{tolerance:.1e}; worst {_place(those[worst], errors[worst], self.model.size)}; try a larger "
-                    "tolerance or another flow (splitting, cvodes)"
-                )
-            sufficient[coarse] = [
-                self._sufficient_level(level, error, tolerance) for error in truncation[coarse].tolist()
+        maps, steps = dict(known or {}), self.step_numbers[level - len(self.orders) : level + 1]
+        missing = [number for number in steps if number not in maps]
+        maps |= dict(zip(missing, self.matrices(missing, orbits), strict=True))
+        matrices, errors = self._extrapolated(steps, maps)
+        with np.errstate(over="ignore", invalid="ignore"):
+            truncation, round_off = frobenius_norms(errors), ROUND_OFF * frobenius_norms(matrices)
+        met = truncation <= np.maximum(tolerance, round_off)
+        if not met.all() and level + 1 == len(self.step_numbers):
+            worst = int(np.argmax(np.where(met, -np.inf, truncation)))
+            raise FlowError(
+                f"the splitting leaves {truncation[worst]:.1e} with {steps[-1]} steps; requested: {tolerance:.1e}; "
+                f"worst {_place(orbits[worst], errors[worst], self.model.size)}; try a larger tolerance or another "
+                "flow (splitting, cvodes)"
+            )
+        pairs, totals = self._pairs(orbits, met, steps[0], maps[steps[0]]), (truncation + round_off).tolist()
+        found = [
+            Transition(matrix, self.fraction, total, error, pairs.get(k), steps[-1])
+            for k, (matrix, total, error) in enumerate(zip(matrices, totals, errors, strict=True))
+        ]
+        levels = np.array(
+            [
+                0 if ok else self._sufficient_level(level, error, tolerance)
+                for ok, error in zip(met, truncation, strict=True)
             ]
-            places, sufficient, maps = places[~met], sufficient[~met], {n: each[~met] for n, each in maps.items()}
-            level = int(np.min(sufficient, initial=len(self.step_numbers)))
-        return [done[i] for i in range(len(orbits))]
+        )
+        for higher in np.unique(levels[~met]).tolist():
+            places = np.flatnonzero(levels == higher)
+            kept = {number: each[places] for number, each in maps.items()}
+            again = self._adapted([orbits[i] for i in places.tolist()], tolerance, higher, kept)
+            for i, transition in zip(places.tolist(), again, strict=True):
+                found[i] = transition
+        return found
 
     def _sufficient_level(self, level: int, error: float, tolerance: float) -> int:
         """The level that should meet a tolerance where one leaves an error above it; the next one at least."""
@@ -523,8 +516,7 @@ class SplittingFlow(FlowMap):
         return next((r for r in above if left(r) * error <= left(level) * tolerance), level + 1)
 
     def _extrapolated(self, steps: tuple[int, ...], maps: Mapping[int, Array]) -> tuple[Array, Array]:
-        """Extrapolated matrices from those in the last numbers of steps, and matrices like their errors."""
-        steps = steps[-len(self.orders) - 1 :]
+        """Extrapolated matrices from those in numbers of steps, and matrices like their errors."""
         few, all_ = extrapolation(steps[1:], self.orders[:-1]), extrapolation(steps, self.orders)
         found = [maps[number] for number in steps]
         return _combined(found[1:], few), _combined(found, EXTRAPOLATION_SAFETY * (all_ - np.append(0.0, few)))
@@ -559,10 +551,32 @@ def _place(orbit: OrbitState, errors: Array, size: int) -> str:
 # Transition matrices by SUNDIALS CVODES with forward sensitivities (Hindmarsh et al. 2005), for any model -------------
 
 TIGHTEST_LOCAL_TOLERANCE = 1e-13
-MAX_STEPS = 100_000
+MAX_STEPS = 200_000
 LOCAL_TOLERANCE_RATIO = (
     1e-3  # local tolerance per global tolerance: measured, the global error is up to several hundred local ones
 )
+
+
+def transition_by_cvodes(model: OdeModel, start: Array, numbers: Array, local: float, stiff: bool) -> Array:
+    """Sensitivity of the flow to its start, shape (n, n); raises CvodesError.
+
+    The `numbers` are parameters, the duration, and units of the components, which local tolerances are relative to.
+    """
+    units = numbers[-start.size :]
+    found = run_cvodes(_sensitivities(model, local, stiff), start / units, numbers)["jac_xf_x0"]
+    return np.asarray(np.array(found) * units[:, None] / units)
+
+
+@lru_cache(maxsize=16)
+def _sensitivities(model: OdeModel, local: float, stiff: bool) -> ca.Function:
+    """The flow of states in units over a time of 1, with its sensitivity: of parameters, duration and units."""
+    kind, n = type(model.state), model.full_size
+    s, y, p = kind.sym("s"), kind.sym("y", n), kind.sym("p", model.parameters.numel())
+    duration, units = kind.sym("duration"), kind.sym("units", n)
+    own = units if stiff else 1.0  # else all states have a size of 1
+    rates = duration * model.field_at(duration * s, own * y, p) / own
+    options = CvodesOptions(local, local, MAX_STEPS, stiff=stiff, sensitivity_errors=True)
+    return options.transition("flow", {"t": s, "x": y, "p": ca.vertcat(p, duration, units), "ode": rates})
 
 
 class CvodesFlow(FlowMap):
@@ -572,27 +586,13 @@ class CvodesFlow(FlowMap):
     proportional to them. Local tolerances follow the tolerance down from the flow's own, by powers of ten.
     """
 
-    def __init__(self, model: OdeModel, tolerance: float, frame: Array | None = None) -> None:
-        super().__init__(model, tolerance, frame)
-        self.first_order = model.first_order()
-        self._functions: dict[float, ca.Function] = {}
-
-    def _function(self, local: float) -> ca.Function:
-        """Sensitivity of the flow at a local tolerance, built when first needed."""
-        if local not in self._functions:
-            model, time = self.first_order, ca.SX.sym("time")
-            dae = {"x": model.state, "p": ca.vertcat(model.parameters, time), "ode": time * model.rhs}
-            options = CvodesOptions(local, local, MAX_STEPS, sensitivity_errors=True)
-            self._functions[local] = options.transition("flow", dae)
-        return self._functions[local]
-
     def _matrix(self, orbit: OrbitState, local: float) -> Array:
         """Transition matrix; velocities of a brake orbit vanish at phase zero."""
         positions = orbit.problem.sample(orbit.z, np.zeros(1))[0]
-        start = np.concatenate([positions, np.zeros(self.first_order.size - positions.size)])
-        parameters = np.append(orbit.parameter, self.durations([orbit]))
+        start = np.concatenate([positions, np.zeros(self.model.full_size - positions.size)])
+        numbers = np.concatenate([[orbit.parameter], self.durations([orbit]), np.ones(start.size)])
         try:
-            return np.array(run_cvodes(self._function(local), start, parameters)["jac_xf_x0"])
+            return transition_by_cvodes(self.model, start, numbers, local, stiff=False)
         except CvodesError as error:
             place = f"the orbit of Omega = {orbit.Omega:.10g}, parameter = {orbit.parameter:.10g}"
             raise FlowError(

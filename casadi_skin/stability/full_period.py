@@ -13,12 +13,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
 
 import numpy as np
 
 from casadi_skin.model.conserved import SymmetryClass
-from casadi_skin.model.integrators import CvodesError, CvodesOptions, IntegrationError, Trajectory, run_cvodes
+from casadi_skin.model.integrators import CvodesError, IntegrationError, Trajectory
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.stability.closed_maps import (
     Multipliers,
@@ -31,6 +30,7 @@ from casadi_skin.stability.closed_maps import (
     units_of,
     vectors_along,
 )
+from casadi_skin.stability.flows import LOCAL_TOLERANCE_RATIO, TIGHTEST_LOCAL_TOLERANCE, transition_by_cvodes
 from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.problem import Array, Indices
@@ -157,30 +157,40 @@ def maps_of_parts(problem: BoundaryProblem, z: Array, n: int, counts: Indices) -
     return interval_maps(finer, lengths, table), problem.sample(z, ends)[:, :n]
 
 
-LOCAL_TOLERANCE_RATIO = 1e-3  # of the tolerance, for one step of CVODES
-TIGHTEST_LOCAL_TOLERANCE = 1e-12
+LEAST_LOCAL_TOLERANCE = 1e-12
 TIGHTER_RATIO = 0.01  # times the local tolerance of CVODES, for the multipliers that show the error of the others:
 # at a tenth of it they may have the same error, of one sign, as orders and steps change with the tolerance
-TIGHTEST_OF_ALL = 1e-13  # for these
 LEFT_ERROR_RATIO = 0.75  # of the error that the tighter tolerance may leave: measured, up to 0.7 of single multipliers
 LEAST_ERROR_RATIO = 0.1  # of the largest error: that of a single multiplier may vanish at both tolerances
-MAX_STEPS = 200_000
 STILL_VARIATION = 1e-6  # of the largest value: the variation of a solution that rests
 CLOSED_VALUE_RTOL = 1e-5  # relative: values that close as the solution does
 
 
 @dataclass(frozen=True, eq=False)
 class Closed:
-    """A periodic solution: its unknowns, the model of first order, the part of the period that is unknown, the period.
+    """A solution that comes back to its start, or to S times that: its multipliers are those of S^-1 times the flow.
 
     The state of the problem may have others beside it: those of the model come first, and do not depend on these.
+
+    Attributes:
+        problem, z: the problem and its unknowns.
+        model: the model, of first order where S is not 1.
+        symmetry: the part of the period that is unknown.
+        period: of a periodic solution.
+        turn: S, shape (n, n), of a solution that conditions take back to S times its start; None where it is 1.
     """
 
     problem: BoundaryProblem
     z: Array
     model: OdeModel
-    symmetry: SymmetryClass
-    period: float
+    symmetry: SymmetryClass = SymmetryClass.FULL
+    period: float = np.nan
+    turn: Array | None = None
+
+    @classmethod
+    def by(cls, closure: Closure, problem: BoundaryProblem, z: Array) -> Closed:
+        """A solution that its conditions close."""
+        return cls(problem, z, closure.statement.model, turn=closure.matrix)
 
     @cached_property
     def parameters(self) -> Array:
@@ -201,7 +211,8 @@ class Closed:
     @property
     def ends(self) -> Array:
         """States at the ends of the intervals of the whole period, shape (ends, n)."""
-        part = _ends_of(self.problem, self.z, self.size)
+        columns = self.z[: self.problem.states].reshape(self.problem.columns, -1)
+        part = columns[:: self.problem.table.ends.size, : self.size]
         if self.is_whole:
             return part
         mirror, half = self._signs
@@ -209,7 +220,9 @@ class Closed:
         return there if half is None else np.concatenate([there, (there * half)[1:]])
 
     def over_the_period(self, maps: Array) -> Array:
-        """Maps over the full period from those over the part that the symmetry leaves: reversed and repeated."""
+        """Maps over the full period from those over the part that is solved for: reversed and repeated, or turned."""
+        if self.turn is not None:
+            return np.concatenate([maps, np.linalg.inv(self.turn)[None]])
         if self.is_whole:
             return maps
         mirror, half = self._signs
@@ -218,7 +231,8 @@ class Closed:
 
     def contraction(self, part: float) -> float:
         """The logarithm of the determinant of all maps, from that over the part that is solved for."""
-        return part / self.symmetry.value
+        whole = part / self.symmetry.value
+        return whole if self.turn is None else whole - float(np.linalg.slogdet(self.turn)[1])
 
     @property
     def _signs(self) -> tuple[Array, Array | None]:
@@ -230,51 +244,17 @@ class Closed:
         return half * reversal, half
 
     def trivial(self, tolerance: float, ends: Array | None = None) -> Trivial:
-        """The multipliers that are 1 for every orbit, with their vectors along it."""
-        states = self.ends if ends is None else ends
-        return trivial_along(self.model, self.symmetry, states, self.parameters, self.period, tolerance)
-
-
-@dataclass(frozen=True, eq=False)
-class Returned:
-    """A solution that the conditions of a statement take back to S times its start: of S^-1 times the flow.
-
-    The state of the problem may have others beside it: those of the statement come first, as its parameters.
-    """
-
-    problem: BoundaryProblem
-    z: Array
-    closure: Closure
-    is_whole: ClassVar[bool] = True
-
-    @property
-    def size(self) -> int:
-        """Number n of components of the state."""
-        return int(self.closure.matrix.shape[0])
-
-    @property
-    def ends(self) -> Array:
-        """States at the ends of the intervals, shape (ends, n)."""
-        return _ends_of(self.problem, self.z, self.size)
-
-    def over_the_period(self, maps: Array) -> Array:
-        """Maps over the intervals, and that back to the start."""
-        return np.concatenate([maps, np.linalg.inv(self.closure.matrix)[None]])
-
-    def contraction(self, part: float) -> float:
-        """The logarithm of the determinant of all maps, from that over the interval."""
-        return part - float(np.linalg.slogdet(self.closure.matrix)[1])
-
-    def trivial(self, tolerance: float, ends: Array | None = None) -> Trivial:
-        """Trivial multipliers: directions and gradients that S maps as it maps the solution."""
-        model, S, states = self.closure.statement.model, self.closure.matrix, self.ends if ends is None else ends
+        """The multipliers that are 1 for every orbit, with their vectors: those that S maps as it maps the solution."""
+        model, S, states = self.model, self.turn, self.ends if ends is None else ends
+        if S is None:
+            return trivial_along(model, self.symmetry, states, self.parameters, self.period, tolerance)
         problem, n = self.problem, self.size
         values = self.z[: problem.states].reshape(problem.columns, -1)[:, :n]
         size = max(float(np.max(np.abs(values))), float(np.max(problem.floors[:n])))
         if model.forced or np.max(np.ptp(values, axis=0)) <= STILL_VARIATION * size:  # at rest
             return no_trivial(n)
         states = np.vstack([states, states[0]])  # to which S^-1 takes that at the end
-        right, left = vectors_along(model, states, problem.parameters(self.z)[: model.parameters.numel()])
+        right, left = vectors_along(model, states, self.parameters)
         right = right[:, [_same(S @ v[0], v[-2]) for v in right.swapaxes(0, 1)]]
         left = left[:, [_same(S.T @ v[-2], v[0]) for v in left.swapaxes(0, 1)]]
         return trivial_of(right, left, units_of(states), tolerance)
@@ -289,12 +269,7 @@ def _same(one: Array, other: Array) -> bool:
     return bool(np.max(np.abs(one - other)) <= CLOSED_VALUE_RTOL * np.max(np.abs(other)))
 
 
-def _ends_of(problem: BoundaryProblem, z: Array, size: int) -> Array:
-    """The first components of the states at the ends of the intervals, shape (ends, size)."""
-    return z[: problem.states].reshape(problem.columns, -1)[:: problem.table.ends.size, :size]
-
-
-def by_collocation(orbit: Closed | Returned, better: Closed | Returned | None, tolerance: float) -> Floquet:
+def by_collocation(orbit: Closed, better: Closed | None, tolerance: float) -> Floquet:
     """Multipliers from the interval maps of the linearised equations; `better` is the orbit on a finer mesh."""
     found = _multipliers(orbit, tolerance)
     if better is None:
@@ -302,7 +277,7 @@ def by_collocation(orbit: Closed | Returned, better: Closed | Returned | None, t
     return judged(found, _multipliers(better, tolerance), tolerance, orbit.problem.left_by(better.problem))
 
 
-def _multipliers(orbit: Closed | Returned, tolerance: float) -> Multipliers:
+def _multipliers(orbit: Closed, tolerance: float) -> Multipliers:
     """From maps over intervals; over parts of these where several are so far from 1 that digits may be lost."""
     problem, z, n = orbit.problem, orbit.z, orbit.size
     jacobians = problem.discretisation.jacobians(z, problem.numbers)[:, :n, :n]  # at all stages, of unit length
@@ -324,9 +299,9 @@ def by_cvodes(orbit: Closed, better: Closed | None, tolerance: float) -> Floquet
 
     Their errors are seen on the better solution, with a tighter local tolerance.
     """
-    local = max(LOCAL_TOLERANCE_RATIO * tolerance, TIGHTEST_LOCAL_TOLERANCE)
+    local = max(LOCAL_TOLERANCE_RATIO * tolerance, LEAST_LOCAL_TOLERANCE)
     found = _by_sensitivities(orbit, local, tolerance)
-    tighter = max(TIGHTER_RATIO * local, TIGHTEST_OF_ALL)
+    tighter = max(TIGHTER_RATIO * local, TIGHTEST_LOCAL_TOLERANCE)
     finer = _by_sensitivities(better or orbit, tighter, tolerance)
     result = judged(found, finer, tolerance, LEFT_ERROR_RATIO, LEAST_ERROR_RATIO)
     return replace(result, blurred=int(np.count_nonzero(result.log_moduli < np.log(local))))
@@ -334,23 +309,19 @@ def by_cvodes(orbit: Closed, better: Closed | None, tolerance: float) -> Floquet
 
 def _by_sensitivities(orbit: Closed, local: float, tolerance: float) -> Multipliers:
     """Of states in units of their size: local errors are relative to that."""
-    model, units = orbit.model, units_of(orbit.ends)
-    kind, start = type(model.state), orbit.ends[0]
-    s, y, p = kind.sym("s"), kind.sym("y", model.full_size), kind.sym("p", model.parameters.numel())
-    rates = model.field_at(orbit.period * s, units * y, p) / units
-    options = CvodesOptions(local, local, MAX_STEPS, stiff=True, sensitivity_errors=True)
-    transition = options.transition("monodromy", {"t": s, "x": y, "p": p, "ode": orbit.period * rates})
+    start, units = orbit.ends[0], units_of(orbit.ends)
     try:
-        matrix = np.array(run_cvodes(transition, start / units, orbit.parameters)["jac_xf_x0"])
+        numbers = np.concatenate([orbit.parameters, [orbit.period], units])
+        matrix = transition_by_cvodes(orbit.model, start, numbers, local, stiff=True)
     except CvodesError as error:
         empty = Trajectory(np.empty((0, start.size)), 0)
         raise IntegrationError("cvodes", str(error), empty, np.array([orbit.period])) from error
     trivial = orbit.trivial(tolerance)
     closed = replace(trivial, right=trivial.right[[0, -1]], left=trivial.left[[0, -1]])
-    return multipliers_along((matrix * units[:, None] / units)[None], closed, units)
+    return multipliers_along(matrix[None], closed, units)
 
 
-FULL_PERIOD_FLOWS: Mapping[str, Callable[[Any, Any, float], Floquet]] = {
+FULL_PERIOD_FLOWS: Mapping[str, Callable[[Closed, Closed | None, float], Floquet]] = {
     "collocation": by_collocation,
     "cvodes": by_cvodes,
 }

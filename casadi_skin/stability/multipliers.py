@@ -15,7 +15,7 @@ the same: -C'^T, with C' the lower left block of Phi^-1, takes the place of C.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,9 +29,18 @@ from casadi_skin.stability.reduction import (
     half_cosine_errors,
     half_cosines,
     stacked,
+    vectors_of,
     with_reversed_blocks,
 )
-from casadi_skin.stability.result import Booleans, ContinuousSpectrum, CutTail, Floquet, reversible_floquet, root_of
+from casadi_skin.stability.result import (
+    Booleans,
+    ContinuousSpectrum,
+    CutTail,
+    Floquet,
+    reversible_floquet,
+    reversible_floquets,
+    root_of,
+)
 from casadi_skin.zero.problem import Array, Indices
 
 LARGE_EIGENVALUE_COUNT = 128  # eigenvalues from which on only those that are close are coupled
@@ -138,23 +147,18 @@ def floquets(
 
     starts, better = np.split(accelerations([*orbits, *(orbit.better or orbit for orbit in orbits)]), 2)
     transitions = flow.transitions(orbits, min(NORM_PER_MU * tolerance, COARSEST_ERROR))
-    waiting = np.arange(len(orbits))
-    solved = solve(transitions, waiting)
+    solved = solve(transitions, np.arange(len(orbits)))
     results, flow_errors = solved.results, solved.flow_errors
     for _ in range(MOST_RETRIES):
-        over = flow_errors > tolerance
-        if not over.any():
-            break
-        waiting = waiting[over]
+        waiting = np.flatnonzero(flow_errors > tolerance)
         norms = np.array([transitions[i].error for i in waiting.tolist()])
-        shares = np.exp2(np.floor(np.log2(np.maximum(0.5 * norms / flow_errors[over], 1e-3))))
-        flow_errors = np.empty(waiting.size)
+        shares = np.exp2(np.floor(np.log2(np.maximum(0.5 * norms / flow_errors[waiting], 1e-3))))
         for share in np.unique(shares).tolist():  # an orbit's own errors decide, not those of its batch
-            those = np.flatnonzero(shares == share)
-            again = flow.transitions([orbits[i] for i in waiting[those].tolist()], share * tolerance)
-            solved = solve(again, waiting[those])
+            those = waiting[shares == share]
+            again = flow.transitions([orbits[i] for i in those.tolist()], share * tolerance)
+            solved = solve(again, those)
             flow_errors[those] = solved.flow_errors
-            for i, transition, result in zip(waiting[those].tolist(), again, solved.results, strict=True):
+            for i, transition, result in zip(those.tolist(), again, solved.results, strict=True):
                 transitions[i], results[i] = transition, result
     return results
 
@@ -195,8 +199,8 @@ def _solve(
             mu[those] = systems.values
             errors[those], first = eigenvalue_errors(systems, *of_those)
             flow_errors[those] = np.max(first / np.maximum(1.0, np.abs(systems.values)), axis=1)
-    rows = zip(mu, errors, deviations.tolist(), strict=True)
-    return _Solved([reversible_floquet(*row, power, pairs) for row in rows], flow_errors, own, systems, similar)
+    results = reversible_floquets(mu, errors, deviations.tolist(), power, pairs)
+    return _Solved(results, flow_errors, own, systems, similar)
 
 
 def _round_off(transitions: Sequence[Transition], matrices: Array) -> Array:
@@ -258,17 +262,9 @@ def vectors_of_map(transition: Transition, multipliers: ComplexArray, scale: Arr
     Columns go with `multipliers`, those of the double eigenvalue of the trivial pair as they come; positions and
     velocities are multiplied by `scale` and columns scaled to largest entry 1.
     """
-    from scipy.optimize import linear_sum_assignment
-
-    n = transition.matrix.shape[0] // 2
-    reversal = np.diag(np.repeat([1.0, -1.0], n))
+    reversal = np.diag(np.repeat([1.0, -1.0], transition.matrix.shape[0] // 2))
     half = reversal @ np.linalg.inv(transition.matrix) @ reversal @ transition.matrix
-    values, vectors = np.linalg.eig(half.astype(complex))
-    _, order = linear_sum_assignment(
-        np.abs(multipliers[:, None] - values[None, :] ** POWERS_BY_FRACTION[transition.fraction])
-    )
-    vectors = np.concatenate([scale, scale])[:, None] * vectors[:, order]
-    return np.asarray(vectors / np.max(np.abs(vectors), axis=0))
+    return vectors_of(half, multipliers, POWERS_BY_FRACTION[transition.fraction], np.concatenate([scale, scale]))
 
 
 # The matrices that decide stability, from transition matrices over half of the time that M takes ----------------------
@@ -371,7 +367,7 @@ def localised_floquet(
     waves, undecided = mu[off & (cut > WAVE_CHANGE)], mu[off & (cut <= WAVE_CHANGE)]
     tail = CutTail(ContinuousSpectrum(Omega, bands, power), n, waves, undecided)
     deviation = found.trivial_deviation if bound else 0.0
-    return reversible_floquet(mu[local], (errors + cut)[local], deviation, power, tail=tail)
+    return replace(reversible_floquet(mu[local], (errors + cut)[local], deviation, power), tail=tail)
 
 
 def _by_deviation(systems: Eigensystems, similar: Array, trivial: float) -> Array:

@@ -177,3 +177,16 @@ def _left_vectors(matrix: Array) -> NDArray[Any]:
     with np.errstate(divide="ignore", invalid="ignore"):
         rows = (left.conj().T / np.sum(left.conj() * right, axis=0)[:, None])[_ascending(values)]
     return np.where(np.isfinite(rows), rows, np.inf)
+
+
+def vectors_of(matrix: Array, values: ComplexArray, power: int = 1, scale: Array | float = 1.0) -> ComplexArray:
+    """Eigenvectors times `scale` as columns in the order of given `values`, those of the matrix to a power.
+
+    Their largest entries are 1.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    own, vectors = np.linalg.eig(matrix.astype(complex))
+    _, order = linear_sum_assignment(np.abs(values[:, None] - own**power))
+    vectors = np.asarray(scale).reshape(-1, 1) * vectors[:, order]
+    return np.asarray(vectors / np.max(np.abs(vectors), axis=0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -168,38 +169,43 @@ def root_of(mu: ComplexArray, mu_error: Array) -> tuple[ComplexArray, Booleans, 
     return np.where(~stable & (np.abs(root) < 1.0), 1.0 / root, root), stable, real
 
 
-def reversible_floquet(
-    mu: ComplexArray,
-    mu_error: Array,
-    trivial_deviation: float,
-    power: int,
-    pairs: int = 1,
-    tail: CutTail | None = None,
-    counted: int | None = None,
-) -> Floquet:
-    """Stability of a reversible orbit with n positions, from n - k values of mu beside k pairs of trivial multipliers.
+def reversible_floquets(
+    mu: ComplexArray, mu_error: Array, trivial_deviations: Sequence[float], power: int, pairs: int = 1
+) -> list[Floquet]:
+    """Stability of reversible orbits with n positions, from n - k values of mu beside k pairs of trivial multipliers.
 
-    Of these `pairs` one is of time and of the family, one of each momentum that is conserved. The errors of the
-    multipliers are from those at mu changed by its error: near the circle they go with the root of mu.
+    Of these `pairs` one is of time and of the family, one of each momentum that is conserved; mu and its errors have
+    shape (orbits, n - k). The errors of the multipliers are from those at mu changed by its error: near the circle they
+    go with the root of mu.
     """
-    root, stable, real = root_of(mu, mu_error)
-    directions = np.where(real, np.sign(ERROR_DIRECTIONS.real)[:, None], ERROR_DIRECTIONS[:, None])
+    count, (root, stable, real) = len(mu), root_of(mu, mu_error)
+    directions = np.where(real, np.sign(ERROR_DIRECTIONS.real)[:, None, None], ERROR_DIRECTIONS[:, None, None])
     moved = np.where(real, mu.real, mu) + mu_error * directions + 0j
     own, moved = (
         np.stack([outer, 1.0 / outer], axis=-1)  # the multipliers of a mu, in either order
         for outer in (root ** (2 * power), (np.sqrt(moved) + np.sqrt(1.0 + moved)) ** (2 * power))
     )
     errors = np.max(np.min(np.abs(own[..., :, None] - moved[..., None, :]), axis=-1), axis=0)
-    moduli, away = np.abs(own[~stable, 0]), errors[~stable, 0]
-    largest, error = float(np.max(moduli, initial=1.0)), float(np.max(mu_error, initial=0.0))
-    if moduli.size:
-        with np.errstate(invalid="ignore"):
-            error = max(error, float(np.max(moduli + away) - largest), float(largest - np.max(moduli - away)))
-    multipliers = np.concatenate([np.ones(2 * pairs, complex), own.ravel()])
-    return Floquet(
-        multipliers, np.log(np.abs(multipliers)), 2 * pairs, trivial_deviation, errors.ravel(), np.repeat(stable, 2),
-        np.repeat(real, 2), error, largest, mu, mu_error, power, tail, counted,
-    )  # fmt: skip
+    moduli, away = np.where(stable, -np.inf, np.abs(own[..., 0])), errors[..., 0]
+    largest, error = (np.max(each, axis=1, initial=least) for each, least in ((moduli, 1.0), (mu_error, 0.0)))
+    with np.errstate(invalid="ignore"):
+        high, low = (np.max(moduli + sign * away, axis=1, initial=-np.inf) for sign in (1.0, -1.0))
+        off = np.where(stable.all(axis=1), 0.0, np.maximum(high - largest, largest - low))
+    multipliers = np.concatenate([np.ones((count, 2 * pairs), complex), own.reshape(count, -1)], axis=1)
+    logs, errors, error = np.log(np.abs(multipliers)), errors.reshape(count, -1), np.fmax(error, off)
+    on_circle, real = np.repeat(stable, 2, axis=1), np.repeat(real, 2, axis=1)
+    return [
+        Floquet(
+            multipliers[k], logs[k], 2 * pairs, trivial_deviations[k], errors[k], on_circle[k], real[k],
+            float(error[k]), float(largest[k]), mu[k], mu_error[k], power,
+        )
+        for k in range(count)
+    ]  # fmt: skip
+
+
+def reversible_floquet(mu: ComplexArray, mu_error: Array, trivial_deviation: float, power: int) -> Floquet:
+    """The same of one orbit."""
+    return reversible_floquets(mu[None], mu_error[None], [trivial_deviation], power)[0]
 
 
 # The continuous spectrum of an orbit at the edge of an infinite linear medium: arcs of the unit circle in closed form

@@ -313,7 +313,8 @@ def test_the_count_decides_stability_where_the_cut_resolves_no_multiplier() -> N
 def test_counted_numbers_beside_a_complex_pair_leave_complex_ones_in_twos(
     counted: int, numbers: tuple[int, int]
 ) -> None:
-    found = reversible_floquet(np.array([-0.5 + 0.1j, -0.5 - 0.1j]), np.full(2, 1e-9), 0.0, 2, counted=counted)
+    listed = reversible_floquet(np.array([-0.5 + 0.1j, -0.5 - 0.1j]), np.full(2, 1e-9), 0.0, 2)
+    found = replace(listed, counted=counted)
     assert found.listed == 2
     assert (found.unstable_real, found.unstable_complex) == numbers
     assert found.stable == (counted == 0)
