@@ -236,6 +236,7 @@ PARALLEL_COSINE = 0.999  # cosine of two eigenvectors that are replaced by their
 CLOSE_TO_END = 1e-3  # to -1 or 0: a mu there is looked at
 REAL_MU_ATOL = 1e-13  # imaginary part of a mu, below which rounding may have made it
 REGULAR_CONDITION = 1e8  # condition number of eigenvectors up to which they serve as coordinates
+MOST_PARTS = 16  # that an interval is cut into at a time: a power of 2
 LARGEST_BLOCK = 6  # mu in a block that is taken out of a larger matrix, or a quarter of that
 PAIRS_AT_A_TIME = 20_000  # of mu at nodes of intervals that are compared at a time: they stay in the cache of a core
 BLOCK_ENTRY_RTOL = 1e-9  # of a block's entries: what its series may leave out
@@ -315,8 +316,9 @@ class Blocks:
     `mu`, eigenvectors as columns of `vectors`, and the `rates` of mu per half of the interval are those at the middle.
     `labels` (intervals, m) hold the block of each mu; `columns` (intervals, c) are the mu of the columns, -1 where an
     interval has fewer. `real` (intervals, m) marks the mu with real columns, `near` those that may come to -1 or 0;
-    `basis` are the vectors made real and apart, with its `inverse`. `rows` are the intervals on whose columns `forms`
-    has K, P and Q where these are found; the others are too long.
+    `basis` are the vectors made real and apart, with its `inverse`. An interval that is too long is best cut into equal
+    `parts`. `rows` are the intervals on whose columns `forms` has K, P and Q where these are found; the others are too
+    long.
     """
 
     rows: Indices
@@ -329,12 +331,8 @@ class Blocks:
     near: Booleans
     basis: Numbers
     inverse: Numbers
+    parts: Indices
     forms: Forms
-
-    @property
-    def largest(self) -> Indices:
-        """Sizes of the largest blocks, (intervals,)."""
-        return np.asarray(np.max(np.sum(self.labels[:, :, None] == self.labels[:, None, :], axis=2), axis=1))
 
     @property
     def done(self) -> Booleans:
@@ -404,12 +402,12 @@ def _blocks(matrices: Array, errors: Array, mu: ComplexArray, vectors: Numbers, 
     glued = _separate_parallel(vectors, mu, real)
     K, inverse, fine = _similar(matrices[:, :, 0], vectors)
     rates = chebyshev.middle_slope(SERIES_DEGREE) @ np.diagonal(K, axis1=2, axis2=3)
-    same, shifts = _graph(K, glued)
+    same, shifts, parts = _graph(K, glued)
     while (conjugate := ~real & _conjugates_together(mu, same)).any():  # in real coordinates more may be joined
         _make_real(vectors, mu, conjugate)
-        real = real | conjugate
-        K, inverse, fine = _similar(matrices[:, :, 0], vectors)
-        same, shifts = _graph(K, same)
+        real, i = real | conjugate, np.flatnonzero(conjugate.any(axis=1))
+        K[i], inverse[i], fine[i] = _similar(matrices[i, :, 0], vectors[i])
+        same[i], shifts[i], _ = _graph(K[i], same[i])
     counts = np.sum(same, axis=2)
     fine &= np.max(counts, axis=1) <= _most(mu.shape[1])
     near = _near_the_ends(np.diagonal(K, axis1=2, axis2=3).real, shifts)
@@ -420,8 +418,9 @@ def _blocks(matrices: Array, errors: Array, mu: ComplexArray, vectors: Numbers, 
     rows = np.flatnonzero(fine)
     those = (K, same, columns, near, vectors, inverse, matrices, errors)
     forms = decoupled(*(those if fine.all() else (each[rows] for each in those)))
+    labels, parts = np.argmax(same, axis=2), np.maximum(parts, 2)
     return Blocks(
-        rows, mu.astype(complex), original, rates, np.argmax(same, axis=2), columns, real, near, vectors, inverse, forms
+        rows, mu.astype(complex), original, rates, labels, columns, real, near, vectors, inverse, parts, forms
     )
 
 
@@ -481,21 +480,54 @@ def _make_real(vectors: Numbers, mu: ComplexArray, chosen: Booleans) -> None:
 # Who belongs together -----------------------------------------------------------------------------------------------
 
 
-def _graph(K: Numbers, glued: Booleans) -> tuple[Booleans, Array]:
-    """Which mu have to stay in one block, (intervals, m, m), and what the others move each by, (intervals, m)."""
+def _graph(K: Numbers, glued: Booleans) -> tuple[Booleans, Array, Indices]:
+    """Which mu have to stay in one block, (intervals, m, m), and what the others move each by, (intervals, m).
+
+    The last are the equal parts of each interval that should come apart: on those differences of mu vary by less as
+    their lengths do, and couplings are smaller as the squares of these.
+    """
     diagonal = np.diagonal(K, axis1=2, axis2=3)
-    size = diagonal.shape[-1]
     middle = diagonal[:, MIDDLE_NODE, :, None] - diagonal[:, MIDDLE_NODE, None, :]
-    distance = np.abs(middle)
+    distance = _squares(middle)
     nearest, farthest, coupling = distance.copy(), np.zeros(distance.shape), np.zeros(distance.shape)
     step = max(1, PAIRS_AT_A_TIME // distance.size)
     for first in range(0, diagonal.shape[1], step):
         nodes = slice(first, first + step)
         difference = diagonal[:, nodes, :, None] - diagonal[:, nodes, None, :]
-        np.minimum(nearest, np.min(np.abs(difference), axis=1), out=nearest)
-        np.maximum(farthest, np.max(np.abs(difference - middle[:, None]), axis=1), out=farthest)
-        products = np.abs(K[:, nodes] * K[:, nodes].swapaxes(2, 3))
-        np.maximum(coupling, np.max(products, axis=1), out=coupling)
+        np.minimum(nearest, np.min(_squares(difference), axis=1), out=nearest)
+        np.maximum(farthest, np.max(_squares(difference - middle[:, None]), axis=1), out=farthest)
+        sizes = _squares(K[:, nodes])
+        np.maximum(coupling, np.max(sizes * sizes.swapaxes(2, 3), axis=1), out=coupling)
+    distance, nearest, farthest, coupling = (np.sqrt(each) for each in (distance, nearest, farthest, coupling))
+    joined = _joined(distance, nearest, farthest, coupling, glued)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shifts = np.sum(np.where(joined, 0.0, coupling / nearest), axis=2)
+    parts, rows, together = np.ones(len(K), dtype=np.int64), np.arange(len(K)), joined
+    for count in range(1, int(np.log2(MOST_PARTS)) + 1):
+        rows = rows[np.max(np.sum(together, axis=2), axis=1) > _most(K.shape[2])]
+        if not rows.size:
+            break
+        parts[rows], share = 2**count, 0.5**count
+        near = np.maximum(nearest[rows], distance[rows] - share * farthest[rows])
+        together = _joined(distance[rows], near, share * farthest[rows], share**2 * coupling[rows], glued[rows])
+    return joined, shifts, parts
+
+
+def _squares(numbers: Numbers) -> Array:
+    """Squares of their sizes."""
+    return np.asarray(numbers**2 if numbers.dtype.kind != "c" else numbers.real**2 + numbers.imag**2)
+
+
+def _joined(distance: Array, nearest: Array, farthest: Array, coupling: Array, glued: Booleans) -> Booleans:
+    """Which mu meet, or are coupled, directly or through others, beside those that are glued, (intervals, m, m).
+
+    Arguments:
+        distance: of two mu at the middle.
+        nearest: the least distance of them on the interval.
+        farthest: change of their difference on it, at most.
+        coupling: size of the products of entries between them, at most.
+        glued: which are together whatever the distances are.
+    """
     away = np.clip(distance / np.maximum(farthest, 1e-300), 1.0, 1e3)
     expected = coupling * away**2 / np.maximum(distance, 1e-300) * (away + np.sqrt(away**2 - 1.0)) ** -SERIES_DEGREE
     joined = (
@@ -504,15 +536,13 @@ def _graph(K: Numbers, glued: Booleans) -> tuple[Booleans, Array]:
         | (expected > RESOLVED_BLOCK_ERROR)
         | glued
     )
-    joined |= np.eye(size, dtype=bool)
-    for _ in range(int(np.ceil(np.log2(max(size, 2))))):  # whoever is joined through others
+    joined |= np.eye(distance.shape[-1], dtype=bool)
+    for _ in range(int(np.ceil(np.log2(max(distance.shape[-1], 2))))):  # whoever is joined through others
         more = (joined.astype(np.float32) @ joined.astype(np.float32)) > 0.5
         if np.array_equal(more, joined):
             break
         joined = more
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shifts = np.sum(np.where(joined, 0.0, coupling / nearest), axis=2)
-    return joined, shifts
+    return joined
 
 
 def _near_the_ends(diagonal: Array, shifts: Array) -> Booleans:

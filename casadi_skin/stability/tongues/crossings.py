@@ -1,4 +1,4 @@
-"""Where mu can leave [-1, 0] along a series of matrices: intervals are halved until every block has one or two mu.
+"""Where mu can leave [-1, 0] along a series of matrices: intervals are cut until every block has one or two mu.
 
 No place of an instability is looked for by sampling: an interval is done when its matrices come apart in blocks that
 cannot meet, and on blocks of one or two mu the edges of instabilities are zeros of polynomials, all of which are found.
@@ -45,7 +45,6 @@ BATCH_WORK = 2e7  # work on intervals that are looked at together, from small co
 FIRST_INTERVALS = 4  # of a series: on fewer few come apart
 LARGE_SERIES_ROWS = 16  # of matrices whose whole series is tried first: four intervals cost more than one in vain
 SMALL_SERIES_ROWS = 6  # of matrices whose series are stacked: most have two intervals each
-FAR_TOO_LONG = 0.6  # of all mu, in one block: quarters are the next, not halves of which most fail as well
 NOT_LOOKED_AT = "not looked at: the limit of work is reached"
 MANY_MEET_WORDS = "more than two multipliers meet in one place, as far as errors show"
 
@@ -70,7 +69,7 @@ class Interval:
 
     @property
     def is_shortest(self) -> bool:
-        """Whether it is given up rather than halved."""
+        """Whether it is given up rather than cut."""
         return self.end - self.start <= SHORTEST_INTERVAL * self.whole
 
     def parts_of_block(self, k: Array, errors: Array, noise: Array) -> list[Interval]:
@@ -99,8 +98,8 @@ def find_crossings(
             break
         sums = np.cumsum([float(interval.series.size) ** 3 for interval in waiting])
         count = int(np.searchsorted(sums, BATCH_WORK)) + 1
-        halves = _generation(waiting[:count], found, whole, known)
-        waiting = sorted([*halves, *waiting[count:]], key=lambda interval: interval.start)
+        parts = _generation(waiting[:count], found, whole, known)
+        waiting = sorted([*parts, *waiting[count:]], key=lambda interval: interval.start)
     find_segments(known)
     for block in known:
         found.segments += block.segments or ()
@@ -156,8 +155,7 @@ def _generation(intervals: Sequence[Interval], found: Search, whole: int, known:
         if part.too_long and part.interval.is_shortest:
             found.gaps.append(Gap(part.interval.start, part.interval.end, MANY_MEET_WORDS))
         elif part.too_long or any(block.is_blurred for block in part.blocks):
-            is_far = part.apart.largest[part.place] > FAR_TOO_LONG * part.interval.series.size
-            waiting += part.interval.parts(4 if is_far else 2)
+            waiting += part.interval.parts(int(part.apart.parts[part.place]))
         else:
             waiting += part.larger
             known += part.blocks

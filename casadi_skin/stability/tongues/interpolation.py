@@ -137,7 +137,8 @@ def _stacked(arrays: Sequence[Array]) -> Array:
 
 def _weighted(weights: Array, matrices: Array) -> Array:
     """Sums of matrices (n or 1, J, ...) with weights (n, points, J) -> (n, points, ...)."""
-    flat = weights @ matrices.reshape(*matrices.shape[:2], -1)
+    rows = weights.reshape(len(matrices), -1, weights.shape[2])
+    flat = rows @ matrices.reshape(*matrices.shape[:2], -1)
     return np.asarray(flat.reshape(*weights.shape[:2], *matrices.shape[2:]))
 
 
