@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from msgspec.structs import asdict, astuple
+from msgspec.structs import asdict
 
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.lattice import Lattice, LongLattice
@@ -88,11 +88,8 @@ def lattice_of(table: LatticeTable) -> Lattice | LongLattice:
     """
     from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
 
-    sites = [Site(*map(str, astuple(site))) for site in table.site]
-    bonds = []
-    for bond in table.bond:
-        offset = (bond.offset,) if isinstance(bond.offset, int) else bond.offset
-        bonds.append(Bond(bond.start, bond.end, offset, str(bond.force), (str(bond.gain[0]), str(bond.gain[1]))))
+    sites: list[Any] = [Site(**asdict(site)) for site in table.site]
+    bonds: list[Any] = [Bond(**asdict(bond)) for bond in table.bond]
     values: dict[str, Any] = {
         name: Uniform(**asdict(value)) if isinstance(value, UniformTable) else value
         for name, value in table.parameters.items()

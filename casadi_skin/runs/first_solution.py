@@ -77,17 +77,16 @@ def cycle(request: Request) -> Cycle:
     """
     orbit, model, values = request.scene.orbit, request.ode, request.parameters
     assert orbit is not None
+    length = orbit.period
     if model.forced:
         length = orbit.cycles * model.forcing_period_at(list(values.values()))
         if not (math.isfinite(length) and length > 0.0):
             raise ValueError(f"[model] parameters: give a period of the forcing of {length:g}; accepted: finite, > 0")
+    if length is not None:
         before = length * math.ceil((orbit.transient or 0.0) / length * (1.0 - 1e-12))
         t = np.linspace(before, before + length, CYCLE_SAMPLES)
         simulation = simulate(model, orbit.start, t if before == 0.0 else np.append(0.0, t), parameters=values)
         return Cycle(simulation, before, length)
-    if orbit.period is not None:
-        simulation = simulate(model, orbit.start, np.linspace(0.0, orbit.period, CYCLE_SAMPLES), parameters=values)
-        return Cycle(simulation, 0.0, orbit.period)
     t = np.linspace(0.0, float(orbit.transient or 0.0), TRANSIENT_SAMPLES)
     simulated = simulate(model, orbit.start, t, parameters=values)
     if orbit.rotations and any(orbit.rotations.values()):
