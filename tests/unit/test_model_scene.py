@@ -200,6 +200,14 @@ def test_the_pendulum_has_the_period_of_the_elliptic_integral(select: str, folde
     np.testing.assert_allclose([*low, *high], [-1.0, -2 * np.sin(0.5), 1.0, 2 * np.sin(0.5)], atol=1e-7)
 
 
+def test_a_cycle_after_a_transient_begins_at_the_section(folder: Path) -> None:
+    """Period and amplitude at mu = 1 are those of Andersen and Geer 1982; from the transient's end none is found."""
+    text = "[orbit]\nstart = [2.0, 0.0]\ntransient = 200.0\nsection = { y = 0.0 }\n"
+    orbit = first_solution(bound(scene_of("makes", text, "mu = 1.0"), folder))
+    assert orbit.parameters["period"] == pytest.approx(6.6632868593231, abs=1e-9)
+    np.testing.assert_allclose(np.abs(orbit.evaluate(0.0)), [2.0086198608748, 0.0], atol=1e-8)
+
+
 @pytest.mark.slow
 def test_a_solution_from_a_guess_in_the_file(folder: Path) -> None:
     request = bound(scene_of("bounded", "[solution]\nguess = 'guess'\n"), folder)
