@@ -24,24 +24,20 @@ other: the null vector may need a finer mesh than the solution, so that the erro
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from casadi_skin.follow.point import LocalCurve, PointSolver
-from casadi_skin.zero.kinds import BRANCH_POINT
+from casadi_skin.zero.kinds import BRANCH_POINT, DOUBLE
 from casadi_skin.zero.linearised import bordered, null_spaces, null_vectors
-from casadi_skin.zero.problem import EPSILON, Array, Problem, SingularError
+from casadi_skin.zero.problem import EPSILON, Array, Problem, SingularError, Solve
 from casadi_skin.zero.settings import Point
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
-from collections.abc import Callable
-
-from casadi_skin.zero.kinds import DOUBLE
-from casadi_skin.zero.problem import Solve
 
 ARNOLDI_STEPS = 14  # of Arnoldi's method, after which eigenvalues far from the others are known
 QUIET_FALL = 0.7  # of 1: an eigenvalue that falls by less on the way, at its rate at an end, reaches no zero

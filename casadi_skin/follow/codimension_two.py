@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,19 +39,18 @@ from casadi_skin.follow.search import (
 )
 from casadi_skin.follow.space import ORBITS, Followed
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.result import FULL_TURN, Exponents, turned
+from casadi_skin.stability.result import FULL_TURN, turned
 from casadi_skin.zero.augmented import Augmented
 from casadi_skin.zero.kinds import (
     BRANCH_POINT,
     CUSP,
     DEGENERATE_PITCHFORK,
     DEGENERATE_TRANSCRITICAL,
-    DOUBLING,
     EQUILIBRIUM_CURVES,
     FOLD,
     HOPF,
+    KINDS,
     ORBIT_CURVES,
-    TORUS,
     CurveKind,
     Unresolved,
 )
@@ -91,12 +90,15 @@ class CurveSearch(Search):
         space: of the curve.
         kind: of the special points that it connects.
         kinds: of the points that it may meet.
+        has_coefficient: whether the coefficient of the normal form is known beside that of a fold.
+        meeting_distance: between another exponent and the critical one that are about to meet.
         tests: functions of a point that vanish at points of some kinds.
     """
 
     def __init__(self, space: Followed, kinds: Mapping[str, CurveKind], before: Point, after: Point) -> None:
         super().__init__(space.point_solver, before, after)
         self.space, self.kind, self.kinds = space, space.kind, kinds[space.kind]
+        self.has_coefficient, self.meeting_distance = False, np.inf
 
     @cached_property
     def tests(self) -> dict[str, Test]:
@@ -107,11 +109,6 @@ class CurveSearch(Search):
         with suppress(RuntimeError, NotImplementedError):  # the model has no third derivatives
             found |= self.branching_tests() if self.kind == BRANCH_POINT else self.coefficient_tests()
         return found
-
-    @property
-    @abstractmethod
-    def has_coefficient(self) -> bool:
-        """Whether the coefficient of the normal form is known beside that of a fold of equilibria or of solutions."""
 
     def coefficient_tests(self) -> dict[str, Test]:
         """That of the coefficient of the normal form; raises RuntimeError without derivatives."""
@@ -146,6 +143,30 @@ class CurveSearch(Search):
     def symmetric_ratio(self, point: Point) -> float:
         """Largest ratio of a quadratic coefficient to all terms that a symmetry and errors of the point leave."""
         return SYMMETRIC_TERM_RATIO
+
+    @abstractmethod
+    def frequency(self, point: Point) -> complex:
+        """Of the critical pair of a Hopf point, or the angle of a torus."""
+
+    def without_critical(self, point: Point, values: ComplexArray, *more: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+        """Exponents but the critical ones, and the same of `more` arrays.
+
+        Where another one meets a single critical one the two have half the digits, and their sum has all: the nearest
+        other one is taken with what the critical one is off.
+        """
+        angle, arrays = KINDS[self.kind].angle, [values, *more]
+        frequency = self.frequency(point) if angle is None else angle
+        for place in 1j * frequency * np.array([1.0, -1.0] if angle is None else [1.0]):
+            k = int(np.argmin(np.abs(turned(arrays[0] - place, self.turn))))
+            off = turned(arrays[0][k] - place, self.turn)
+            arrays = [np.delete(one, k) for one in arrays]
+            others = arrays[0]
+            if angle is not None and others.size:
+                nearest = int(np.argmin(np.abs(turned(others - place, self.turn))))
+                joined = turned(others[nearest] + off - place, self.turn)
+                if abs(joined) <= self.meeting_distance and abs(joined.imag) <= EPSILON:
+                    others[nearest] = place + joined.real
+        return tuple(arrays)
 
     @abstractmethod
     def others(self, point: Point) -> ComplexArray:
@@ -265,37 +286,22 @@ class EquilibriumCurveSearch(CurveSearch):
 
     def __init__(self, space: Followed, before: Point, after: Point) -> None:
         super().__init__(space, EQUILIBRIUM_CURVES, before, after)
-
-    @property
-    def has_coefficient(self) -> bool:
-        return bool(self.space.statics.exact)  # noise of differences has roots of its own
+        self.has_coefficient = bool(space.statics.exact)  # noise of differences has roots of its own
 
     def branching_tests(self) -> dict[str, Test]:
-        return super().branching_tests() if self.space.statics.exact else {}
+        return super().branching_tests() if self.has_coefficient else {}
 
     def exponents(self, point: Point) -> tuple[ComplexArray, ComplexArray, Array]:
         sample = self.space.sample(point)
-        places = self._critical(point, sample.values)
-        rates, noise = np.delete(sample.rates, places), np.delete(sample.noise, places)
-        return np.delete(sample.values, places), rates, noise
+        values, rates, noise = self.without_critical(point, sample.values, sample.rates, sample.noise)
+        return values, rates, noise
 
-    def _critical(self, point: Point, values: ComplexArray) -> list[int]:
-        """Places of the critical eigenvalues."""
-        if self.kind != HOPF:
-            return [int(np.argmin(np.abs(values)))]
-        omega = point.problem.singularity.rate * np.sqrt(complex(kappa(point)))
-        first = int(np.argmin(np.abs(values - 1j * omega)))
-        rest = np.abs(values + 1j * omega)
-        rest[first] = np.inf
-        return [first, int(np.argmin(rest))]
+    def frequency(self, point: Point) -> complex:
+        return complex(point.problem.singularity.rate * np.sqrt(complex(kappa(point))))
 
     def others(self, point: Point) -> ComplexArray:
         values = np.asarray(np.linalg.eigvals(point.problem.rates(point.z)), dtype=np.complex128)
-        critical = self._critical(point, values)
-        others = np.delete(values, critical)
-        if self.kind != HOPF:  # the sum with the zero of a fold is smooth where both are one
-            others[np.argmin(np.abs(others))] += values[critical[0]]
-        return others
+        return self.without_critical(point, values)[0]
 
     def error(self, point: Point, test: Test, slope: float, width: float) -> float:
         return float(width * abs(point.tangent[-1]) + point.error.relative(1.0))
@@ -338,48 +344,26 @@ class OrbitCurveSearch(CurveSearch):
 
     def __init__(self, space: Followed, before: Point, after: Point) -> None:
         super().__init__(space, ORBIT_CURVES, before, after)
-        self.closes = space.periodic is not None or space.repeats
-        ends = [(end, space.floquet(end).exponents) for end in self.ends] if self.closes else []
+        self.has_coefficient, self.meeting_distance = space.stability_included, MEETING_DISTANCE
+        ends = [(end, space.floquet(end).exponents) for end in self.ends] if self.has_coefficient else []
         self.sampler = ExponentSampler(space.multipliers_alone, ends)
-
-    @property
-    def has_coefficient(self) -> bool:
-        return bool(self.closes)
 
     def symmetric_ratio(self, point: Point) -> float:
         return max(SYMMETRIC_TERM_RATIO, 100.0 * point.error.profile)
 
     def exponents(self, point: Point) -> tuple[ComplexArray, ComplexArray, Array]:
-        if not self.closes:
-            return np.empty(0, dtype=complex), np.empty(0, dtype=complex), np.empty(0)
-        here, there = self.sampler.exponents(point)
-        ahead = beside_on_tangent(point, TANGENT_DIFFERENCE_STEP)
-        (first, noise), (last, _) = self._others(point, here), self._others(ahead, there)
+        if not self.has_coefficient:
+            return super().exponents(point)
+        (here, there), ahead = self.sampler.exponents(point), beside_on_tangent(point, TANGENT_DIFFERENCE_STEP)
+        first, noise = self.without_critical(point, here.values, here.noise)
+        last = self.without_critical(ahead, there.values)[0]
         return first, turned(last[nearest_order(first, last)] - first) / TANGENT_DIFFERENCE_STEP, noise
 
+    def frequency(self, point: Point) -> complex:
+        return complex(np.arccos(complex(kappa(point))))
+
     def others(self, point: Point) -> ComplexArray:
-        return self._others(point, self.space.multipliers_alone(point).exponents)[0]
-
-    def _others(self, point: Point, exponents: Exponents) -> tuple[ComplexArray, Array]:
-        """Logarithms of the multipliers but the trivial and the critical ones, and their noise.
-
-        Where another one meets a critical one at 1 or -1 the two have half the digits, and their product has all: the
-        nearest other one is taken with what the critical one is off.
-        """
-        values, noise = exponents.values, exponents.noise
-        critical = np.array([1j * np.pi if self.kind == DOUBLING else 0j])
-        if self.kind == TORUS:
-            angle = np.arccos(complex(kappa(point)))
-            critical = np.array([1j * angle, -1j * angle])
-        for place in critical:
-            k = int(np.argmin(np.abs(turned(values - place))))
-            off, values, noise = turned(values[k] - place), np.delete(values, k), np.delete(noise, k)
-            if self.kind != TORUS and values.size:
-                nearest = int(np.argmin(np.abs(turned(values - place))))
-                joined = turned(values[nearest] + off - place)
-                if abs(joined) <= MEETING_DISTANCE and abs(joined.imag) <= EPSILON:
-                    values[nearest] = place + joined.real
-        return values, noise
+        return self.without_critical(point, self.space.multipliers_alone(point).exponents.values)[0]
 
     def is_rounding(self, test: Test) -> bool:
         if PERIOD not in self.space.statement.free:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.follow.point import LocalCurve
 from casadi_skin.follow.samples import Crossing, Sample, SampledStretch, hermite_cubic
-from casadi_skin.follow.search import Search
+from casadi_skin.follow.search import Search, gap_between
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import locate_rest
 from casadi_skin.zero.balanced import BalancedMatrix
@@ -45,6 +45,7 @@ SMALL_STATE_COUNT = (
 )
 SURE_CHANGE_FACTOR = 10.0  # times the change of an eigenvalue, to first order, that leaves it on its side
 Flags = NDArray[np.bool_]
+SPECIAL_POINTS = "special points"  # in words: what may be missing
 AT_EVENT_DISTANCE = 1e-9  # of a stretch: a place at an event itself
 
 
@@ -217,7 +218,7 @@ def special_between(equations: SolutionSpace, before: Point, after: Point, gaps:
         gaps += search.gaps
         if search.free:
             words = "the branch is not found between two points"
-            gaps.append(_gap(equations, before.parameter, after.parameter, words))
+            gaps.append(gap_between(equations, before, after, words, SPECIAL_POINTS))
         return
     places = counts.cuts
     for _ in range(MOST_RECOUNTS):
@@ -232,26 +233,20 @@ def special_between(equations: SolutionSpace, before: Point, after: Point, gaps:
     if missing is not None:
         numbers = " to ".join(str(counts.least[k]) for k in missing)
         words = f"the number of unstable eigenvalues goes from {numbers}, and no special point accounts for it"
-        start, end = (float(counts.unknowns[k, -1]) for k in missing)
-        gaps.append(_gap(equations, start, end, words))
+        start, end = (replace(before, z=counts.unknowns[k]) for k in missing)
+        gaps.append(gap_between(equations, start, end, words, SPECIAL_POINTS))
 
 
 def _between(equations: SolutionSpace, before: Point, after: Point, gaps: list[Unresolved]) -> list[Point]:
     """Special points of a part; it is named where the branch turns by so much that no curve through its ends is it."""
     if float(equations.sample(before).row @ after.tangent) < SHARP_TURN_COSINE:
-        gaps.append(_gap(equations, before.parameter, after.parameter, "the branch turns sharply between two points"))
+        words = "the branch turns sharply between two points"
+        gaps.append(gap_between(equations, before, after, words, SPECIAL_POINTS))
         return []
     search = _Search(equations, before, after)
     found = search.on_stretch()
     gaps += search.gaps
     return found
-
-
-def _gap(equations: SolutionSpace, start: float, end: float, words: str, kind: str = "special points") -> Unresolved:
-    """The record of a stretch by its places along the course of the parameter."""
-    assert equations.course is not None
-    low, high = (float(equations.course.at(u)) for u in (start, end))
-    return Unresolved(low, high, words, kind, equations.parameter)
 
 
 class _Search(Search):
@@ -312,7 +307,7 @@ class _Search(Search):
             return []  # an eigenvalue that was matched to another one
         words = " and ".join(dict.fromkeys(kinds)) + (f", {len(kinds)} in all" if len(kinds) > 1 else "")
         words = f"more than can be distinguished: {words}"
-        self.gaps.append(_gap(self.equations, float(first.z[-1]), float(last.z[-1]), words, kinds[0]))
+        self.gaps.append(gap_between(self.equations, first, last, words, kinds[0]))
         error = replace(first.error, parameter=abs(float(last.z[-1] - first.z[-1])))
         return [first.marked(kind, error=error) for kind in kinds]
 
