@@ -541,6 +541,10 @@ class Branch(Result):
         ((name, wanted),) = given.items()
         whole("which", which, 0)
         wanted = number(f"at, {name}", wanted)
+        if wanted in self.space.requested_values().get(name, ()) and wanted not in self.misses.get(name, ()):
+            there = [solution for solution in self.solutions if solution.value(name) == wanted]
+            if which < len(there):  # every passage is a solution already
+                return there[which]
         return passage(self.space, self.solutions, self.quantity_of(name), (name, wanted), which)
 
     certify: ClassVar[Callable[..., Any]]
