@@ -6,6 +6,7 @@ branch is a polynomial in a coordinate along it, z(sigma) = sum_k c_k sigma^k wi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -24,7 +25,7 @@ from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
 # Polynomials of a branch in a coordinate along it ---------------------------------------------------------------------
 
 PREDICTING_POINTS = 4  # points that a prediction is made from
-REACH_MARGIN = 1.0 + 1e-9  # times what all terms can change a value by: rounding is far below
+REACH_MARGIN = 1e-9  # of a stretch, by which a place may be beyond its end: rounding is far below
 ALIGNED_COSINE = 0.7  # cosine of the turn since a point, at least: three steps turn by less, a corner by more
 
 
@@ -85,11 +86,20 @@ class LocalCurve:
         """
         end, found = self.length if end is None else end, list[tuple[float, float]]()
         scaled = self.coefficients[:, index] * end ** np.arange(self.coefficients.shape[0])
+        heights = _to_bernstein(scaled.size) @ scaled  # the course lies between the least and the largest of these
+        margin = REACH_MARGIN * (np.arange(scaled.size) @ np.abs(scaled))
         for value in values:
-            gap = np.append(scaled[0] - value, scaled[1:])
-            if np.any(gap[1:]) and abs(gap[0]) <= REACH_MARGIN * np.sum(np.abs(gap[1:])):
-                found += [(end * place, value) for place in _roots_within(gap)]
+            if margin > 0.0 and np.min(heights) - margin <= value <= np.max(heights) + margin:
+                roots = _roots_within(np.append(scaled[0] - value, scaled[1:]))
+                found += [(end * place, value) for place in roots]
         return sorted(found)
+
+
+@lru_cache(maxsize=8)
+def _to_bernstein(count: int) -> Array:
+    """Matrix from the coefficients of a polynomial to those of Bernstein's polynomials on (0, 1), (count, count)."""
+    order = range(count)
+    return np.array([[math.comb(j, i) / math.comb(count - 1, i) for i in order] for j in order])
 
 
 def _roots_within(coefficients: Array) -> list[float]:
@@ -99,7 +109,7 @@ def _roots_within(coefficients: Array) -> list[float]:
     real = roots[np.isreal(roots)].real
     for _ in range(2):
         real = real - polyval(real, coefficients) / polyval(real, slope)
-    return [min(float(root), 1.0) for root in real if 0.0 < root <= REACH_MARGIN]
+    return [min(float(root), 1.0) for root in real if 0.0 < root <= 1.0 + REACH_MARGIN]
 
 
 def predictor(z: Array, t: Array, before: Sequence[tuple[Array, Array]], row: Array) -> Callable[[float], Array]:
