@@ -20,14 +20,14 @@ from casadi_skin.follow.find import limits_of, packed, space_of
 from casadi_skin.follow.find import solve as without_objective
 from casadi_skin.follow.space import BoundaryError
 from casadi_skin.model.pickled import programs_in
-from casadi_skin.optimise.nlp import FLAT_CURVATURE, Limits, Nlp, Optimality, Solution, optimality
-from casadi_skin.optimise.search_problem import Condition
+from casadi_skin.optimise.nlp import FLAT_CURVATURE, Nlp, Optimality, Solution, optimality
+from casadi_skin.optimise.search_problem import Condition, named
 from casadi_skin.solve.ipopt import SOLVED_STATUS, nlp_reason
 from casadi_skin.solve.levels import ERROR_SAFETY
 from casadi_skin.zero.orbit import Guess
-from casadi_skin.zero.problem import Array, Indices
+from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import ErrorEstimate, Point
-from casadi_skin.zero.stated_problem import BoundaryProblem, stated
+from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
 from casadi_skin.zero.statement import Statement
 
 ENOUGH_INTERVALS = 200  # intervals where a bound holds a state, and errors fall with the distance of the points only
@@ -52,46 +52,30 @@ class BoundaryNlp(Nlp):
         free: Mapping[str, float] | None = None, maximise: bool = False,
     ) -> None:  # fmt: skip
         self.space, self.problem, self.statement = space, problem, problem.statement
-        self._stated, self._free = (held, free, maximise), tuple(free or ())
+        self._made = held, free, maximise
         z, residual, jacobian = problem.symbols
         value, rows = _objective_and_conditions(problem, z, held)
-        made = [ca.vertcat(residual, rows), ca.vertcat(jacobian, ca.jacobian(rows, z)), value]
+        made = [residual, ca.vertcat(jacobian, ca.jacobian(rows, z)), value, rows]
         lengths = [problem.constants_symbol], [ca.MX(ca.DM(problem.constants))]
-        residual, jacobian, value = ca.graph_substitute(made, *lengths)
+        residual, jacobian, value, rows = ca.graph_substitute(made, *lengths)
         tolerance = float(np.clip(1e-2 * space.tolerance, 1e-11, 1e-6))
+        statement, scalars = self.statement, {n: problem.states + k for k, n in enumerate(self.statement.free)}
+        names, n = statement.model.state_names, statement.model.full_size
+        places = {name: np.arange(k, problem.states, n) for k, name in enumerate(names)} | scalars
         super().__init__(
-            z, value, residual, self._limits(held), jacobian=jacobian, maximise=maximise,
-            exact=not programs_in(self.statement.model.vector_field),  # their second derivatives would be differences
+            z, value, residual,
+            {"": (problem.size - 1, 0.0, 0.0)} | {  # u is held at 0
+                name: (np.atleast_1d(places[name]), *ends) for name, ends in statement.bounds.items()},
+            named(held, ca.vertsplit(rows) if held else []), jacobian=jacobian, maximise=maximise,
+            exact=not programs_in(statement.model.vector_field),  # their second derivatives would be differences
             options={**IPOPT_OPTIONS, "ipopt.tol": tolerance, "ipopt.constr_viol_tol": tolerance},
+            place=z[[scalars[name] for name in free]] / ca.DM(list(free.values())) if free else None,
+            measured=[scalars[name] for name in free or () if name != PERIOD],
         )  # fmt: skip
-        self.scalars = {name: problem.states + k for k, name in enumerate(self.statement.free)}
-        if free:
-            self.place = z[[self.scalars[name] for name in free]] / ca.DM(list(free.values()))
 
     def on(self, problem: BoundaryProblem) -> BoundaryNlp:
         """The same programme on another mesh."""
-        return BoundaryNlp(self.space, problem, *self._stated)
-
-    def _limits(self, held: Sequence[Condition]) -> Limits:
-        """Bounds of states and free parameters; u is held at 0."""
-        problem, statement = self.problem, self.statement
-        lower, upper = np.full(problem.size, -np.inf), np.full(problem.size, np.inf)
-        lower[-1] = upper[-1] = 0.0
-        unknowns, names, n = dict[str, Indices](), statement.model.state_names, statement.model.full_size
-        for name, pair in statement.bounds.items():
-            if name in statement.free:
-                unknowns[name] = np.array([problem.states + list(statement.free).index(name)])
-            else:
-                unknowns[name] = np.arange(names.index(name), problem.states, n)
-            lower[unknowns[name]], upper[unknowns[name]] = pair
-        low, high = (np.append(np.zeros(problem.equations), ends) for ends in
-                     ([h.lower for h in held], [h.upper for h in held]))  # fmt: skip
-        conditions = {h.name: np.array([problem.equations + k]) for k, h in enumerate(held)}
-        return Limits(lower, upper, low, high, unknowns, conditions)
-
-    @property
-    def measured(self) -> Indices:
-        return np.array([self.scalars[name] for name in self._free if name != "period"], dtype=int)
+        return BoundaryNlp(self.space, problem, *self._made)
 
     def fault(self, x: Array) -> str:
         return self.problem.backwards(x)
@@ -121,7 +105,7 @@ class BoundaryNlp(Nlp):
 
     def _worst(self, z: Array) -> str:
         """The equation that is violated most, by how much and where."""
-        residual = self.violations(z)
+        residual = self.violations(self.residual(z))
         if not np.all(np.isfinite(residual)):
             return f"not finite at {self.row_name(int(np.argmin(np.isfinite(residual))), z)}"
         worst = int(np.argmax(residual))

@@ -15,7 +15,7 @@ from casadi_skin.follow.solution import Orbit
 from casadi_skin.model.arguments import accepted_names, number, number_within, short_repr
 from casadi_skin.model.expressions import is_comparison, real_array
 from casadi_skin.optimise.families import FreeNumber, ModelFamily, Observables
-from casadi_skin.optimise.nlp import FLAT_CURVATURE, Limits, Nlp, Solution, optimality
+from casadi_skin.optimise.nlp import FLAT_CURVATURE, Nlp, Solution, optimality
 from casadi_skin.optimise.search_problem import (
     Condition,
     CosineOrbit,
@@ -28,11 +28,12 @@ from casadi_skin.optimise.search_problem import (
     checked_conditions,
     free_names,
     judged,
+    named,
     sampled_starts,
 )
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.cosines import TrigonometricProblem, prolongation_matrix
-from casadi_skin.zero.problem import Array, Indices
+from casadi_skin.zero.problem import Array
 
 # Statement of a search among the orbits of one mode's family, in odd cosines, of a chain or of a model ----------------
 
@@ -338,31 +339,19 @@ class FamilyNlp(Nlp):
         equations = [orbit.residual() for orbit in orbits]
         self.free_count, self._orbits = int(free.numel()), orbits
         self._shape = (len(orbits), 1 + self.has_tangent, search.family.size * harmonics + 1)
-        held = [] if "S" in search.free else [orbit.S for orbit in orbits]
-        super().__init__(
-            ca.vertcat(free, *(orbit.unknowns for orbit in orbits)), objective, ca.vertcat(*equations, *conditions),
-            self._limits([c.numel() for c in conditions]), p=ca.vertcat(*held) if held else ca.SX(0, 1),
-            values=search.amplitudes if held else (), jacobian=self._by_blocks(free, equations, conditions),
-            maximise=search.maximise, options=IPOPT_OPTIONS,
-        )  # fmt: skip
+        x, held = ca.vertcat(free, *(o.unknowns for o in orbits)), [] if "S" in search.free else [o.S for o in orbits]
+        bounds = {
+            name: ([i], *ends) for i, (name, ends) in enumerate(zip(search.free_names, search.limits, strict=True))
+        }
         scales = [high - low if np.isfinite(high - low) else 1.0 for low, high in search.limits]
-        squares = [orbit.Omega_squared for orbit in orbits]
-        self.place = ca.vertcat(free / ca.DM(scales), *squares)
-
-    def _limits(self, rows: Sequence[int]) -> Limits:
-        """Bounds of the free numbers and of Omega^2; equations first, then the conditions."""
-        search, size = self.search, int(np.prod(self._shape))
-        lower, upper = np.full(self.free_count + size, -np.inf), np.full(self.free_count + size, np.inf)
-        lower[: self.free_count], upper[: self.free_count] = np.array(search.limits).T
-        self._parts(lower)[:, 0, -1] = SLOWEST_SQUARE
-        held, first, conditions = search.conditions, size, dict[str, Indices]()
-        for item, (condition, count) in enumerate(zip(held, rows, strict=True), start=1):
-            name = condition.name if condition.name not in conditions else f"{condition.name} ({item})"
-            conditions[name] = np.arange(first, first := first + count)
-        low, high = (np.append(np.zeros(size), np.repeat(ends, rows)) for ends in
-                     ([c.lower for c in held], [c.upper for c in held]))  # fmt: skip
-        unknowns = {name: np.array([i]) for i, name in enumerate(search.free_names)}
-        return Limits(lower, upper, low, high, unknowns, conditions)
+        super().__init__(
+            x, objective, ca.vertcat(*equations),
+            bounds | {"": (self._parts(np.arange(x.numel()))[:, 0, -1], SLOWEST_SQUARE, np.inf)},
+            named(search.conditions, conditions), p=ca.vertcat(*held) if held else ca.SX(0, 1),
+            values=search.amplitudes if held else (), jacobian=self._by_blocks(free, equations, conditions),
+            maximise=search.maximise, options=IPOPT_OPTIONS, measured=range(self.free_count),
+            place=ca.vertcat(free / ca.DM(scales), *(orbit.Omega_squared for orbit in orbits)),
+        )  # fmt: skip
 
     def _by_blocks(self, free: ca.SX, equations: list[ca.SX], conditions: list[ca.SX]) -> ca.SX:
         """Derivative of the constraints, block by block: dense rows beside dense columns would spoil the colouring."""
@@ -375,10 +364,6 @@ class FamilyNlp(Nlp):
         return ca.vertcat(*(ca.horzcat(*(ca.jacobian(row, column) for column in columns)) for row in rows))
 
     # Places of the unknowns -----------------------------------------------------------------------------------------
-
-    @property
-    def measured(self) -> Indices:
-        return np.arange(self.free_count)
 
     def _parts(self, x: Array) -> Array:
         """A view of the orbits' unknowns, shape (orbits, 1 or 2 with the tangent, values with Omega^2)."""

@@ -23,7 +23,7 @@ import numpy as np
 
 from casadi_skin.follow.closed_curve import Curve, cosine_curve
 from casadi_skin.follow.solution import Orbit
-from casadi_skin.optimise.nlp import Limits, Nlp, Solution, optimality
+from casadi_skin.optimise.nlp import Nlp, Solution, optimality
 from casadi_skin.optimise.search_problem import CosineOrbit
 from casadi_skin.solve.ipopt import SOLVED_STATUS
 from casadi_skin.stability.flows import srkn_step
@@ -242,11 +242,9 @@ class KickNlp(Nlp):
         point, tangent = flow.symbols(phase)
         away = (flow.output_scale * nodes[:, -1] - point) / distance
         g = ca.vertcat(gaps, ca.sumsqr(away) - 1.0, ca.dot(away, tangent))
-        lower, upper, zero = np.full(z.numel(), -np.inf), np.full(z.numel(), np.inf), np.zeros(g.numel())
-        lower[-2], upper[-2] = 0.0, 1.0
-        limits = Limits(lower, upper, zero, zero, {"time": np.array([z.numel() - 2])})
-        super().__init__(z, ca.sumsqr(kick), g, limits, options={**IPOPT_OPTIONS, "ipopt.max_iter": MOST_ITERATIONS})
-        self.place = ca.vertcat(kick, share)
+        options = {**IPOPT_OPTIONS, "ipopt.max_iter": MOST_ITERATIONS}
+        bounds = {"time": ([z.numel() - 2], 0.0, 1.0)}
+        super().__init__(z, ca.sumsqr(kick), g, bounds, options=options, place=ca.vertcat(kick, share))
 
     def _segments(self, before: ca.MX, h: ca.MX) -> ca.MX:
         """States after each segment, (2N, segments): equal ones in one map, the last by itself if it is shorter."""

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
@@ -41,57 +42,49 @@ class Solution:
     iterations: int
 
 
-@dataclass(frozen=True, eq=False)
-class Limits:
-    """Bounds of the unknowns, lower <= x <= upper, and of the constraints, low <= g <= high.
-
-    `unknowns` and `conditions` name what has bounds of its own: places among the unknowns, and rows of g. Rows of no
-    condition are equations.
-    """
-
-    lower: Array
-    upper: Array
-    low: Array
-    high: Array
-    unknowns: Mapping[str, Indices] = field(default_factory=dict)
-    conditions: Mapping[str, Indices] = field(default_factory=dict)
-
-    @cached_property
-    def condition_rows(self) -> Indices:
-        """Rows of g that are conditions."""
-        return np.concatenate([[], *self.conditions.values()]).astype(int)
-
-    @cached_property
-    def equations(self) -> Indices:
-        """Rows of g that are equations of the orbit."""
-        return np.setdiff1d(np.arange(self.low.size), self.condition_rows)
-
-    def violations(self, g: Array) -> Array:
-        """Distance of each constraint from its bounds, shape (rows,)."""
-        return np.asarray(np.maximum(np.maximum(self.low - g, g - self.high), 0.0))
+Stated = tuple[Any, Any, Any]  # numbers with their lower and upper bounds
 
 
 class Nlp:
-    """Minimise f(x, p), or maximise it, within `limits` of x and g(x, p), where p has fixed `values`.
+    """Minimise f(x, p), or maximise it, subject to equations, bounds of unknowns, and conditions; p has fixed `values`.
 
-    `jacobian` is dg/dx where that is known. Second derivatives are used where they are `exact`; Ipopt approximates them
-    elsewhere. `options` of Ipopt are added to those that every search has. `place` are scaled unknowns by which optima
-    are distinguished.
+    Arguments:
+        x, f, equations: symbol, scalar, and the column that vanishes.
+        bounds: by name, places among the unknowns with lower and upper bounds; those of no name, "", are given no word.
+        conditions: by name, a column with its lower and upper bounds. Their rows of g follow those of the equations.
+        p, values: further numbers, as symbols and as values.
+        jacobian: dg/dx where that is known.
+        maximise: whether f is maximised.
+        exact: whether second derivatives are used; Ipopt approximates them elsewhere.
+        options: of Ipopt, added to those that every search has.
+        place: scaled unknowns by which optima are distinguished.
+        measured: places of the free numbers, in which curvature is measured; none where all unknowns are, by `sizes`.
     """
 
-    place: Expression | None = None
-
     def __init__(
-        self, x: Expression, f: Expression, g: Expression, limits: Limits, *, p: Expression | None = None,
+        self, x: Expression, f: Expression, equations: Expression, bounds: Mapping[str, Stated],
+        conditions: Mapping[str, Stated] = MappingProxyType({}), *, p: Expression | None = None,
         values: Sequence[float] | Array = (), jacobian: Expression | None = None, maximise: bool = False,
-        exact: bool = True, options: Mapping[str, Any],
+        exact: bool = True, options: Mapping[str, Any], place: Expression | None = None, measured: Sequence[int] = (),
     ) -> None:  # fmt: skip
-        self.limits, self.exact, self.options, self.sign = limits, exact, options, -1.0 if maximise else 1.0
-        self._x, self._f, self._g = x, self.sign * f, ca.densify(g)
+        self.exact, self.options, self.sign = exact, options, -1.0 if maximise else 1.0
+        self._x, self._f, self._stated = x, self.sign * f, (equations, bounds, conditions)
+        self._g = ca.densify(ca.vertcat(equations, *(column for column, _, _ in conditions.values())))
         self._p = type(x).sym("p", 0) if p is None else p
-        self.p = np.array(values, dtype=float)
+        self.p, self.place, self.measured = np.array(values, dtype=float), place, np.array(measured, dtype=int)
         self._jacobian = ca.jacobian(self._g, x) if jacobian is None else jacobian
         self._solvers: dict[bool, tuple[ca.Function, IterationCallback]] = {}
+        self.lower, self.upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
+        for places, lower, upper in bounds.values():
+            self.lower[places], self.upper[places] = lower, upper
+        self.unknowns = {name: np.array(places) for name, (places, _, _) in bounds.items() if name}
+        stop = int(equations.numel())
+        self.equations, self.conditions = np.arange(stop), dict[str, Indices]()
+        self.low, self.high = np.zeros(self._g.numel()), np.zeros(self._g.numel())
+        for name, (column, low, high) in conditions.items():
+            rows = self.conditions[name] = np.arange(stop, stop := stop + column.numel())
+            self.low[rows], self.high[rows] = low, high
+        self.condition_rows = np.arange(self.equations.size, stop)
 
     @property
     def size(self) -> int:
@@ -131,13 +124,13 @@ class Nlp:
         """Second derivative of the Lagrangian, a sparse matrix of scipy in columns."""
         return ca.triu2symm(self._hessian(x, self.p, 1.0, lam_g)).sparse().tocsc()
 
-    def violations(self, x: Array) -> Array:
-        """Distance of each constraint from its bounds at x, shape (rows,)."""
-        return self.limits.violations(self.residual(x))
+    def violations(self, g: Array) -> Array:
+        """Distance of each constraint, of values g, from its bounds, shape (rows,)."""
+        return np.asarray(np.maximum(np.maximum(self.low - g, g - self.high), 0.0))
 
     def row_name(self, row: int, x: Array) -> str:
         """The condition that a row of g belongs to, or its equation, in words."""
-        names = (name for name, rows in self.limits.conditions.items() if row in rows)
+        names = (name for name, rows in self.conditions.items() if row in rows)
         return next(names, None) or self.equation_name(row, x)
 
     def equation_name(self, row: int, x: Array) -> str:
@@ -160,11 +153,6 @@ class Nlp:
         """Times of the states among the unknowns; empty where these are at fixed phases."""
         return np.zeros(0)
 
-    @property
-    def measured(self) -> Indices:
-        """Places of the free numbers, in which curvature is measured; none where all unknowns are, by their sizes."""
-        return np.arange(0)
-
     def place_of(self, x: Array) -> Array:
         """`place` at x."""
         return np.array(ca.Function("place", [self._x], [self.place])(x)).ravel()
@@ -176,14 +164,13 @@ class Nlp:
 
         Raises KeyboardInterrupt after an interruption that nobody else listens for, and what the monitor raised.
         """
-        limits = self.limits
         if warm not in self._solvers:
             self._solvers[warm] = self._built(WARM_START if warm else {})
         solver, callback = self._solvers[warm]
         with interrupts_deferred(end_solver=True):
-            callback.begin(limits.low, limits.high, monitor and (lambda i, f, v: monitor(i, self.shown(f), v)))
-            start = np.clip(x, limits.lower, limits.upper)
-            bounds = {"lbx": limits.lower, "ubx": limits.upper, "lbg": limits.low, "ubg": limits.high}
+            callback.begin(self.low, self.high, monitor and (lambda i, f, v: monitor(i, self.shown(f), v)))
+            start = np.clip(x, self.lower, self.upper)
+            bounds = {"lbx": self.lower, "ubx": self.upper, "lbg": self.low, "ubg": self.high}
             result = solver(x0=start, p=self.p, **bounds)
         if callback.failure is not None and not isinstance(callback.failure, KeyboardInterrupt):
             raise callback.failure
@@ -214,40 +201,34 @@ class Nlp:
         assert self.place is not None
         centres = type(self._x).sym("centres", self.place.numel(), MOST_BALLS)
         distances = ca.sum1((ca.repmat(self.place, 1, MOST_BALLS) - centres) ** 2).T
-        low = np.append(self.limits.low, np.full(MOST_BALLS, BALL_RADIUS**2))
-        high = np.append(self.limits.high, np.full(MOST_BALLS, np.inf))
+        equations, bounds, conditions = self._stated
         return Nlp(
-            self._x, self.sign * self._f, ca.vertcat(self._g, distances), replace(self.limits, low=low, high=high),
+            self._x, self.sign * self._f, equations, bounds, {**conditions, "": (distances, BALL_RADIUS**2, np.inf)},
             p=ca.vertcat(self._p, ca.vec(centres)), maximise=self.sign < 0, exact=self.exact, options=self.options,
             jacobian=ca.vertcat(self._jacobian, ca.jacobian(distances, self._x)),
         )  # fmt: skip
 
     def nearest(self, x: Array) -> Solution | None:
         """The orbit, found from x, that misses the conditions least; None where there is none, or no condition."""
-        rows, n = self.limits.condition_rows, self.size
+        rows, n = self.condition_rows, self.size
         if rows.size == 0:
             return None
-        met = np.clip(self.residual(x), self.limits.low, self.limits.high)[rows]
-        elastic = self._elastic.solve(np.append(x, met))
+        elastic = self._elastic.solve(np.append(x, np.clip(self.residual(x), self.low, self.high)[rows]))
         if elastic.words != SOLVED_STATUS:
             return None
         value = self.shown(float(self._gradient(elastic.x[:n], self.p)[0]))
-        return Solution(
-            elastic.x[:n], np.zeros(self.limits.low.size), np.zeros(n), value, "nearest", elastic.iterations
-        )
+        return Solution(elastic.x[:n], np.zeros(self.low.size), np.zeros(n), value, "nearest", elastic.iterations)
 
     @cached_property
     def _elastic(self) -> Nlp:
         """Least sum of squares of the conditions' residuals, on orbits that satisfy their equations."""
-        limits, rows, equations = self.limits, self.limits.condition_rows, self.limits.equations
-        z = type(self._x).sym("z", self.size + rows.size)
-        g, met = ca.substitute(self._g, self._x, z[: self.size]), z[self.size :]
-        lower, upper = np.append(limits.lower, limits.low[rows]), np.append(limits.upper, limits.high[rows])
-        return Nlp(
-            z, ca.sumsqr(g[rows.tolist()] - met), g[equations.tolist()],
-            Limits(lower, upper, limits.low[equations], limits.high[equations]), p=self._p, values=self.p,
-            exact=self.exact, options={**self.options, "ipopt.tol": 1e-9},
-        )  # fmt: skip
+        (equations, bounds, _), n, rows = self._stated, self.size, self.condition_rows
+        z = type(self._x).sym("z", n + rows.size)
+        g, equations = (ca.substitute(column, self._x, z[:n]) for column in (self._g[rows.tolist()], equations))
+        bounds = {**bounds, "met": (np.arange(n, n + rows.size), self.low[rows], self.high[rows])}
+        options = {**self.options, "ipopt.tol": 1e-9}
+        objective = ca.sumsqr(g - z[n:])
+        return Nlp(z, objective, equations, bounds, p=self._p, values=self.p, exact=self.exact, options=options)
 
 
 # Whether a point is a local optimum: conditions of first and second order, from multipliers and exact derivatives -----
@@ -301,17 +282,17 @@ def optimality(nlp: Nlp, solution: Solution) -> Optimality:
 
 
 def _kkt(nlp: Nlp, solution: Solution, g: Array, J: Any) -> Kkt:
-    x, lam_g, lam_x, limits = solution.x, solution.lam_g, solution.lam_x, nlp.limits
-    gradient, moves = nlp.gradient(x), limits.lower < limits.upper
+    x, lam_g, lam_x = solution.x, solution.lam_g, solution.lam_x
+    gradient, moves = nlp.gradient(x), nlp.lower < nlp.upper
     largest = max(1.0, float(np.max(np.abs(gradient))))
     terms = np.abs(gradient) + np.asarray(abs(J).T @ np.abs(lam_g)).ravel()
     total = gradient + np.asarray(J.T @ lam_g).ravel() + lam_x
-    gap = limits.violations(g) / np.maximum(1.0, np.asarray(abs(J) @ np.abs(x)).ravel())
-    outside = np.maximum(np.maximum(limits.lower - x, x - limits.upper), 0.0)
-    rows = limits.condition_rows
+    gap = nlp.violations(g) / np.maximum(1.0, np.asarray(abs(J) @ np.abs(x)).ravel())
+    outside = np.maximum(np.maximum(nlp.lower - x, x - nlp.upper), 0.0)
+    rows = nlp.condition_rows
     products = np.append(
-        _complementarity(lam_x, limits.upper - x, x - limits.lower)[moves],
-        _complementarity(lam_g, limits.high - g, g - limits.low)[rows],
+        _complementarity(lam_x, nlp.upper - x, x - nlp.lower)[moves],
+        _complementarity(lam_g, nlp.high - g, g - nlp.low)[rows],
     )
     return Kkt(
         float(np.max((np.abs(total) / np.maximum(largest, terms))[moves])),
@@ -327,13 +308,13 @@ def _complementarity(multipliers: Array, above: Array, below: Array) -> Array:
 
 def _active(nlp: Nlp, solution: Solution, g: Array) -> tuple[tuple[str, ...], Indices, Indices]:
     """Active bounds in words, the unknowns at them, and the rows of conditions at them, equalities included."""
-    x, limits = solution.x, nlp.limits
+    x = solution.x
     held = ACTIVE_MULTIPLIER_RATIO * max(
         1.0, *(float(np.max(np.abs(v), initial=0.0)) for v in (solution.lam_g, nlp.gradient(x)))
     )
     words, unknowns, rows = list[str](), list[int](), list[int]()
-    for name, places in limits.unknowns.items():
-        low, high = limits.lower[places], limits.upper[places]
+    for name, places in nlp.unknowns.items():
+        low, high = nlp.lower[places], nlp.upper[places]
         near = NEAR_BOUND * np.where(np.isfinite(high - low), high - low, np.maximum(1.0, np.abs(x[places])))
         for bound, sign, side in ((low, ">=", -1.0), (high, "<=", 1.0)):
             at = (np.abs(x[places] - bound) <= near) | (side * solution.lam_x[places] > held)
@@ -341,11 +322,11 @@ def _active(nlp: Nlp, solution: Solution, g: Array) -> tuple[tuple[str, ...], In
                 where = "" if places.size == 1 else f" at {np.count_nonzero(at)} of {places.size} points"
                 words.append(f"{name} {sign} {bound[0]:.10g}{where}")
                 unknowns += places[at].tolist()
-    for name, places in limits.conditions.items():
-        for bound, sign in ((limits.low[places], ">="), (limits.high[places], "<=")):
+    for name, places in nlp.conditions.items():
+        for bound, sign in ((nlp.low[places], ">="), (nlp.high[places], "<=")):
             at = np.isfinite(bound) & (np.abs(g[places] - bound) <= NEAR_BOUND * np.maximum(1.0, np.abs(bound)))
             rows += places[at].tolist()
-            words += [f"{name} {sign} {b:.10g}" for b in bound[at & (limits.low[places] < limits.high[places])]]
+            words += [f"{name} {sign} {b:.10g}" for b in bound[at & (nlp.low[places] < nlp.high[places])]]
     return tuple(words), np.unique(np.array(unknowns, dtype=int)), np.unique(np.array(rows, dtype=int))
 
 
@@ -358,11 +339,11 @@ def _curvature(nlp: Nlp, solution: Solution, J: Any, unknowns: Indices, rows: In
     """
     from scipy.linalg import eigh, null_space
 
-    moves = np.flatnonzero(nlp.limits.lower < nlp.limits.upper)
+    moves = np.flatnonzero(nlp.lower < nlp.upper)
     sizes = nlp.sizes(solution.x)[:, None]
-    basis = np.zeros((nlp.size, max(0, moves.size - nlp.limits.equations.size)))
+    basis = np.zeros((nlp.size, max(0, moves.size - nlp.equations.size)))
     try:
-        basis[moves] = _null_space(J[nlp.limits.equations][:, moves].multiply(sizes[moves].T))
+        basis[moves] = _null_space(J[nlp.equations][:, moves].multiply(sizes[moves].T))
     except RuntimeError:  # SuperLU: "Factor is exactly singular"
         return np.nan, 0.0
     closed = np.vstack([np.asarray(J[rows] @ (sizes * basis)), basis[unknowns]])

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.model.arguments import accepted_names, number, short_repr
-from casadi_skin.optimise.nlp import STOPPED_STATUS, Kkt, Nlp, Optimality, Solution, optimality
+from casadi_skin.optimise.nlp import STOPPED_STATUS, Kkt, Nlp, Optimality, Solution, Stated, optimality
 from casadi_skin.solve.ipopt import Monitor
 from casadi_skin.zero.cosines import cosine_matrix
 from casadi_skin.zero.problem import Array
@@ -148,7 +148,7 @@ def judged(nlp: Nlp, start: Start, solution: Solution) -> Outcome:
     ending, x = SEARCH_ENDINGS.get(solution.words, Ending.FAILED), solution.x
     if not np.all(np.isfinite(x)):
         return Outcome(start, ending, solution.words, solution)
-    gaps, found = nlp.violations(x), optimality(nlp, solution)
+    gaps, found = nlp.violations(nlp.residual(x)), optimality(nlp, solution)
     worst, words = int(np.argmax(gaps)), solution.words
     if ending in (Ending.FAILED, Ending.INFEASIBLE) and max(found.kkt.largest, gaps[worst]) <= CONVERGED:
         words = nlp.fault(x) or (f"curvature {found.negative:.1e} of the largest" if found.negative < 0 else words)
@@ -210,6 +210,15 @@ class Condition:
     def equality(self) -> bool:
         """Whether the two bounds are equal."""
         return self.lower == self.upper
+
+
+def named(conditions: Sequence[Condition], columns: Sequence[Any]) -> dict[str, Stated]:
+    """The columns of conditions, as an `Nlp` takes them; a name that comes again has its item beside it."""
+    found = dict[str, Stated]()
+    for item, (condition, column) in enumerate(zip(conditions, columns, strict=True), start=1):
+        name = condition.name if condition.name not in found else f"{condition.name} ({item})"
+        found[name] = column, condition.lower, condition.upper
+    return found
 
 
 def free_names(free: Sequence[str] | str, known: Iterable[str]) -> tuple[str, ...]:
@@ -438,7 +447,7 @@ class Optimum:
         residual, free = nlp.residual(solution.x), solution.x[nlp.measured].tolist()
         return cls(
             objective=solution.objective, parameters=dict(zip(free_names, free, strict=True)), kkt=found.kkt,
-            conditions={name: residual[rows] for name, rows in nlp.limits.conditions.items()}, active=found.active,
+            conditions={name: residual[rows] for name, rows in nlp.conditions.items()}, active=found.active,
             curvature=found.curvature, **known,
         )  # fmt: skip
 
