@@ -3,7 +3,7 @@
 CasADi writes a function that it has no C for with an `#error` inside, and calls of external programs as calls of
 symbols that are not there: both are refused here, by name. It writes scalar expressions as one long block with a test
 of a pointer at each access, which takes optimising compilers a time that grows with the square of its length: long
-blocks are cut into parts without these tests.
+blocks are cut into parts.
 
 Example programs and binaries of FMUs, built from exports by the C compiler of the system.
 """
@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import os
 import re
 import shutil
 import subprocess
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -146,73 +147,38 @@ def check_parts(function: ca.Function) -> None:
 # Long blocks ---------------------------------------------------------------------------------------------------------
 
 
+# A work value, or a result where that is wanted, gets one number.
+_ASSIGNMENT = r"  (?:w\[\d+\]=|if \(res\[\d+\]!=0\) res\[\d+\]\[\d+\]=)[^{}\n]*;\n"
+_LONG_BLOCK = re.compile(
+    rf"^static int (\w+){re.escape(C_FUNCTION_ARGUMENTS)} {{\n((?:{_ASSIGNMENT}){{{LONGEST_BLOCK},}})  return 0;\n}}$",
+    re.MULTILINE,
+)
+
+
 def _in_short_blocks(text: str) -> str:
     """The source with every long function of assignments alone cut into parts of LONGEST_BLOCK statements."""
-    lines, result = iter(text.split("\n")), []
-    for line in lines:
-        opening = re.match(rf"static int (\w+){re.escape(C_FUNCTION_ARGUMENTS)} {{$", line)
-        if opening is None:
-            result.append(line)
-            continue
-        body = list(_until_brace(lines))
-        if len(body) > LONGEST_BLOCK and body[-1] == "  return 0;" and all(map(_is_assignment, body[:-1])):
-            result += _parts(opening[1], body[:-1])
-        else:
-            result += [line, *body, "}"]
-    return "\n".join(result)
+    return _LONG_BLOCK.sub(lambda found: _parts(found[1], found[2].splitlines()), text)
 
 
-def _until_brace(lines: Iterator[str]) -> Iterator[str]:
-    for line in lines:
-        if line == "}":
-            return
-        yield line
-
-
-def _is_assignment(line: str) -> bool:
-    """Whether a line gives a work value, or a result where that is wanted, one number."""
-    return re.match(r"  (w\[\d+\]=|if \(res\[\d+\]!=0\) res\[\d+\]\[\d+\]=)[^{}]*;$", line) is not None
-
-
-def _parts(name: str, body: list[str]) -> list[str]:
-    """The function in parts that are called one after the other, and take no null pointers.
+def _parts(name: str, body: list[str]) -> str:
+    """The function in parts that are called one after the other.
 
     The table of parts is volatile: a compiler would put functions that are called once together again.
     """
-    bare = [_without_tests(line) for line in body]
-    parts = [bare[i : i + LONGEST_BLOCK] for i in range(0, len(bare), LONGEST_BLOCK)]
-    result = []
-    for i, part in enumerate(parts):
-        result += [f"static void {name}_part{i}{C_FUNCTION_ARGUMENTS} {{", *part, "}", ""]
-    n_arg, largest_arg = _used("arg", bare)
-    n_res, largest_res = _used("res", bare)
-    table = ", ".join(f"{name}_part{i}" for i in range(len(parts)))
-    return [
-        *result,
+    lines, count = list[str](), math.ceil(len(body) / LONGEST_BLOCK)
+    for i in range(count):
+        part = body[i * LONGEST_BLOCK : (i + 1) * LONGEST_BLOCK]
+        lines += [f"static void {name}_part{i}{C_FUNCTION_ARGUMENTS} {{", *part, "}", ""]
+    table = ", ".join(f"{name}_part{i}" for i in range(count))
+    lines += [
         f"static int {name}{C_FUNCTION_ARGUMENTS} {{",
         f"  static void (*const volatile parts[]){C_FUNCTION_ARGUMENTS} = {{{table}}};",
-        f"  static const casadi_real zeros[{largest_arg}] = {{0}};",
-        f"  casadi_real unused[{largest_res}];",
-        f"  const casadi_real* given[{n_arg}];",
-        f"  casadi_real* wanted[{n_res}];",
         "  casadi_int i;",
-        f"  for (i = 0; i < {n_arg}; i++) given[i] = arg[i] ? arg[i] : zeros;",
-        f"  for (i = 0; i < {n_res}; i++) wanted[i] = res[i] ? res[i] : unused;",
-        f"  for (i = 0; i < {len(parts)}; i++) parts[i](given, wanted, iw, w, mem);",
+        f"  for (i = 0; i < {count}; i++) parts[i](arg, res, iw, w, mem);",
         "  return 0;",
         "}",
     ]
-
-
-def _without_tests(line: str) -> str:
-    line = re.sub(r"arg\[(\d+)\]\? arg\[\1\]\[(\d+)\] : 0;", r"arg[\1][\2];", line)
-    return re.sub(r"if \(res\[(\d+)\]!=0\) ", "", line)
-
-
-def _used(array: str, lines: list[str]) -> tuple[int, int]:
-    """How many pointers of an array of pointers the lines use, and the largest number of entries of one; at least 1."""
-    uses = [(int(i), int(k)) for line in lines for i, k in re.findall(rf"\b{array}\[(\d+)\]\[(\d+)\]", line)]
-    return max((i for i, _ in uses), default=0) + 1, max((k for _, k in uses), default=0) + 1
+    return "\n".join(lines)
 
 
 # Pieces of C text: arrays, strings, comments, plain functions around generated ones, and the parts of an export -------
