@@ -13,7 +13,7 @@ from pathlib import Path
 import casadi as ca
 
 from casadi_skin.export.codegen import build_library, find_compiler, fmi_headers
-from casadi_skin.fmu.fmu_archive import library_ending, platform_folder
+from casadi_skin.fmu.fmu_archive import library_name
 
 Change = Callable[[bytes], bytes]
 
@@ -49,13 +49,14 @@ def casadi_fmu(
             files = dae.export_fmu()
     finally:
         os.chdir(before)
-    library = folder / f"{model}.{library_ending()}"
+    name = library_name("3.0", model)
+    library = folder / Path(name).name
     sources = [str(folder / name) for name in files if name.endswith(".c")]
     command = [find_compiler(), "-shared", "-fPIC", f"-I{fmi_headers()}", *sources, "-o", str(library), "-lm"]
     subprocess.run(command, check=True)
     with zipfile.ZipFile(folder / f"{model}.fmu", "w") as archive:
         archive.write(folder / "modelDescription.xml", "modelDescription.xml")
-        archive.write(library, f"binaries/{platform_folder('3.0')}/{library.name}")
+        archive.write(library, name)
     return folder / f"{model}.fmu"
 
 
@@ -105,9 +106,10 @@ STATE_SPACE = """<?xml version="1.0" encoding="UTF-8"?>
 def state_space(folder: Path) -> Path:
     """x' = A x + B u with arrays of FMI 3.0, written in C by hand."""
     source = Path(__file__).parent / "unit" / "state_space_fmu.c"
-    library = build_library(source.parent, [source.name], folder / f"arrays.{library_ending()}")
+    name = library_name("3.0", "arrays")
+    library = build_library(source.parent, [source.name], folder / Path(name).name)
     with zipfile.ZipFile(folder / "arrays.fmu", "w") as archive:
         archive.writestr("modelDescription.xml", STATE_SPACE)
-        archive.write(library, f"binaries/{platform_folder('3.0')}/{library.name}")
+        archive.write(library, name)
         archive.writestr("documentation/index.html", "one")
     return folder / "arrays.fmu"

@@ -19,7 +19,6 @@ import shutil
 import subprocess
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from textwrap import wrap
 
@@ -27,7 +26,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.fmu.fmu_archive import FMPY_MISSING
+from casadi_skin.fmu.fmu_archive import fmpy_package
 from casadi_skin.model.arguments import short_repr
 
 LIBM_HEADERS = frozenset({"math.h", "string.h", "stdio.h"})
@@ -397,10 +396,7 @@ def build_c(directory: str | Path, compiler: str | None = None) -> Path:
 
 def fmi_headers() -> Path:
     """Folder with the header files of the FMI standard, which fmpy ships; raises ValueError where it is missing."""
-    found = find_spec("fmpy")
-    if found is None or found.origin is None:
-        raise ValueError(FMPY_MISSING)
-    return Path(found.origin).parent / "c-code"
+    return Path(fmpy_package().__file__).parent / "c-code"
 
 
 def build_library(folder: Path, files: Iterable[str], target: Path) -> Path:

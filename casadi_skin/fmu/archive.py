@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 from casadi_skin._version import __version__
 from casadi_skin.export.codegen import build_library
 from casadi_skin.export.exported_model import Source
-from casadi_skin.fmu.fmu_archive import library_ending, platform_folder
+from casadi_skin.fmu.fmu_archive import library_name
 from casadi_skin.fmu.initial_value_problem import (
     Equations,
     InitialValueProblem,
@@ -419,7 +419,7 @@ def _packaged(name: str) -> bytes:
 
 def _compiled(problem: InitialValueProblem, fmi: Fmi, files: dict[str, bytes]) -> dict[str, bytes]:
     """The shared library for this platform, by its name in the archive."""
-    name = f"binaries/{platform_folder(fmi)}/{problem.identifier}.{library_ending()}"
+    name = library_name(fmi, problem.identifier)
     sources = (*INTERFACE_SOURCES[fmi], f"{problem.identifier}_equations.c")
     with TemporaryDirectory(prefix="casadi_skin_fmu_") as folder:
         for file, text in files.items():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import platform
 import sys
 import warnings
 from collections.abc import Callable, Mapping
@@ -15,7 +14,6 @@ from xml.parsers.expat import ParserCreate
 from casadi_skin.fmu.unzip import Archive
 from casadi_skin.model.files import TemporaryFolder
 
-FMPY_MISSING = "fmpy is not installed; accepted: pip install 'casadi-skin[fmu]'"
 DESCRIPTION_FILE = "modelDescription.xml"
 LARGEST_DESCRIPTION = 1 << 26  # bytes
 MOST_ELEMENTS = 1_000_000  # of XML in a description
@@ -24,29 +22,25 @@ MOST_STATES = 2_000
 LARGEST_REFERENCE = (1 << 32) - 1  # of FMI's functions
 DEEPEST_XML = 100  # elements of XML within each other
 CHUNK_BYTES = 1 << 16  # bytes
-_LIBRARY_ENDINGS = {"linux": "so", "darwin": "dylib"}
+PLATFORMS = ("linux", "darwin")  # where FMUs are compiled and run
 
 
-def system_name() -> str:
-    """ "linux" or "darwin"; raises ValueError elsewhere, where no FMU is compiled or run by casadi_skin."""
-    system = "linux" if sys.platform.startswith("linux") else sys.platform
-    if system not in _LIBRARY_ENDINGS:
-        raise ValueError(f"platform: {sys.platform}; accepted: {', '.join(_LIBRARY_ENDINGS)}")
-    return system
+def fmpy_package() -> Any:
+    """The package fmpy; raises ValueError where it is not installed."""
+    try:
+        import fmpy
+    except ImportError as error:
+        raise ValueError("fmpy is not installed; accepted: pip install 'casadi-skin[fmu]'") from error
+    return fmpy
 
 
-def platform_folder(fmi: str) -> str:
-    """Name of this platform's folder under binaries in an FMU of FMI 2.0 or 3.0; raises ValueError as `system_name`."""
-    system = system_name()
-    if fmi.startswith("2"):
-        return f"{system}64"
-    machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
-    return f"{machine}-{system}"
-
-
-def library_ending() -> str:
-    """Ending of shared libraries on this platform, without a dot; raises ValueError as `system_name`."""
-    return _LIBRARY_ENDINGS[system_name()]
+def library_name(fmi: str, identifier: str) -> str:
+    """Name of this platform's library in an FMU of FMI 2.0 or 3.0; raises ValueError on other platforms."""
+    fmpy = fmpy_package()
+    if sys.platform not in PLATFORMS:
+        raise ValueError(f"platform: {sys.platform}; accepted: {', '.join(PLATFORMS)}")
+    folder = fmpy.platform if fmi.startswith("2") else fmpy.platform_tuple
+    return f"binaries/{folder}/{identifier}{fmpy.sharedLibraryExtension}"
 
 
 class FmuWarning(UserWarning):
@@ -85,8 +79,8 @@ def unpack(path: str | Path) -> Unpacked:
         try:
             archive.write(temporary.path, lambda name: name == DESCRIPTION_FILE)
             description = read_description(path, temporary.path)
-            wanted = (f"binaries/{platform_folder(description.fmiVersion)}/", "resources/")
-            library = _library(path, description, archive.names, temporary.path)
+            library = _library(path, description, archive.names)
+            wanted = ("/".join([*PurePosixPath(library).parts[:2], ""]), "resources/")
             archive.write(temporary.path, lambda name: name.startswith(wanted))
             if archive.repeated:
                 names = ", ".join(sorted(archive.repeated)[:3])
@@ -96,18 +90,15 @@ def unpack(path: str | Path) -> Unpacked:
             raise
     finally:
         archive.close()
-    return Unpacked(path, temporary.path, library, description, temporary.remove, digest)
+    return Unpacked(path, temporary.path, temporary.path / library, description, temporary.remove, digest)
 
 
 def read_description(path: Path, folder: Path) -> Any:
     """The model description of an FMU of FMI 2.0 or 3.0 with Model Exchange, as fmpy reads it."""
-    try:
-        from fmpy import read_model_description
-    except ImportError as error:
-        raise ValueError(FMPY_MISSING) from error
+    fmpy = fmpy_package()
     try:
         _check_xml((folder / DESCRIPTION_FILE).read_bytes())
-        description = read_model_description(folder, validate=False)
+        description = fmpy.read_model_description(folder, validate=False)
     except Exception as error:  # fmpy raises whatever its parser meets
         reason = " ".join(str(error).split())[:200]
         raise ValueError(f"{path}: {DESCRIPTION_FILE} cannot be read: {reason or type(error).__name__}") from error
@@ -164,12 +155,11 @@ def _check_xml(text: bytes) -> None:
         parser.Parse(text[start : start + CHUNK_BYTES])
 
 
-def _library(path: Path, description: Any, names: tuple[str, ...], folder: Path) -> Path:
-    """Place of the library for this platform."""
-    here = platform_folder(description.fmiVersion)
-    name = f"binaries/{here}/{description.modelExchange.modelIdentifier}.{library_ending()}"
+def _library(path: Path, description: Any, names: tuple[str, ...]) -> str:
+    """Name of the library for this platform in the archive."""
+    name = library_name(description.fmiVersion, description.modelExchange.modelIdentifier)
     if name not in names:
         there = {PurePosixPath(n).parts[1] for n in names if n.startswith("binaries/")}
         found = f"binaries for {', '.join(sorted(there))}" if there else "sources alone"
-        raise ValueError(f"{path}: no binary for {here}; it has {found}")
-    return folder / name
+        raise ValueError(f"{path}: no binary for {PurePosixPath(name).parts[1]}; it has {found}")
+    return name

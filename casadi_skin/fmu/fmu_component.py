@@ -1,6 +1,7 @@
 """One running instance of an FMU for Model Exchange: the C interfaces of FMI 2.0 and 3.0 behind one set of names.
 
-Calls at every evaluation go to the binary's functions as fmpy has loaded and typed them.
+All calls go through fmpy, which has loaded and typed the binary's functions, and raises its `FMICallException`, with
+the status, where one fails.
 """
 
 from __future__ import annotations
@@ -8,30 +9,31 @@ from __future__ import annotations
 import copy
 import ctypes
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casadi_skin.fmu.fmu_archive import Unpacked
 from casadi_skin.fmu.fmu_variables import Array, Element, Group
 
 MOST_EVENT_ITERATIONS = 100
 MOST_COMPLAINTS = 20
-_WARNING_STATUS = 1  # the last status of values that are there, in FMI 2.0 and 3.0
 DISCARD_STATUS = 2  # the status of values that cannot be computed
+COMPONENT_FUNCTIONS = (
+    "FreeInstance", "Reset", "SetTime", "SetContinuousStates", "GetContinuousStates", "GetDerivatives", "Get", "Set",
+    "GetDirectionalDerivative",
+)  # fmt: skip
+_Doubles = ctypes.POINTER(ctypes.c_double)
 
 
-class CallError(Exception):
-    """A call of the binary that failed; `discarded` where only its values cannot be computed."""
+def call_error() -> Any:
+    """The class of fmpy's errors of calls that fail."""
+    from fmpy.fmi1 import FMICallException
 
-    def __init__(self, function: str, status: int) -> None:
-        words = {2: "discard", 3: "error", 4: "fatal"}.get(status, "unknown")
-        super().__init__(f"{function} failed with status {status} ({words}).")
-        self.discarded = status == DISCARD_STATUS
+    return FMICallException
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,61 +88,54 @@ class Loaded:
 class Component:
     """An instance of a binary with the values of the parameters `held`, at a time, a state and inputs `moved`.
 
-    Methods raise `CallError` where the binary does not answer; then `restart` is called before anything else.
+    Methods raise fmpy's error where the binary does not answer; then `restart` is called before anything else.
     """
 
     def __init__(self, loaded: Loaded, states: int, held: tuple[Element, ...], moved: tuple[Element, ...]) -> None:
-        self._loaded, self._two, self._fmu = loaded, loaded.two, loaded.instantiated()
+        self._loaded, self._two = loaded, loaded.two
         self._held, self._moved = Values.of(Group.of(held)), Values.of(Group.of(moved))
         self._tunable = all(element.tunable for element in held)
-        self._n, dll = states, self._fmu.dll
+        self._n = states
+        self._instantiate()
+
+    def _instantiate(self) -> None:
+        """Make an instance of the binary, with the functions of the standard for it by their common names."""
+        fmu = self._fmu = self._loaded.instantiated()
+        prefix, real, rates = ("fmi2", "Real", "") if self._two else ("fmi3", "Float64", "ContinuousState")
+        renamed = {"Get": f"Get{real}", "Set": f"Set{real}", "GetDerivatives": f"Get{rates}Derivatives"}
+        self._fmi = {
+            name: partial(getattr(fmu, prefix + renamed.get(name, name)), fmu.component) for name in COMPONENT_FUNCTIONS
+        }
         self._fresh = True  # instantiated, and nothing else
-        number, count, here = ctypes.c_double, ctypes.c_size_t, ctypes.c_void_p
-        some, sized = (ctypes.POINTER(ctypes.c_uint32), count), (here,) if self._two else (here, count)
-        prefix, real = ("fmi2", "Real") if self._two else ("fmi3", "Float64")
-        rates = "GetDerivatives" if self._two else "GetContinuousStateDerivatives"
-        self._set_time = _function(dll, f"{prefix}SetTime", number)
-        self._set_states = _function(dll, f"{prefix}SetContinuousStates", here, count)
-        self._get_rates = _function(dll, f"{prefix}{rates}", here, count)
-        self._get = _function(dll, f"{prefix}Get{real}", *some, *sized)
-        self._set = _function(dll, f"{prefix}Set{real}", *some, *sized)
-        self._seeded = _function(dll, f"{prefix}GetDirectionalDerivative", *some, *some, *sized, *sized)
 
     def free(self) -> None:
         """Free the instance; it is not used any more."""
-        self._release()
+        self._fmi["FreeInstance"]()
 
     # Parameters -------------------------------------------------------------------------------------------------------
 
     def restart(self, held: Array) -> None:
         """Initialise it anew with values of its parameters, and go to Continuous-Time Mode."""
-        fmu = self._fmu
-        if not self._fresh and _failed(fmu.reset):
-            self._release()
-            self._fmu = fmu = self._loaded.instantiated()
+        if not self._fresh:
+            try:
+                self._fmi["Reset"]()
+            except call_error():
+                self.free()
+                self._instantiate()
         self._fresh = False
-        self._call(self._restarted, fmu, held)
-
-    def _restarted(self, fmu: Any, held: Array) -> None:
         if self._two:
-            fmu.setupExperiment(startTime=0.0)
+            self._fmu.setupExperiment(startTime=0.0)
         self._give(self._held, held)
-        if self._two:
-            fmu.enterInitializationMode()
-        else:
-            fmu.enterInitializationMode(startTime=0.0)
-        fmu.exitInitializationMode()
+        self._fmu.enterInitializationMode(**({} if self._two else {"startTime": 0.0}))
+        self._fmu.exitInitializationMode()
         self._events()
-        fmu.enterContinuousTimeMode()
+        self._fmu.enterContinuousTimeMode()
 
     def change(self, held: Array) -> None:
         """Give it other values of its parameters: at an event where they are tunable, else from the start."""
         if not self._tunable:
             self.restart(held)
             return
-        self._call(self._tuned, held)
-
-    def _tuned(self, held: Array) -> None:
         self._fmu.enterEventMode()
         self._give(self._held, held)
         self._events()
@@ -157,121 +152,67 @@ class Component:
                 return
         raise ValueError("its events do not end")
 
-    def _call(self, function: Callable[..., None], *arguments: Any) -> None:
-        """Call a function that goes through fmpy, whose error has the status."""
-        from fmpy.fmi1 import FMICallException
+    # Values, in rows of buffers --------------------------------------------------------------------------------------
 
-        try:
-            function(*arguments)
-        except FMICallException as error:
-            raise CallError(error.function, error.status) from error
-
-    def _release(self) -> None:
-        (self._fmu.fmi2FreeInstance if self._two else self._fmu.fmi3FreeInstance)(self._fmu.component)
-
-    # Values -----------------------------------------------------------------------------------------------------------
-    # Points and results are given as addresses of doubles: calls at every node make no objects.
-
-    def place(self, t: float, x: int, inputs: Array | None) -> None:
+    def place(self, t: float, x: Any, inputs: Array | None) -> None:
         """Go to a time, a state and inputs."""
-        instance = self._fmu.component
-        if (status := self._set_time(instance, t)) > _WARNING_STATUS:
-            raise CallError("SetTime", status)
-        if (status := self._set_states(instance, x, self._n)) > _WARNING_STATUS:
-            raise CallError("SetContinuousStates", status)
+        self._fmi["SetTime"](t)
+        self._fmi["SetContinuousStates"](x, self._n)
         if inputs is not None:
             self._give(self._moved, inputs)
 
-    def rates(self, result: int) -> None:
+    def rates(self, result: Any) -> None:
         """The derivatives of the states."""
-        if (status := self._get_rates(self._fmu.component, result, self._n)) > _WARNING_STATUS:
-            raise CallError("GetDerivatives", status)
+        self._fmi["GetDerivatives"](result, self._n)
 
     def states(self) -> Array:
         """The state that it has."""
-        name, found = f"fmi{2 if self._two else 3}GetContinuousStates", Buffer(1, self._n)
-        get = _function(self._fmu.dll, name, ctypes.c_void_p, ctypes.c_size_t)
-        _check(name, get(self._fmu.component, found.address, self._n))
+        found = Buffer(1, self._n)
+        self._fmi["GetContinuousStates"](found.rows[0], self._n)
         return np.array(found.array[0])
 
-    def values(self, wanted: Values, result: int) -> None:
+    def values(self, wanted: Values, result: Any) -> None:
         """Values of some variables, of all their entries."""
-        extra = () if self._two else (wanted.size,)
-        _check("GetReal", self._get(self._fmu.component, wanted.references, wanted.count, result, *extra))
+        self._fmi["Get"](*wanted.named, result, *self._counts(wanted))
 
-    def directional(self, unknowns: Values, knowns: Values, seed: int, result: int) -> None:
+    def directional(self, unknowns: Values, knowns: Values, seed: Any, result: Any) -> None:
         """Derivatives of all entries of `unknowns` along one seed, a number for each entry of `knowns`."""
-        places = (unknowns.references, unknowns.count, knowns.references, knowns.count)
-        numbers = (seed, result) if self._two else (seed, knowns.size, result, unknowns.size)
-        _check("GetDirectionalDerivative", self._seeded(self._fmu.component, *places, *numbers))
+        numbers = (seed, *self._counts(knowns), result, *self._counts(unknowns))
+        self._fmi["GetDirectionalDerivative"](*unknowns.named, *knowns.named, *numbers)
 
     def _give(self, to: Values, given: Array) -> None:
         """Set numbers; entries of the same arrays that are not given keep their start values."""
-        if to.count:
-            to.numbers[to.places] = given
-            extra = () if self._two else (to.size,)
-            _check("SetReal", self._set(self._fmu.component, to.references, to.count, to.address, *extra))
+        if to.named[1]:
+            to.numbers.array[0, to.group.places] = given
+            self._fmi["Set"](*to.named, to.numbers.rows[0], *self._counts(to))
+
+    def _counts(self, values: Values) -> tuple[int, ...]:
+        """The number of entries, which FMI 3.0 asks for beside that of the variables."""
+        return () if self._two else (values.numbers.array.size,)
 
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Variables by their references as an array of C, with `numbers` for all their entries, and their address."""
+    """Variables as FMI's functions take them: references and their number, with the `numbers` of all entries."""
 
     group: Group
-    references: Any
-    numbers: Array
-    address: int
+    named: tuple[Any, int]
+    numbers: Buffer
 
     @classmethod
     def of(cls, group: Group) -> Values:
         """With the start values."""
-        count, numbers = len(group.references), group.starts.copy()
-        return cls(group, (ctypes.c_uint32 * count)(*group.references), numbers, int(numbers.ctypes.data))
-
-    @property
-    def count(self) -> int:
-        """Number of variables."""
-        return len(self.references)
-
-    @property
-    def size(self) -> int:
-        """Number of their entries."""
-        return int(self.numbers.size)
-
-    @property
-    def places(self) -> NDArray[np.int64]:
-        """Places of the requested numbers among the entries."""
-        return self.group.places
+        count, numbers = len(group.references), Buffer(1, group.starts.size)
+        numbers.array[:] = group.starts
+        return cls(group, ((ctypes.c_uint32 * count)(*group.references), count), numbers)
 
 
 class Buffer:
-    """Rows of doubles that C and numpy share, with their address and the bytes from one row to the next."""
+    """Rows of doubles that C and numpy share, with a pointer to each row."""
 
     def __init__(self, rows: int, columns: int) -> None:
         self.array: Array = np.zeros((rows, columns))
-        self.address, self.stride = int(self.array.ctypes.data), int(self.array.strides[0])
-
-
-def _function(dll: Any, name: str, *types: Any) -> Any:
-    """A function of the binary that takes addresses as numbers; fmpy's own objects stay as they are."""
-    found = dll[name]
-    found.argtypes, found.restype = (ctypes.c_void_p, *types), ctypes.c_int
-    return found
-
-
-def _check(function: str, status: int) -> None:
-    if status > _WARNING_STATUS:
-        raise CallError(function, status)
-
-
-def _failed(function: Callable[[], object]) -> bool:
-    from fmpy.fmi1 import FMICallException
-
-    try:
-        function()
-    except FMICallException:
-        return True
-    return False
+        self.rows = [row.ctypes.data_as(_Doubles) for row in self.array]
 
 
 def complain(complaints: list[str], message: str) -> None:

@@ -142,7 +142,11 @@ class Derivatives:
 
     def value(self, t: float, x: Array, p: Array) -> Array:
         """The numbers at a point."""
-        return np.asarray(self.instance.at(self._wanted, (t,), x[None], p[None])[0])
+        return np.asarray(self._at((t,), x[None], p)[0])
+
+    def _at(self, t: Sequence[float], x: Array, p: Array) -> Array:
+        """The numbers at several times and states, or at one state, with the same parameters."""
+        return self.instance.at(self._wanted, t, x, np.repeat(p[None], len(t), axis=0))
 
     def states_jacobian(self, t: float, x: Array, p: Array) -> Array:
         """Non-zeros by columns of d value/d x."""
@@ -155,14 +159,12 @@ class Derivatives:
     def time_derivative(self, t: float, x: Array, p: Array) -> Array:
         """d value/d t by differences."""
         times, steps = self.difference.moved(np.array([t]), np.ones(1), self._along_time)
-        values = self.instance.at(self._wanted, times[:, 0].tolist(), x[None], _rows(p, len(times)))
-        return self.difference.quotients(values, steps, self._along_time)
+        return self.difference.quotients(self._at(times[:, 0].tolist(), x[None], p), steps, self._along_time)
 
     def _states_jacobian(self, how: str, columns: Columns, t: float, x: Array, p: Array) -> Array:
         if how == "differences":
             points, steps = self.difference.moved(x, self.scale, columns)
-            values = self.instance.at(self._wanted, (t,) * len(points), points, _rows(p, len(points)))
-            return self.difference.quotients(values, steps, columns)
+            return self.difference.quotients(self._at((t,) * len(points), points, p), steps, columns)
         if columns not in self._seeds:
             self._seeds[columns] = _buffer(self._states.spread(columns.seeds))
         return columns.nonzeros(self.instance.directional(self._rates, self._states, self._seeds[columns], t, x, p))
@@ -207,8 +209,7 @@ class Derivatives:
         """Derivatives along directions by differences, one column each: an entry left out anywhere shows in its row."""
         (t, x, p), differences = at, Differences()
         distances, steps = differences.moved(np.zeros(1), np.ones(1), self._along_time)
-        count = len(distances)
-        found = (self.instance.at(self._wanted, (t,) * count, x + distances * d, _rows(p, count)) for d in directions)
+        found = (self._at((t,) * len(distances), x + distances * d, p) for d in directions)
         return np.array([differences.quotients(values, steps, self._along_time) for values in found]).T
 
     def _chosen_for_parameters(self) -> str:
@@ -228,11 +229,6 @@ def _buffer(rows: Array) -> Buffer:
     return buffer
 
 
-def _rows(values: Array, count: int) -> Array:
-    """The same values in each of several rows."""
-    return np.repeat(values[None], count, axis=0)
-
-
 def _agree(given: Array, known: Array) -> bool:
     return bool(np.all(np.abs(given - known) <= DERIVATIVE_AGREEMENT * np.abs(known).max(initial=0.0)))
 
@@ -243,101 +239,55 @@ View = memoryview | None  # CasADi gives None for an argument that is zero and f
 
 
 class FmuFunction(ca.Callback):  # type: ignore[misc]
-    """(t, x, p) -> derivatives or outputs of an FMU, with their Jacobian."""
+    """(t, x, p) -> derivatives or outputs of an FMU; their Jacobian is another, (t, x, p, result) -> by t, x and p."""
 
-    def __init__(self, name: str, derivatives: Derivatives, forced: bool) -> None:
+    def __init__(self, name: str, derivatives: Derivatives, forced: bool, of_jacobian: bool = False) -> None:
         ca.Callback.__init__(self)
-        self.derivatives = derivatives
-        self.sizes = (1, len(derivatives.instance.variables.states), len(derivatives.instance.given))
-        self._jacobian = _FmuJacobian(f"{name}_jacobian", self, forced)
-        self.construct(name, {})
+        self.derivatives, rows, dense = derivatives, derivatives.size, ca.Sparsity.dense
+        sizes = (1, len(derivatives.instance.variables.states), len(derivatives.instance.given))
+        self._zeros = [np.zeros(size) for size in sizes]
+        self._given = [dense(size, 1) for size in (*sizes, *([rows] if of_jacobian else []))]
+        self._jacobian = None if of_jacobian else FmuFunction(f"{name}_jacobian", derivatives, forced, True)
+        if of_jacobian:
+            by_time = dense(rows, 1) if forced else ca.Sparsity(rows, 1)
+            by_states = ca.sparsify(ca.DM(derivatives.pattern.astype(float))).sparsity()
+            self._results = by_time, by_states, dense(rows, sizes[2])
+            self._values = derivatives.time_derivative, derivatives.states_jacobian, derivatives.parameters_jacobian
+        else:
+            self._results, self._values = (dense(rows, 1),), (derivatives.value,)
+        # Second derivatives are differences: only iterations use them, as the Newton matrix of CVODES' sensitivities.
+        self.construct(name, {"enable_fd": of_jacobian})
 
     def get_n_in(self) -> int:
-        return 3
+        return len(self._given)
 
     def get_n_out(self) -> int:
-        return 1
+        return len(self._results)
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self.sizes[i], 1)
+        return self._given[i]
 
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self.derivatives.size, 1)
+        return self._results[i]
 
     def has_eval_buffer(self) -> bool:
         return True
 
     def eval_buffer(self, arguments: Sequence[View], results: Sequence[View]) -> int:
-        if results[0]:
-            np.frombuffer(results[0])[:] = self.derivatives.value(*_point(arguments, self.sizes))
+        t, x, p = (np.frombuffer(a) if a else zeros for a, zeros in zip(arguments, self._zeros, strict=False))
+        for result, value in zip(results, self._values, strict=True):
+            if result:
+                np.frombuffer(result)[:] = value(float(t[0]), x, p)
         return 0
 
     def has_jacobian(self) -> bool:
-        return True
+        return self._jacobian is not None
 
     def has_jac_sparsity(self, oind: int, iind: int) -> bool:
-        return True
+        return self._jacobian is not None
 
     def get_jac_sparsity(self, oind: int, iind: int, symmetric: bool) -> ca.Sparsity:
         return self._jacobian.sparsity_out(iind)
 
     def get_jacobian(self, name: str, inames: list[str], onames: list[str], options: dict[str, Any]) -> ca.Function:
         return self._jacobian
-
-
-class _FmuJacobian(ca.Callback):  # type: ignore[misc]
-    """(t, x, p, result) -> Jacobians by t, x and p."""
-
-    def __init__(self, name: str, function: FmuFunction, forced: bool) -> None:
-        ca.Callback.__init__(self)
-        self._derivatives, self._sizes, self._forced = function.derivatives, function.sizes, forced
-        rows = self._derivatives.size
-        self._sparsities = (
-            ca.Sparsity.dense(rows, 1) if forced else ca.Sparsity(rows, 1),
-            _sparsity(self._derivatives.pattern),
-            ca.Sparsity.dense(rows, self._sizes[2]),
-        )
-        # Second derivatives are differences: only iterations use them, as the Newton matrix of CVODES' sensitivities.
-        self.construct(name, {"enable_fd": True})
-
-    def get_n_in(self) -> int:
-        return 4
-
-    def get_n_out(self) -> int:
-        return 3
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense((*self._sizes, self._derivatives.size)[i], 1)
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return self._sparsities[i]
-
-    def has_eval_buffer(self) -> bool:
-        return True
-
-    def eval_buffer(self, arguments: Sequence[View], results: Sequence[View]) -> int:
-        at, derivatives = _point(arguments, self._sizes), self._derivatives
-        choices = derivatives.time_derivative, derivatives.states_jacobian, derivatives.parameters_jacobian
-        for result, jacobian in zip(results, choices, strict=True):
-            if result:
-                np.frombuffer(result)[:] = jacobian(*at)
-        return 0
-
-
-def _point(arguments: Sequence[View], sizes: Sequence[int]) -> tuple[float, Array, Array]:
-    """Time, state and parameters of a function's arguments."""
-    t, x, p = arguments[0], arguments[1], arguments[2]
-    return (
-        0.0 if t is None else float(np.frombuffer(t)[0]),
-        np.zeros(sizes[1]) if x is None else np.frombuffer(x),
-        _array(p) if p is not None else np.zeros(sizes[2]),
-    )
-
-
-def _array(view: View) -> Array:
-    return np.frombuffer(view) if view else np.empty(0)
-
-
-def _sparsity(pattern: Pattern) -> ca.Sparsity:
-    rows, columns = np.nonzero(pattern)
-    return ca.Sparsity.triplet(*pattern.shape, rows.tolist(), columns.tolist())

@@ -15,7 +15,16 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.fmu.fmu_archive import Unpacked
-from casadi_skin.fmu.fmu_component import Buffer, CallError, Component, Loaded, Values, complain, refused
+from casadi_skin.fmu.fmu_component import (
+    DISCARD_STATUS,
+    Buffer,
+    Component,
+    Loaded,
+    Values,
+    call_error,
+    complain,
+    refused,
+)
 from casadi_skin.fmu.fmu_variables import Array, Group, Variables
 from casadi_skin.fmu.initial_value_problem import InitialValueProblem
 from casadi_skin.model.arguments import nearest, short_repr
@@ -38,6 +47,7 @@ class FmuInstance:
         self.path, self.folder, self.variables = unpacked.path, unpacked.folder, variables
         self.digest = unpacked.digest
         self.given = variables.given
+        self._failure = call_error()
         self._lock = threading.Lock()  # two threads of a map must not set the one state
         self._loaded = Loaded.of(unpacked)
         self.complaints = self._loaded.complaints
@@ -76,29 +86,27 @@ class FmuInstance:
         """
         with self._lock:
             request = None if wanted is None else self._request(wanted)
-            rows, same = len(p), len(x) == 1
+            rows = len(p)
             points = self._buffer("points", len(x), x.shape[1])
-            result = self._buffer("result", rows, x.shape[1] if request is None else request.size)
+            columns = x.shape[1] if request is None else request.numbers.array.size
+            result = self._buffer("result", rows, columns)
             points.array[:] = x
             keys, inputs = self._keys(p), p[:, self._moved] if self._moved.size else None
-            here, there = points.address, result.address
             for k in range(rows):
                 component = self._components.get(keys[k]) or self._at(keys[k], p[k])
+                if component is None:
+                    result.array[k] = np.nan
+                    continue
                 try:
-                    if component is None:
-                        result.array[k] = np.nan
+                    component.place(t[k], points.rows[k % len(x)], None if inputs is None else inputs[k])
+                    if request is None:
+                        component.rates(result.rows[k])
                     else:
-                        component.place(t[k], here, None if inputs is None else inputs[k])
-                        if request is None:
-                            component.rates(there)
-                        else:
-                            component.values(request, there)
-                except CallError as error:
-                    assert component is not None
+                        component.values(request, result.rows[k])
+                except self._failure as error:
                     result.array[k] = np.nan
                     self._failed(component, error)
-                here, there = here if same else here + points.stride, there + result.stride
-            return result.array.copy() if request is None else result.array[:, request.places]
+            return result.array.copy() if request is None else result.array[:, request.group.places]
 
     def directional(self, unknowns: Group, knowns: Group, seeds: Buffer, t: float, x: Array, p: Array) -> Array:
         """Directional derivatives of unknowns along the rows of `seeds`, shape (seeds, unknowns); NaN where none.
@@ -108,21 +116,20 @@ class FmuInstance:
         """
         with self._lock:
             wanted, known, count = self._request(unknowns), self._request(knowns), len(seeds.array)
-            point, result = self._buffer("points", 1, x.size), self._buffer("result", count, wanted.size)
+            point, result = self._buffer("points", 1, x.size), self._buffer("result", count, wanted.numbers.array.size)
             point.array[:] = x
             key = self._keys(p[None])[0]
             component = self._components.get(key) or self._at(key, p)
             if component is None:
                 return np.full((count, unknowns.places.size), np.nan)
             try:
-                component.place(t, point.address, p[self._moved] if self._moved.size else None)
-                for k in range(count):
-                    places = seeds.address + k * seeds.stride, result.address + k * result.stride
-                    component.directional(wanted, known, *places)
-            except CallError as error:
+                component.place(t, point.rows[0], p[self._moved] if self._moved.size else None)
+                for seed, row in zip(seeds.rows, result.rows, strict=True):
+                    component.directional(wanted, known, seed, row)
+            except self._failure as error:
                 result.array[:] = np.nan
                 self._failed(component, error)
-            return result.array[:, wanted.places]
+            return result.array[:, unknowns.places]
 
     def _buffer(self, name: str, rows: int, columns: int) -> Buffer:
         """Rows that C and numpy share, made once for each size."""
@@ -160,7 +167,7 @@ class FmuInstance:
         component, fresh = self._spare()
         try:
             (component.restart if fresh else component.change)(p[self._held])
-        except CallError as error:
+        except self._failure as error:
             self._failed(component, error)
             return None
         self._components[key] = component
@@ -177,11 +184,11 @@ class FmuInstance:
                 self._most = len(self._components)
         return self._components.pop(next(iter(self._components))), False
 
-    def _failed(self, component: Component, error: CallError) -> None:
+    def _failed(self, component: Component, error: Any) -> None:
         """Keep the message; initialise the instance anew unless the FMU only discards values."""
         complain(self.complaints, str(error))
         known = next((key for key, other in self._components.items() if other is component), None)
-        if error.discarded and known is not None:
+        if error.status == DISCARD_STATUS and known is not None:
             return
         if known is not None:
             del self._components[known]
@@ -191,7 +198,7 @@ class FmuInstance:
             return
         try:
             component.restart(held)
-        except CallError as again:
+        except self._failure as again:
             component.free()
             raise refused(self.path, "it cannot be initialised again", again, self.complaints) from again
         self._components[held.tobytes()] = component

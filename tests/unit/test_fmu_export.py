@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import shutil
 import subprocess
+import sys
 import zipfile
 from importlib import resources
 from pathlib import Path
@@ -527,7 +528,7 @@ def test_what_cannot_be_exported_is_refused_in_one_line(tmp_path: Path, monkeypa
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.raises(ValueError, match=r"compiler: 'no-such-compiler' not found; accepted: .*CC=.* or binary=False"):
         export_fmu(CHAIN, path)
-    monkeypatch.setattr(compilers, "find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "fmpy", None)
     monkeypatch.delenv("CC")
     with pytest.raises(ValueError, match=r"fmpy is not installed; accepted: pip install 'casadi-skin\[fmu\]'"):
         export_fmu(CHAIN, path)
