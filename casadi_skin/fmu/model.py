@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
+import pickle
 import signal
-import subprocess
-import sys
-import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 from xml.etree import ElementTree as ET
@@ -161,62 +159,42 @@ def _check_autonomous(instance: FmuInstance, inputs: list[float]) -> None:
 
 # An FMU's binary in a process of its own first: where it ends that process, or never answers, it is refused -----------
 
-ANSWERED_EXIT_STATUS = 86  # the exit status of a process in which the binary came back, with values or an error
-_TRIAL_PROGRAM = "from casadi_skin.fmu.model import main; main()"
-_answered: set[tuple[str, str]] = set()  # archives and arguments that were tried in this process
+_answered: set[tuple[Any, ...]] = set()  # archives and arguments that were tried in this process
+_tried_models: list[FmuModel] = []  # in the other process, where nothing is freed: that comes after the answer
 
 
 def check_answer(unpacked: Unpacked, choices: FmuChoices, inputs: Mapping[str, float], time_limit: float) -> None:
     """Raises ValueError where the model cannot be made of an FMU and evaluated once within a time, in seconds."""
-    wanted = {"asked": asdict(choices), "inputs": dict(inputs)}
-    key = unpacked.digest, json.dumps(wanted)
+    from casadi_skin.solve.processes import Worker, WorkerEndedError
+
+    key = unpacked.digest, choices, tuple(inputs.items())
     if key in _answered:
         return
-    places = {"path": str(unpacked.path), "folder": str(unpacked.folder), "library": str(unpacked.library)}
-    words = json.dumps({**places, **wanted, "time_limit": time_limit})
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p or str(Path.cwd()) for p in sys.path)}
-    with subprocess.Popen(
-        [sys.executable, "-P", "-c", _TRIAL_PROGRAM, words], env=environment, stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
-    ) as process:  # fmt: skip
-        try:
-            status = process.wait(time_limit)
-        except subprocess.TimeoutExpired:
-            accepted = "accepted: one that does, or a longer time_limit"
-            raise ValueError(
-                f"{unpacked.path}: its binary does not answer within {time_limit:g} s; {accepted}"
-            ) from None
-        finally:
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGKILL)
-    if status != ANSWERED_EXIT_STATUS:
-        how = signal.Signals(-status).name if status < 0 else f"exit status {status}"
-        accepted = "accepted: one that comes back"
-        raise ValueError(f"{unpacked.path}: its binary ends the process that calls it ({how}); {accepted}")
+    worker, words = Worker(), f"{unpacked.path}: its binary"
+    try:
+        task = unpacked.path, unpacked.folder, unpacked.library, choices, inputs
+        worker.compute(pickle.dumps(_try), task, time_limit)
+    except TimeoutError:
+        accepted = "accepted: one that does, or a longer time_limit"
+        raise ValueError(f"{words} does not answer within {time_limit:g} s; {accepted}") from None
+    except WorkerEndedError as error:
+        code = worker.exit_code
+        how = str(error) if code is None else signal.Signals(-code).name if code < 0 else f"exit status {code}"
+        raise ValueError(f"{words} ends the process that calls it ({how}); accepted: one that comes back") from error
+    finally:
+        worker.end()
     _answered.add(key)
 
 
-def main() -> None:
-    """The process: makes the model as `import_fmu` does, evaluates it once, and ends with `ANSWERED`."""
-    given = json.loads(sys.argv[1])
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.setitimer(signal.ITIMER_REAL, given["time_limit"] + 1.0)  # should nobody be left to end it
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    folder, path = Path(given["folder"]), Path(given["path"])
-    try:
-        unpacked = Unpacked(path, folder, Path(given["library"]), read_description(path, folder), lambda: None)
-        names: Any = {name: tuple(v) if isinstance(v, list) else v for name, v in given["asked"].items()}
-        choices = FmuChoices(**names)
-        model = made(unpacked, choices, given["inputs"])
+def _try(task: Any, *_: Any) -> None:
+    """In the process: make the model as `import_fmu` does, and evaluate it once."""
+    path, folder, library, choices, inputs = task
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what a binary prints is not for the reader, who may see it later
+    with suppress(Exception):  # the same is raised, and reported, where the FMU is read
+        unpacked = Unpacked(path, folder, library, read_description(path, folder), lambda: None)
+        model = made(unpacked, choices, inputs)
+        _tried_models.append(model)
         model.function("once", model.rhs, *model.outputs.values())(0.0, model.start_state, model.nominal or ())
-    except Exception:  # the same is raised, and reported, where the FMU is read
-        pass
-    os._exit(ANSWERED_EXIT_STATUS)
-
-
-def _end_with_parent() -> None:
-    sys.stdin.buffer.read()
-    os._exit(1)
 
 
 # Models of FMUs in files of results: the identity of the FMU and the choices of its import; never its binary ----------

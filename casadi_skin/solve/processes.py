@@ -137,6 +137,7 @@ class Worker:
         self._connection: Connection | None = None
         self._stderr: IO[bytes] | None = None
         self._main = main
+        self.exit_code: int | None = None  # of a process that ended by itself
         self._closed, self._starting = False, threading.Lock()
         _all.add(self)
 
@@ -226,7 +227,7 @@ class Worker:
             return f"no worker could be started ({error})"
         code, last = None, ""
         with suppress(subprocess.TimeoutExpired):
-            code = self.process.wait(1.0)
+            code = self.exit_code = self.process.wait(1.0)
             self._stderr.seek(0)
             said = self._stderr.read().decode(errors="replace").split("\n")
             last = next((line.strip() for line in reversed(said) if line.strip()), "")

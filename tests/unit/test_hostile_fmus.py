@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import struct
@@ -217,7 +218,7 @@ def test_a_binary_that_never_comes_back_is_refused(
 def test_a_good_binary_is_tried_once_for_each_file_and_question(good: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     started = []
     real = subprocess.Popen
-    monkeypatch.setattr(fmu_trial.subprocess, "Popen", lambda *a, **k: started.append(a[0][0]) or real(*a, **k))
+    monkeypatch.setattr(subprocess, "Popen", lambda *a, **k: started.append(a[0][0]) or real(*a, **k))
     monkeypatch.setattr(fmu_trial, "_answered", set())
     for parameters in ([], [], ["g"]):
         import_fmu(good, parameters=parameters).close()
@@ -246,13 +247,13 @@ time.sleep(100)
             if when == "imported":
                 assert process.stdout.readline() == b"imported\n"
             else:
-                waited_for(lambda: bool(tried_processes(folder)))
+                waited_for(lambda: bool(tried_processes(process.pid) and list(folder.iterdir())))
             assert len(list(folder.iterdir())) == 1
             process.send_signal(number)
             process.wait(20.0)
         finally:
             process.kill()
-    waited_for(lambda: not list(folder.iterdir()) and not tried_processes(folder))
+    waited_for(lambda: not list(folder.iterdir()) and not tried_processes(process.pid))
 
 
 def waited_for(condition: Callable[[], bool]) -> None:
@@ -262,7 +263,7 @@ def waited_for(condition: Callable[[], bool]) -> None:
         time.sleep(0.05)
 
 
-def tried_processes(folder: Path) -> list[str]:
-    """Processes that a binary in the folder is tried in."""
+def tried_processes(parent: int) -> list[str]:
+    """Processes in which a process tries a binary."""
     listed = subprocess.run(["ps", "-ewwo", "args"], capture_output=True, text=True, check=True).stdout
-    return [line for line in listed.splitlines() if "casadi_skin.fmu.model" in line and str(folder) in line]
+    return [line for line in listed.splitlines() if re.search(rf"serve\(\d+, {parent}\)", line)]
