@@ -6,7 +6,7 @@ Derivatives of the FMU are compared with differences along random directions bef
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -247,7 +247,9 @@ class FmuFunction(ca.Callback):  # type: ignore[misc]
         sizes = (1, len(derivatives.instance.variables.states), len(derivatives.instance.given))
         self._zeros = [np.zeros(size) for size in sizes]
         self._given = [dense(size, 1) for size in (*sizes, *([rows] if of_jacobian else []))]
-        self._jacobian = None if of_jacobian else FmuFunction(f"{name}_jacobian", derivatives, forced, True)
+        self._jacobian: Any = None if of_jacobian else FmuFunction(f"{name}_jacobian", derivatives, forced, True)
+        self._results: tuple[ca.Sparsity, ...]
+        self._values: tuple[Callable[[float, Array, Array], Array], ...]
         if of_jacobian:
             by_time = dense(rows, 1) if forced else ca.Sparsity(rows, 1)
             by_states = ca.sparsify(ca.DM(derivatives.pattern.astype(float))).sparsity()
