@@ -22,6 +22,7 @@ from casadi_skin.model.arguments import nearest, short_repr
 Array = NDArray[np.float64]
 Pattern = NDArray[np.bool_]
 _REAL_TYPES = ("Real", "Float64")
+MOST_LISTED = 8  # names in a message
 
 
 @dataclass(frozen=True)
@@ -188,7 +189,7 @@ def _chosen(label: str, names: Sequence[str], variables: Sequence[Any]) -> list[
             entries = [other for other in known if other.startswith(f"{name}[")]
             raise ValueError(f"{label}: {name!r} is an array; accepted: its entries, such as {entries[0]}")
         if name not in known:
-            raise ValueError(f"{label}: given {name!r}; accepted: {_nearest(name, list(known))}")
+            raise ValueError(f"{label}: given {name!r}; accepted: {nearest_first(name, list(known))}")
     if len(set(names)) < len(names):
         raise ValueError(f"{label}: given {', '.join(names)}; accepted: each one once")
     return [known[name] for name in names]
@@ -238,17 +239,18 @@ def _check_numbers(path: Path, variable: Any) -> None:
 def _check_order(given: Sequence[str], names: Sequence[str]) -> None:
     for name in given:
         if name not in names:
-            raise ValueError(f"states: given {name!r}; accepted: {_nearest(name, names)}")
+            raise ValueError(f"states: given {name!r}; accepted: {nearest_first(name, names)}")
     missing = [name for name in names if name not in given]
     if missing or len(set(given)) < len(given):
         words = ", ".join(missing or sorted({name for name in given if list(given).count(name) > 1}))
         raise ValueError(f"states: {'left out' if missing else 'twice'}: {words}; accepted: each of the FMU's once")
 
 
-def _nearest(name: str, names: Sequence[str]) -> str:
-    """The names that there are, the nearest first, few of many."""
-    if not names:
-        return "none, the FMU has no such variables"
+def nearest_first(name: str, names: Sequence[str], none: str = "none, the FMU has no such variables") -> str:
+    """The names that there are, the nearest first, few of many; words where there are none."""
     near = nearest(name, names)
     listed = sorted(names, key=lambda other: other != near)
-    return ", ".join(listed[:8]) + (f" and {len(listed) - 8} more" if len(listed) > 8 else "")
+    return (
+        ", ".join(listed[:MOST_LISTED]) + (f" and {len(listed) - MOST_LISTED} more" if listed[MOST_LISTED:] else "")
+        or none
+    )

@@ -25,9 +25,9 @@ from casadi_skin.fmu.fmu_component import (
     complain,
     refused,
 )
-from casadi_skin.fmu.fmu_variables import Array, Group, Variables
+from casadi_skin.fmu.fmu_variables import Array, Group, Variables, nearest_first
 from casadi_skin.fmu.initial_value_problem import InitialValueProblem
-from casadi_skin.model.arguments import nearest, short_repr
+from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
 
@@ -216,8 +216,6 @@ def _close(components: dict[bytes, Component], loaded: Loaded, remove: Callable[
 
 # Inputs of an FMU: forces on the sites of a chain, a lattice or a model of second order, and named parameters ---------
 
-MOST_LISTED = 8
-
 
 @dataclass(frozen=True, eq=False)
 class Force:
@@ -243,11 +241,8 @@ def with_inputs(problem: InitialValueProblem, names: object) -> InitialValueProb
         if name in names[:i]:
             raise ValueError(f"inputs: given {name!r} twice; accepted: each name once")
         if name not in known and name not in forces:
-            near, accepted = nearest(name, [*forces, *known]), sorted([*known, *forces], key=lambda n: n not in known)
-            listed = [*([near] if near else []), *(other for other in accepted if other != near)]
-            rest = f" and {len(listed) - MOST_LISTED} more" if len(listed) > MOST_LISTED else ""
-            words = ", ".join(listed[:MOST_LISTED]) + rest or "none, the model has neither forces nor parameters"
-            raise ValueError(f"inputs: given {name!r}; accepted: {words}")
+            listed = nearest_first(name, [*known, *forces], "none, the model has neither forces nor parameters")
+            raise ValueError(f"inputs: given {name!r}; accepted: {listed}")
     if not names:
         return problem
     held = [name for name in known if name not in names]
