@@ -15,7 +15,7 @@ import numpy as np
 
 from casadi_skin import find_orbit, import_fmu
 from casadi_skin.export.codegen import find_compiler, fmi_headers
-from casadi_skin.fmu.fmu_archive import library_ending, platform_folder
+from casadi_skin.fmu.fmu_archive import library_name
 from casadi_skin.follow.branch import Branch
 from casadi_skin.results.figures.style import style
 
@@ -35,12 +35,13 @@ def made_elsewhere(folder: Path) -> Path:
     os.chdir(folder)
     sources = [folder / name for name in dae.export_fmu() if name.endswith(".c")]
     os.chdir(before)
-    library = folder / f"vdp.{library_ending()}"
+    name = library_name("3.0", "vdp")
+    library = folder / Path(name).name
     command = [find_compiler(), "-shared", "-fPIC", f"-I{fmi_headers()}", *sources, "-o", library, "-lm"]
     subprocess.run(command, check=True)
     with zipfile.ZipFile(folder / "vdp.fmu", "w") as archive:
         archive.write(folder / "modelDescription.xml", "modelDescription.xml")
-        archive.write(library, f"binaries/{platform_folder('3.0')}/{library.name}")
+        archive.write(library, name)
     return folder / "vdp.fmu"
 
 
