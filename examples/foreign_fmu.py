@@ -15,7 +15,7 @@ import numpy as np
 
 from casadi_skin import find_orbit, import_fmu
 from casadi_skin.export.codegen import find_compiler, fmi_headers
-from casadi_skin.fmu.fmu_archive import library_name
+from casadi_skin.fmu.description import library_name
 from casadi_skin.follow.branch import Branch
 from casadi_skin.results.figures.style import style
 

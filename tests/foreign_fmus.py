@@ -13,7 +13,7 @@ from pathlib import Path
 import casadi as ca
 
 from casadi_skin.export.codegen import build_library, find_compiler, fmi_headers
-from casadi_skin.fmu.fmu_archive import library_name
+from casadi_skin.fmu.description import library_name
 
 Change = Callable[[bytes], bytes]
 

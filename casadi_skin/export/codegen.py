@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.fmu.fmu_archive import fmpy_package
+from casadi_skin.fmu.description import fmpy_package
 from casadi_skin.model.arguments import short_repr
 
 LIBM_HEADERS = frozenset({"math.h", "string.h", "stdio.h"})

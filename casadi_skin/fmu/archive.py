@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 from casadi_skin._version import __version__
 from casadi_skin.export.codegen import build_library
 from casadi_skin.export.exported_model import Source
-from casadi_skin.fmu.fmu_archive import library_name
+from casadi_skin.fmu.description import library_name
 from casadi_skin.fmu.initial_value_problem import (
     Equations,
     InitialValueProblem,

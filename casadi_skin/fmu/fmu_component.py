@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.fmu.fmu_archive import Unpacked
-from casadi_skin.fmu.fmu_variables import Array, Element, Group
+from casadi_skin.fmu.description import Array, Element, Group, Unpacked
 
 MOST_EVENT_ITERATIONS = 100
 MOST_COMPLAINTS = 20

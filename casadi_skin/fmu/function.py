@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.fmu.description import Array, Element, Group, Pattern
 from casadi_skin.fmu.fmu_component import Buffer
-from casadi_skin.fmu.fmu_variables import Array, Element, Group, Pattern
 from casadi_skin.fmu.instance import FmuInstance
 
 Indices = NDArray[np.int64]

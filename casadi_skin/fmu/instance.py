@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.fmu.fmu_archive import Unpacked
+from casadi_skin.fmu.description import Array, Group, Unpacked, Variables, nearest_first
 from casadi_skin.fmu.fmu_component import (
     DISCARD_STATUS,
     Buffer,
@@ -25,7 +25,6 @@ from casadi_skin.fmu.fmu_component import (
     complain,
     refused,
 )
-from casadi_skin.fmu.fmu_variables import Array, Group, Variables, nearest_first
 from casadi_skin.fmu.initial_value_problem import InitialValueProblem
 from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.expressions import Expression

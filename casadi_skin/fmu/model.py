@@ -15,8 +15,7 @@ from xml.etree import ElementTree as ET
 import casadi as ca
 import numpy as np
 
-from casadi_skin.fmu.fmu_archive import DESCRIPTION_FILE, Unpacked, read_description, unpack
-from casadi_skin.fmu.fmu_variables import FmuChoices, Variables
+from casadi_skin.fmu.description import DESCRIPTION_FILE, FmuChoices, Unpacked, Variables, read_description, unpack
 from casadi_skin.fmu.function import DIFFERENCE_STEP, Derivatives, FmuFunction
 from casadi_skin.fmu.instance import FmuInstance
 from casadi_skin.model.arguments import by_name, file_path, number, short_repr

@@ -13,7 +13,7 @@ import pytest
 from foreign_fmus import state_space
 
 from casadi_skin import import_fmu
-from casadi_skin.fmu.fmu_archive import FmuWarning
+from casadi_skin.fmu.description import FmuWarning
 from casadi_skin.fmu.fmu_component import Component
 
 STATE = np.array([0.3, -0.7])
