@@ -177,15 +177,13 @@ class Description:
             ("ContinuousStateDerivative", "Derivatives", derivatives),
             ("InitialUnknown", "InitialUnknowns", sorted(calculated, key=lambda v: v.reference)),
         ):
-            parent = ET.SubElement(structure, title) if fmi == "2.0" and group else structure
+            three = fmi == "3.0"
+            parent = structure if three or not group else ET.SubElement(structure, title)
+            tag, key, first = (element, "valueReference", 0) if three else ("Unknown", "index", 1)
             for v in group:
                 depends = self.dependencies(v, initially=element == "InitialUnknown", fmi=fmi)
-                if fmi == "3.0":
-                    attributes = {"valueReference": str(v.reference), "dependencies": _words(depends)}
-                    ET.SubElement(parent, element, attributes)
-                else:
-                    attributes = {"index": str(v.reference + 1), "dependencies": _words(r + 1 for r in depends)}
-                    ET.SubElement(parent, "Unknown", attributes)
+                words = " ".join(str(reference + first) for reference in depends)
+                ET.SubElement(parent, tag, {key: str(v.reference + first), "dependencies": words})
 
 
 def _common(variable: Variable) -> dict[str, str]:
@@ -202,10 +200,6 @@ def _numbers(variable: Variable) -> dict[str, str]:
         if value is not None:
             found[name] = repr(float(value))
     return found
-
-
-def _words(references: Iterable[int]) -> str:
-    return " ".join(map(str, references))
 
 
 def _text(root: ET.Element) -> bytes:
@@ -263,18 +257,12 @@ def page(description: Description, fmi: str) -> str:
 {"".join(map(_row, description.variables))}</table>
 <h2>Interfaces</h2>
 <p>Model Exchange without events, and Co-Simulation with its own solver: the Runge-Kutta method of order 8(5,3) of
-Dormand
-and Prince (Hairer, N&oslash;rsett and Wanner, Solving Ordinary Differential Equations I, Sec. II.5). The tolerance of
-the
-experiment, {problem.tolerance!r} where none is given, bounds the error of one step relative to a state's size, or to
-its
-nominal value where that is larger. Directional derivatives (in FMI 3.0 adjoint ones as well) are exact; the time,
-states and
-parameters are accepted as knowns. Parameters are tunable: in Event Mode, and between communication steps. A value
-that is
-not finite is answered by the status Discard, as is a communication step in which the solution runs to infinity; the
-instance
-is then as before the call.</p>
+Dormand and Prince (Hairer, N&oslash;rsett and Wanner, Solving Ordinary Differential Equations I, Sec. II.5). The
+tolerance of the experiment, {problem.tolerance!r} where none is given, bounds the error of one step relative to a
+state's size, or to its nominal value where that is larger. Directional derivatives (in FMI 3.0 adjoint ones as well)
+are exact; the time, states and parameters are accepted as knowns. Parameters are tunable: in Event Mode, and between
+communication steps. A value that is not finite is answered by the status Discard, as is a communication step in which
+the solution runs to infinity; the instance is then as before the call.</p>
 <h2>Another platform</h2>
 <p>The directory <code>sources</code> has all that is compiled but the header files of the standard: C99, no library
 but that
