@@ -6,9 +6,9 @@ the status, where one fails.
 
 from __future__ import annotations
 
-import copy
 import ctypes
 import os
+from collections import deque
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.fmu.description import Array, Element, Group, Unpacked
+from casadi_skin.fmu.description import Array, Element, Group, Unpacked, fmpy_package
 
 MOST_EVENT_ITERATIONS = 100
 MOST_COMPLAINTS = 20
 DISCARD_STATUS = 2  # the status of values that cannot be computed
 COMPONENT_FUNCTIONS = (
-    "FreeInstance", "Reset", "SetTime", "SetContinuousStates", "GetContinuousStates", "GetDerivatives", "Get", "Set",
+    "Reset", "SetTime", "SetContinuousStates", "GetContinuousStates", "GetDerivatives", "Get", "Set",
     "GetDirectionalDerivative",
 )  # fmt: skip
 _Doubles = ctypes.POINTER(ctypes.c_double)
@@ -35,53 +35,26 @@ def call_error() -> Any:
     return FMICallException
 
 
-@dataclass(frozen=True, eq=False)
-class Loaded:
-    """A binary that fmpy has loaded, and where its messages go; raises ValueError, in one line, where it cannot be."""
+def instantiated(unpacked: Unpacked, complaints: deque[str]) -> Any:
+    """fmpy's object of a new instance of the binary, whose messages become complaints.
 
-    unpacked: Unpacked
-    fmu: Any
-    complaints: list[str]
+    Raises ValueError, in one line, where the binary cannot be loaded, or the instance not be made.
+    """
 
-    @classmethod
-    def of(cls, unpacked: Unpacked) -> Loaded:
-        """Load the binary of this platform."""
-        from fmpy.fmi2 import FMU2Model
-        from fmpy.fmi3 import FMU3Model
+    # The message is last in FMI 2.0 and 3.0. The callback must not keep the instance alive.
+    def keep(*arguments: Any) -> None:
+        complaints.append(bytes(arguments[-1] or b"").decode(errors="replace"))
 
-        description, here, complaints = unpacked.description, Path.cwd(), list[str]()
-        two = str(description.fmiVersion).startswith("2")
-        try:
-            fmu = (FMU2Model if two else FMU3Model)(
-                guid=description.guid if two else description.instantiationToken,
-                modelIdentifier=description.modelExchange.modelIdentifier,
-                unzipDirectory=str(unpacked.folder),
-                libraryPath=str(unpacked.library),
-            )
-        except Exception as error:  # fmpy raises whatever the loader meets
-            raise refused(unpacked.path, "its binary cannot be loaded", error, complaints) from error
-        finally:
-            os.chdir(here)  # fmpy goes into the library's folder, and stays there when the loader fails
-        return cls(unpacked, fmu, complaints)
-
-    @property
-    def two(self) -> bool:
-        """Whether this is FMI 2.0, not 3.0."""
-        return str(self.unpacked.description.fmiVersion).startswith("2")
-
-    def instantiated(self) -> Any:
-        """A copy of fmpy's object with an instance of its own."""
-        fmu, complaints = copy.copy(self.fmu), self.complaints
-
-        # The message is last in FMI 2.0 and 3.0. The callback must not keep the instance alive.
-        def keep(*arguments: Any) -> None:
-            complain(complaints, bytes(arguments[-1] or b"").decode(errors="replace"))
-
-        if self.two:
-            fmu.instantiate(callbacks=_callbacks(keep))
-        else:
-            fmu.instantiate(logMessage=keep)
-        return fmu
+    folder, library, here = str(unpacked.folder), str(unpacked.library), Path.cwd()
+    make = fmpy_package().instantiate_fmu
+    try:
+        return make(folder, unpacked.description, "ModelExchange", logger=keep, library_path=library)
+    except Exception as error:  # fmpy raises whatever the loader meets, and a bare one where there is no instance
+        loaded = str(error).startswith("Failed to instantiate")
+        what = "it cannot be instantiated" if loaded else "its binary cannot be loaded"
+        raise refused(unpacked.path, what, error, complaints) from error
+    finally:
+        os.chdir(here)  # fmpy goes into the library's folder, and stays there when the loader fails
 
 
 class Component:
@@ -90,8 +63,12 @@ class Component:
     Methods raise fmpy's error where the binary does not answer; then `restart` is called before anything else.
     """
 
-    def __init__(self, loaded: Loaded, states: int, held: tuple[Element, ...], moved: tuple[Element, ...]) -> None:
-        self._loaded, self._two = loaded, loaded.two
+    def __init__(
+        self, unpacked: Unpacked, complaints: deque[str], states: int, held: tuple[Element, ...],
+        moved: tuple[Element, ...],
+    ) -> None:  # fmt: skip
+        self._unpacked, self._complaints = unpacked, complaints
+        self._two = str(unpacked.description.fmiVersion).startswith("2")
         self._held, self._moved = Values.of(Group.of(held)), Values.of(Group.of(moved))
         self._tunable = all(element.tunable for element in held)
         self._n = states
@@ -99,7 +76,7 @@ class Component:
 
     def _instantiate(self) -> None:
         """Make an instance of the binary, with the functions of the standard for it by their common names."""
-        fmu = self._fmu = self._loaded.instantiated()
+        fmu = self._fmu = instantiated(self._unpacked, self._complaints)
         prefix, real, rates = ("fmi2", "Real", "") if self._two else ("fmi3", "Float64", "ContinuousState")
         renamed = {"Get": f"Get{real}", "Set": f"Set{real}", "GetDerivatives": f"Get{rates}Derivatives"}
         self._fmi = {
@@ -108,8 +85,8 @@ class Component:
         self._fresh = True  # instantiated, and nothing else
 
     def free(self) -> None:
-        """Free the instance; it is not used any more."""
-        self._fmi["FreeInstance"]()
+        """Free the instance, and the library with the last one; it is not used any more."""
+        self._fmu.freeInstance()
 
     # Parameters -------------------------------------------------------------------------------------------------------
 
@@ -214,26 +191,7 @@ class Buffer:
         self.rows = [row.ctypes.data_as(_Doubles) for row in self.array]
 
 
-def complain(complaints: list[str], message: str) -> None:
-    """Add a message to the last ones."""
-    complaints.append(message)
-    del complaints[:-MOST_COMPLAINTS]
-
-
-def refused(path: Path, what: str, error: Exception | None, complaints: list[str]) -> ValueError:
+def refused(path: Path, what: str, error: Exception | None, complaints: deque[str]) -> ValueError:
     """A refusal in one line, with an error and the last messages."""
-    words = " ".join(f"{error or ''} {'; '.join(complaints[-3:])}".split())
+    words = " ".join(f"{error or ''} {'; '.join(list(complaints)[-3:])}".split())
     return ValueError(f"{path}: {what}{': ' if words else ''}{words[:300]}")
-
-
-def _callbacks(keep: Any) -> Any:
-    """FMI 2.0's structure of callbacks with a logger that keeps messages."""
-    from fmpy import calloc, fmi2, free
-    from fmpy.logging import addLoggerProxy
-
-    callbacks = fmi2.fmi2CallbackFunctions()
-    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(keep)
-    callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
-    callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
-    addLoggerProxy(ctypes.byref(callbacks))  # it formats what the FMU prints with C's variable arguments
-    return callbacks

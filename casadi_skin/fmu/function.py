@@ -142,7 +142,7 @@ class Derivatives:
 
     def value(self, t: float, x: Array, p: Array) -> Array:
         """The numbers at a point."""
-        return np.asarray(self._at((t,), x[None], p)[0])
+        return np.asarray(self.instance.at(self._wanted, (t,), x[None], p[None])[0])
 
     def _at(self, t: Sequence[float], x: Array, p: Array) -> Array:
         """The numbers at several times and states, or at one state, with the same parameters."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 import weakref
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -17,12 +18,11 @@ import numpy as np
 from casadi_skin.fmu.description import Array, Group, Unpacked, Variables, nearest_first
 from casadi_skin.fmu.fmu_component import (
     DISCARD_STATUS,
+    MOST_COMPLAINTS,
     Buffer,
     Component,
-    Loaded,
     Values,
     call_error,
-    complain,
     refused,
 )
 from casadi_skin.fmu.initial_value_problem import InitialValueProblem
@@ -48,22 +48,18 @@ class FmuInstance:
         self.given = variables.given
         self._failure = call_error()
         self._lock = threading.Lock()  # two threads of a map must not set the one state
-        self._loaded = Loaded.of(unpacked)
-        self.complaints = self._loaded.complaints
+        self._unpacked, self.complaints = unpacked, deque[str](maxlen=MOST_COMPLAINTS)
         self._moved = np.array([k for k, e in enumerate(self.given) if e.is_input], dtype=int)
         self._held = np.array([k for k, e in enumerate(self.given) if not e.is_input], dtype=int)
         once = unpacked.description.modelExchange.canBeInstantiatedOnlyOncePerProcess
         self._most = 1 if once else min(MOST_COMPONENTS, SHIFTED_SETS * self._held.size + 2)
         self._components: dict[bytes, Component] = {}  # by their parameters
-        self._finalizer = weakref.finalize(self, _close, self._components, self._loaded, unpacked.remove)
+        self._finalizer = weakref.finalize(self, _close, self._components, unpacked.remove)
         self._requests: dict[Group, Values] = {}
         self._buffers: dict[tuple[str, int, int], Buffer] = {}
         self._packed: tuple[tuple[int, bytes], list[bytes]] = ((0, b""), [])  # rows of parameters, and their key
         self.start_given = np.array([element.start for element in self.given])
-        try:
-            component = self._instantiated()
-        except Exception as error:
-            raise refused(self.path, "it cannot be instantiated", error, self.complaints) from error
+        component = self._instantiated()
         held = self.start_given[self._held]
         self._components[held.tobytes()] = component
         try:
@@ -154,7 +150,7 @@ class FmuInstance:
 
     def _instantiated(self) -> Component:
         held, moved = (tuple(self.given[k] for k in places) for places in (self._held, self._moved))
-        return Component(self._loaded, len(self.variables.states), held, moved)
+        return Component(self._unpacked, self.complaints, len(self.variables.states), held, moved)
 
     def _at(self, key: bytes, p: Array) -> Component | None:
         """An instance that gets the parameters of this key; None where the FMU refuses them.
@@ -177,15 +173,15 @@ class FmuInstance:
         if len(self._components) < self._most:
             try:
                 return self._instantiated(), True
-            except Exception as error:  # fmpy raises a bare one; the instances that there are do as well
+            except ValueError:  # the instances that there are do as well
                 if not self._components:
-                    raise refused(self.path, "it cannot be instantiated", error, self.complaints) from error
+                    raise
                 self._most = len(self._components)
         return self._components.pop(next(iter(self._components))), False
 
     def _failed(self, component: Component, error: Any) -> None:
         """Keep the message; initialise the instance anew unless the FMU only discards values."""
-        complain(self.complaints, str(error))
+        self.complaints.append(str(error))
         known = next((key for key, other in self._components.items() if other is component), None)
         if error.status == DISCARD_STATUS and known is not None:
             return
@@ -203,13 +199,10 @@ class FmuInstance:
         self._components[held.tobytes()] = component
 
 
-def _close(components: dict[bytes, Component], loaded: Loaded, remove: Callable[[], object]) -> None:
-    from fmpy import freeLibrary
-
+def _close(components: dict[bytes, Component], remove: Callable[[], object]) -> None:
     for component in components.values():
         component.free()
     components.clear()
-    freeLibrary(loaded.fmu.dll._handle)
     remove()
 
 
