@@ -165,7 +165,7 @@ class Operator:
 
 
 class FiniteInverse(Operator):
-    """The matrix A_f with the parts of its bounds that are computed once; and the numbers c_n of the tail."""
+    """The matrix A_f with the parts of its bounds that are computed once."""
 
     def __init__(self, series: CosineSeries, nu: arb, matrix: Array | None = None, doubt: Array | None = None) -> None:
         H, n, harmonic = series.harmonics, series.system.positions, series.system.harmonic
@@ -185,8 +185,6 @@ class FiniteInverse(Operator):
             {m: Enclosed.of(g) for m, g in series.derivatives(row).items()} for row in range(n)
         ]  # blocks[row][column]
         super().__init__(np.linalg.inv(self._jacobian()) if matrix is None else matrix, self.rows_above, doubt)
-        # the numbers c_n of the amplitude's row in A, exact
-        self.exact_slope = [arb(c) for c in self.slope.middle.tolist()]
 
     def _extend_rows(self) -> None:
         """Weights of rows with what A makes of them in a tail: the sites' |tau|^n, and what lambda moves there."""
@@ -236,9 +234,8 @@ class FiniteInverse(Operator):
             if m == n:
                 diagonal = np.arange(H)
                 block[diagonal, diagonal] += square.middle
-                error[diagonal, diagonal] += (
-                    2.0 * square.radius + np.abs(block[diagonal, diagonal]) * SUM_ROUNDING_FACTOR
-                )
+                error[diagonal, diagonal] += 2.0 * square.radius
+                error[diagonal, diagonal] += np.abs(block[diagonal, diagonal]) * SUM_ROUNDING_FACTOR
             rows.append(1 + m * H + np.arange(H))
             middle.append(block)
             radius.append(error)
@@ -304,15 +301,12 @@ class FiniteInverse(Operator):
 
     def residual(self, series: CosineSeries) -> tuple[list[arb], arb]:
         """Finite residual with the amplitude's row as A sees it, and the norm of what A makes of the tail's."""
-        H, harmonic = self.numbers.size, series.system.harmonic
-        finite, first, norm = list[arb](), series.amplitude_residual(), arb(0)
-        for n in range(series.system.positions):
-            values = series.residual(n)
-            finite += values[:H]
-            for i in range(H, len(values)):
-                scaled = values[i] / (self.series.square * harmonic(i) ** 2)
-                first -= self.exact_slope[n] * scaled
-                norm += abs(scaled) * self.nu ** harmonic(i)
+        ((first, *finite), beyond), norm = series.residuals(), arb(0)
+        slopes = self.slope.middle.tolist()  # the numbers c_n of the amplitude's row in A, exact
+        for n, k, value in beyond:
+            scaled = value / (self.series.square * k**2)
+            first -= arb(slopes[n]) * scaled
+            norm += abs(scaled) * self.nu**k
         return [first, *finite], norm
 
     def Y(self) -> float:

@@ -505,9 +505,9 @@ def _stable(orbit: Orbit, problem: Linearised, sigma: Array) -> ProvedStability:
         low, high = between[np.flatnonzero(changes % 2 == 0)[0] :][:2].tolist()
         return _undecided(orbit, f"no exponent is proved between sigma = {low:.9g} and {high:.9g}")
     brackets = np.stack([between[:-1], between[1:]], axis=1)
-    nothing = complex(np.nan, np.nan)
     signatures = -np.sign(changes).astype(np.int64)
-    return ProvedStability(STABLE, brackets, signatures, nothing, np.nan, orbit.S, "", problem.step)
+    stable = replace(_undecided(orbit, ""), verdict=STABLE, step=problem.step)
+    return replace(stable, brackets=brackets, signatures=signatures)
 
 
 def _unstable(orbit: Orbit, problem: Linearised, mu: ComplexArray) -> ProvedStability:
@@ -518,7 +518,7 @@ def _unstable(orbit: Orbit, problem: Linearised, mu: ComplexArray) -> ProvedStab
     for start in sigma[order].tolist():
         found = enclosed_exponent(problem, start)
         if found is not None and abs(found[0].imag) > found[1]:
-            none = np.zeros((0, 2)), np.zeros(0, np.int64)
-            return ProvedStability(UNSTABLE, *none, *found, orbit.S, "", problem.step)
+            unstable = replace(_undecided(orbit, ""), verdict=UNSTABLE, step=problem.step)
+            return replace(unstable, exponent=found[0], radius=found[1])
     farthest = complex(sigma[order[0]])
     return _undecided(orbit, f"no enclosure of the exponent near sigma = {farthest:.6g} is off the real axis")

@@ -30,7 +30,7 @@ from casadi_skin.certify.certify import (
     HARMONIC_WEIGHT,
     attempt_near,
     best_attempt,
-    cosine_coefficients,
+    computed_series,
     distance,
     provable,
     reason_of,
@@ -98,12 +98,23 @@ class Curve:
 
     def bounds_at(self, x: arb, nu: arb) -> Node:
         """Values at one place from which the bounds are computed."""
-        T = self.chebyshev(x)
+        T, series = self.chebyshev(x), self.at(x)
         matrix = np.tensordot(np.array([float(t) for t in T]), self.inverse, axes=1)
-        series = self.at(x)
         bounds = FiniteInverse(series, nu, matrix, self._doubt(series, nu))
         factor = sum((arb(c) * t for c, t in zip(self.factor.tolist(), T, strict=True)), arb(0))
-        return Node.of(bounds, factor)
+        finite, beyond = series.residuals()
+        return Node(
+            bounds.finite_columns(),
+            np.array([size(value) for value in finite]),
+            sum((abs(value) * nu**k / k**2 for _, k, value in beyond), arb(0)),
+            bounds.norms,
+            bounds.columns_below,
+            float(np.max(bounds.slope.largest)),
+            [bounds.derivative_norm(n) for n in range(self.system.positions)],
+            abs(factor),
+            abs(1 - factor * series.square),
+            series_norms(series, nu),
+        )
 
     def _doubt(self, series: CosineSeries, nu: arb) -> Array:
         """Weighted norms of the errors of A_f in doubles: sums of degree + 1 products with rounded T_k."""
@@ -143,29 +154,6 @@ class Node:
     factor: arb
     defect: arb
     sizes: list[arb]
-
-    @classmethod
-    def of(cls, bounds: FiniteInverse, factor: arb) -> Node:
-        """From the bounds at the place, with the factor of the tail's rows there."""
-        series, H = bounds.series, bounds.series.harmonics
-        tail, finite, harmonic = arb(0), [series.amplitude_residual()], series.system.harmonic
-        for n in range(series.system.positions):
-            values = series.residual(n)
-            finite += values[:H]
-            for i in range(H, len(values)):
-                tail += abs(values[i]) * bounds.nu ** harmonic(i) / harmonic(i) ** 2
-        return cls(
-            bounds.finite_columns(),
-            np.array([size(value) for value in finite]),
-            tail,
-            bounds.norms,
-            bounds.columns_below,
-            float(np.max(bounds.slope.largest)),
-            [bounds.derivative_norm(n) for n in range(series.system.positions)],
-            abs(factor),
-            abs(1 - factor * series.square),
-            series_norms(series, bounds.nu),
-        )
 
 
 def piece_constants(curve: Curve, nu: arb) -> Constants | None:
@@ -250,9 +238,7 @@ SHORTEST_PIECE = 1e-4  # of the end: pieces below are given up
 MOST_UNKNOWNS = 2000  # unknowns: the matrices at all nodes take 350 megabytes
 FEWEST_HARMONICS = 3  # harmonics
 HARMONICS_GROWTH = 1.25
-END_WIDENING = (
-    2.0**-50
-)  # relative, of a stretch: it holds its ends' decimals, their doubles and the rounded square roots
+END_WIDENING = 2.0**-50  # of a stretch: it holds its ends' decimals, their doubles and the rounded square roots
 ENOUGH_Z, ENOUGH_Y = 0.15, 0.02  # Z and Y W at the far end of a piece, by which harmonics are chosen
 MODE_FREQUENCY_SLACK = 1e-9  # of the computed frequency of the linear mode
 ACCEPTED_FAMILIES = "a family that is followed in S and passes each S once"
@@ -288,10 +274,9 @@ class _Stretch:
         size = float(np.sqrt(parameter)) if self.system.step == 2 else parameter
         orbit = self.branch.at(S=size**2)
         size *= _sign(orbit)
-        columns = cosine_coefficients(orbit, self.system, harmonics).T.tolist()
-        rows = [[arb(c) / d / size for c in column] for column, d in zip(columns, self.system.scale, strict=True)]
-        middles = [[a.mid() for a in row] for row in rows]
-        return CosineSeries(replace(self.system, parameter=arb(parameter)), arb(orbit.Omega**2), middles)
+        known = computed_series(orbit, self.system, harmonics)
+        middles = [[(a / size).mid() for a in row[:harmonics]] for row in known.coefficients]
+        return CosineSeries(replace(self.system, parameter=arb(parameter)), known.square.mid(), middles)
 
     def harmonics(self, parameter: float, fewest: int) -> int | None:
         """How many harmonics a piece needs that ends at a parameter; None where there are not enough."""

@@ -248,6 +248,15 @@ class CosineSeries:
                 values[i] += tail.coupling * tail.share(2 * i + 1, self.square) * a
         return values
 
+    def residuals(self) -> tuple[list[arb], list[tuple[int, int, arb]]]:
+        """Those of the amplitude and of H harmonics of each position; beyond, position, harmonic and value of each."""
+        finite, beyond = [self.amplitude_residual()], list[tuple[int, int, arb]]()
+        for n in range(self.system.positions):
+            values = self.residual(n)
+            finite += values[: self.harmonics]
+            beyond += [(n, self.system.harmonic(i), values[i]) for i in range(self.harmonics, len(values))]
+        return finite, beyond
+
     @property
     def tail_series(self) -> Sequence[arb] | None:
         """Coefficients at the site that a tail is coupled to; None without a tail."""
@@ -279,15 +288,16 @@ class ExactEquations:
     decimals: bool
 
     @classmethod
-    def of(cls, model: OdeModel, parameters: Mapping[str, float], decimals: bool) -> ExactEquations:
-        """At values of the parameters by name; 0 for the one that stands for S."""
+    def of(cls, coordinates: Coordinates, decimals: bool) -> ExactEquations:
+        """Those of the model of coordinates, at the values of their parameters; at 0 of the one that stands for S."""
+        model = coordinates.model
         numbers: Mapping[str, Number | None] = {}
         if isinstance(model, Lattice):
             model, numbers = model.with_numbers_apart
 
         def value(name: str) -> Fraction | None:
             if name not in numbers:
-                return exact(float(parameters.get(name, 0.0)), decimals)
+                return exact(float(coordinates.parameters.get(name, 0.0)), decimals)
             number = numbers[name]
             if number is None:
                 return None
@@ -314,7 +324,7 @@ def system_of(coordinates: Coordinates, S: float, step: int = 2, decimals: bool 
     Positions are scaled by doubles near the factors of the coordinates and by a power of 2 near sqrt(S), all exact;
     with `decimals` numbers of formulas, parameters and S are the decimals that are written.
     """
-    equations = ExactEquations.of(coordinates.model, coordinates.parameters, decimals)
+    equations = ExactEquations.of(coordinates, decimals)
     kind = "odd polynomials" if step == 2 else "polynomials"
     accepted = f"certify: given {equations.model.name}; accepted: forces that are {kind} of the positions"
     try:
@@ -341,7 +351,7 @@ def energy_terms(coordinates: Coordinates, forces: Sequence[Terms], decimals: bo
 
     The energy that the model declares, or for coordinates that declare one the potential of its forces.
     """
-    equations = ExactEquations.of(coordinates.model, coordinates.parameters, decimals)
+    equations = ExactEquations.of(coordinates, decimals)
     if equations.model.hamiltonian is not None:
         try:
             terms = equations.terms(equations.model.hamiltonian)[0]

@@ -27,9 +27,7 @@ from casadi_skin.stability.result import LARGEST_LOGARITHM
 from casadi_skin.zero.problem import Array, Indices
 
 SMALL_MODULUS = 0.5  # modulus above which no eigenvalue has lost digits in a product with entries near 1
-EXTREME_LOG_CONDITION = float(
-    np.log(1e14)
-)  # of the condition of a product: beyond it eigenvalues in the middle have lost digits
+EXTREME_LOG_CONDITION = float(np.log(1e14))  # of a product: beyond it eigenvalues in the middle have lost digits
 FAR_LOG_EIGENVALUE = 7.0  # logarithm of an eigenvalue of whose digits factors may have lost some
 WIDE_NORM = 1e200  # norm of a product that needs no scales
 LOG_MODULUS_SPREAD = float(np.log(1e4))  # of the moduli of a block
@@ -60,11 +58,8 @@ class Spectrum:
     @property
     def far(self) -> int:
         """How many are so far from 1 that a step may have lost their digits, 0 where all but one are near."""
-        return (
-            int(np.count_nonzero(np.abs(self.logs) > -np.log(SMALL_MODULUS)))
-            if np.any(np.abs(self.logs) > FAR_LOG_EIGENVALUE)
-            else 0
-        )
+        away = np.abs(self.logs)
+        return int(np.count_nonzero(away > -np.log(SMALL_MODULUS))) if np.any(away > FAR_LOG_EIGENVALUE) else 0
 
     def joined(self, other: Spectrum) -> Spectrum:
         """These, then those of another one."""
@@ -327,9 +322,7 @@ def _vectors(model: OdeModel) -> tuple[ca.Function, int]:
 MACHINE_EPSILON = float(np.finfo(float).eps)
 MAP_ENTRY_ROUNDING = 64.0  # units in the last place by which entries of a map over an interval are off: measured
 BACKWARD_ERROR_UNITS = 4.0  # the same of a matrix, relative to its norm, whose eigenvalues LAPACK finds
-COUPLED_ENTRY_RATIO = (
-    1e-8  # of the largest diagonal entry of a product: entries that units are chosen by are no smaller
-)
+COUPLED_ENTRY_RATIO = 1e-8  # of a product's largest diagonal entry: entries that units are chosen by are no smaller
 
 
 @dataclass(frozen=True, eq=False)

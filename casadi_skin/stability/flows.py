@@ -552,9 +552,7 @@ def _place(orbit: OrbitState, errors: Array, size: int) -> str:
 
 TIGHTEST_LOCAL_TOLERANCE = 1e-13
 MAX_STEPS = 200_000
-LOCAL_TOLERANCE_RATIO = (
-    1e-3  # local tolerance per global tolerance: measured, the global error is up to several hundred local ones
-)
+LOCAL_TOLERANCE_RATIO = 1e-3  # of the global tolerance: measured, the global error is up to several hundred local ones
 
 
 def transition_by_cvodes(model: OdeModel, start: Array, numbers: Array, local: float, stiff: bool) -> Array:

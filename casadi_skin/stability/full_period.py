@@ -10,7 +10,7 @@ The error of a multiplier is its distance from that of a better solution, and wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -39,9 +39,7 @@ from casadi_skin.zero.stated_problem import TURNED_FIELD_RTOL, BoundaryProblem, 
 # The error of each multiplier, from those of a better solution: what its discretisation, and the orbit's, are off by
 
 DISTANCE_SAFETY = 2.0  # distances to the better solution are the error up to the error of that
-TRIVIAL_DRIFT = (
-    100.0  # tolerances by which the trivial multiplier may be off, times the size of the balanced monodromy matrix
-)
+TRIVIAL_DRIFT = 100.0  # tolerances, times the size of the balanced monodromy matrix: of the trivial multiplier
 
 
 def judged(
@@ -90,7 +88,7 @@ RESOLVED_LOG_GROWTH = 2.0  # logarithm of the factor that a perturbation may cha
 WITHIN_PART = 1.0  # the same in a part
 MOST_PARTS = 20_000
 MOST_WORK = 1e10  # of the linear systems of all parts: their number times the third power of their size
-LARGEST_STACK = 4_000_000  # entries of the matrices that are factored in one call
+LARGEST_STACK = 4_000_000  # entries of the matrices of several intervals that are factored in one call
 
 
 def interval_maps(jacobians: Array, lengths: Array, table: CollocationTable) -> Array:
@@ -105,7 +103,7 @@ def interval_maps(jacobians: Array, lengths: Array, table: CollocationTable) -> 
     _, (units, _) = matrix_balance(np.max(np.abs(jacobians), axis=0), permute=False, separate=True)
     jacobians = jacobians * units / units[:, None]
     by_interval, maps = jacobians.reshape(-1, d, n, n), np.empty((lengths.size, n, n))
-    for these in _batches(lengths.size, n * d):
+    for these in np.array_split(np.arange(lengths.size), lengths.size * (n * d) ** 2 // LARGEST_STACK + 1):
         A, h = by_interval[these], lengths[these, None, None]
         stages = np.linalg.solve(_stage_systems(A, h, table), np.tile(np.eye(n), (d, 1)))
         weighted = h * (table.extended[-1][:, None, None] * A).swapaxes(1, 2).reshape(len(A), n, d * n)
@@ -121,12 +119,6 @@ def _stage_systems(A: Array, h: Array, table: CollocationTable) -> Array:
     systems = systems.reshape(K, d * n, d * n)
     systems[:, np.arange(d * n), np.arange(d * n)] += 1.0
     return np.asarray(systems)
-
-
-def _batches(intervals: int, size: int) -> Iterator[slice]:
-    """Intervals of whose matrices of a size as many are made at once as memory should hold."""
-    some = max(1, LARGEST_STACK // size**2)
-    return (slice(k, k + some) for k in range(0, intervals, some))
 
 
 def needed_parts(problem: BoundaryProblem, jacobians: Array) -> Indices | None:

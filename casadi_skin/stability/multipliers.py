@@ -319,9 +319,7 @@ def orthogonal_complements(directions: Array) -> Array:
 
 # Localised multipliers of an orbit at the edge of a long linear tail, from a variational problem that is cut ----------
 
-CORNER_CELLS = (
-    4  # cells at the cut, from which B^T C differs from that of a longer chain: farther in by less than their size
-)
+CORNER_CELLS = 4  # at the cut, where B^T C is not that of a longer chain: farther in it differs by less than their size
 ERROR_SAFETY = 2.0
 WAVE_CHANGE = 1e-3  # what the cut may change of a mu that belongs to a wave: measured 0.03 to 0.5, falling as 1/sites
 
