@@ -187,6 +187,8 @@ class _OrbitSearch(Search):
         """A special point as the event of a passage; None where it is outside the part of the stretch."""
         if point is None:
             return None
+        if passage.kind == TORUS and point.angle is None:
+            point = replace(point, angle=passage.angle)
         low, high, at = (self.sigma(one) for one in (stretch.first.point, stretch.last.point, point))
         if not abs(at - 0.5 * (low + high)) <= (0.5 + OUTSIDE_STRETCH) * (high - low):
             return None

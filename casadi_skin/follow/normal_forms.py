@@ -23,7 +23,7 @@ from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import Followed
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.balanced import ComplexArray, balanced
-from casadi_skin.zero.kinds import BAUTIN, DOUBLING, FOLD, HOPF, ORBIT_CURVES, kind_of
+from casadi_skin.zero.kinds import BAUTIN, DOUBLING, FOLD, HOPF, HOPF_HOPF, ORBIT_CURVES, kind_of
 from casadi_skin.zero.linearised import Linearised, LinearisedEquations, LinearisedRest, Vector, bordered, null_vectors
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest import Statics
@@ -48,19 +48,19 @@ class Critical:
 
 def critical(point: SpecialPoint) -> Critical:
     """Normal form at a special point of equilibria or orbits; raises ValueError for another point."""
-    linear, kind = _linearised(point), HOPF if point.kind == BAUTIN else point.kind
+    linear, kind = _linearised(point), HOPF if point.kind in (BAUTIN, HOPF_HOPF) else point.kind
     (v, adjoint), (frequency, unit) = linear.critical(kind), linear.scales(kind)
     start = v[: linear.components]
     vector = np.asarray(start / np.linalg.norm(start), dtype=np.complex128)
-    if not kind_of(kind).has_coefficient:
+    if point.kind == HOPF_HOPF or not kind_of(kind).has_coefficient:
         return Critical(vector, frequency)
     try:
         found = terms_of(kind, linear, v, adjoint) / unit
     except (RuntimeError, NotImplementedError):  # a black box with first derivatives alone
         order = "second" if kind == FOLD else "higher"
         return Critical(vector, frequency, words=f"unknown: the model has no {order} derivatives")
-    except np.linalg.LinAlgError:
-        return Critical(vector, frequency, words="unknown: another eigenvalue vanishes there")
+    except np.linalg.LinAlgError as error:
+        return Critical(vector, frequency, words=f"unknown: {error}")
     value = float(np.sum(found))
     words = "quadratic" if kind == FOLD else "supercritical" if value < 0.0 else "subcritical"
     if abs(value) <= DECIDED_SIGN_RATIO * float(np.sum(np.abs(found))):
@@ -79,10 +79,13 @@ def _linearised(point: SpecialPoint) -> LinearisedEquations:
         problem, length = solution.problem, float(np.diff(space.interval(solution.point))[0])
         turn = None if closure is None else closure.matrix
         return Linearised(problem, solution.point.z, problem.statement, critical_angle(kind, solution), turn, length)
+    near = solution.point.angle
     if solution.is_equilibrium:
         statics, x = space.statics, solution.positions
+        if space.kind == HOPF and kind in (BAUTIN, HOPF_HOPF):  # of the pair whose curve it is on
+            near = solution.point.problem.frequency_of(solution.point.z)
     elif solution.is_orbit and kind == HOPF:  # of amplitude zero
-        names = solution.model.parameter_names
+        names, near = solution.model.parameter_names, 2.0 * np.pi / solution.period
         statics, x = (
             Statics(solution.model, {name: solution.parameters[name] for name in names}),
             solution.evaluate(0.0),
@@ -90,7 +93,7 @@ def _linearised(point: SpecialPoint) -> LinearisedEquations:
     else:
         raise ValueError(f"{kind}: given one of {type(solution).__name__.lower()}s; accepted: one of equilibria")
     p = np.array([solution.parameters[name] for name in statics.values])
-    return LinearisedRest(statics, x, p, np.ones_like(x), balanced(statics.jacobian(x, p))[1])
+    return LinearisedRest(statics, x, p, np.ones_like(x), balanced(statics.jacobian(x, p))[1], near=near)
 
 
 def _closed(point: SpecialPoint) -> Closure | None:
@@ -107,13 +110,16 @@ def _closed(point: SpecialPoint) -> Closure | None:
 
 
 def critical_angle(kind: str, orbit: Solution | None = None) -> float:
-    """The angle of the critical multipliers; of pairs, at an orbit, of the complex one nearest to the unit circle."""
+    """The angle of the critical multipliers; of pairs, at an orbit, of the one located there, or of that
+    nearest to the circle."""
     angle = kind_of(kind).angle
     if orbit is None or angle is not None:
         return angle or 0.0
+    near = orbit.point.angle
     others = orbit.floquet().others
     upper = others[others.imag > 0.0]
-    return abs(float(np.angle(upper[np.argmin(np.abs(np.abs(upper) - 1.0))])))
+    apart = np.abs(np.abs(upper) - 1.0) if near is None else np.abs(upper - np.exp(1j * near))
+    return abs(float(np.angle(upper[np.argmin(apart)])))
 
 
 def terms_of(kind: str, linear: LinearisedEquations, v: Vector, adjoint: Vector) -> Array:

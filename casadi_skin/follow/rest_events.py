@@ -328,5 +328,7 @@ class _Search(Search):
         tangent = slope / np.sqrt(np.sum(solver.metric(equations.problem, z) * slope**2))
         error = replace(found.point.error, parameter=found.error)
         step = solver.settings.first_step
-        point = Point(equations.problem, z, np.asarray(tangent), error, step, 0, walked=False, special=kind)
-        return along, found.frequency if kind == HOPF else 0.0, point
+        omega = found.frequency if kind == HOPF else 0.0
+        options = {"walked": False, "special": kind, "angle": omega or None}
+        point = Point(equations.problem, z, np.asarray(tangent), error, step, 0, **options)
+        return along, omega, point

@@ -179,7 +179,10 @@ class SpecialPoint(Result):
 
     @property
     def frequency(self) -> float:
-        """Imaginary part of the critical eigenvalues or Floquet exponents; raises ValueError where none is defined."""
+        """Imaginary part of the critical eigenvalues or Floquet exponents; raises ValueError where none is defined.
+
+        Where several pairs are critical that of the pair that was located, or whose curve was followed.
+        """
         return float(self._critical.frequency)
 
     @property
@@ -402,6 +405,7 @@ def special_orbit(space: SolutionSpace, kind: str, near: Point, angle: float = n
     if located is None:
         return None
     special, start = located.point, space.statement.values[space.parameter]
+    cosine = special.z[special.problem.added_index] if kind == TORUS else np.nan
     problem = space.levels.problem(special.problem.resolution).with_constants(special.problem.constants)
     z = np.append(special.z[: problem.size - 1], (located.value - start) / (space.to - start))
     error = replace(special.error, parameter=located.error / abs(space.to - start) / problem.parameter_size(z))
@@ -409,7 +413,8 @@ def special_orbit(space: SolutionSpace, kind: str, near: Point, angle: float = n
     if space.point_solver.distance(problem, there, z) > NEAR_STEP_FRACTION * space.point_solver.settings.max_step:
         return None
     known = {"problem": problem, "z": z, "tangent": tangent, "error": error, "at_round_off": special.at_round_off}
-    return near.marked(kind, better=None, **known)
+    angle = float(np.arccos(np.clip(cosine, -1.0, 1.0))) if kind == TORUS else None
+    return near.marked(kind, better=None, angle=angle, **known)
 
 
 # The points of one stretch of a branch in order: requested ones, and special ones, which may be the same --------------

@@ -112,17 +112,17 @@ DEFAULT_TOLERANCE = 1e-8  # of orbits, by default
 
 
 def born_at(
-    statics: Statics, x: Array, parameter: str, to: float, at: tuple[float, ...], settings: ContinuationSettings,
-    tolerance: float = DEFAULT_TOLERANCE,
+    statics: Statics, x: Array, omega: float, parameter: str, to: float, at: tuple[float, ...],
+    settings: ContinuationSettings, tolerance: float = DEFAULT_TOLERANCE,
 ) -> BoundarySpace:  # fmt: skip
-    """The space of the cycles born at a Hopf point of a model, which is the start of their branch.
+    """The space of the cycles born at a Hopf point of a model, of frequency omega, which is the start of their branch.
 
     Its start is the equilibrium as an orbit of amplitude zero and period 2 pi/omega, left along the critical
     eigenvector, for which the equations are regular at any amplitude but zero.
     """
     model = statics.model
     values = dict(statics.values)
-    omega, q, _ = critical_pair(statics.jacobian(x, np.array(list(values.values()))))
+    omega, q, _ = critical_pair(statics.jacobian(x, np.array(list(values.values()))), omega)
     size = sizes_of([x])
     amplitude = float(np.min(size / np.maximum(np.abs(q), 1e-300)))
     period = 2.0 * np.pi / omega

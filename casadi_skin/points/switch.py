@@ -112,7 +112,7 @@ def leaving_space(
         return leaving_solutions(solution, turns, parameter, to, at, both, side)
     if born:
         statics = Statics(solution.space.model, solution.parameters)
-        return born_at(statics, _seen(solution), parameter, to, at, both, tolerance)
+        return born_at(statics, _seen(solution), point.frequency, parameter, to, at, both, tolerance)
     return other_branch(point, parameter, to, at, settings, side)
 
 

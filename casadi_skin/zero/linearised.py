@@ -130,11 +130,12 @@ class LinearisedRest:
     def response(self, forcing: Vector, multiple: int = 0) -> Vector:
         """The answer to a forcing at a multiple of the critical frequency.
 
-        Raises LinAlgError where another eigenvalue is zero, to rounding.
+        Raises LinAlgError where another eigenvalue is that multiple, to rounding.
         """
-        if not multiple and not np.linalg.cond(balanced(self.jacobian)[0]) < 1.0 / EPSILON:
-            raise np.linalg.LinAlgError
         shift = 1j * multiple * self.pair[0] * np.eye(self.inner) if multiple else 0.0
+        if not np.linalg.cond(balanced(self.jacobian)[0] - shift) < 1.0 / EPSILON:
+            words = f"resonance 1:{multiple} there" if multiple else "another eigenvalue vanishes there"
+            raise np.linalg.LinAlgError(words)
         return np.asarray(np.linalg.solve(self.jacobian - shift, -forcing))
 
     def velocity(self, v: Vector) -> Vector:

@@ -154,6 +154,9 @@ class Point:
     better: Refinement | None = None  # the point one Newton step nearer to the next finer level
     at_round_off: bool = False  # the tolerance is below the round-off of the point
     special: str = ""  # the kind of a special point that was located
+    angle: float | None = (
+        None  # of its critical pair: imaginary part of eigenvalues, angle of multipliers; None unknown
+    )
 
     @property
     def parameter(self) -> float:

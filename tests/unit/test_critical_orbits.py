@@ -132,6 +132,26 @@ def test_normal_forms_of_period_doublings_and_tori_are_the_ones_written_down() -
     assert (torus.criticality, doubling.criticality) == ("subcritical", "subcritical")
 
 
+def test_each_of_two_pairs_on_the_circle_at_once_has_its_own_angle() -> None:
+    """w_k' = (p + i omega_k) w_k - k w_k |w_k|^2 beside a circle, with v of mean square 1: d = -2 k."""
+    x, p = ca.SX.sym("x", 6), ca.SX.sym("p")
+    growth = [1.0 - ca.sumsqr(x[:2]), p - ca.sumsqr(x[2:4]), p - 2.0 * ca.sumsqr(x[4:])]
+    parts = zip(growth, (1.0, 0.3, 0.42), (0, 2, 4), strict=True)
+    field = [ca.vertcat(g * x[k] - w * x[k + 1], g * x[k + 1] + w * x[k]) for g, w, k in parts]
+    orbit = find_orbit(
+        OdeModel("two tori", x, ca.vertcat(*field), p),
+        lambda t: [*circle(t), 0.0, 0.0, 0.0],
+        6.28,
+        parameters={"p": -0.2},
+    )
+    branch = orbit.follow("p", 0.3, stability=True)
+    assert not branch.unresolved
+    points = sorted(branch.special_points, key=lambda point: point.frequency)
+    for point, k, omega in zip(points, (1, 2), (0.3, 0.42), strict=True):
+        assert abs(point.parameters["p"]) <= point.error < 1e-12
+        assert (point.frequency, point.coefficient) == (pytest.approx(omega), pytest.approx(-2.0 * k))
+
+
 @pytest.mark.slow
 def test_coefficients_that_change_their_sign_and_double_multipliers_are_named() -> None:
     """c = k along a = 0; det [[a, 1], [-k, -1]] = 0 along a = k, with trace zero at k = 1."""

@@ -104,8 +104,38 @@ def test_two_pairs_that_cross_in_one_step_are_told_apart(sense: int, apart: floa
     model = hopf_pairs([p, sense * (p - apart)], p, [1.0, 1.3])
     branch = find_equilibrium(model, np.zeros(4), parameters={"p": -1.0}).follow("p", 1.0)
     has_points(branch, [("hopf", 0.0), ("hopf", apart)], 1e-12)
-    if apart:  # one of them is on the axis, and not both
-        np.testing.assert_allclose([point.frequency for point in branch.special_points], [1.0, 1.3], rtol=1e-9)
+    frequencies = sorted(point.frequency for point in branch.special_points)
+    np.testing.assert_allclose(frequencies, [1.0, 1.3], rtol=1e-9)
+
+
+def test_each_of_two_pairs_on_the_axis_has_its_own_frequency_coefficient_and_cycles() -> None:
+    """r_k' = r_k (p - k r_k^2), so that omega l1 = -2 k; along p = q both are on the axis, a Hopf-Hopf point at 0."""
+    p, q = ca.SX.sym("p"), ca.SX.sym("q")
+    model = hopf_pairs([p, p + q], ca.vertcat(p, q), [1.0, 1.3])  # k = 1
+    x = model.state
+    damping = ca.vertcat(0, 0, x[2:] * ca.sumsqr(x[2:]))
+    model = OdeModel("pairs", x, model.rhs - damping, model.parameters)
+    start = find_equilibrium(model, np.zeros(4), parameters={"p": -1.0, "q": 0.0})
+    points = start.follow("p", 1.0).special_points
+    for point, k, omega in zip(sorted(points, key=lambda one: one.frequency), (1, 2), (1.0, 1.3), strict=True):
+        assert point.coefficient * omega == pytest.approx(-2.0 * k, rel=1e-9)
+        cycles = point.follow("p", 0.5)
+        np.testing.assert_allclose(cycles["period"], 2.0 * np.pi / omega, rtol=1e-8)
+    apart = find_equilibrium(model, np.zeros(4), parameters={"p": -1.0, "q": -0.5}).follow("p", 1.0).special_points
+    for point, omega in zip(apart, (1.0, 1.3), strict=True):
+        (both,) = point.curve("q", 0.5).special_points
+        assert (both.kind, both.frequency) == ("hopf-hopf", pytest.approx(omega, rel=1e-9))
+        assert not np.any(both.vector[slice(0, 2) if omega > 1.0 else slice(2, 4)].round(9))
+
+
+def test_a_coefficient_is_not_given_at_a_resonance_of_one_to_two() -> None:
+    x, p = ca.SX.sym("x", 4), ca.SX.sym("p")
+    quadratic = ca.vertcat(x[0] * x[2] + x[1] * x[3], x[0] * x[3] - x[1] * x[2], x[0] ** 2 - x[1] ** 2, 2 * x[0] * x[1])
+    rates = ca.vertcat(p * x[0] - x[1], p * x[1] + x[0], p * x[2] - 2 * x[3], p * x[3] + 2 * x[2])
+    model = OdeModel("resonance", x, rates + quadratic, p)
+    points = find_equilibrium(model, np.zeros(4), parameters={"p": -1.0}).follow("p", 1.0).special_points
+    words = {round(point.frequency): point.criticality for point in points}
+    assert words == {1: "unknown: resonance 1:2 there", 2: "degenerate"}
 
 
 def test_pairs_of_one_frequency_are_named_together_also_in_files(tmp_path: Path) -> None:
