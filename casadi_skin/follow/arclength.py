@@ -155,8 +155,8 @@ class ArclengthContinuation(Continuation):
         solve = self.point_solver.factor(problem, correction.z, row)
         tangent = self.point_solver.tangent(problem, correction.z, solve)
         angle = departure.angle(tangent)
-        if angle > self.settings.guard_angle:
-            return None
+        if max(angle, departure.angle(correction.z - departure.z)) > self.settings.guard_angle:
+            return None  # a prediction of high order may land on a part of the branch beyond a turn
         if departure.side is not None:
             there = Side(problem, correction.z, tangent, solve.orientation)
             found = turned(self.point_solver, departure.side, there)

@@ -79,24 +79,48 @@ def test_a_point_of_a_front_is_better_in_one_quantity_than_every_other(
     assert front.dominated == len(values) - len(kept)
 
 
-@pytest.mark.parametrize("centre", [2.0, 2.03, 2.07])
-@pytest.mark.parametrize(("floor", "width"), [(1e-4, 0.01), (1e-5, 0.005)])
-def test_two_folds_in_a_dip_between_two_points_are_seen(centre: float, floor: float, width: float) -> None:
-    """a = F(x), F' = u^2 + floor (1 - 2 exp(-(u/width)^2)) with u = x - centre, which no point is in."""
-    x, a = ca.SX.sym("x"), ca.SX.sym("a")
+DIPS = [  # power of the rate beside the dip, floor, width, centre, depth, units of the state and of the parameter
+    *(
+        (2, floor, width, at, 2.0, 1.0, 1.0)
+        for floor, width in ((1e-4, 0.01), (1e-5, 0.005))
+        for at in (2.0, 2.03, 2.07)
+    ),
+    (2, 1e-4, 0.003, 2.03, 2.0, 1.0, 1.0),
+    (2, 1e-4, 0.003, 2.11, 2.0, 1.0, 1.0),
+    (2, 1e-3, 0.01, 2.0, 2.0, 1.0, 1.0),
+    (2, 1.8e-3, 6e-3, 2.01, 4.0, 1e5, 1e-6),
+    (2, 1e-4, 0.003, 2.03, 2.0, 1e-6, 1e8),
+    (4, 1e-6, 0.02, 2.03, 2.0, 1e4, 1.0),
+    (4, 6e-4, 0.02, 1.94, 4.0, 1e5, 1e6),
+    (0, 1.0, 0.1, 2.0, 2.0, 1.0, 1.0),
+]
+
+
+@pytest.mark.parametrize(("power", "floor", "width", "centre", "depth", "unit", "height_unit"), DIPS)
+def test_two_folds_in_a_dip_between_two_points_are_seen(
+    power: int, floor: float, width: float, centre: float, depth: float, unit: float, height_unit: float
+) -> None:
+    """a = F(x), F' = u^power + floor (1 - depth exp(-(u/width)^2)) with u = x - centre; of power 0 the dip alone."""
+    x, a, steep = ca.SX.sym("x"), ca.SX.sym("a"), float(power > 0)
 
     def height(u: Any, error_function: Any) -> Any:
-        return u**3 / 3 + floor * (u - np.sqrt(np.pi) * width * error_function(u / width))
+        dip = u - 0.5 * depth * np.sqrt(np.pi) * width * error_function(u / width)
+        return height_unit * (steep * u ** (power + 1) / (power + 1) + floor * dip)
+
+    def rate(u: float) -> float:
+        return float(steep * u**power + floor * (1.0 - depth * np.exp(-((u / width) ** 2))))
 
     model = OdeModel("dip", x, ca.SX(0.0), a)
-    start, ends = model.start(x), [float(height(end - centre, erf)) for end in (1.0, 3.0)]
-    problem = BoundaryValueProblem(model, [height(start - centre, ca.erf) - a], parameters={"a": ends[0]})
-    branch = problem.solve([1.0], tolerance=1e-10).follow("a", ends[1])
-    fold = brentq(lambda u: u**2 + floor * (1.0 - 2.0 * np.exp(-((u / width) ** 2))), 0.0, 3.0 * width, xtol=1e-16)
-    found = [point.states[0, 0] - centre for point in branch.folds]
+    start, ends = model.start(x) / unit, [float(height(end - centre, erf)) for end in (1.0, 3.0)]
+    condition = (height(start - centre, ca.erf) - a) / height_unit
+    problem = BoundaryValueProblem(model, [condition], parameters={"a": ends[0]})
+    branch = problem.solve([unit], tolerance=1e-10).follow("a", ends[1])
+    fold = brentq(rate, 0.0, 3.0 * width, xtol=1e-16)
+    found = [point.states[0, 0] / unit - centre for point in branch.folds]
     np.testing.assert_allclose(found, [-fold, fold], atol=1e-5)
-    walked = np.array([s.states[0, 0] - centre for s in branch.solutions if not s.point.special])
-    assert np.min(np.abs(walked)) > fold
+    if power == 2 and unit == 1.0:
+        walked = np.array([s.states[0, 0] - centre for s in branch.solutions if not s.point.special])
+        assert np.min(np.abs(walked)) > fold
 
 
 @dataclass(frozen=True)
