@@ -31,7 +31,7 @@ from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.watch import TimeLimitError
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import FULL_TURN
-from casadi_skin.zero.kinds import CROSSING_KINDS, KREIN, Unresolved
+from casadi_skin.zero.kinds import CROSSING_KINDS, KREIN, TORUS, Unresolved
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point
 

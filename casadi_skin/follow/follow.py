@@ -24,7 +24,7 @@ from casadi_skin.follow.arclength import Continuation
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.events import Ledger, at_requested_value
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.search import Monitor, NotLocatedError
+from casadi_skin.follow.search import Monitor, MonitorAccount, NotLocatedError
 from casadi_skin.follow.solution import Orbit, Solution, following_settings
 from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.follow.special_points import StretchPoints, rate
@@ -233,6 +233,13 @@ class BranchIterator:
         found.missed = self.missed
         return found
 
+    @cached_property
+    def _account(self) -> MonitorAccount:
+        """That of the monitors up to the last point that is known."""
+        found = MonitorAccount(self.space)
+        list(found.passed((self.space.start, *self._known)))
+        return found
+
     def stop(self, end: End | None, detail: str = "") -> None:
         """End the branch for a reason that its points do not show."""
         self.end, self.detail = end, detail
@@ -347,6 +354,7 @@ class BranchIterator:
             return []
         missed[self._known_misses :] = stretch.missed
         self._known_misses = len(missed)
+        stretch.unresolved += self._account.passed((*found, after), stretch.unresolved)
         self.unresolved += [part for part in stretch.unresolved if part not in self.unresolved]
         if after is self._continuation.beyond and all(point.parameter != last for point in found):
             found = list(points)  # up to where the branch was followed
@@ -510,7 +518,8 @@ def follow(
         monitors: expressions in states and parameters by name, or functions f(t, x, p) of CasADi's symbols: where one
             vanishes along the branch is a special point of that name, and `branch[name]` has its values. The states are
             those of an equilibrium, of an orbit at phase zero (see `section` of `find_orbit`), of another solution at
-            the start of its interval.
+            the start of its interval. A value that is touched without a change of sign is no special point; a change of
+            sign on a stretch where rounding is as large as the quantity is `unresolved`.
         progress: called with each solution.
 
     Returns:

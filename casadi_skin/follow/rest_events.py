@@ -329,6 +329,5 @@ class _Search(Search):
         error = replace(found.point.error, parameter=found.error)
         step = solver.settings.first_step
         omega = found.frequency if kind == HOPF else 0.0
-        options = {"walked": False, "special": kind, "angle": omega or None}
-        point = Point(equations.problem, z, np.asarray(tangent), error, step, 0, **options)
-        return along, omega, point
+        point = Point(equations.problem, z, np.asarray(tangent), error, step, 0, walked=False, special=kind)
+        return along, omega, replace(point, angle=omega or None)

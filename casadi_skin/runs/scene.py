@@ -354,8 +354,9 @@ class ContinuationTable(Table, frozen=True):
             start (left out: it ends at the value of its start)
         max_points: Points after which the branch ends wherever it is
         max_step: Longest step, 1 being a change of the states by their own size; accepted: a number > 0 and <= 10
-        monitors: Values of states, of orbits at phase zero, at which special points are located; accepted: a table with
-            one number or more by the names of states; beside [equilibrium], [orbit] or [solution]
+        monitors: Values of states, of orbits at phase zero, at which special points are located, where a state passes
+            one and does not only touch it; accepted: a table with one number or more by the names of states; beside
+            [equilibrium], [orbit] or [solution]
         switch: Special points at which the branches that leave are followed too; accepted: a list of {leaving}, each
             once; hopf beside [equilibrium] and [orbit]; multipliers, and so period doublings, need [stability]
         depth: Special points one after the other that may lie between the branch and the followed one; accepted: {};

@@ -11,6 +11,7 @@ import pytest
 from small_models import circles, wave
 
 from casadi_skin import Chain, OdeModel, find_equilibrium, follow_family, read_result
+from casadi_skin.follow.search import MonitorSearch
 
 X = ca.SX.sym("q")
 
@@ -72,6 +73,48 @@ def test_a_zero_of_order_three_is_found_within_its_error(cube: Any) -> None:
     branch = start.follow("p", 1.0, monitors={"cube": cube(x, p)})
     (point,) = (point for point in branch.special_points if point.kind == "cube")
     assert abs(point.parameters["p"]) <= point.error <= 1e-4
+
+
+def test_the_error_of_a_zero_that_noise_hides_reaches_round_a_fold() -> None:
+    """p = x^2 with both ends at p = 0.04, between which noise hides a quantity that vanishes at x = 0.05."""
+    x, p = ca.SX.sym("x"), ca.SX.sym("p")
+    branch = find_equilibrium(OdeModel("fold", x, p - x**2, p, nominal=(1.0,)), [-1.0]).follow("p", -1.0, at=[0.04])
+    first, last = (one.point for one in branch.solutions if one["p"] == 0.04)
+    assert first.parameter == last.parameter
+    search = MonitorSearch(
+        branch.space, first, last, ["level"], lambda point: (branch.space.reading(point)[1] - 0.05) ** 3,
+        lambda point: np.full(1, float(point.parameter != first.parameter)),
+    )  # fmt: skip
+    (point,) = search.on_stretch()
+    assert branch.space.parameter_error(point) == pytest.approx(0.04 - 0.05**2, rel=1e-3)
+
+
+@pytest.mark.parametrize("at", [0.01, 0.05])
+def test_a_zero_on_a_stretch_that_is_rounding_is_named(at: float) -> None:
+    """(x - a)^3 + (y - 1e9) with y = 1e9 has no digits near x = a, where it changes its sign."""
+    (x, y), p = (ca.SX.sym(name) for name in "xy"), ca.SX.sym("p")
+    model = OdeModel("fold", ca.vertcat(x, y), ca.vertcat(p - x**2, 1e9 - y), p, nominal=(1.0,))
+    branch = find_equilibrium(model, [-1.0, 1e9]).follow("p", -1.0, monitors={"cube": (x - at) ** 3 + (y - 1e9)})
+    assert [point.kind for point in branch.special_points] == ["fold"]
+    (stretch,) = branch.unresolved
+    assert stretch.kind == "cube"
+    assert "changes its sign where it is no larger than its error, by way of" in stretch.reason
+    assert "1 stretch" in repr(branch)
+
+
+@pytest.mark.parametrize("offset", [1e3, 1e6, 1e9])
+def test_rounding_of_large_terms_is_in_the_error(offset: float) -> None:
+    branch = wave(monitors={"level": lambda t, x, p: offset + x[1] - 0.5 - offset})
+    for point, place in zip(branch.special_points, (np.pi / 18, np.pi / 3 - np.pi / 18), strict=True):
+        assert abs(point.parameters["p"] - place) <= point.error <= 1e-15 * offset + 1e-12
+
+
+def test_a_value_that_is_touched_is_no_point_and_that_of_its_derivative_is() -> None:
+    """y = sin(3 p) touches 1 at p = pi/6."""
+    branch = wave(monitors={"top": lambda t, x, p: x[1] - 1.0, "slope": lambda t, x, p: ca.cos(3.0 * p)})
+    (point,) = branch.special_points
+    assert (point.kind, point.parameters["p"]) == ("slope", pytest.approx(np.pi / 6, abs=1e-12))
+    assert not branch.unresolved
 
 
 def test_a_branch_on_which_a_monitor_is_zero_throughout_or_at_its_start_has_no_point_of_it() -> None:
