@@ -417,8 +417,8 @@ def special_orbit(space: SolutionSpace, kind: str, near: Point, angle: float = n
     if space.point_solver.distance(problem, there, z) > NEAR_STEP_FRACTION * space.point_solver.settings.max_step:
         return None
     known = {"problem": problem, "z": z, "tangent": tangent, "error": error, "at_round_off": special.at_round_off}
-    angle = float(np.arccos(np.clip(cosine, -1.0, 1.0))) if kind == TORUS else None
-    return near.marked(kind, better=None, angle=angle, **known)
+    of_pair = float(np.arccos(np.clip(cosine, -1.0, 1.0))) if kind == TORUS else None
+    return near.marked(kind, better=None, angle=of_pair, **known)
 
 
 # The points of one stretch of a branch in order: requested ones, and special ones, which may be the same --------------
