@@ -326,12 +326,13 @@ class Tail:
             return Place(end.edge.edge, math.copysign(root * root, farthest) if root else 0.0)
 
         far = math.sqrt(abs(farthest))
-        first, last = missing(0.0), missing(far)
-        if first * last > 0.0:
-            if min(abs(first), abs(last)) > AT_END:
-                raise ArithmeticError(f"no wave has the angle {value:g}")
-            return place(0.0 if abs(first) < abs(last) else far)
-        return place(float(brentq(missing, 0.0, far, xtol=1e-300, rtol=1e-15)))
+        try:
+            return place(float(brentq(missing, 0.0, far, xtol=1e-300, rtol=1e-15)))
+        except ValueError:  # it has one sign between the ends
+            first, last = (abs(missing(root)) for root in (0.0, far))
+            if not min(first, last) <= AT_END:
+                raise ArithmeticError(f"no wave has the angle {value:g}") from None
+            return place(0.0 if first < last else far)
 
     # Amplitudes in the tail -------------------------------------------------------------------------------------------
 
@@ -458,7 +459,7 @@ def _expm1(number: Any) -> Any:
 
 def _value(coefficients: list[float], off: Any) -> Any:
     """A polynomial at a number, real or complex."""
-    total = 0.0
-    for coefficient in reversed(coefficients):
+    total = coefficients[-1]
+    for coefficient in coefficients[-2::-1]:
         total = total * off + coefficient
     return total

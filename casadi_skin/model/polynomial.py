@@ -187,8 +187,8 @@ class _Ring:
         total: _Polynomial = {}
         for left, c in a.items():
             for right, d in b.items():
-                key = self.joined(left, right)
-                total[key] = total[key] + c * d if key in total else c * d
+                key, coefficient = self.joined(left, right), _of_coefficients(ca.OP_MUL, c, d)
+                total[key] = _of_coefficients(ca.OP_ADD, total[key], coefficient) if key in total else coefficient
         if len(total) > self.most:
             raise NotPolynomialError(f"a product has more than {self.most} terms when multiplied out")
         return total
@@ -227,6 +227,15 @@ SCALINGS = {ca.OP_NEG: -1, ca.OP_TWICE: 2, ca.OP_ASSIGN: 1}  # operations that a
 def _sum(total: _Polynomial, terms: _Polynomial, factor: Any) -> _Polynomial:
     """The first polynomial, to which a multiple of the second is added."""
     for key, coefficient in list(terms.items()):
-        scaled = coefficient if factor == 1 else factor * coefficient
-        total[key] = total[key] + scaled if key in total else scaled
+        scaled = coefficient
+        if factor != 1:
+            scaled = _of_coefficients(ca.OP_MUL, type(coefficient)(factor), coefficient)
+        total[key] = _of_coefficients(ca.OP_ADD, total[key], scaled) if key in total else scaled
     return total
+
+
+def _of_coefficients(operation: int, a: Any, b: Any) -> Any:
+    """A sum or a product: of expressions by one operation, as Python's operators take ten times as long to find it."""
+    if isinstance(a, ca.SX):
+        return ca.SX.binary(operation, a, b)
+    return a + b if operation == ca.OP_ADD else a * b
