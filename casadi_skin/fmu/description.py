@@ -6,6 +6,7 @@ taken number by number: the entry in row 1 and column 2 of A is A[1,2].
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import itertools
 import math
@@ -240,6 +241,12 @@ class Group:
         places = [first[int(e.variable.valueReference)] + e.place for e in given]
         starts = [element.start for entries in whole.values() for element in entries]
         return cls(tuple(whole), np.array(places, dtype=np.int64), np.array(starts, dtype=float))
+
+    @cached_property
+    def named(self) -> tuple[Any, int]:
+        """The references as an array of C, and their number."""
+        count = len(self.references)
+        return (ctypes.c_uint32 * count)(*self.references), count
 
     def spread(self, numbers: Array) -> Array:
         """Rows of numbers as rows of all entries of the variables, with 0 for all others."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import os
 from collections import deque
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -69,7 +68,8 @@ class Component:
     ) -> None:  # fmt: skip
         self._unpacked, self._complaints = unpacked, complaints
         self._two = str(unpacked.description.fmiVersion).startswith("2")
-        self._held, self._moved = Values.of(Group.of(held)), Values.of(Group.of(moved))
+        self._held, self._moved = Group.of(held), Group.of(moved)
+        self._numbers = {group: Buffer(group.starts[None]) for group in (self._held, self._moved)}
         self._tunable = all(element.tunable for element in held)
         self._n = states
         self._instantiate()
@@ -143,51 +143,36 @@ class Component:
 
     def states(self) -> Array:
         """The state that it has."""
-        found = Buffer(1, self._n)
+        found = Buffer(np.zeros((1, self._n)))
         self._fmi["GetContinuousStates"](found.rows[0], self._n)
         return np.array(found.array[0])
 
-    def values(self, wanted: Values, result: Any) -> None:
+    def values(self, wanted: Group, result: Any) -> None:
         """Values of some variables, of all their entries."""
         self._fmi["Get"](*wanted.named, result, *self._counts(wanted))
 
-    def directional(self, unknowns: Values, knowns: Values, seed: Any, result: Any) -> None:
+    def directional(self, unknowns: Group, knowns: Group, seed: Any, result: Any) -> None:
         """Derivatives of all entries of `unknowns` along one seed, a number for each entry of `knowns`."""
         numbers = (seed, *self._counts(knowns), result, *self._counts(unknowns))
         self._fmi["GetDirectionalDerivative"](*unknowns.named, *knowns.named, *numbers)
 
-    def _give(self, to: Values, given: Array) -> None:
+    def _give(self, to: Group, given: Array) -> None:
         """Set numbers; entries of the same arrays that are not given keep their start values."""
-        if to.named[1]:
-            to.numbers.array[0, to.group.places] = given
-            self._fmi["Set"](*to.named, to.numbers.rows[0], *self._counts(to))
+        if to.references:
+            numbers = self._numbers[to]
+            numbers.array[0, to.places] = given
+            self._fmi["Set"](*to.named, numbers.rows[0], *self._counts(to))
 
-    def _counts(self, values: Values) -> tuple[int, ...]:
+    def _counts(self, group: Group) -> tuple[int, ...]:
         """The number of entries, which FMI 3.0 asks for beside that of the variables."""
-        return () if self._two else (values.numbers.array.size,)
-
-
-@dataclass(frozen=True, eq=False)
-class Values:
-    """Variables as FMI's functions take them: references and their number, with the `numbers` of all entries."""
-
-    group: Group
-    named: tuple[Any, int]
-    numbers: Buffer
-
-    @classmethod
-    def of(cls, group: Group) -> Values:
-        """With the start values."""
-        count, numbers = len(group.references), Buffer(1, group.starts.size)
-        numbers.array[:] = group.starts
-        return cls(group, ((ctypes.c_uint32 * count)(*group.references), count), numbers)
+        return () if self._two else (group.starts.size,)
 
 
 class Buffer:
     """Rows of doubles that C and numpy share, with a pointer to each row."""
 
-    def __init__(self, rows: int, columns: int) -> None:
-        self.array: Array = np.zeros((rows, columns))
+    def __init__(self, values: Array) -> None:
+        self.array = np.array(values)
         self.rows = [row.ctypes.data_as(_Doubles) for row in self.array]
 
 

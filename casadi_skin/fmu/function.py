@@ -125,7 +125,7 @@ class Derivatives:
         self._wanted = None if self.unknowns is None else Group.of(elements)
         self._rates, self._states = Group.of(elements), Group.of(variables.states)
         self._known = Group.of((*variables.states, *given))
-        self._given_seeds = _buffer(
+        self._given_seeds = Buffer(
             self._known.spread(np.eye(len(given), len(given) + self.scale.size, self.scale.size))
         )
         self._everything = Columns.of(np.ones((self.size, len(given)), dtype=bool))
@@ -166,7 +166,7 @@ class Derivatives:
             points, steps = self.difference.moved(x, self.scale, columns)
             return self.difference.quotients(self._at((t,) * len(points), points, p), steps, columns)
         if columns not in self._seeds:
-            self._seeds[columns] = _buffer(self._states.spread(columns.seeds))
+            self._seeds[columns] = Buffer(self._states.spread(columns.seeds))
         return columns.nonzeros(self.instance.directional(self._rates, self._states, self._seeds[columns], t, x, p))
 
     def _parameters_jacobian(self, how: str, t: float, x: Array, p: Array) -> Array:
@@ -221,12 +221,6 @@ class Derivatives:
                 return "differences"
         self.difference.largest_error = 0.0
         return "directional"
-
-
-def _buffer(rows: Array) -> Buffer:
-    buffer = Buffer(*rows.shape)
-    buffer.array[:] = rows
-    return buffer
 
 
 def _agree(given: Array, known: Array) -> bool:

@@ -21,7 +21,6 @@ from casadi_skin.fmu.fmu_component import (
     MOST_COMPLAINTS,
     Buffer,
     Component,
-    Values,
     call_error,
     refused,
 )
@@ -55,7 +54,6 @@ class FmuInstance:
         self._most = 1 if once else min(MOST_COMPONENTS, SHIFTED_SETS * self._held.size + 2)
         self._components: dict[bytes, Component] = {}  # by their parameters
         self._finalizer = weakref.finalize(self, _close, self._components, unpacked.remove)
-        self._requests: dict[Group, Values] = {}
         self._buffers: dict[tuple[str, int, int], Buffer] = {}
         self._packed: tuple[tuple[int, bytes], list[bytes]] = ((0, b""), [])  # rows of parameters, and their key
         self.start_given = np.array([element.start for element in self.given])
@@ -80,10 +78,9 @@ class FmuInstance:
         There is a row for each point in `p`, and in `x` too unless it is the same for all.
         """
         with self._lock:
-            request = None if wanted is None else self._request(wanted)
             rows = len(p)
             points = self._buffer("points", len(x), x.shape[1])
-            columns = x.shape[1] if request is None else request.numbers.array.size
+            columns = x.shape[1] if wanted is None else wanted.starts.size
             result = self._buffer("result", rows, columns)
             points.array[:] = x
             keys, inputs = self._keys(p), p[:, self._moved] if self._moved.size else None
@@ -94,14 +91,14 @@ class FmuInstance:
                     continue
                 try:
                     component.place(t[k], points.rows[k % len(x)], None if inputs is None else inputs[k])
-                    if request is None:
+                    if wanted is None:
                         component.rates(result.rows[k])
                     else:
-                        component.values(request, result.rows[k])
+                        component.values(wanted, result.rows[k])
                 except self._failure as error:
                     result.array[k] = np.nan
                     self._failed(component, error)
-            return result.array.copy() if request is None else result.array[:, request.group.places]
+            return result.array.copy() if wanted is None else result.array[:, wanted.places]
 
     def directional(self, unknowns: Group, knowns: Group, seeds: Buffer, t: float, x: Array, p: Array) -> Array:
         """Directional derivatives of unknowns along the rows of `seeds`, shape (seeds, unknowns); NaN where none.
@@ -110,8 +107,8 @@ class FmuInstance:
         some FMUs go on with seeds of the call before.
         """
         with self._lock:
-            wanted, known, count = self._request(unknowns), self._request(knowns), len(seeds.array)
-            point, result = self._buffer("points", 1, x.size), self._buffer("result", count, wanted.numbers.array.size)
+            count = len(seeds.rows)
+            point, result = self._buffer("points", 1, x.size), self._buffer("result", count, unknowns.starts.size)
             point.array[:] = x
             key = self._keys(p[None])[0]
             component = self._components.get(key) or self._at(key, p)
@@ -120,7 +117,7 @@ class FmuInstance:
             try:
                 component.place(t, point.rows[0], p[self._moved] if self._moved.size else None)
                 for seed, row in zip(seeds.rows, result.rows, strict=True):
-                    component.directional(wanted, known, seed, row)
+                    component.directional(unknowns, knowns, seed, row)
             except self._failure as error:
                 result.array[:] = np.nan
                 self._failed(component, error)
@@ -130,14 +127,8 @@ class FmuInstance:
         """Rows that C and numpy share, made once for each size."""
         found = self._buffers.get((name, rows, columns))
         if found is None:
-            found = self._buffers[name, rows, columns] = Buffer(rows, columns)
+            found = self._buffers[name, rows, columns] = Buffer(np.zeros((rows, columns)))
         return found
-
-    def _request(self, group: Group) -> Values:
-        """Arrays of C for one set of variables, made once."""
-        if group not in self._requests:
-            self._requests[group] = Values.of(group)
-        return self._requests[group]
 
     def _keys(self, p: Array) -> list[bytes]:
         """A key of the parameters of the rows of p; the same rows often come again."""

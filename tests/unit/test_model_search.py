@@ -114,6 +114,13 @@ def test_a_bound_on_a_quantity_is_active() -> None:
 
 
 @pytest.mark.slow
+def test_conditions_on_one_quantity_are_two(largest: SearchResult) -> None:
+    best = search(constraints=[("q", None, 10.0), ("q", -10.0, None)], starts=1).best
+    assert list(best.conditions) == ["q", "q (2)"]
+    assert best.curvature == pytest.approx(largest.best.curvature, rel=1e-6)
+
+
+@pytest.mark.slow
 def test_starts_that_are_known_are_not_run_again(largest: SearchResult, monkeypatch: pytest.MonkeyPatch) -> None:
     problem, kept = stated_search(DUFFING, **ASKED), list[Outcome]()
     result = run_search(problem, problem.starts(3, 0)[:2], keep=kept.append)
