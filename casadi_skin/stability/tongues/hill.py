@@ -181,6 +181,14 @@ class Hill:
         logs, phases = zip(*parts, strict=True)
         return np.concatenate(logs), np.concatenate(phases)
 
+    def within(self, gap: Gap, x: Array) -> Array:
+        """D at values of x in a gap, not at its mirrored end, divided by the double zero there."""
+        sigma = gap.sigma(x)
+        logs, signs = self.determinant(sigma)
+        if gap.mirrored:
+            logs = logs - 2.0 * np.log((gap.end.sigma - sigma) / gap.half)
+        return np.asarray(np.real(signs) * np.exp(logs))
+
     @cached_property
     def _blocks(self) -> tuple[Array, Array]:
         """Cells and bonds as matrices of all sidebands."""
@@ -320,14 +328,6 @@ class Gap:
     def place(self, sigma: float) -> float:
         """x of an exponent."""
         return 4.0 / np.pi * float(np.arcsin(np.sqrt((sigma - self.start.sigma) / (2.0 * self.half)))) - 1.0
-
-    def values(self, hill: Hill, x: Array) -> Array:
-        """D at values of x, not at the mirrored end, divided by its double zero there."""
-        sigma = self.sigma(x)
-        logs, signs = hill.determinant(sigma)
-        if self.mirrored:
-            logs = logs - 2.0 * np.log((self.end.sigma - sigma) / self.half)
-        return np.asarray(np.real(signs) * np.exp(logs))
 
 
 @dataclass(frozen=True)
@@ -518,7 +518,7 @@ def zeros_in(hill: Hill, gap: Gap) -> tuple[float, ...]:
         values = np.empty(x.size)
         new = np.full(x.size, True)
         new[: 2 * known.size : 2] = False  # nodes of half the degree
-        values[~new], values[new] = known, gap.values(hill, x[new])
+        values[~new], values[new] = known, hill.within(gap, x[new])
         everywhere = np.concatenate([values, middle, values[::-1]]) if gap.mirrored else values
         series = chebyshev.transform(degree) @ everywhere
         if np.sum(np.abs(series[-chebyshev.TAIL_COEFFICIENTS :])) <= CONVERGED_RTOL * np.max(np.abs(series)):

@@ -415,7 +415,7 @@ def _pair_near(hill: Hill, gap: Gap, mean: float, square: float) -> tuple[float,
         if first >= last:
             break
         middle, half = 0.5 * (first + last), 0.5 * (last - first)
-        series = chebyshev.transform(PAIR_DEGREE) @ gap.values(hill, middle + half * chebyshev.nodes(PAIR_DEGREE))
+        series = chebyshev.transform(PAIR_DEGREE) @ hill.within(gap, middle + half * chebyshev.nodes(PAIR_DEGREE))
         roots = middle + half * chebroots(series)
         one, other = roots[np.argsort(np.abs(roots - mean))[:2]]
         before, mean, square = mean, float(np.real(0.5 * (one + other))), float(np.real(0.25 * (one - other) ** 2))
