@@ -24,9 +24,10 @@ from casadi_skin.stability.flows import OrbitState, Transition
 from casadi_skin.stability.result import Floquet
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.stability.tongues.find_changes import Entry, find_changes
-from casadi_skin.stability.tongues.hill import EdgeHill, Hill, Layout, Sample
+from casadi_skin.stability.tongues.hill import EdgeHill, Hill, Sample
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError, Samples
 from casadi_skin.stability.tongues.localised import find_localised_changes
+from casadi_skin.stability.tongues.medium import Layout
 from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.model_coordinates import linear_spectrum
 from casadi_skin.zero.problem import Array, Problem

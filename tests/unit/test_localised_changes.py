@@ -21,9 +21,10 @@ from casadi_skin.native import eliminated
 from casadi_skin.runs.program import main
 from casadi_skin.stability.result import reversible_floquet
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
-from casadi_skin.stability.tongues.hill import Hill, Layout, Medium, Parity, count, crossings, zeros_in
+from casadi_skin.stability.tongues.hill import Hill, Parity, count, zeros_in
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
 from casadi_skin.stability.tongues.localised import find_localised_changes
+from casadi_skin.stability.tongues.medium import Layout, Medium, crossings
 
 Array = NDArray[np.float64]
 

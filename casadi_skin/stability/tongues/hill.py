@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, Literal, Protocol
 
 import casadi as ca
@@ -23,94 +22,18 @@ from numpy.typing import NDArray
 from casadi_skin.native import eliminated, kernels
 from casadi_skin.stability.flows import OrbitState
 from casadi_skin.stability.tongues import chebyshev
+from casadi_skin.stability.tongues.medium import (
+    FILLED_GAP,
+    HALF_END,
+    NARROW_GAP,
+    START_END,
+    Gap,
+    Layout,
+    Medium,
+    names_of_arcs,
+)
 from casadi_skin.zero.family import Coordinates
 from casadi_skin.zero.problem import Array, Indices, Problem
-
-# Waves of a linear medium of alike cells, as its end answers them: decay from cell to cell, and the response there ----
-
-AT_EDGE = 1e-13  # |C| - 1 below which a frequency is at the edge of a band
-COMPLEX_STEP = 1e-20  # imaginary, for a derivative
-
-
-@dataclass(frozen=True, eq=False)
-class Medium:
-    """A half-infinite row of alike cells with unit masses, each joined to the next by one bond.
-
-    Attributes:
-        stiffness: symmetric, of one cell, shape (sites, sites).
-        coupling: s > 0 of the bonds that join cells.
-        inlet, outlet: sites of a cell that are joined to the far side and to the near side.
-    """
-
-    stiffness: Array
-    coupling: float
-    inlet: int = 0
-    outlet: int = 0
-
-    @property
-    def sites(self) -> int:
-        """Sites of a cell."""
-        return len(self.stiffness)
-
-    @cached_property
-    def _spectral(self) -> tuple[Array, Array, Array, Array]:
-        """Eigenvalues of a cell, weights of cofactors oo and oi, and eigenvalues without o and i."""
-        values, vectors = np.linalg.eigh(self.stiffness)
-        kept = [n for n in range(self.sites) if n not in (self.inlet, self.outlet)]
-        rest = np.asarray(np.linalg.eigvalsh(self.stiffness[np.ix_(kept, kept)]) if kept else np.empty(0))
-        o, i = vectors[self.outlet], vectors[self.inlet]
-        return np.asarray(values), np.asarray(o * o), np.asarray(o * i), rest
-
-    def _cofactors(self, z: Any) -> tuple[Any, Any, Any, Any]:
-        """D, N_oo, N_oi and N_2 at squares of frequencies."""
-        values, oo, oi, rest = self._spectral
-        apart = values - np.asarray(z)[..., None]
-        others = np.stack([np.prod(np.delete(apart, n, axis=-1), axis=-1) for n in range(self.sites)], axis=-1)
-        both = 0.0 if self.inlet == self.outlet else np.prod(rest - np.asarray(z)[..., None], axis=-1)
-        return np.prod(apart, axis=-1), others @ oo, others @ oi, both
-
-    @cached_property
-    def bound(self) -> Array:
-        """Squares of the frequencies of states bound at its end: where it answers without limit."""
-        kept = [n for n in range(self.sites) if n != self.inlet]
-        if not kept:
-            return np.empty(0)
-        z = np.linalg.eigvalsh(self.stiffness[np.ix_(kept, kept)])  # the inlet is at rest in such a state
-        D, _, oi, _ = self._cofactors(z)
-        return np.asarray(z[np.abs(D) < np.abs(self.coupling * oi)])
-
-    def cosine(self, z: Any) -> Any:
-        """C at squares of frequencies: within -1 and 1 in the bands."""
-        D, _, oi, both = self._cofactors(z)
-        return (D - self.coupling**2 * both) / (2.0 * self.coupling * oi)
-
-    def answers(self, frequency: Any) -> tuple[Any, Any, Any]:
-        """The answer of the medium to each frequency, to real ones the limit from above.
-
-        Returns:
-            beta; the response at the outlet of its first cell to a force there; and the determinant of a cell with
-            the rest of the medium behind it, which is nowhere zero.
-        """
-        z = np.asarray(frequency) ** 2
-        D, oo, oi, both = self._cofactors(z)
-        C = (D - self.coupling**2 * both) / (2.0 * self.coupling * oi)
-        beta = self._beyond(C) if np.iscomplexobj(z) else self._on_axis(C, z, np.asarray(frequency))
-        return beta, oo / (D - self.coupling * oi * beta), self.coupling * oi / beta
-
-    def _beyond(self, C: Any) -> Any:
-        root = np.sqrt(C - 1.0) * np.sqrt(C + 1.0)
-        large = np.where(np.abs(C + root) >= np.abs(C - root), C + root, C - root)
-        return 1.0 / large
-
-    def _on_axis(self, C: Array, z: Array, frequency: Array) -> Any:
-        C = np.where(np.abs(np.abs(C) - 1.0) <= AT_EDGE, np.sign(C), C)
-        root, inside = np.sqrt(np.abs(C * C - 1.0)), np.abs(C) < 1.0
-        decays = 1.0 / (C + np.where(C >= 0.0, root, -root))
-        if not inside.any():
-            return decays
-        slope = np.imag(self.cosine(z + 1j * COMPLEX_STEP * np.maximum(np.abs(z), 1.0)))
-        return np.where(inside, C - 1j * np.sign(slope * frequency) * root, decays)
-
 
 ROUND_OFF = 1e-15
 NEGLIGIBLE_SIDEBAND = 1e-13  # of the largest coefficient: sidebands that are not coupled
@@ -275,165 +198,6 @@ def coefficients(samples: Array) -> Array:
     return np.asarray(np.fft.rfft(samples, axis=0).real / len(samples))
 
 
-# Arcs of the continuous spectrum and the gaps between them, as exponents sigma from 0 to Omega, with all their ends
-
-SAME_END_RTOL = 1e-12  # of Omega: ends that coincide
-START_END, HALF_END = "0", "Omega"  # ends of the interval, where multipliers of half a period are 1 and -1
-
-
-@dataclass(frozen=True)
-class End:
-    """An end of a gap, or a place where arcs meet: that of a band's frequency number `edge`, or START or HALF.
-
-    `turns` is the number of half turns Omega that are taken off the frequency.
-    """
-
-    name: str
-    sigma: float
-    edge: int = -1
-    turns: int = 0
-
-
-@dataclass(frozen=True)
-class Piece:
-    """An arc, or the part of it between two multiples of Omega; `sign` is the Krein signature of its waves."""
-
-    start: float
-    end: float
-    sign: int
-
-
-@dataclass(frozen=True)
-class Gap:
-    """A gap between arcs in a variable x from -1 to 1 in which D is analytic; up to Omega with its mirror image."""
-
-    start: End
-    end: End
-
-    @property
-    def mirrored(self) -> bool:
-        """Whether it ends at Omega, where the velocity of the flow makes a double zero."""
-        return self.end.name == HALF_END
-
-    @property
-    def half(self) -> float:
-        """Half its length, of both images."""
-        return (self.end.sigma - self.start.sigma) * (1.0 if self.mirrored else 0.5)
-
-    def sigma(self, x: Array) -> Array:
-        """Exponents at values of x."""
-        away = 2.0 * self.half * np.sin(0.25 * np.pi * (1.0 + x)) ** 2
-        return np.asarray(np.minimum(self.start.sigma + away, self.end.sigma))
-
-    def place(self, sigma: float) -> float:
-        """x of an exponent."""
-        return 4.0 / np.pi * float(np.arcsin(np.sqrt((sigma - self.start.sigma) / (2.0 * self.half)))) - 1.0
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Arcs and gaps of waves of `bands`, lowest and highest frequency of each, for orbits of frequency Omega."""
-
-    Omega: float
-    bands: tuple[tuple[float, float], ...]
-
-    @cached_property
-    def pieces(self) -> tuple[Piece, ...]:
-        """All arcs, folded into the interval from 0 to Omega."""
-        found, Omega = [], self.Omega
-        for low, high in self.bands:
-            for turns in range(int(low / Omega + SAME_END_RTOL), int(np.ceil(high / Omega - SAME_END_RTOL))):
-                first, last = max(low, turns * Omega), min(high, (turns + 1) * Omega)
-                one, other = self._folded(first, turns), self._folded(last, turns)
-                found.append(Piece(min(one, other), max(one, other), 1 if turns % 2 == 0 else -1))
-        return tuple(found)
-
-    def _folded(self, frequency: float, turns: int) -> float:
-        sigma = frequency - turns * self.Omega if turns % 2 == 0 else (turns + 1) * self.Omega - frequency
-        return float(np.clip(sigma, 0.0, self.Omega))
-
-    @cached_property
-    def ends(self) -> tuple[End, ...]:
-        """Edges of all bands and the ends of the interval, ascending."""
-        found = [End(START_END, 0.0), End(HALF_END, self.Omega)]
-        for k, frequency in enumerate(np.ravel(self.bands).tolist()):
-            turns = int(frequency / self.Omega)
-            found.append(End(f"edge {k} {turns}", self._folded(frequency, turns), k, turns))
-        return tuple(sorted(found, key=lambda end: (end.sigma, end.name != START_END, end.name == HALF_END)))
-
-    def covered(self, sigma: float) -> tuple[int, ...]:
-        """Signatures of the arcs over an exponent."""
-        return tuple(piece.sign for piece in self.pieces if piece.start < sigma < piece.end)
-
-    @cached_property
-    def intervals(self) -> tuple[tuple[End, End, bool], ...]:
-        """Between neighbouring ends: both, and whether an arc covers what is between."""
-        width = SAME_END_RTOL * self.Omega
-        apart = [(a, b) for a, b in pairwise(self._distinct) if b.sigma - a.sigma > width]
-        return tuple((a, b, bool(self.covered(0.5 * (a.sigma + b.sigma)))) for a, b in apart)
-
-    @cached_property
-    def _distinct(self) -> tuple[End, ...]:
-        """Ends, of those that coincide one: a multiple of Omega rather than the edge that is pinned to it."""
-        width, found = SAME_END_RTOL * self.Omega, list[End]()
-        for end in self.ends:
-            if not found or end.sigma - found[-1].sigma > width:
-                found.append(end)
-            elif end.name == HALF_END:
-                found[-1] = end
-        return tuple(found)
-
-    @cached_property
-    def gaps(self) -> tuple[Gap, ...]:
-        """Intervals that no arc covers, ascending."""
-        return tuple(Gap(a, b) for a, b, covered in self.intervals if not covered)
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """The order of all ends, with what is covered: alike along a stretch on which no two of them meet."""
-        words = [f"{a.name} {'=' if covered else '-'}" for a, _, covered in self.intervals]
-        return (*words, self.intervals[-1][1].name)
-
-    @property
-    def covers_start(self) -> bool:
-        """Whether arcs cover the exponent 0: waves of a multiple of 2 Omega are in a band."""
-        return self.intervals[0][2]
-
-    @property
-    def fills(self) -> bool:
-        """Whether a harmonic of the orbit is within a band, so that it fills the medium."""
-        return self.pinned and self.off_edge > SAME_END_RTOL
-
-    @property
-    def off_edge(self) -> float:
-        """Relative distance of the edges of bands from odd multiples of Omega."""
-        ratios = np.ravel(self.bands) / self.Omega
-        nearest = 2.0 * np.round(0.5 * (ratios - 1.0)) + 1.0
-        return float(np.min(np.abs(ratios - nearest) / ratios))
-
-    @property
-    def pinned(self) -> bool:
-        """Whether the orbit's frequency, or an odd multiple of it, is at the edge of a band."""
-        return not any(gap.mirrored for gap in self.gaps)
-
-    def sums(self) -> tuple[float, ...]:
-        """Frequencies Omega at which two ends meet, times 2 m."""
-        edges = np.ravel(self.bands)
-        pairs = [(float(edges[a]), float(edges[b])) for a in range(edges.size) for b in range(a, edges.size)]
-        return tuple([a + b for a, b in pairs] + [b - a for a, b in pairs if b > a])
-
-
-def crossings(first: Layout, last: Layout) -> list[float]:
-    """Frequencies between those of two layouts at which two ends meet, in the order from one to the other."""
-    low, high = sorted((first.Omega, last.Omega))
-    found = set()
-    for total in first.sums():
-        for m in range(int(np.ceil(total / (2.0 * high))), int(total / (2.0 * low)) + 1):
-            if m and low * (1.0 + SAME_END_RTOL) < total / (2.0 * m) < high * (1.0 - SAME_END_RTOL):
-                found.add(total / (2.0 * m))
-    return sorted(found, reverse=first.Omega > last.Omega)
-
-
 # The number of localised multipliers: those on the circle gap by gap, and those off it by the argument ----------------
 #
 # The determinant of Hill's equations tends to 1 where perturbations grow fast, and is periodic along the real axis, so
@@ -570,10 +334,6 @@ def function_of(hill: Hill, layout: Layout, name: str) -> float:
 
 # Orbits along a branch at the edge of a linear medium as the search for changes takes them: equations, and errors -----
 
-NARROW_GAP, FILLED_GAP = "narrow", "fills"
-BAND_EDGE_RTOL = 1e-14  # relative distance from the edge of a band that rounding leaves
-NARROW_GAP_RATIO = 1e-6  # of Omega: a gap beside a harmonic of the orbit in which rounding decides
-
 
 @dataclass(frozen=True, eq=False)
 class Sample:
@@ -601,16 +361,6 @@ class Sample:
     def counts(self) -> Counts:
         """Localised multipliers; raises CountError."""
         return count(self.hill, self.layout)
-
-
-def names_of_arcs(layout: Layout) -> tuple[str, ...]:
-    """Names of a layout; with a mark where a gap beside a harmonic of the orbit is too narrow."""
-    if layout.fills:
-        return (FILLED_GAP,)
-    if layout.pinned:
-        return layout.names if layout.off_edge <= BAND_EDGE_RTOL else (NARROW_GAP,)
-    last = layout.gaps[-1]
-    return layout.names if last.end.sigma - last.start.sigma > NARROW_GAP_RATIO * layout.Omega else (NARROW_GAP,)
 
 
 class EdgeBranch(Protocol):

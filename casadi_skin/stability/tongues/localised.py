@@ -28,21 +28,15 @@ from casadi_skin.stability.tongues.diagram import (
     StabilityDiagram,
     StabilityEdge,
 )
-from casadi_skin.stability.tongues.hill import (
+from casadi_skin.stability.tongues.hill import CountError, Counts, EdgeBranch, Hill, Sample, function_of, names_of
+from casadi_skin.stability.tongues.medium import (
     FILLED_GAP,
     HALF_END,
     NARROW_GAP,
     START_END,
-    CountError,
-    Counts,
-    EdgeBranch,
     Gap,
-    Hill,
     Layout,
-    Sample,
     crossings,
-    function_of,
-    names_of,
     names_of_arcs,
 )
 from casadi_skin.zero.kinds import Unresolved
