@@ -302,9 +302,12 @@ class Tail:
             if end is not None and (turn := end.edge.side * (end.angle - value)) >= 0.0:
                 if not np.isfinite(self.cells):
                     return end.harmonic, end.edge
-                lobes = self.lobe(end.edge.edge) * (turn + 2.0 * math.pi) ** 2  # further than the angle needs
-                farthest = min(lobes, WITHIN_BAND * self.width(end.edge))
-                return end.harmonic, self._solved(end, -end.edge.side * farthest, angle, value)
+                side, edge = end.edge.side, end.edge.edge
+                farthest = -side * WITHIN_BAND * self.width(end.edge)
+                lobes = -side * self.lobe(edge) * (turn + 2.0 * math.pi) ** 2  # near the edge
+                if abs(lobes) < abs(farthest) and side * (end.angle - angle(end.harmonic, Place(edge, lobes))) >= turn:
+                    farthest = lobes
+                return end.harmonic, self._solved(end, farthest, angle, value)
         end = lower or upper
         assert end is not None
         farthest = FARTHEST_FREQUENCY if end is lower else -1.0

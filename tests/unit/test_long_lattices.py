@@ -12,7 +12,7 @@ from lattices import GAINS
 
 from casadi_skin import Bond, Chain, Lattice, LongLattice, Site, follow_family, read_result, save_result
 from casadi_skin.lattice.linear import lattice_modes
-from casadi_skin.lattice.tail import Tail
+from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.lattice.tail_parameter import Regime
 
 DIMER = ([Site("a", "y + g*y^3"), Site("b", "y + g*y^3")], [Bond("a", "b", (0,), "u*d", GAINS), Bond("b", "a", (1,))])
@@ -30,11 +30,21 @@ PUSHING: tuple[list[Site], list[Bond]] = (
 # One harmonic -------------------------------------------------------------------------------------------------------
 
 
+def test_an_angle_is_found_far_in_a_band_that_widens_from_its_edge() -> None:
+    tail = Tail(2, np.array([[2.6, -0.24, 0.0], [-0.24, 3.6, -0.6], [0.0, -0.6, 3.4]]), 1.4, 0, 0, 0.3)
+    for part in np.linspace(0.05, 0.95, 19):
+        place = Place(3, -part * tail.width(Place(3)))
+        assert tail.at_angle(2, tail.angle(place)).off == pytest.approx(place.off, rel=1e-9)
+
+
 @pytest.mark.parametrize("wall", [0.0, 0.3])
-@pytest.mark.parametrize(("sites", "inlet", "outlet"), [(1, 0, 0), (2, 0, 1), (3, 1, 1), (4, 3, 1)])
-def test_the_tail_moves_as_all_its_sites_do(sites: int, inlet: int, outlet: int, wall: float) -> None:
+@pytest.mark.parametrize(
+    ("cells", "sites", "inlet", "outlet"),
+    [(9, 1, 0, 0), (9, 2, 0, 1), (9, 3, 1, 1), (9, 4, 3, 1), (2, 3, 1, 1), (2, 3, 0, 0)],
+)
+def test_the_tail_moves_as_all_its_sites_do(cells: int, sites: int, inlet: int, outlet: int, wall: float) -> None:
     """Angle, slope, frequency of an angle and motion, in gaps and in bands, by matrices of the whole tail."""
-    generator, cells, s = np.random.default_rng(0), 9, 0.7
+    generator, s = np.random.default_rng(0), 0.7
     A = generator.normal(size=(sites, sites))
     A = A + A.T + 8.0 * np.eye(sites)
     K = np.kron(np.eye(cells), A)
