@@ -70,7 +70,7 @@ class EquationsWithTail:
         symbols = z, numbers, scalars, *values
         self.function = ca.Function("equations", symbols, [residual, jacobian])
         self.pattern = tuple(np.array(found, dtype=np.int64) for found in self.function.sparsity_out(1).get_triplet())
-        self.buffers, self.shared = Buffers(self.function), dict[Any, Any]()
+        self.buffers = Buffers(self.function)
 
 
 @lru_cache(maxsize=KEPT_RESOLUTIONS)
@@ -151,6 +151,11 @@ class CoreWithTailProblem(TrigonometricProblem):
     @cached_property
     def equations(self) -> EquationsWithTail:  # type: ignore[override]
         return _equations_of(self.core.equations, self.resolution, self.attached)
+
+    @property
+    def shared(self) -> dict[Any, Any]:
+        """Not those of the equations: solvers evaluate the problem that they are made for, with its own tail."""
+        return self._shared
 
     def _values(self, z: Array, numbers: Array) -> Sequence[Array]:
         """As those of other problems; not a number where a harmonic that should be bound is in the band."""

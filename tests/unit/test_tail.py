@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from functools import cache
 
@@ -17,6 +18,7 @@ from casadi_skin.follow.point import LocalCurve
 from casadi_skin.lattice.core_with_tail import CoreWithTailProblem
 from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter
+from casadi_skin.solve.ipopt import ArbitratedCorrector
 from casadi_skin.zero.cosines import PolynomialForm
 from casadi_skin.zero.family import family_request
 
@@ -156,6 +158,16 @@ def test_the_jacobian_is_that_of_the_residual(edge: int) -> None:
     for column, unit in enumerate(np.eye(problem.size)):
         difference = (problem.evaluate(z + step * unit)[0] - problem.evaluate(z - step * unit)[0]) / (2 * step)
         np.testing.assert_allclose(dense[:, column], difference, atol=1e-8)
+
+
+def test_problems_with_the_same_core_are_confirmed_each_with_its_own_tail() -> None:
+    for sites in (120, 58):
+        tools = Family(family_request(Chain(sites, 1.0, 0.4, -1.0), 1, 2.0, tail="eliminated"))
+        _, point = itertools.islice(tools.continuation((tools.start,)), 2)
+        problem, z = point.problem, point.z
+        (found,) = ArbitratedCorrector(problem).confirm_all([(z, problem.parameter_row(), z[problem.parameter_index])])
+        assert found.converged
+        np.testing.assert_allclose(found.z, z, atol=1e-9)
 
 
 # Families -----------------------------------------------------------------------------------------------------------
