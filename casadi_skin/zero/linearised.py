@@ -38,12 +38,14 @@ SHIFT_TRIALS = 5  # shifts, each three times as large as the one before
 
 def by_parts(form: Callable[..., Array], size: int, *directions: Vector) -> Vector:
     """A real multilinear form at real or complex directions, from their real and imaginary parts, shape (size,)."""
+    if not any(map(np.iscomplexobj, directions)):
+        return form(*directions)
     parts, total = [(v.real, v.imag) for v in directions], np.zeros(size, dtype=complex)
     for choice in np.ndindex(*(2,) * len(parts)):
         chosen = [part[c] for c, part in zip(choice, parts, strict=True)]
         if all(map(np.any, chosen)):
             total += 1j ** sum(choice) * form(*chosen)
-    return np.asarray(total if any(map(np.iscomplexobj, directions)) else total.real)
+    return total
 
 
 @dataclass(frozen=True, eq=False)
