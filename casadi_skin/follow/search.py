@@ -112,16 +112,21 @@ class Search(BranchStretch, ABC):
         return self._samples[id(point)][1]
 
     def sampled(self, point: Point) -> Sample:
-        """The sample at a point: its quantities, with differences along the tangent, and its exponents."""
+        """The sample at a point: its quantities with their rates, and its exponents."""
         own = self.own(point)
-        here, there = (self.values(one) for one in (own, beside_on_tangent(own, TANGENT_DIFFERENCE_STEP)))
-        leading = tuple(zip(here.tolist(), ((there - here) / TANGENT_DIFFERENCE_STEP).tolist(), strict=True))
+        here = self.values(own)
+        leading = tuple(zip(here.tolist(), self.rates(own, here).tolist(), strict=True))
         row, still = self.metric(point) * point.tangent, CERTAIN_SIGN_NOISE * self.noise(own)
         return Sample(point, row, *self.exponents(own), leading=leading, turn=self.turn, still=still)
 
     def values(self, point: Point) -> Array:
         """Quantities beside the exponents, shape (quantities,)."""
         return np.empty(0)
+
+    def rates(self, point: Point, here: Array) -> Array:
+        """Their rates along the branch, by differences from those `here`."""
+        ahead = beside_on_tangent(point, TANGENT_DIFFERENCE_STEP)
+        return np.asarray((self.values(ahead) - here) / TANGENT_DIFFERENCE_STEP)
 
     def noise(self, point: Point) -> Array:
         """Errors of these, likewise."""

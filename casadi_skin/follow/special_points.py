@@ -27,7 +27,15 @@ import numpy as np
 
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.samples import HALF_STRETCH_PLACES, SampledStretch
-from casadi_skin.follow.search import BranchStretch, NotLocatedError, Search, monitored, zero_between
+from casadi_skin.follow.search import (
+    TANGENT_DIFFERENCE_STEP,
+    BranchStretch,
+    NotLocatedError,
+    Search,
+    beside_on_tangent,
+    monitored,
+    zero_between,
+)
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace, corrector_of, snapped, target_of
 from casadi_skin.model.result import Result
@@ -76,12 +84,16 @@ class _Turns(Search):
     """The search for roots of the rate of the parameter."""
 
     def values(self, point: Point) -> Array:
-        solver, problem = self.solver, point.problem
+        return np.array([rate(point)])
+
+    def rates(self, point: Point, here: Array) -> Array:
+        ahead, solver = beside_on_tangent(point, TANGENT_DIFFERENCE_STEP), self.solver
         try:
-            solve = solver.factor(problem, point.z, self.metric(point) * point.tangent)
-            return solver.tangent(problem, point.z, solve)[[problem.parameter_index]]
+            solve = solver.factor(ahead.problem, ahead.z, self.metric(point) * point.tangent)
+            tangent = solver.tangent(ahead.problem, ahead.z, solve)
         except SingularError:
-            return np.array([rate(point)])
+            return np.zeros(1)
+        return np.asarray(rate(replace(ahead, tangent=tangent)) - here) / TANGENT_DIFFERENCE_STEP
 
     def found(self, stretch: SampledStretch, depth: int, last: bool) -> Sequence[tuple[Point, Point]] | None:
         ends = self.own(stretch.first.point), stretch.last.point
