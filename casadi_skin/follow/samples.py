@@ -290,7 +290,7 @@ def matched(first: Sample, last: Sample, length: float, row: Array) -> Indices:
     back = last.values - 0.5 * length * last.along(row)[0] * last.rates
     direct = first.apart(first.values, last.values)
     predicted = first.apart(expected, back)
-    return np.asarray(linear_sum_assignment(np.minimum(direct, predicted))[1])
+    return np.asarray(linear_sum_assignment(np.fmin(direct, predicted))[1])  # a rate may overflow
 
 
 def _sign(values: Array | float) -> Array:

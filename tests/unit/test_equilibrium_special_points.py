@@ -193,6 +193,16 @@ def _from_below(model: OdeModel, guess: object, name: str, start: float, to: flo
     return branch.special_points
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e8])
+def test_a_branch_on_which_derivatives_overflow_has_the_fold_before(unit: float) -> None:
+    """p exp(x) = x: a fold at p = 1/e, x = 1; beyond it x grows until exp(x) has no room in a double."""
+    x, p = ca.SX.sym("x"), ca.SX.sym("p")
+    model = OdeModel("exponential", x, unit * (ca.exp(x / unit) * p - x / unit), p)
+    points = find_equilibrium(model, [0.0], parameters={"p": 0.0}).follow("p", 1.0).special_points
+    assert points[0].kind == "fold"
+    assert abs(points[0].parameters["p"] - np.exp(-1.0)) <= points[0].error < 1e-12
+
+
 def test_a_branch_that_goes_to_infinity_has_no_folds_of_rounding() -> None:
     """p = x exp(-x): a fold at (1, 1/e), then p goes to zero, also below what rounding leaves of its rate."""
     x, p = symbols("x p")
