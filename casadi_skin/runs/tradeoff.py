@@ -536,8 +536,8 @@ def _look(setting: Setting) -> dict[str, Any]:
     of_flow = setting.kind == FLOW
     names, markers = (list(FLOWS), FLOW_MARKERS) if of_flow else (list(TRANSCRIPTIONS), TRANSCRIPTION_MARKERS)
     place = names.index(setting.flow if of_flow else setting.transcription)
-    colour = colours(len(names))[place]
-    look: dict[str, Any] = {"marker": markers[place], "color": colour, "ls": "-", "ms": 5.5 if of_flow else 5.0}
+    colour, marker = colours(len(names))[place], markers[place % len(markers)]
+    look: dict[str, Any] = {"marker": marker, "color": colour, "ls": "-", "ms": 5.5 if of_flow else 5.0}
     if setting.walker == "series":
         look["ls"] = (0, (4.0, 1.5))
     return look | ({"mfc": "white"} if setting.corrector == "ipopt" else {})

@@ -13,6 +13,7 @@ from outputs import read_rows
 
 from casadi_skin import Chain
 from casadi_skin.follow.family import Family
+from casadi_skin.runs import tradeoff
 from casadi_skin.runs.tradeoff import (
     FLOW,
     MEASURED_TOLERANCES,
@@ -239,3 +240,10 @@ def test_the_picture_shows_methods_presets_and_fronts() -> None:
     assert figure.axes[0].get_ylim() == figure.axes[1].get_ylim()
     lonely = work_precision_figure(FAMILY, of_kind(made(), ORBITS), np.array([1e-15, 2e-15, nan]))
     assert [text.get_text() for text in lonely.axes[1].texts] == ["no multipliers measured"]
+
+
+def test_a_transcription_more_has_a_mark_and_a_colour(monkeypatch: pytest.MonkeyPatch) -> None:
+    more = {**tradeoff.TRANSCRIPTIONS, "lobatto": "Lobatto IIIA", "midpoint": "another one"}
+    monkeypatch.setattr(tradeoff, "TRANSCRIPTIONS", more)
+    last = [replace(setting, transcription="midpoint") for setting in of_kind(made(), ORBITS)]
+    assert work_precision_figure(FAMILY, last, KNOWN).axes[0].lines
