@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from pages import browser as browser
+from pages import data_in, explored, opened, write_map
 
 from casadi_skin import Chain, OdeModel, find_equilibrium, follow_family
 from casadi_skin.follow.branch import Branch
@@ -31,19 +31,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     families = [follow_family(chain, j, 0.5, stability=True, tolerance=1e-4, at=[0.2]) for j in (1, 2)]
     write_netcdf(folder / "family.nc", Dataset(dataset_of(families).variables, {"title": "two <modes>"}))
     return folder
-
-
-def data_in(page: Path) -> dict[str, Any]:
-    text = page.read_text(encoding="utf-8")
-    found = re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.DOTALL)
-    assert found is not None
-    return dict(json.loads(found[1]))
-
-
-def explored(source: Path, *words: str) -> Path:
-    """The page of a run, a map or a file of one."""
-    assert main(["explore", str(source), *words]) == 0
-    return source.with_suffix(".html") if source.is_file() else source / "explore.html"
 
 
 def test_a_page_holds_the_run_and_asks_for_nothing_else(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -174,26 +161,6 @@ def test_changes_of_stability_and_stretches_stand_where_they_are_located(tmp_pat
     assert S[place] <= 0.25 <= S[place + 1]
 
 
-def write_map(folder: Path, gammas: int = 3, amplitudes: int = 4, first: str = "gamma") -> np.ndarray:
-    """A map of a product over two ranges and a list; one cell failed."""
-    gamma, S = np.linspace(0.1, 0.3, gammas), np.linspace(0.0, 1.0, amplitudes)
-    values = (gamma[:, None, None] * S[None, :, None]) * np.array([1.0, -1.0])
-    status, reason = np.ones(values.shape, dtype=np.int32), np.full(values.shape, "", dtype=object)
-    status[0, 1, 0], reason[0, 1, 0], values[0, 1, 0] = 3, "no orbit", np.nan
-    axes = (first, "S", "mode")
-    variables = [
-        Variable(first, axes[:1], gamma, "nonreciprocity"),
-        Variable("S", axes[1:2], S, "amplitude"),
-        Variable("mode", axes[2:], np.array(["first", "last"]), "mode"),
-        Variable("status", axes, status, "state of a cell"),
-        Variable("reason", axes, reason, "why it failed"),
-        Variable("growth", axes, values, "growth of perturbations", may_be_empty=True),
-        Variable("Omega", axes, 1.0 + values**2, "frequency", may_be_empty=True),
-    ]
-    write_netcdf(folder / "map.nc", Dataset(variables, {"title": "a map"}))
-    return values
-
-
 def test_a_map_becomes_a_page(tmp_path: Path) -> None:
     values = write_map(tmp_path)
     data = data_in(explored(tmp_path))
@@ -215,30 +182,6 @@ def test_a_large_map_is_thinned_with_a_note(tmp_path: Path, monkeypatch: pytest.
     assert data["note"] == f"{np.prod(sizes)} of 1200 cells are shown"
     assert [axis["name"] for axis in data["axes"]] == ["γ", "S", "mode"]
     assert (data["axes"][0]["values"][0], data["axes"][0]["values"][-1]) == (0.1, 0.3)
-
-
-@pytest.fixture
-def browser() -> Iterator[Any]:
-    """Chromium of the system, without network; skipped where there is none."""
-    sync = pytest.importorskip("playwright.sync_api")
-    path = shutil.which("chromium") or shutil.which("google-chrome")
-    if path is None:
-        pytest.skip("needs Chromium: apt-get install chromium")
-    with sync.sync_playwright() as play:
-        quiet = ["--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run"]
-        chromium = play.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu", *quiet])
-        yield chromium.new_context(viewport={"width": 1366, "height": 768}, offline=True)
-        chromium.close()
-
-
-def opened(browser: Any, path: Path) -> tuple[Any, list[str]]:
-    """A page once it is ready, and what it says on the console."""
-    page, said = browser.new_page(), list[str]()
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.goto(f"file://{path}")
-    page.wait_for_selector("html[data-ready=yes]")
-    return page, said
 
 
 def click_at(page: Any, x: float, y: float) -> None:
