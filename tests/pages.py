@@ -71,3 +71,9 @@ def opened(browser: Any, path: Path) -> tuple[Any, list[str]]:
     page.goto(f"file://{path}")
     page.wait_for_selector("html[data-ready=yes]")
     return page, said
+
+
+def settled(page: Any) -> None:
+    """Wait until all pictures are drawn; a page's policy lets nobody evaluate text in it, as wait_for_function does."""
+    while not page.evaluate("!pending && !waiting && !queue.length"):
+        page.wait_for_timeout(20)

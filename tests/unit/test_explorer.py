@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from pages import browser as browser
-from pages import data_in, explored, opened, write_map
+from pages import data_in, explored, opened, settled, write_map
 
 from casadi_skin import Chain, OdeModel, find_equilibrium, follow_family
 from casadi_skin.follow.branch import Branch
@@ -204,7 +204,7 @@ def test_a_page_works_in_a_browser(run: Path, browser: Any) -> None:
     values = page.locator("#values")
 
     def drawn() -> str:
-        page.wait_for_function("!pending && !waiting && !queue.length")
+        settled(page)
         return str(page.evaluate("document.getElementById('wave').data[0].y.join()"))
 
     first, wave = values.inner_text(), drawn()
@@ -237,7 +237,7 @@ def test_special_points_are_listed_and_lead_to_their_place(tmp_path: Path, brows
     buttons.nth(1).click()
     assert f"S = {family.changes[1].S:.8g}" in page.locator("#values").inner_text()
     assert buttons.nth(1).get_attribute("aria-current") == "true"
-    page.wait_for_function("!pending && !waiting && !queue.length")
+    settled(page)
     ring = page.evaluate("document.getElementById('curve').layout.shapes[0].xanchor")
     assert ring == pytest.approx(family.changes[1].S, rel=1e-3)
     page.keyboard.press("s")

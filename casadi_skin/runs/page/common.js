@@ -17,8 +17,17 @@ function layout(title, x, y, more = {}) {
 const nothing = (words) => layout(words, "", "", { xaxis: { visible: false }, yaxis: { visible: false } });
 const config = { responsive: true, displaylogo: false, scrollZoom: true };
 
+// Names are text: plotly takes tags in them for marks, and would fetch what a style in one names.
+function asText(value, key) {
+  if (typeof value === "string") return key === "hovertemplate" ? value : value.replaceAll("&", "&amp;").replaceAll("<", "&lt;");
+  if (Array.isArray(value)) return value.map((item) => asText(item));
+  if (value === null || typeof value !== "object") return value;
+  return Object.fromEntries(Object.entries(value).map(([name, held]) => [name, asText(held, name)]));
+}
+const react = (id, traces, lay) => Plotly.react(id, asText(traces), asText(lay), config);
+
 const words = { S: "amplitude S", Omega: "frequency \u03a9", Omega_shift: "frequency shift \u03a9 \u2212 \u03c9" };
-const named = (name) => words[name] || name.replaceAll("_", " ");
+const named = (name) => (Object.hasOwn(words, name) && words[name]) || name.replaceAll("_", " ");
 
 function fill(select, names, chosen, label = (n) => n) {
   select.replaceChildren(...names.map((name) => new Option(label(name), name, false, name === chosen)));

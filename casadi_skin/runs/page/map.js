@@ -70,16 +70,16 @@ function drawPlane() {
   const more = { xaxis: { range: corners.x, showgrid: false, zeroline: false, ...ticks(axes[state.x]) }, yaxis: { range: corners.y, showgrid: false, zeroline: false, ...(state.y === null ? { visible: false } : ticks(axes[state.y])) } };
   const image = { source: url, xref: "x", yref: "y", x: Math.min(...corners.x), y: Math.max(...corners.y), sizex: Math.abs(ex[ex.length - 1] - ex[0]), sizey: Math.abs(ey[ey.length - 1] - ey[0]), sizing: "stretch", layer: "below" };
   const base = layout(q.words, axes[state.x].words, state.y === null ? "" : axes[state.y].words, more);
-  return Plotly.react("curve", [bar], { ...base, clickanywhere: true, images: [image], shapes: ring() }, config);
+  return react("curve", [bar], { ...base, clickanywhere: true, images: [image], shapes: ring() });
 }
 
 function drawLine(id, i) {
   const q = data.quantities[state.quantity];
-  if (i === null) return Plotly.react(id, [], nothing(""), config);
+  if (i === null) return react(id, [], nothing(""));
   const y = axes[i].values.map((_, k) => values()[at({ [i]: k })]), x = axes[i].numbers ? axes[i].values : axes[i].values.map((_, k) => k);
   const mark = { type: "line", x0: coordinate(i), x1: coordinate(i), yref: "paper", y0: 0, y1: 1, line: { color: COLOURS[1], width: 1.5 } };
   const base = layout(`along ${axes[i].words}`, axes[i].words, named(q.name), { xaxis: ticks(axes[i]) });
-  return Plotly.react(id, [{ x, y, mode: "lines+markers", line: { color: COLOURS[0] } }], { ...base, shapes: [mark] }, config);
+  return react(id, [{ x, y, mode: "lines+markers", line: { color: COLOURS[0] } }], { ...base, shapes: [mark] });
 }
 
 function drawValues() {

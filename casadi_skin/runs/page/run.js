@@ -42,7 +42,7 @@ function curveTraces() {
 }
 
 function drawCurve() {
-  return Plotly.react("curve", curveTraces(), { ...layout("branches", named(state.x), named(state.y)), shapes: mark() }, config);
+  return react("curve", curveTraces(), { ...layout("branches", named(state.x), named(state.y)), shapes: mark() });
 }
 
 // The ring about the chosen point: a shape, which moves without the curves being drawn again.
@@ -61,9 +61,9 @@ function drawWave() {
   const detail = branch().detail, waves = detail.waves && detail.waves[detailPlace()];
   if (waves) {
     const t = waves[0].map((_, i) => i / (waves[0].length - 1));
-    Plotly.react("wave", waves.map((y, i) => ({ x: t, y, mode: "lines", name: detail.names[i], line: { width: 1.5 } })),
-      layout("over one period", "phase t / T", "states"), config);
-  } else Plotly.react("wave", [], nothing(detail.eigenvalues ? "a state of rest" : "no wave form"), config);
+    react("wave", waves.map((y, i) => ({ x: t, y, mode: "lines", name: detail.names[i], line: { width: 1.5 } })),
+      layout("over one period", "phase t / T", "states"));
+  } else react("wave", [], nothing(detail.eigenvalues ? "a state of rest" : "no wave form"));
 }
 
 function drawPlane() {
@@ -73,21 +73,21 @@ function drawPlane() {
   const ring = Array.from({ length: 121 }, (_, i) => (i * Math.PI) / 60);
   const circle = detail.multipliers ? [{ x: ring.map(Math.cos), y: ring.map(Math.sin), mode: "lines", line: { color: "#999", width: 1 }, hoverinfo: "skip" }] : [];
   const title = detail.multipliers ? "Floquet multipliers" : detail.eigenvalues ? "eigenvalues" : "stability not computed";
-  Plotly.react("plane", [...circle, { x: re, y: im, mode: "markers", marker: { size: 8, color: COLOURS[0], symbol: "circle-open", line: { width: 2 } } }],
-    layout(title, "real part", "imaginary part", detail.multipliers ? { yaxis: { scaleanchor: "x" } } : {}), config);
+  react("plane", [...circle, { x: re, y: im, mode: "markers", marker: { size: 8, color: COLOURS[0], symbol: "circle-open", line: { width: 2 } } }],
+    layout(title, "real part", "imaginary part", detail.multipliers ? { yaxis: { scaleanchor: "x" } } : {}));
 }
 
 // Angles of the multipliers along the branch, with a line at the chosen point.
 function drawAngles() {
   const b = branch(), detail = b.detail, x = b.columns[b.x], lists = detail.multipliers || [];
-  if (!lists.length) return Plotly.react("angles", [], nothing(""), config);
+  if (!lists.length) return react("angles", [], nothing(""));
   const xs = [], ys = [], apart = Math.ceil((lists.length * lists[0].length) / 2 / MOST_ANGLES);
   for (let i = 0; i < lists.length; i += apart) {
     const pairs = lists[i];
     for (let j = 0; j + 1 < pairs.length; j += 2) { xs.push(x[detail.point[i]]); ys.push(Math.atan2(pairs[j + 1], pairs[j]) / Math.PI); }
   }
   const base = layout("angles of the multipliers", named(b.x), "angle / \u03c0", { yaxis: { range: [0, 1.02] } });
-  return Plotly.react("angles", [{ x: xs, y: ys, mode: "markers", marker: { size: 3, color: COLOURS[0] } }], { ...base, shapes: line() }, config);
+  return react("angles", [{ x: xs, y: ys, mode: "markers", marker: { size: 3, color: COLOURS[0] } }], { ...base, shapes: line() });
 }
 
 function line() {
@@ -97,11 +97,11 @@ function line() {
 
 function drawProfile() {
   const detail = branch().detail, waves = detail.waves && detail.waves[detailPlace()];
-  if (!waves) { Plotly.react("profile", [], nothing(""), config); return; }
+  if (!waves) { react("profile", [], nothing("")); return; }
   const last = waves[0].length - 1, i = Math.floor(state.phase * last) % last;
   const top = Math.max(...waves.flat().map(Math.abs)) || 1;
-  Plotly.react("profile", [{ x: detail.names, y: waves.map((w) => w[i]), mode: "lines+markers", line: { color: COLOURS[2] } }],
-    layout("states at one time", "", "", { yaxis: { range: [-1.1 * top, 1.1 * top] } }), config);
+  react("profile", [{ x: detail.names, y: waves.map((w) => w[i]), mode: "lines+markers", line: { color: COLOURS[2] } }],
+    layout("states at one time", "", "", { yaxis: { range: [-1.1 * top, 1.1 * top] } }));
 }
 
 // The profile alone, without its axes: fast enough for every frame.
