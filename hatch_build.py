@@ -56,7 +56,7 @@ def compile_kernels(target: Path) -> None:
 
 def _run(command: list[str], folder: str) -> None:
     try:
-        subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True, timeout=SECONDS)
+        subprocess.run(command, cwd=folder, check=True, capture_output=True, errors="replace", timeout=SECONDS)
     except (OSError, subprocess.SubprocessError) as error:
         said = str(getattr(error, "stderr", None) or error).strip()
         raise BuildError(f"{command[0]}: {said.splitlines()[0] if said else error}") from error

@@ -16,6 +16,7 @@ import math
 import os
 import re
 import shutil
+import signal
 import subprocess
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -362,12 +363,24 @@ def _compile(compiler: str, arguments: Sequence[str], folder: Path | None = None
     """Run a compiler in a folder; raises CompilerError with its first complaint."""
     command = [compiler, *FLAGS, *arguments]
     try:
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=SECONDS)
-    except subprocess.TimeoutExpired:
-        raise CompilerError(f"compiler: {compiler} takes more than {SECONDS} s") from None
-    if done.returncode:
-        lines = [line.strip() for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines()
-        raise CompilerError(f"compiler: {compiler} failed: {lines[0] if lines else f'exit status {done.returncode}'}")
+        process = subprocess.Popen(
+            command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, errors="replace", process_group=0
+        )
+    except OSError as error:
+        raise CompilerError(f"compiler: {compiler} cannot be run: {error.strerror}") from None
+    with process:
+        try:
+            said = process.communicate(timeout=SECONDS)[1].splitlines()
+        except BaseException as error:  # it is late, or interrupted: with it ends what it has started
+            os.killpg(process.pid, signal.SIGKILL)
+            if not isinstance(error, subprocess.TimeoutExpired):
+                raise
+            raise CompilerError(f"compiler: {compiler} takes more than {SECONDS} s") from None
+    if process.returncode:
+        lines = [line.strip() for line in said if "error" in line] or said
+        raise CompilerError(
+            f"compiler: {compiler} failed: {lines[0] if lines else f'exit status {process.returncode}'}"
+        )
 
 
 def build_c(directory: str | Path, compiler: str | None = None) -> Path:

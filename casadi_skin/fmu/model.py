@@ -169,7 +169,7 @@ def check_answer(unpacked: Unpacked, choices: FmuChoices, inputs: Mapping[str, f
     key = unpacked.digest, choices, tuple(inputs.items())
     if key in _answered:
         return
-    worker, words = Worker(), f"{unpacked.path}: its binary"
+    worker, words = Worker(group=True), f"{unpacked.path}: its binary"
     try:
         task = unpacked.path, unpacked.folder, unpacked.library, choices, inputs
         worker.compute(pickle.dumps(_try), task, time_limit)

@@ -88,6 +88,8 @@ def kernels() -> Mapping[str, Any]:
     A library of other sources than those beside it has other arguments, and would end the process: it is left alone.
     """
     try:
+        if _is_cut_off(LIBRARY):
+            return {}
         library = ctypes.CDLL(str(LIBRARY))
         if library.sources() != digest_of_sources():
             return {}
@@ -100,6 +102,16 @@ def kernels() -> Mapping[str, Any]:
     return found
 
 
+def _is_cut_off(library: Path) -> bool:
+    """Whether a library in ELF ends before its table of sections does: to load it would end the process."""
+    with library.open("rb") as file:
+        head = file.read(64)
+    if len(head) < 64 or head[:5] != b"\x7fELF\x02":
+        return False
+    place, size, count = *struct.unpack_from("<Q", head, 40), *struct.unpack_from("<HH", head, 58)
+    return bool(library.stat().st_size < place + size * count)
+
+
 def digest_of_sources() -> int:
     """That of the sources beside this file, as hatch_build.py compiles it into the library."""
     sources = sorted(Path(__file__).parent.glob("*.[ch]"))
@@ -107,9 +119,9 @@ def digest_of_sources() -> int:
 
 
 def kernels_in_words() -> str:
-    """Which kernels are in use: `compiled for AVX2`, `compiled`, or `numpy`, also where the library is out of date."""
+    """Which kernels are in use: `compiled for AVX2`, `compiled`, or `numpy`, also where the library is of no use."""
     if not kernels():
-        return "numpy; the library is of other sources or of another system" if LIBRARY.exists() else "numpy"
+        return "numpy; the library is cut off, of other sources or of another system" if LIBRARY.exists() else "numpy"
     _, _, processor = kernels()["invariant"].__name__.partition("_")
     return "compiled" + {"": "", "avx2": " for AVX2", "avx512": " for AVX-512"}[processor]
 

@@ -129,14 +129,15 @@ class WorkerEndedError(RuntimeError):
 class Worker:
     """A process that computes one task at a time, started with the first one.
 
-    With `main` it imports the script of this process, of which tasks may have functions then.
+    With `main` it imports the script of this process, of which tasks may have functions then. With `group` those that a
+    task forks end with it, too, but it is not suspended with this process.
     """
 
-    def __init__(self, main: bool = False) -> None:
+    def __init__(self, main: bool = False, group: bool = False) -> None:
         self.process: subprocess.Popen[bytes] | None = None
         self._connection: Connection | None = None
         self._stderr: IO[bytes] | None = None
-        self._main = main
+        self._main, self._group = main, group
         self.exit_code: int | None = None  # of a process that ended by itself
         self._closed, self._starting = False, threading.Lock()
         _all.add(self)
@@ -215,6 +216,7 @@ class Worker:
             self.process = subprocess.Popen(
                 [sys.executable, "-c", PROGRAM.format(there.fileno(), os.getpid())],
                 pass_fds=(there.fileno(),), stdin=subprocess.DEVNULL, stderr=self._stderr,
+                process_group=0 if self._group else None,
                 env={**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join(paths)},
             )  # fmt: skip
         here.send(main)
@@ -250,6 +252,9 @@ class Worker:
         ended, self.process = self.process, None
         if ended is not None:
             ended.kill()
+            if self._group:
+                with suppress(ProcessLookupError):  # none is left
+                    os.killpg(ended.pid, signal.SIGKILL)
             ended.wait()
         for held in (self._connection, self._stderr):
             if held is not None:

@@ -205,6 +205,13 @@ def spoilt(good: Path, folder: Path, harm: str) -> Path:
         pytest.param("_exit(0);", r"ends the process that calls it \(exit status 0\)", marks=pytest.mark.slow),
         ("for (;;) pause();", r"does not answer within 1 s; accepted: one that does, or a longer time_limit"),
         pytest.param("for (;;) {}", r"does not answer within 1 s", marks=pytest.mark.slow),
+        ("fork(); for (;;) pause();", r"does not answer within 1 s"),
+        pytest.param("if (!fork()) for (;;) pause(); abort();", r"does not answer within 1 s", marks=pytest.mark.slow),
+        pytest.param(
+            "if (!fork()) { for (int i = 0; i < 99; i++) close(i); for (;;) pause(); } abort();",
+            r"ends the process that calls it \(SIGABRT\)",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_a_binary_that_never_comes_back_is_refused(
@@ -213,6 +220,7 @@ def test_a_binary_that_never_comes_back_is_refused(
     path = spoilt(good, tmp_path, harm)
     with pytest.raises(ValueError, match=f"^{path}: its binary {words}"):
         import_fmu(path, time_limit=1.0 if "for" in harm else 30.0)
+    assert not tried_processes(os.getpid())  # nor one that the binary has forked
 
 
 def test_a_good_binary_is_tried_once_for_each_file_and_question(good: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -181,7 +181,7 @@ def test_a_library_of_another_system_is_no_fault(tmp_path: Path) -> None:
     (tmp_path / "kernels.library").write_bytes(b"of another system")
     with numpy_alone(tmp_path / "kernels.library"):
         assert native.kernels() == {}
-        assert native.kernels_in_words() == "numpy; the library is of other sources or of another system"
+        assert native.kernels_in_words() == "numpy; the library is cut off, of other sources or of another system"
 
 
 @needs_kernels
@@ -189,7 +189,7 @@ def test_a_library_of_other_sources_is_left_alone(monkeypatch: pytest.MonkeyPatc
     """As after a change of a source in a clone: arguments that follow one another otherwise would end the process."""
     monkeypatch.setattr(native, "digest_of_sources", lambda: 1)
     with numpy_alone(native.LIBRARY):
-        assert native.kernels_in_words() == "numpy; the library is of other sources or of another system"
+        assert native.kernels_in_words() == "numpy; the library is cut off, of other sources or of another system"
 
 
 @pytest.mark.skipif(not native.LIBRARY.exists(), reason="the package was built without a C compiler")
