@@ -10,7 +10,7 @@ from casadi_skin import Bond, Chain, Lattice, Site, follow_family
 from casadi_skin.lattice.linear import bands, brillouin_zone, lattice_modes, winding_numbers
 from casadi_skin.results.figures.bands import band_figure, skin_figure
 from casadi_skin.results.figures.families import plane_figure
-from casadi_skin.runs.lattices import lattice_lines
+from casadi_skin.runs.plan import lattice_lines
 
 
 def test_modes_of_the_chain_are_those_in_closed_form() -> None:
