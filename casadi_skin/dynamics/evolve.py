@@ -37,6 +37,7 @@ from casadi_skin.model.integrators import (
     size_of,
 )
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.result import in_turn
 from casadi_skin.stability.flows import SPLITTING_ORDER, KicksAndDrifts, srkn_step
 from casadi_skin.zero.problem import Array
 
@@ -152,6 +153,7 @@ SYMPLECTIC = "symplectic"
 INTEGRATORS: Mapping[str, Integrator] = {**ANY_INTEGRATORS, SYMPLECTIC: symplectic}
 
 
+@in_turn
 def evolve(
     model: Any,
     positions: ArrayLike,
@@ -349,6 +351,7 @@ def _displaced(orbit: Orbit, equations: EquationsOfMotion, by: Array) -> tuple[A
     return state[: n or state.size], state[n or state.size :]
 
 
+@in_turn
 def simulate_orbit(
     orbit: Orbit,
     t: ArrayLike,

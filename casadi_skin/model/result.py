@@ -2,20 +2,53 @@
 
 A verb is a method as `orbit.certify(...)`: the function `certify(orbit, ...)` of another module, which is imported when
 the verb is first used. The one table of them is in `casadi_skin/__init__.py`; nothing below looks a function up.
+
+Threads take turns: results share levels, solvers and work arrays with those they come from, and a call that lets other
+threads run, as one of CasADi does, would find them changed. Whatever is public holds the one lock of the process.
 """
 
 from __future__ import annotations
 
 import functools
+import os
+import threading
 from collections.abc import Callable, Mapping
 from importlib import import_module
-from typing import Any, ClassVar
+from types import FunctionType
+from typing import Any, ClassVar, ParamSpec, TypeVar
 
 from casadi_skin.model.arguments import check_options
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 class NoQuantityError(ValueError, AttributeError):
     """A quantity that a result of this kind has not: a ValueError for who asks for it, and `hasattr` is False."""
+
+
+TURN = threading.RLock()
+if hasattr(
+    os, "register_at_fork"
+):  # between two turns: in the child another thread's locks and arrays stay as they are
+    os.register_at_fork(before=TURN.acquire, after_in_parent=TURN.release, after_in_child=TURN.release)
+
+
+def in_turn(function: Callable[P, T]) -> Callable[P, T]:
+    """The function, for one thread at a time."""
+
+    @functools.wraps(function)
+    def alone(*arguments: P.args, **options: P.kwargs) -> T:
+        with TURN:
+            return function(*arguments, **options)
+
+    return alone
+
+
+class _KeptInTurn(functools.cached_property[Any]):
+    # Each such property of Python 3.11 has a lock, which has to be taken after that of the process.
+
+    __get__ = in_turn(functools.cached_property.__get__)
 
 
 class Verb:
@@ -53,7 +86,7 @@ class Verb:
             check_options(self.__name__, options, function)
             return function(*arguments, **options)
 
-        return method
+        return in_turn(method)
 
 
 class WithVerbs:
@@ -69,6 +102,16 @@ class WithVerbs:
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
+        for name, member in list(vars(cls).items()):
+            if name.startswith("_") and name != "__getitem__":
+                continue
+            if isinstance(member, FunctionType):
+                setattr(cls, name, in_turn(member))
+            elif isinstance(member, property) and member.fget is not None:
+                setattr(cls, name, property(in_turn(member.fget)))
+            elif isinstance(member, functools.cached_property):
+                setattr(cls, name, kept := _KeptInTurn(member.func))
+                kept.__set_name__(cls, name)
         cls._take_verbs()
 
     @classmethod

@@ -16,7 +16,7 @@ from casadi_skin.dynamics import EvolutionError, distance_from_orbit, evolve
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.arguments import check_name, number, short_repr, whole
-from casadi_skin.model.result import Result
+from casadi_skin.model.result import Result, in_turn
 from casadi_skin.optimise.kick_nlp import KickedFlow, KickNlp, KickOptimum, reach
 from casadi_skin.optimise.search import distinct
 from casadi_skin.optimise.search_problem import CosineOrbit, Ending, Outcome, Start, solve_start
@@ -48,6 +48,7 @@ class Escape:
         return float(self.distance[k]), float(self.t[k])
 
 
+@in_turn
 def escape(orbit: Orbit | CosineOrbit, kick: ArrayLike, t: ArrayLike, tolerance: float = 1e-11) -> Escape:
     """Distance from the orbit after a kick (2N,) of positions and velocities at t = 0, by CVODES.
 
@@ -68,6 +69,7 @@ def sampled(orbit: Orbit, time: float) -> Array:
     return np.linspace(0.0, time, 1 + max(8, int(np.ceil(SAMPLES_PER_PERIOD * time / orbit.period))))
 
 
+@in_turn
 def size_to_escape(orbit: Orbit, direction: Array, time: float, distance: float) -> tuple[float, float]:
     """Smallest size of a kick along `direction` (2N,) that escapes, and its time of escape, by CVODES.
 

@@ -19,7 +19,7 @@ import numpy as np
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.arguments import check_options, truth, whole
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.result import Result
+from casadi_skin.model.result import Result, in_turn
 from casadi_skin.optimise.family_search import FamilySearch
 from casadi_skin.optimise.nlp import FLAT_CURVATURE
 from casadi_skin.optimise.orbit_search import OrbitSearch
@@ -358,6 +358,7 @@ class ParetoFront(Result):
         return all(search.found for search in self.searches)
 
 
+@in_turn
 def pareto_front(
     chain_or_model: Chain | OdeModel,
     first: str,

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.model.arguments import file_path, short_repr, truth, whole
 from casadi_skin.model.interrupts import interrupts_deferred
+from casadi_skin.model.result import in_turn
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.directory import (
     JOURNAL_FILE,
@@ -202,6 +203,7 @@ class MapRun:
     existing: Existing = Existing.REFUSE
     pictures: bool = True
 
+    @in_turn
     def __post_init__(self) -> None:
         """Read the scene and bind it to its model; raises SceneError, and for options as `_check_options`."""
         self._check_options()
@@ -333,6 +335,7 @@ class MapRun:
             if found.attempts[task.cells[0]] == 0:
                 yield task
 
+    @in_turn
     def _write(self, found: Map, progress: Progress) -> None:
         """Write tables and pictures, except for a share while others are still to come."""
         found.refresh()

@@ -25,6 +25,7 @@ import numpy as np
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
+from casadi_skin.model.result import TURN
 from casadi_skin.optimise.names import FREE, NAMED
 from casadi_skin.optimise.search import SearchResult, search
 from casadi_skin.results.quantities import (
@@ -290,7 +291,7 @@ class Computer:
         """The rows of a task; a failure is kept in words."""
         started = time.perf_counter()
         try:
-            with one_thread(), warnings.catch_warnings():
+            with TURN, one_thread(), warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 rows, meanings = self._rows(task)
             return Result(tuple(rows), seconds=time.perf_counter() - started, meanings=meanings)

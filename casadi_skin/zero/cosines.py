@@ -12,7 +12,6 @@ Potier-Ferry 1990; Cochelin and Vergez 2009).
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
@@ -368,8 +367,7 @@ def _half_bandwidth(model: OdeModel) -> int:
 
 
 @lru_cache(maxsize=KEPT_RESOLUTIONS)
-def _equations_of(program: Program, harmonics: int, thread: int) -> CosineEquations:
-    """Those of a thread: the arguments of functions are arrays of their own."""
+def _equations_of(program: Program, harmonics: int) -> CosineEquations:
     numbers = sum(code == ca.OP_CONST for code, *_ in program.operations)
     q, p, c = (ca.SX.sym(name, size) for name, size in zip("qpc", (*program.inputs, numbers), strict=True))
     return CosineEquations(harmonics, [q, ca.SX.sym("v", q.numel()), p, c], *program.expressions([q, p], c))
@@ -421,7 +419,7 @@ class TrigonometricProblem(OrbitProblem):
         """The equations as functions, of z and `numbers`."""
         if not self._shares:
             return self._own_equations()
-        return _equations_of(_program(self.model)[0], self.resolution, threading.get_ident())
+        return _equations_of(_program(self.model)[0], self.resolution)
 
     @cached_property
     def _shares(self) -> bool:

@@ -1,0 +1,242 @@
+"""Results that threads share: eight at once find the bytes of one, a forked process can compute, an interrupt ends one.
+
+What one thread finds is found on results of its own, so that nothing is known before the eight begin.
+"""
+
+from __future__ import annotations
+
+import _thread
+import multiprocessing
+import os
+import pickle
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from kernels import needs_kernels, numpy_alone
+from matplotlib.figure import Figure
+
+from casadi_skin import (
+    Branch,
+    Chain,
+    OdeModel,
+    Orbit,
+    find_equilibrium,
+    find_orbit,
+    follow_family,
+    read_result,
+    save_result,
+    search_orbit,
+    simulate,
+)
+
+THREADS = 8
+LIMIT = 300.0  # seconds after which threads are taken to wait for each other
+CHAIN = Chain(6, 1.0, 0.25, -1.0)
+
+
+@pytest.fixture(params=[pytest.param(True, id="kernels", marks=needs_kernels), pytest.param(False, id="numpy")])
+def _kernels(request: pytest.FixtureRequest) -> Iterator[None]:
+    with nullcontext() if request.param else numpy_alone():
+        yield
+
+
+@pytest.fixture(autouse=True)
+def _often() -> Iterator[None]:
+    """Threads give way to each other a hundred times as often as they do."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(5e-5)
+    yield
+    sys.setswitchinterval(before)
+
+
+def together(*works: Callable[[], Any]) -> list[Any]:
+    """What each finds in a thread of its own, all of which begin at once."""
+    found: list[Any] = [None] * len(works)
+    begin = threading.Barrier(len(works))
+
+    def work(k: int) -> None:
+        begin.wait()
+        try:
+            found[k] = works[k]()
+        except BaseException as error:
+            found[k] = error
+
+    threads = [threading.Thread(target=work, args=(k,), daemon=True) for k in range(len(works))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(LIMIT)
+        assert not thread.is_alive()
+    for each in found:
+        if isinstance(each, BaseException):
+            raise each
+    return found
+
+
+def van_der_pol() -> OdeModel:
+    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
+    return OdeModel("oscillator", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu, nominal=(1.0,))
+
+
+def cycle() -> Orbit:
+    return find_orbit(van_der_pol(), lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6, parameters={"mu": 1.0})
+
+
+def rest() -> Any:
+    x, y, p = (ca.SX.sym(name) for name in ("x", "y", "p"))
+    rate = p * (1 - x) * ca.exp(y)
+    model = OdeModel("reactor", ca.vertcat(x, y), ca.vertcat(-x + rate, -y + 14 * rate - 2 * y), p, nominal=(0.0,))
+    return find_equilibrium(model, [0.0, 0.0])
+
+
+def family(**options: Any) -> Branch:
+    return follow_family(CHAIN, 1, 1.5, at=(0.5,), **options)
+
+
+def rows(branch: Branch, *names: str) -> list[bytes]:
+    return [np.asarray(branch[name]).tobytes() for name in names]
+
+
+def points(branch: Branch) -> list[Any]:
+    return [(point.kind, tuple(point.parameters.items()), point.error) for point in branch.special_points]
+
+
+def changes(branch: Branch) -> list[str]:
+    return [repr(change) for change in branch.changes]
+
+
+def multipliers(branch: Branch) -> list[bytes]:
+    return [orbit.floquet().multipliers.tobytes() for orbit in branch]
+
+
+# Eight threads: what is shared is made by the first function, what each finds in it by the others in turn -------------
+
+
+def at(place: float) -> Callable[[Branch], bytes]:
+    return lambda branch: branch.at(S=place).states.tobytes()
+
+
+def evolved(model: OdeModel) -> bytes:
+    return bytes(simulate(model, [2.0, 0.0], np.linspace(0.0, 20.0, 11)).states.tobytes())
+
+
+def searched(chain: Chain) -> tuple[float, ...]:
+    bounds = {"S": (0.1, 1.0), "gamma": (0.0, 0.3)}
+    best = search_orbit(chain, objective="Omega", mode="last", free=("S", "gamma"), bounds=bounds, starts=2).best
+    return best.Omega, best.S, best.gamma
+
+
+def proved(orbit: Orbit) -> str:
+    return repr(orbit.certify())
+
+
+def drawn(branch: Branch) -> list[bytes]:
+    return [line.get_xydata().tobytes() for line in branch.plot(Figure().subplots()).lines]
+
+
+SHARED: dict[str, tuple[Callable[[], Any], tuple[Callable[[Any], Any], ...]]] = {
+    "orbits of a family": (family, tuple(at(place) for place in np.linspace(0.2, 1.2, THREADS))),
+    "an orbit": (cycle, (lambda orbit: rows(orbit.follow("mu", 2.0, stability=True), "period", "mu"),)),
+    "an equilibrium": (rest, (lambda one: points(one.follow("p", 0.25)),)),
+    "a branch of orbits": (lambda: family(stability=True), (changes, multipliers, points, drawn)),
+    "a branch of equilibria": (lambda: rest().follow("p", 0.25), (points, drawn, lambda branch: rows(branch, "x"))),
+    "a model": (van_der_pol, (evolved,)),
+    "a chain": (lambda: Chain(4, 1.0, 0.25, 1.0), (searched,)),
+}
+
+
+QUICK = ("orbits of a family", "a model")
+
+
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in SHARED]
+)
+@pytest.mark.usefixtures("_kernels")
+def test_eight_threads_find_the_bytes_of_one(name: str) -> None:
+    made, works = SHARED[name]
+    expected = [work(made()) for work in works]
+    shared, places = made(), [k % len(works) for k in range(THREADS)]
+    found = together(*(lambda work=works[k]: work(shared) for k in places))  # type: ignore[misc]
+    for k, each in zip(places, found, strict=True):
+        assert each == expected[k]
+
+
+def test_eight_threads_prove_one_orbit() -> None:
+    pytest.importorskip("flint")
+    orbit = family(tolerance=1e-10).at(S=0.5)
+    expected = proved(family(tolerance=1e-10).at(S=0.5))
+    assert together(*[lambda: proved(orbit)] * THREADS) == [expected] * THREADS
+
+
+def test_eight_threads_save_one_branch(tmp_path: Path) -> None:
+    def written(branch: Branch, number: int) -> bytes:
+        path = tmp_path / f"{number}.result"
+        save_result(branch, path)
+        assert read_result(path).Omega.tobytes() == branch.Omega.tobytes()
+        return path.read_bytes()
+
+    expected, branch = written(family(stability=True), THREADS), family(stability=True)
+    found = together(*(lambda k=k: written(branch, k) for k in range(THREADS)))  # type: ignore[misc]
+    assert set(found) == {expected}
+
+
+# While another thread computes ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def busy() -> Iterator[Branch]:
+    """A family along which another thread computes."""
+    branch, stop = family(), threading.Event()
+
+    def work() -> None:
+        while not stop.is_set():
+            branch.at(S=0.3)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    yield branch
+    stop.set()
+    thread.join(LIMIT)
+    assert not thread.is_alive()
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")
+def test_a_process_forked_meanwhile_computes(busy: Branch) -> None:
+    expected, context = family().at(S=0.7).states.tobytes(), multiprocessing.get_context("fork")
+
+    def child(answer: Any) -> None:
+        own, other = busy.at(S=0.7).states.tobytes(), together(lambda: busy.at(S=0.7).states.tobytes())
+        answer.send((own, other[0]))
+
+    for _ in range(5):
+        here, there = context.Pipe()
+        process = context.Process(target=child, args=(there,))
+        process.start()
+        assert here.poll(LIMIT)
+        assert here.recv() == (expected, expected)
+        process.join(LIMIT)
+        assert process.exitcode == 0
+
+
+def test_an_interrupt_ends_the_main_thread_alone(busy: Branch) -> None:
+    def on_and_on() -> None:
+        while True:
+            busy.at(S=0.7)
+
+    expected = family().at(S=0.7).states.tobytes()
+    threading.Timer(0.05, _thread.interrupt_main).start()
+    with pytest.raises(KeyboardInterrupt):
+        on_and_on()
+    assert busy.at(S=0.7).states.tobytes() == expected
+
+
+def test_public_functions_are_found_again_when_they_are_pickled() -> None:
+    assert pickle.loads(pickle.dumps(follow_family)) is follow_family
