@@ -70,9 +70,6 @@ def killed(records: int, scene: Path, out: Path) -> int:
     return process.returncode
 
 
-SECONDS_TO_SECOND_SIGNAL = 20.0  # one is lost in 1 to 2 of 40 runs: a user gives another; files may take long before
-
-
 def ended_from_outside(number: int, scene: Path, out: Path, size: int = 100_000) -> int:
     """Exit status of a run in a process of its own that gets a signal when its journal has a size; it is printed."""
     words = ["run", str(scene), "--out", str(out)]
@@ -82,11 +79,7 @@ def ended_from_outside(number: int, scene: Path, out: Path, size: int = 100_000)
         assert process.poll() is None, process.communicate()
         time.sleep(0.01)
     process.send_signal(number)
-    try:
-        told, error = process.communicate(timeout=SECONDS_TO_SECOND_SIGNAL)
-    except subprocess.TimeoutExpired:
-        process.send_signal(number)
-        told, error = process.communicate()
+    told, error = process.communicate(timeout=120.0)
     print(told, end="")
     print(error, end="", file=sys.stderr)
     return process.returncode

@@ -21,6 +21,7 @@ from kernels import needs_kernels, numpy_alone  # numpy is imported with them, w
 from scenes import run as run
 
 from casadi_skin.follow import family
+from casadi_skin.model.interrupts import ENDING
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
@@ -69,8 +70,8 @@ def compiler_of_quick_runs(pytestconfig: pytest.Config, tmp_path_factory: pytest
 
 @pytest.fixture
 def interruptible() -> Iterator[None]:
-    """SIGINT and SIGTERM as in a terminal, for the test and its child processes: a background job ignores SIGINT."""
-    handlers = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    """Signals as in a terminal, for the test and its child processes: a background job ignores SIGINT."""
+    handlers = {signal.SIGINT: signal.default_int_handler, **dict.fromkeys(ENDING[1:], signal.SIG_DFL)}
     before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     yield
     for number, handler in before.items():

@@ -30,7 +30,8 @@ def blank_pictures(patch: pytest.MonkeyPatch) -> None:
         drawn._draw_was_started = True  # a film that was not drawn warns
 
     patch.setattr("matplotlib.figure.Figure.savefig", write)
-    patch.setattr("casadi_skin.results.figures.style._write", write)
+    blank = "casadi_skin.results.figures.style._draw"
+    patch.setattr(blank, lambda drawn, *_: setattr(drawn, "_draw_was_started", True))
     patch.setattr("matplotlib.animation.Animation.save", write)
     patch.setattr("matplotlib.layout_engine.ConstrainedLayoutEngine.execute", lambda *_: None)
     patch.setattr("casadi_skin.results.figures.style.lay_out", lambda *_: None)

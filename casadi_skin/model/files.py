@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import shutil
 import signal
+import stat
 import subprocess
 import tempfile
 import weakref
@@ -14,7 +16,41 @@ from contextlib import contextmanager, suppress
 from fnmatch import fnmatch
 from pathlib import Path
 
+from casadi_skin.model.interrupts import ENDING
+
 LEFTOVER_NAME = re.compile(r"\.(?P<name>.+(?P<suffix>\.\w+))\.[a-z0-9_]{8}(?P=suffix)")  # as `replacing` names them
+
+NOT_FOLLOWED = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # a link; a pipe is not waited for
+BINARY = getattr(os, "O_BINARY", 0)
+
+
+def other_file(path: Path, in_place: bool = False) -> str:
+    """Why what stands at a path is none of our files, in words; empty where it is one, or nothing stands there.
+
+    A file that is written in place has no other name: what is written would be in the other file too.
+    """
+    try:
+        return _fault(path.lstat(), in_place)
+    except FileNotFoundError:
+        return ""
+
+
+def _fault(state: os.stat_result, in_place: bool) -> str:
+    if stat.S_ISLNK(state.st_mode):
+        return "is a symbolic link"
+    if not stat.S_ISREG(state.st_mode):
+        return "is a directory" if stat.S_ISDIR(state.st_mode) else "is no file"
+    return "is a hard link, the same file as another one" if in_place and state.st_nlink > 1 else ""
+
+
+def opened_in_place(path: Path) -> int:
+    """Descriptor of a file to be written in place, made where there is none; raises OSError where it is a link."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | NOT_FOLLOWED | BINARY, 0o666)
+    fault = _fault(os.fstat(descriptor), in_place=True)
+    if fault:
+        os.close(descriptor)
+        raise OSError(errno.EMLINK, fault, str(path))
+    return descriptor
 
 
 @contextmanager
@@ -58,8 +94,7 @@ class TemporaryFolder:
     """
 
     def __init__(self, prefix: str) -> None:
-        held = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, held)  # the shell inherits it
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)  # the shell inherits it
         try:
             self.path = Path(tempfile.mkdtemp(prefix=prefix))
             command = ["/bin/sh", "-c", 'read -r _; exec rm -rf -- "$0"', str(self.path)]

@@ -8,6 +8,7 @@ while arguments are converted ends in a TypeError instead.
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +16,37 @@ from dataclasses import dataclass
 from types import FrameType
 
 SECONDS_TO_AGAIN = 0.01  # seconds after which a block that goes on is ended again
+ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
+def heeded() -> list[signal.Signals]:
+    """The signals that end this process, those left out that it was told to ignore; none but in the main thread."""
+    if threading.current_thread() is not threading.main_thread():  # signals reach that one alone
+        return []
+    return [number for number in ENDING if signal.getsignal(number) is not signal.SIG_IGN]
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """End the block with KeyboardInterrupt at SIGINT, SIGTERM or SIGHUP, again where it goes on: one may be lost."""
+    before = {number: signal.signal(number, _end) for number in heeded()}
+    try:
+        yield
+    finally:
+        if before:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        for number, handler in before.items():
+            signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
+    signal.setitimer(signal.ITIMER_REAL, SECONDS_TO_AGAIN)
+    raised = sys.exc_info()[1]
+    while raised is not None and not isinstance(raised, KeyboardInterrupt):
+        raised = raised.__context__
+    if raised is None:  # it is not on its way through blocks that clean up
+        raise KeyboardInterrupt
 
 
 @dataclass
@@ -31,21 +63,14 @@ class TimeLimit:
 @contextmanager
 def time_limited(limit: TimeLimit) -> Iterator[None]:
     """End the block as SIGTERM ends it, once it has taken as long as it may; in the main thread."""
-    if limit.seconds is None:
-        yield
-        return
-
-    direct = signal.getsignal(signal.SIGTERM)
 
     def on_alarm(number: int, frame: FrameType | None) -> None:
         limit.is_over = True
-        if signal.getsignal(signal.SIGTERM) is direct:  # not held back: one that comes while arguments are
-            signal.setitimer(signal.ITIMER_REAL, SECONDS_TO_AGAIN)  # converted may be lost
         signal.raise_signal(signal.SIGTERM)
 
     before = signal.signal(signal.SIGALRM, on_alarm)
     try:
-        signal.setitimer(signal.ITIMER_REAL, limit.seconds)
+        signal.setitimer(signal.ITIMER_REAL, limit.seconds or 0.0)
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
@@ -54,14 +79,11 @@ def time_limited(limit: TimeLimit) -> Iterator[None]:
 
 @contextmanager
 def interrupts_deferred(end_solver: bool = False) -> Iterator[None]:
-    """Hold back SIGINT and SIGTERM inside the block, and deliver the last one when it ends.
+    """Hold back SIGINT, SIGTERM and SIGHUP inside the block, and deliver the last one when it ends.
 
     With `end_solver` a signal makes the running callback fail, so that a long integration ends at once; without
     it the second one does. What the solver raises after a signal is raised only where the signal's own handler returns.
     """
-    if threading.current_thread() is not threading.main_thread():  # signals reach the main thread alone
-        yield
-        return
     received: list[tuple[int, FrameType | None]] = []
 
     def on_signal(number: int, frame: FrameType | None) -> None:
@@ -69,8 +91,7 @@ def interrupts_deferred(end_solver: bool = False) -> Iterator[None]:
         if end_solver or len(received) > 1:
             raise KeyboardInterrupt
 
-    heeded = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is not signal.SIG_IGN]
-    handlers = {n: signal.signal(n, on_signal) for n in heeded}
+    handlers = {n: signal.signal(n, on_signal) for n in heeded()}
     failure: BaseException | None = None
     try:
         yield

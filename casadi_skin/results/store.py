@@ -31,6 +31,7 @@ import msgspec
 import numpy as np
 
 from casadi_skin.model.arguments import short_repr
+from casadi_skin.model.files import opened_in_place
 from casadi_skin.zero.settings import Point, Refinement
 
 DAMAGED_FILE_ERRORS = (
@@ -290,7 +291,7 @@ class Journal(Generic[Record]):
         keep = each or (lambda _, record: self.records.append(record))
         with mapped(path) as data:
             self.end, self.fault = scan(data, decoder, keep)
-        self._file = path.open("r+b" if path.exists() else "x+b", buffering=0)
+        self._file = os.fdopen(opened_in_place(path), "r+b", buffering=0)
         self._file.truncate(self.end)
 
     def __enter__(self) -> Self:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import fcntl
 import os
 import socket
+import stat
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from enum import Enum
+from fnmatch import fnmatch
 from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casadi_skin.model.files import leftovers, replacing
+from casadi_skin.model.files import leftovers, opened_in_place, other_file, replacing
 from casadi_skin.model.methods import FORMATS
 from casadi_skin.runs.output import InputError
 from casadi_skin.runs.reading import parse_scene
@@ -43,6 +45,7 @@ PICTURE_STEMS = (
     "frequency", "profile", "spectrum", "bands", "plane_j*", "multipliers_j*", "dynamics", "search", "branch", "orbit",
     "curves", "portrait", "map_*", "skin", "spreading", "edges",
 )  # fmt: skip
+RUN_FILES = (*WRITTEN_FILES, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURE_STEMS for kind in FORMATS), "*.fmu")
 
 
 class DirectoryError(InputError):
@@ -63,12 +66,11 @@ def prepare(directory: Path, request: Request, scene_text: str, existing: Existi
 
     Raises DirectoryError where the directory may not be used; nothing is written then.
     """
-    names = (*WRITTEN_FILES, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURE_STEMS for kind in FORMATS), "*.fmu")
     check_writable(directory)
     shared = existing is Existing.SHARE
     if shared or existing is Existing.RESUME:
         _check_same_source(directory, request)
-    left = leftovers(directory, names) if directory.is_dir() and not shared else []
+    left = leftovers(directory, RUN_FILES) if directory.is_dir() and not shared else []
     accepted = "an empty or new directory, --resume or --overwrite"
     held = _check_free(directory, existing is not Existing.REFUSE, accepted, left)
     if shared:
@@ -83,7 +85,7 @@ def prepare(directory: Path, request: Request, scene_text: str, existing: Existi
         _check_complete(directory)
         return False
     if held and existing is Existing.OVERWRITE:
-        _remove_results(directory, names[:-1])
+        _remove_results(directory, RUN_FILES[:-1])
     for path in left:
         path.unlink(missing_ok=True)
     make_directory(directory)
@@ -141,9 +143,6 @@ def _remove_results(directory: Path, names: Sequence[str]) -> None:
         )
         raise DirectoryError(f"{directory}: holds {held} and no run made it; {accepted}")
     old = [path for name in names for path in directory.glob(name)]
-    for path in old:
-        if path.is_dir() and not path.is_symlink():
-            raise DirectoryError(f"{path}: is a directory, which no run made; accepted: a directory without it")
     _remove_export(directory / EXPORT_FOLDER)
     for path in old:
         path.unlink()
@@ -157,8 +156,6 @@ def _of_a_run(directory: Path) -> bool:
 
 def _remove_export(folder: Path) -> None:
     """Remove the C code of a run before; raises DirectoryError for a folder of that name with anything else in it."""
-    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise DirectoryError(f"{folder}: is no folder that a run made; {ACCEPTED_EXPORT}")
     if not folder.exists():
         return
     stems = [path.stem for path in folder.glob("*.h") if path.is_file() and HEADER_AUTHOR in path.read_bytes()[:400]]
@@ -192,7 +189,10 @@ def _check_free(directory: Path, may_hold: bool, accepted: str, left: Sequence[P
 
 
 def check_writable(directory: Path) -> None:
-    """Raises DirectoryError for a path that is not a directory, or where nothing can be written."""
+    """Raises DirectoryError for a path that is not a directory, where nothing can be written, or with others' files.
+
+    A file of a run is no link: what would be written into another file, or read from it, is not the run's.
+    """
     try:
         exists = directory.exists()
     except (OSError, ValueError) as error:  # a name that no file can have
@@ -205,6 +205,13 @@ def check_writable(directory: Path) -> None:
         parent = parent.parent
     if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
         raise DirectoryError(f"{directory}: cannot be written (in {parent}); accepted: a directory that can be")
+    for path in sorted(directory.iterdir()) if exists else ():
+        in_place = path.name.startswith(LOCK_PREFIX) or fnmatch(path.name, "journal*.msgpack")
+        fault = other_file(path, in_place) if in_place or any(fnmatch(path.name, name) for name in RUN_FILES) else ""
+        if path.name == EXPORT_FOLDER and not stat.S_ISDIR(path.lstat().st_mode):
+            fault = "is no folder that a run made"
+        if fault:
+            raise DirectoryError(f"{path}: {fault}; accepted: a regular file that a run wrote, or none")
 
 
 def _check_same_source(directory: Path, request: Request) -> None:
@@ -298,7 +305,7 @@ def in_use(directory: Path, report: Callable[[str], None], shared: bool = False,
 def _lock(path: Path, shared: bool) -> int:
     """The descriptor of a file that is locked, with its process in words; raises OSError."""
     while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        descriptor = opened_in_place(path)
         try:
             fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
             if _is_there(descriptor, path):

@@ -95,10 +95,22 @@ def print_table(title: str | None, columns: Sequence[str], rows: Iterable[Sequen
 # Exit status of commands, and wrong input -----------------------------------------------------------------------------
 
 DONE, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
+MOST_REASONS = 5  # that are printed
+LINE_BEGIN, LINE_END = 500, 300  # characters of a line that is printed; what is between them is left out
 
 
 class InputError(ValueError):
     """Something the user gave is wrong; the message is one line."""
+
+
+def complain(*reasons: str) -> None:
+    """Print reasons on standard error: the first few, each in one line of a length that can be read."""
+    for reason in reasons[:MOST_REASONS]:
+        line = " ".join(reason.split())
+        fits = len(line) <= LINE_BEGIN + LINE_END
+        print(line if fits else f"{line[:LINE_BEGIN]} ... {line[-LINE_END:]}", file=sys.stderr)
+    if len(reasons) > MOST_REASONS:
+        print(f"casadi-skin: {len(reasons) - MOST_REASONS} more reasons of this kind; --json has all", file=sys.stderr)
 
 
 def exit_status(act: Callable[[], int]) -> int:
@@ -106,13 +118,13 @@ def exit_status(act: Callable[[], int]) -> int:
     try:
         return act()
     except InputError as error:
-        print(f"casadi-skin: {error}", file=sys.stderr)
+        complain(f"casadi-skin: {error}")
         return WRONG_INPUT
     except KeyboardInterrupt:
-        print("casadi-skin: interrupted", file=sys.stderr)
+        complain("casadi-skin: interrupted")
         return INTERRUPTED
     except OSError as error:
-        print(f"casadi-skin: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
+        complain(f"casadi-skin: {error.filename or 'a file'}: {error.strerror or error}")
         return FAILED
 
 
@@ -246,7 +258,7 @@ class Progress:
     def report(self, words: str) -> None:
         """Leave a line on standard error, unless quiet."""
         if not self._quiet:
-            print(f"casadi-skin: {words}", file=sys.stderr)
+            complain(f"casadi-skin: {words}")
 
     def say(self, words: str) -> None:
         """Show the present step."""

@@ -10,7 +10,6 @@ import argparse
 import gc
 import math
 import re
-import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -19,14 +18,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from casadi_skin._version import __version__
+from casadi_skin.model.interrupts import ended_by_signals
 from casadi_skin.runs.output import (
     DONE,
     FAILED,
     INTERRUPTED,
+    MOST_REASONS,
     WRONG_INPUT,
     InputError,
     OutputError,
     add_study_options,
+    complain,
     exit_status,
     guarded_streams,
     print_json,
@@ -45,7 +47,6 @@ COLLECTOR_THRESHOLDS = (200_000, 20, 50)  # modules live to the end, and a pictu
 OF_MODEL = ("orbit", "continuation", "search", "dynamics", "export", "map")  # tables checked against the model
 ASKED_TASKS = ("family", "equilibrium", "orbit", "solution", "search", "dynamics", "export", "spectrum")
 KINDS = ("chain", "lattice", "model")  # of scenes to start from
-MOST_REASONS = 5  # of failed cells that are printed
 
 # Options, and the table of commands -----------------------------------------------------------------------------------
 
@@ -174,10 +175,10 @@ def _run_in(
         print_results(directory, status == DONE, [stopped] if stopped else reasons)
     elif not arguments.quiet:
         print_summary(run)
+    place = f"{arguments.scene}: "
     if stopped:
-        print(f"{stopped}; what was computed is in {directory}; go on with --resume", file=sys.stderr)
-    for reason in () if stopped else reasons:
-        print(f"{arguments.scene}: {reason}", file=sys.stderr)
+        reasons, place = [f"{stopped}; what was computed is in {directory}; go on with --resume"], ""
+    complain(*(f"{place}{reason}" for reason in reasons))
     return status
 
 
@@ -294,12 +295,12 @@ def map_(arguments: argparse.Namespace) -> int:
             raise InputError(f"map: --scheduler: {error}") from None
         except KeyboardInterrupt:
             status, words = _stopped(arguments, limit)
-            print(f"{words}; what was computed is in {directory}; go on with --resume", file=sys.stderr)
+            complain(f"{words}; what was computed is in {directory}; go on with --resume")
             return status
         except (ValueError, ArithmeticError) as error:
             if type(error).__module__.startswith("casadi_skin"):
                 raise
-            print(f"casadi-skin: {directory}: {error}", file=sys.stderr)
+            complain(f"casadi-skin: {directory}: {error}")
             return FAILED
     return _report_map(found, arguments)
 
@@ -328,8 +329,7 @@ def _report_map(found: Map, arguments: argparse.Namespace) -> int:
         print(f"the share {arguments.part} is computed; {found.directory} waits for the other shares")
     elif not arguments.quiet:
         print(f"{found.summary()}\nresults in {found.directory}")
-    for reason in reasons:
-        print(f"{arguments.scene}: {reason}", file=sys.stderr)
+    complain(*(f"{arguments.scene}: {reason}" for reason in reasons))
     return FAILED if reasons else DONE
 
 
@@ -522,8 +522,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             parsed, unknown = _parser().parse_known_args(arguments)
             if unknown:
                 _Parser(prog=f"casadi-skin {parsed.command}").error(f"unrecognized arguments: {' '.join(unknown)}")
-            signal.signal(signal.SIGTERM, signal.default_int_handler)  # a polite kill ends a run like Ctrl-C
-            return exit_status(lambda: COMMANDS[parsed.command][0](parsed))
+            with ended_by_signals():
+                return exit_status(lambda: COMMANDS[parsed.command][0](parsed))
     except OutputError as error:
         with suppress(OSError, ValueError, AttributeError):  # standard error may be closed, too
             sys.stderr.write(f"casadi-skin: standard output: {error}\n")

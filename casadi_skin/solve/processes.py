@@ -35,6 +35,7 @@ from typing import IO, Any
 
 import casadi_skin
 from casadi_skin.model.arguments import function_of, short_repr, whole
+from casadi_skin.model.interrupts import ENDING, heeded
 from casadi_skin.solve.ipopt import Monitor
 from casadi_skin.solve.watch import one_thread
 
@@ -52,7 +53,8 @@ Tell = Callable[[Any], None]
 def serve(descriptor: int, parent: int) -> None:
     """Compute tasks until the connection is closed, or none comes."""
     _end_with(parent)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the process that waits
+    for number in {*ENDING} - {signal.SIGTERM}:
+        signal.signal(number, signal.SIG_IGN)  # Ctrl-C, or the end of a terminal, reaches the process that waits
     connection = Connection(descriptor)
     main = connection.recv()
     if main is not None:
@@ -333,8 +335,8 @@ Solve = Callable[[Any, Monitor | None], Any]  # (start, monitor) -> outcome
 class Runner:
     """Runs starts with `workers` processes or an `executor` of processes, and reports where it is.
 
-    `interrupted` is true after SIGINT or SIGTERM; the second one interrupts at once. Raises TypeError or ValueError for
-    processes that cannot be used.
+    `interrupted` is true after SIGINT, SIGTERM or SIGHUP; the second one interrupts at once. Raises TypeError or
+    ValueError for processes that cannot be used.
     """
 
     def __init__(self, report: Report | None = None, workers: int = 1, executor: Executor | None = None) -> None:
@@ -353,9 +355,7 @@ class Runner:
     @contextmanager
     def listening(self) -> Iterator[None]:
         """Listen for signals inside the block, in the main thread, and keep linear algebra on one thread."""
-        heeded = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is not signal.SIG_IGN]
-        main = threading.current_thread() is threading.main_thread()
-        before = {n: signal.signal(n, self._receive) for n in heeded if main}
+        before = {n: signal.signal(n, self._receive) for n in heeded()}
         try:
             with one_thread():
                 yield

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import threading
-import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -79,6 +78,14 @@ def test_what_dies_hangs_or_fails_is_told_tried_twice_and_left(tmp_path: Path) -
     assert found.states.tolist() == [1, 0, 0, 3]
 
 
+def killed_at_work(worker: int, folder: Path) -> bool:
+    """Kill a worker that computes a cell: one that is killed between two is started again, and nothing dies."""
+    os.kill(worker, signal.SIGSTOP)
+    at_work = (folder / f"computes_{worker}").exists()
+    os.kill(worker, signal.SIGKILL if at_work else signal.SIGCONT)
+    return at_work
+
+
 def test_workers_and_a_parent_that_are_killed_lose_no_finished_cell(
     tmp_path: Path, undisturbed: tuple[Path, tuple[bytes, bytes]]
 ) -> None:
@@ -86,8 +93,7 @@ def test_workers_and_a_parent_that_are_killed_lose_no_finished_cell(
     out = tmp_path / "out"
     with command("map", scene, "--out", out, "--workers", 2, "--no-pictures", "--quiet") as process:
         until(lambda: tasks(out / JOURNAL))
-        time.sleep(0.2)  # both compute a cell of 0.4 s then: one that is killed between two is started again
-        os.kill(workers_of(process.pid)[0], signal.SIGKILL)
+        until(lambda: killed_at_work(workers_of(process.pid)[0], scene.parent))
         until(lambda: "died" in [task.kind for task in tasks(out / JOURNAL)])
         workers = workers_of(process.pid)
         process.send_signal(signal.SIGKILL)

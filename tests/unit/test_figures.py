@@ -318,13 +318,14 @@ def test_files_are_the_same_bytes_whatever_the_settings(tmp_path: Path, draw: Ca
 def test_a_failed_write_leaves_the_old_files_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "f.png").write_bytes(b"old")
 
-    def fail(figure: Figure, path: Path) -> None:
-        path.write_bytes(b"half")
+    def fail(path: Path, data: bytes) -> None:
+        path.write_text("half", encoding="utf-8")
         raise OSError("no space left")
 
-    monkeypatch.setattr("casadi_skin.results.figures.style._write", fail)
+    monkeypatch.setattr(Path, "write_bytes", fail)
     with pytest.raises(OSError, match="no space"):
         save(Figure(), tmp_path / "f")
+    monkeypatch.undo()
     assert [path.name for path in tmp_path.iterdir()] == ["f.png"]
     assert (tmp_path / "f.png").read_bytes() == b"old"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,7 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.closed_curve import cosine_curve
 from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS
-from casadi_skin.model.files import replacing
+from casadi_skin.model.files import TemporaryFolder, replacing
 from casadi_skin.results.figures import style
 from casadi_skin.results.figures.branches import solution_title
 from casadi_skin.zero.problem import Array, Indices
@@ -240,8 +241,14 @@ def animate(orbit: Orbit, path: Path | str, periods: int = 1, frames: int = FRAM
             return (*move(frame), clock)
 
         film = animation.FuncAnimation(figure, show, frames=turns.size)
-        with replacing(target) as temporary:
-            film.save(temporary, writer=writers[target.suffix], fps=24, dpi=100)
+        folder = TemporaryFolder("casadi_skin_film_")  # which goes where this process is killed meanwhile, too
+        try:
+            drawn = folder.path / target.name
+            film.save(drawn, writer=writers[target.suffix], fps=24, dpi=100)
+            with replacing(target) as temporary:
+                shutil.copyfile(drawn, temporary)
+        finally:
+            folder.remove()
     return target
 
 

@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from importlib.resources import as_file, files
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -336,15 +337,17 @@ def save(figure: Figure, stem: Path, formats: Iterable[str] = ("png",)) -> list[
     """
     paths = [stem.with_name(f"{stem.name}.{kind}") for kind in formats]
     for path in paths:
-        with replacing(path) as temporary, style():
-            _write(figure, temporary)
+        drawn = BytesIO()
+        with style():
+            _draw(figure, path.suffix[1:], drawn)
+        with replacing(path) as temporary:  # drawn before, so that a process that is killed leaves nothing
+            temporary.write_bytes(drawn.getvalue())
     return paths
 
 
-def _write(figure: Figure, path: Path) -> None:
-    kind = path.suffix[1:]
+def _draw(figure: Figure, kind: str, stream: BytesIO) -> None:
     if kind in DATED_FORMATS:
-        figure.savefig(path, format=kind, dpi=PNG_DPI, metadata={DATED_FORMATS[kind]: None})
+        figure.savefig(stream, format=kind, dpi=PNG_DPI, metadata={DATED_FORMATS[kind]: None})
         return
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
@@ -353,8 +356,7 @@ def _write(figure: Figure, path: Path) -> None:
     if not isinstance(canvas, FigureCanvasAgg):
         canvas = FigureCanvasAgg(figure)
     canvas.draw()  # savefig draws twice
-    with path.open("wb") as stream:
-        write_png(stream, np.asarray(canvas.buffer_rgba()), PNG_DPI)
+    write_png(stream, np.asarray(canvas.buffer_rgba()), PNG_DPI)
 
 
 # PNG files of opaque pictures: rows as they are, which zlib packs smaller than rows filtered as photographs are -------
