@@ -33,6 +33,17 @@ def test_chains_that_differ_in_numbers_share_what_is_built_and_keep_their_own() 
         np.testing.assert_allclose(dense_jacobian(problem, z), np.array(ca.DM(own_jacobian)), rtol=0, atol=1e-12)
 
 
+def test_chains_too_long_to_be_compared_are_built_of_their_own_expressions() -> None:
+    one, other = (TrigonometricProblem(Chain(900, 1.0, gamma, -1.0).gauge_model(), 2) for gamma in (0.3, 0.1))
+    assert one.shared is not other.shared
+    z = np.random.default_rng(6).normal(size=one.size)
+    z[one.Omega_index] = 1.3
+    for problem in (one, other):
+        residual, _ = problem.function(z, problem.constants)
+        np.testing.assert_allclose(problem.evaluate(z)[0], np.array(residual).ravel(), rtol=0, atol=1e-12)
+    assert not np.allclose(one.evaluate(z)[0], other.evaluate(z)[0])
+
+
 def test_families_followed_by_turns_are_those_followed_one_by_one() -> None:
     """What they share keeps nothing of either."""
 
