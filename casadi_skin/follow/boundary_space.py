@@ -249,12 +249,13 @@ class BoundarySpace(ParameterSpace):
         backwards = point.problem.backwards(point.z)
         if backwards:
             raise BoundaryError(f"{name}: {backwards}")
-        if point.error.relative(1.0) > MEANINGLESS_ERROR:
-            family = in_family(point.problem, point.z)
-            if family:
-                raise FamilyError(f"{name}: {family}")
+        estimate = point.error.relative(1.0)
+        family = in_family(point.problem, point.z) if estimate > self.tolerance else ""
+        if family:
+            raise FamilyError(f"{name}: {family}")
+        if estimate > MEANINGLESS_ERROR:
             reason = rank_deficiency(point.problem, point.z) or "the equations are nearly singular there"
-            words = f"rounding alone leaves an error of {point.error.relative(1.0):.1e}"
+            words = f"rounding alone leaves an error of {estimate:.1e}"
             raise BoundaryError(f"{name}: no solution near the guess: {words}; {reason}")
         return point
 

@@ -76,7 +76,7 @@ def _parity(permutation: Indices) -> float:
     return sign
 
 
-SINGULAR_GROWTH = 1e12  # growth of a right-hand side of size 1 that only a singular matrix gives
+SINGULAR_GROWTH = 1e12  # growth of residuals, in units of both (`Problem.units_at`), that only a singular matrix gives
 LONG_ROW_FACTOR = 1e-2  # factor of rows through most unknowns, as of integrals and of the arclength
 ACCURATE_RESIDUAL = 1e-9  # residual of a solve, relative to the largest entries of matrix and solution
 
@@ -185,7 +185,7 @@ class BorderedSolver:
         band = BandLayout.of(problem)
         self._kernel = None if band is None else band.kernel(problem)
         self._probes = np.zeros((size, 2))
-        self._probes[-1, 0], self._probes[:-1, 1] = 1.0, problem.residual_size * problem.probe
+        self._probes[-1, 0], self._probes[:-1, 1] = 1.0, problem.probe
         places = problem.kept("closed", lambda: _Places.of(problem))
         self._order, self._closing, self._open, self._taken = places.order, places.closing, places.open, places.taken
         self._closed = csc_matrix((np.zeros(places.rows.size), places.rows, places.bounds), shape=(size, size))
@@ -242,7 +242,9 @@ class BorderedSolver:
             if orientation is not None:
                 return BandFactors(self._kernel, memory, float(orientation[0]))
         solve = self._factor_sparse(nonzeros, row)
-        if not self._accurate(solve(self._probes), nonzeros, row):
+        sizes, residuals = self.problem.units_at(z, nonzeros)
+        self._probes[:-1, 1] = residuals * self.problem.probe
+        if not self._accurate(solve(self._probes), sizes, nonzeros, row):
             raise SingularError(
                 "the Jacobian with its border is singular: two families meet, a fold in the held unknown, or sizes "
                 "too far apart for double precision"
@@ -273,14 +275,14 @@ class BorderedSolver:
         except SingularError:
             return 0.0
 
-    def _accurate(self, probes: Array, nonzeros: Array, row: Array) -> bool:
+    def _accurate(self, probes: Array, sizes: Array | float, nonzeros: Array, row: Array) -> bool:
         """Whether solutions for `_probes` reproduce their right-hand side and the matrix is not singular.
 
         The first, for (0, ..., 0, 1), gives the tangent; the second, for residuals in general position, is huge where
-        the matrix is singular. A NaN in either fails every comparison.
+        the matrix is singular, in `sizes` of unknowns. A NaN in either fails every comparison.
         """
         x, general = np.ascontiguousarray(probes.T)
-        if not max(general.max(), -general.min()) < SINGULAR_GROWTH:
+        if not np.max(np.abs(general) / sizes) < SINGULAR_GROWTH:
             return False
         largest = max(x.max(), -x.min()) * max(nonzeros.max(), -nonzeros.min())
         if self.problem.in_order:  # collocation, whose solvers are made more often than used

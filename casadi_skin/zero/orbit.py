@@ -38,7 +38,7 @@ from casadi_skin.model.jumps import Jumps
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.family import Method
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.stated_problem import PERIOD
+from casadi_skin.zero.stated_problem import PERIOD, SMALLEST_COMPONENT_RATIO
 from casadi_skin.zero.statement import Bounds, Statement, check_expressions
 
 T = TypeVar("T")
@@ -516,6 +516,24 @@ def boundary_method(options: Mapping[str, Any]) -> Method:
     return method
 
 
+MOVED_SAMPLES = 9  # places along a guess at which components are asked what others move them by
+
+
+def _moved_by_others(statement: Statement, guess: Array) -> Array:
+    """What the others move each component by within the interval, or against its own decay, shape (components,)."""
+    model, (start, end), p = statement.model, statement.span(), list(statement.values.values())
+    slopes = model.function("slopes", ca.jacobian(model.full_rhs, model.full_state))
+    sizes, moved = np.max(np.abs(guess), axis=0), np.zeros(guess.shape[1])
+    rows, columns = map(np.array, slopes.sparsity_out(0).get_triplet())
+    for turn in np.linspace(0.0, 1.0, MOVED_SAMPLES):
+        x = guess[int(turn * (len(guess) - 1))]
+        changes = (end - start) * np.abs(np.array(slopes(start + turn * (end - start), x, p).nonzeros()))
+        own, others = rows == columns, rows != columns
+        by_others = np.bincount(rows[others], changes[others] * sizes[columns[others]], sizes.size)
+        moved = np.fmax(moved, by_others / (1.0 + np.bincount(rows[own], changes[own], sizes.size)))
+    return np.where(np.isfinite(moved), moved, 0.0)
+
+
 @dataclass(frozen=True)
 class Sizes:
     """Least scales of the components of the state and of the free parameters."""
@@ -525,8 +543,15 @@ class Sizes:
 
     @classmethod
     def of(cls, statement: Statement, guess: Array) -> Sizes:
-        """A thousandth of each component of the guess, as components have units; 1 for a guess of zeros."""
+        """A thousandth of each component of the guess, as components have units; 1 for a guess of zeros.
+
+        A component far below others may be zero but for rounding: a millionth of what others move it by is the least.
+        """
         states = 1e-3 * np.max(np.abs(guess), axis=0) if np.any(guess) else np.ones(guess.shape[1])
+        small = (states > 0.0) & (states < SMALLEST_COMPONENT_RATIO * np.max(states))
+        if np.any(small):
+            least = SMALLEST_COMPONENT_RATIO * _moved_by_others(statement, guess)
+            states = np.where(small, np.maximum(states, least), states)
         values = np.array([statement.values[name] for name in statement.free])
         return cls(states, np.where(values == 0.0, 1.0, 1e-3 * np.abs(values)))
 

@@ -324,10 +324,9 @@ class Problem(ABC):
         """Residuals of size 1 in general position, shape (size - 1,), which are not to be written to."""
         return _probe(self.size - 1)
 
-    @property
-    def residual_size(self) -> float:
-        """What a residual has to be to matter: 1, or less where the states are small."""
-        return 1.0
+    def units_at(self, z: Array, nonzeros: Array) -> tuple[Array | float, Array | float]:
+        """What unknowns at z and residuals are measured by, of each one or of all, with the Jacobian's non-zeros."""
+        return 1.0, 1.0
 
     def rounding(self, z: Array) -> float:
         """Size of the rounding errors in the residuals at z."""

@@ -26,7 +26,8 @@ LONGEST_CONDITION = 40  # characters of a condition in a message
 PERIOD = "period"  # the free parameter that is the unknown period of an autonomous orbit
 COMPONENT_FLOOR = 1e-3  # of the largest value of a component: what it is measured by at least
 ZERO_SOLUTION_SIZE = 1e-12  # solutions smaller than this, found from zeros, are measured by 1
-SMALLEST_COMPONENT_RATIO = 1e-6  # of the largest component: smaller ones are measured by that
+# Of what moves a component, of the largest one where its guess is zero: smaller ones are measured by that.
+SMALLEST_COMPONENT_RATIO = 1e-6
 
 
 class BoundaryProblem(CollocationEquations):
@@ -85,10 +86,19 @@ class BoundaryProblem(CollocationEquations):
     def sample(self, z: Array, theta: Array) -> Array:
         return self._interpolate(z, np.asarray(theta, dtype=float))
 
-    @property
-    def residual_size(self) -> float:
-        largest = COMPONENT_FLOOR**-1 * float(np.max(self.floors, initial=0.0))
-        return min(1.0, largest) if largest > 0.0 else 1.0
+    def units_at(self, z: Array, nonzeros: Array) -> tuple[Array, Array]:
+        """Sizes of unknowns, and of the largest terms of residuals: components and times have units of their own.
+
+        A component whose guess is zero has the size of the largest one. Of a condition whose derivative vanishes the
+        size is that of the smallest, or 1: it determines nothing there.
+        """
+        sizes, largest, floors = self.sizes(z), np.zeros(self.size - 1), self.floors[self.floors > 0.0]
+        states = sizes[: self.states].reshape(self.columns, -1)
+        states[:, self.floors == 0.0] = np.max(states[0])
+        np.maximum.at(largest, self.pattern[0], np.abs(nonzeros) * sizes[self.pattern[1]])
+        conditions = largest[self.states - self.formulation.states :]
+        conditions[:] = np.maximum(conditions, np.min(floors / COMPONENT_FLOOR, initial=1.0))
+        return sizes, largest
 
     def frequency(self, z: Array) -> float:
         return 1.0
@@ -103,7 +113,7 @@ class BoundaryProblem(CollocationEquations):
 
     def _component_sizes(self, values: Array) -> Array:
         own = np.maximum(np.max(np.abs(values), axis=0), self.floors)
-        return np.asarray(np.maximum(own, SMALLEST_COMPONENT_RATIO * np.max(own)))
+        return np.asarray(np.where(self.floors > 0.0, own, np.maximum(own, SMALLEST_COMPONENT_RATIO * np.max(own))))
 
     def measure_by(self, z: Array) -> None:
         """Let FLOOR of z be what its components are measured by at least, where it is not zero but for rounding.

@@ -1,4 +1,4 @@
-"""Special points of equilibria do not depend on the units of states, of time and of the parameter."""
+"""Special points and cycles do not depend on the units of states, of time and of the parameter."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from equilibrium_models import symbols
 
-from casadi_skin import OdeModel, find_equilibrium
-from casadi_skin.follow.branch import Branch
+from casadi_skin import OdeModel, find_equilibrium, find_orbit
+from casadi_skin.follow.branch import Branch, End
+from casadi_skin.follow.space import FamilyError
 
 
 def hodgkin_huxley(unit: float, shift: float) -> OdeModel:
@@ -110,3 +111,42 @@ def test_neighbouring_eigenvalues_of_a_fine_grid_are_two() -> None:
     for point in points:
         other = point.follow("r", 1.1 * point.parameters["r"], max_points=5)
         assert np.max(np.abs(other.solutions[-1].state)) > 1e-3
+
+
+QUICK = [(1e-8, 1.0, 1.0), (1e8, 1.0, 1.0), (1.0, 1e7, 1.0), (1e-8, 1.0, 1e8), (1e8, 1e8, 1e-8)]
+UNITS = [
+    pytest.param(*units, marks=[] if units in QUICK else pytest.mark.slow)
+    for time in (1e-8, 1.0, 1e8)
+    for x, y in ((1.0, 1.0), (1e7, 1.0), (1.0, 1e8), (1e-8, 1e-8), (1e8, 1e8), (1e8, 1e-8), (1e-8, 1e8))
+    for units in [(time, x, y)]
+]
+
+
+@pytest.mark.parametrize(("time", "x", "y"), UNITS)
+def test_cycles_are_followed_to_their_hopf_point_in_any_units(time: float, x: float, y: float) -> None:
+    """r' = r (p - r^2), angle' = 1 + 0.3 r^2: a cycle of radius sqrt(p), frequency 1 + 0.3 p, born at p = 0."""
+    u, v, p = symbols("u v p")
+    a, b = u / x, v / y
+    square = a**2 + b**2
+    turn, growth = 1 + 0.3 * square, p - square
+    rates = ca.vertcat(time * x * (growth * a - turn * b), time * y * (turn * a + growth * b))
+    model = OdeModel("normal form", ca.vertcat(u, v), rates, p)
+    frequency = 1.3 * time
+
+    def circle(t: float) -> list[float]:
+        return [x * np.cos(frequency * t), y * np.sin(frequency * t)]
+
+    branch = find_orbit(model, circle, 2.0 * np.pi / frequency, parameters={"p": 1.0}).follow("p", -0.5)
+    assert branch.end is End.HOPF
+    assert len(branch) == 43  # whatever the units
+    assert [(point.kind, abs(point.parameters["p"]) <= 1e-14) for point in branch.special_points] == [("hopf", True)]
+    np.testing.assert_allclose(branch["period"], 2.0 * np.pi / (1 + 0.3 * branch["p"]) / time, rtol=1e-8)
+
+
+@pytest.mark.parametrize(("time", "x", "y"), UNITS)
+def test_orbits_of_an_undeclared_energy_are_one_of_a_family_in_any_units(time: float, x: float, y: float) -> None:
+    q, v = symbols("q v")
+    rates = ca.vertcat(time * x * (v / y), -time * y * (q / x + (q / x) ** 3))
+    model = OdeModel("undeclared", ca.vertcat(q, v), rates)
+    with pytest.raises(FamilyError, match="seems to conserve something"):
+        find_orbit(model, lambda t: [x * np.cos(1.3 * time * t), -1.3 * y * np.sin(1.3 * time * t)], 4.8 / time)
