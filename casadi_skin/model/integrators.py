@@ -236,7 +236,8 @@ def simulated(model: OdeModel, parameters: Array, start: Array, times: Array, to
             words = f"{escape[1]} runs to infinity: it is {escape[2]:.3g} at t = {escape[0]:.6g}"
         else:
             k = int(np.argmax(np.abs(state)))
-            words = f"{model.state_names[k]} = {state[k]:.3g} is its largest component there, and CVODES {reason}"
+            words = f"{model.state_names[k]} = {state[k]:.3g} is its largest component there, and CVODES"
+            words += reason.removeprefix("it")
         raise IntegrationError("cvodes", words, trajectory, times[1:], float(times[0])) from error
 
 
@@ -254,6 +255,8 @@ def far_state(
     with np.errstate(all="ignore"):
         rule = DOP853(lambda t, x: np.array(field(t, x, parameters)).ravel(), time, state, end, rtol=1e-6)
         for _ in range(ESCAPE_STEPS):  # a stiff model would take very many
+            if not np.isfinite(rule.h_abs):  # scipy's step would never end
+                break
             rule.step()
             k = int(np.argmax(np.abs(rule.y[:moving])))
             if abs(rule.y[k]) > far:

@@ -24,22 +24,27 @@ class ModelFileError(ValueError):
 
 
 def read_source(path: Path) -> str:
-    """The text of a file; raises ModelFileError where there is none, or more than a model has."""
+    """The text of a file of a model, its ends of lines as Python has them; raises ModelFileError as `read_text`."""
+    return io.StringIO(read_text(path), newline=None).read()
+
+
+def read_text(path: Path, kind: str = "a text file", encoding: str = "utf-8") -> str:
+    """The text of a file; raises ModelFileError where there is none, or more than a user writes."""
     try:
-        if path.exists() and not path.is_file():  # a pipe or a device may never end
-            raise ModelFileError(f"{path}: no file; accepted: a text file in UTF-8")
+        if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe or a device may never end
+            raise ModelFileError(f"{path}: no regular file; accepted: {kind} in UTF-8")
         with path.open("rb") as file:
             data = file.read(LARGEST_FILE_BYTES + 1)
         if len(data) > LARGEST_FILE_BYTES:
-            raise ModelFileError(f"{path}: longer than {LARGEST_FILE_BYTES} bytes; accepted: a text file up to that")
-        return io.TextIOWrapper(io.BytesIO(data), encoding="utf-8").read()
+            raise ModelFileError(f"{path}: longer than {LARGEST_FILE_BYTES} bytes; accepted: {kind} up to that")
+        return data.decode(encoding)
     except ModelFileError:
         raise
     except UnicodeDecodeError as error:
-        raise ModelFileError(f"{path}: not UTF-8 at byte {error.start}; accepted: a text file in UTF-8") from None
+        raise ModelFileError(f"{path}: not UTF-8 at byte {error.start}; accepted: {kind} in UTF-8") from None
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         reason = getattr(error, "strerror", None) or error
-        raise ModelFileError(f"{path}: cannot be read: {reason}; accepted: a file that can be") from None
+        raise ModelFileError(f"{path}: cannot be read: {reason}; accepted: {kind} that can be") from None
 
 
 def run_file(path: Path, source: str) -> dict[str, Any]:

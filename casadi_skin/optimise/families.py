@@ -310,8 +310,8 @@ class ChainFamily(ModelFamily):
         alpha_n = values.get("alpha_n", ca.repmat(values.get("alpha", ca.SX(chain.alpha)), N, 1))
         alpha, coupling = ca.sum1(alpha_n) / N, ca.sqrt((1 - gamma) * (1 + gamma))
         size = -gamma if self.mirrored else gamma
-        powers = [((1 - size) / (1 + size)) ** m for m in range(N)]
-        w, q = ca.vertcat(*(powers if self.mirrored else reversed(powers))), ca.SX.sym("q", N)
+        powers = ca.DM([*(range(N) if self.mirrored else reversed(range(N)))])
+        w, q = ((1 - size) / (1 + size)) ** powers, ca.SX.sym("q", N)
         zero = ca.SX.zeros(1)
         beside = ca.vertcat(zero, q[:-1]) + ca.vertcat(q[1:], zero) if N > 1 else zero
         elastic = ca.dot(q, (2 + alpha_n) * q) / 2 - coupling * ca.dot(q[1:], q[:-1])

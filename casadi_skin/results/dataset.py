@@ -283,8 +283,10 @@ def check_whole(path: Path) -> None:
     """Raises ValueError, naming the file, where a netCDF file or a table of a run was cut off or cannot be read."""
     with readable(path):
         if path.suffix == ".csv":
-            if not path.read_bytes().endswith(b"\n"):
-                raise ValueError("its last row is cut off")
+            with path.open("rb") as table:
+                table.seek(max(path.stat().st_size - 1, 0))
+                if table.read(1) != b"\n":
+                    raise ValueError("its last row is cut off")
             return
         from scipy.io import netcdf_file
 

@@ -32,6 +32,7 @@ from casadi_skin.results.store import (
     Writer,
     class_named,
     framed,
+    mapped,
     name_of,
     read_records,
 )
@@ -112,7 +113,8 @@ def read_result(path: str | Path, *, model: Any = None) -> Any:
     try:
         if not source.is_file():
             raise ValueError("no such file")
-        records, _, fault = read_records(source.read_bytes(), msgspec.msgpack.Decoder(SavedResult))
+        with mapped(source) as data:  # of a file of 10 GB no more is read than its first record
+            records, _, fault = read_records(data, msgspec.msgpack.Decoder(SavedResult))
         if fault or len(records) != 1:
             raise ValueError(fault or f"{len(records)} records")
         return restored(records[0], model)

@@ -336,7 +336,7 @@ def mapped(path: Path) -> Iterator[Data]:
         yield data
 
 
-def read_records(data: bytes, decoder: msgspec.msgpack.Decoder[Record]) -> tuple[list[Record], int, str]:
+def read_records(data: Data, decoder: msgspec.msgpack.Decoder[Record]) -> tuple[list[Record], int, str]:
     """The records of a journal up to the first that is not whole, the length of these, and the fault of the next.
 
     The last is empty where all of `data` is records of this format.

@@ -54,6 +54,7 @@ MOST_WORKERS = 256
 ASK_SECONDS = 5.0  # seconds between two questions about the workers of a cluster
 LOOK_SECONDS = 1.0  # seconds between two looks at an engine
 SHOW_SECONDS = 0.2  # seconds between two changes of the line of progress
+MEASURED_ORBITS = 64  # of a family at most, by which the cost of all of them is measured
 TELL_SECONDS = 30.0  # seconds between two lines of progress where there is no terminal
 SHORT_CELL_SECONDS = 5.0  # seconds of a first cell, imports among them, below which it is measured again
 SCHEDULER_ADDRESS = re.compile(r"inproc://\S+|(\w+://)?[^\s/]+:\d{1,5}")  # of a scheduler
@@ -447,17 +448,21 @@ def map_lines(scene: Scene, request: Request, path: Path) -> list[tuple[str, str
     families = grid.families(cells)
     (middle,) = grid.tasks(cells[families == families[len(cells) // 2]])
     tasks, computer = len(cells) // len(middle.cells), Computer(plain(scene), str(path.resolve()), table.growth)
-    result = computer(middle)
+    chosen = np.linspace(0, len(middle.cells) - 1, min(len(middle.cells), MEASURED_ORBITS)).astype(int).tolist()
+    amplitudes = tuple(middle.amplitudes[i] for i in chosen if middle.amplitudes)
+    few = msgspec.structs.replace(middle, cells=tuple(middle.cells[i] for i in chosen), amplitudes=amplitudes)
+    result = computer(few)
     if result.seconds < SHORT_CELL_SECONDS:
-        result = computer(middle)
+        result = computer(few)
+    each = result.seconds / len(chosen)
     sizes = " x ".join(f"{len(range(0, len(axis.values), axis.stride))} {axis.name}" for axis in grid.axes)
     of_families = f", orbits of {tasks} families" if grid.amplitude is not None else ""
     watched = ", ".join(table.watch or WATCHED)
     finest = f"; refined where {watched} change, to {grid.size}" if grid.refined else ""
     unused = [f"[{name}]" for name in ("spectrum", "dynamics", "export") if getattr(scene, name) is not None]
     failed = f"; it failed: {result.reason}" if result.kind else ""
-    one = f"{duration(result.seconds / len(middle.cells))} for one"
-    words = f"{one} (measured on {grid.name(middle.cells[0])}{failed}); {duration(result.seconds * tasks)} for all"
+    one = f"{duration(each)} for one"
+    words = f"{one} (measured on {grid.name(middle.cells[0])}{failed}); {duration(each * cells.size)} for all"
     more = ", more where cells are refined" if grid.refined else ""
     limit = f"; at most {duration(table.cell_limit)} a cell" if table.cell_limit is not None else ""
     left_out = [("not in cells", f"{', '.join(unused)}, films and pictures of single cells")] if unused else []

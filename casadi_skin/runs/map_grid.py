@@ -20,6 +20,7 @@ from casadi_skin.runs.scene import OPTIONS, ChainTable, RangeTable, Scene
 
 AMPLITUDE = ("family", "S")  # the orbit at an amplitude: cells that differ by it alone are orbits of one family
 TOGETHER_SEPARATOR = ","  # between the names of parameters that one axis moves
+MOST_TRIED = 1000  # values of a list that a scene is tried with at once; the cells of others name their faults
 MOST_CELLS = 10_000_000  # of a map at its finest: an index of them is kept in memory
 Path = tuple[str, ...]
 
@@ -110,14 +111,15 @@ def _check_range(name: str, axis: RangeTable) -> None:
 
 
 def _check_list(name: str, axis: tuple[object, ...]) -> None:
-    place, count = f"[map] {cut(name)}", len(name.split(TOGETHER_SEPARATOR))
+    place, count, seen = f"[map] {cut(name)}", len(name.split(TOGETHER_SEPARATOR)), set[object]()
     for i, value in enumerate(axis):
         if (len(value) if isinstance(value, tuple) else 1) != count:
             accepted = f"a list of {count} values in each" if count > 1 else "numbers or names"
             plain = list(value) if isinstance(value, tuple) else value
             raise refusal(place, f"{toml_repr(plain)} as item {i + 1}", accepted)
-        if value in axis[:i]:
+        if value in seen:
             raise refusal(place, f"{toml_repr(value)} as item {i + 1} again", "each value once")
+        seen.add(value)
 
 
 def _values(axis: RangeTable) -> tuple[Any, ...]:
@@ -252,7 +254,8 @@ class Grid:
         """Raises SceneError for the end of an axis that the scene refuses wherever the other axes end."""
         for axis in self.axes:
             others = [[a.settings(0), a.settings(-1)] for a in self.axes if a is not axis]
-            for place in (0, -1) if axis.numeric else range(len(axis.values)):
+            every = range(0, len(axis.values), -(-len(axis.values) // MOST_TRIED))
+            for place in (0, -1) if axis.numeric else every:
                 mine = axis.settings(place)
                 corners = ([*mine, *(pair for rest in corner for pair in rest)] for corner in product(*others))
                 fault = _fault(tables, mine)

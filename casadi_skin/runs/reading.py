@@ -13,11 +13,13 @@ from typing import Any
 import msgspec
 
 from casadi_skin.model.arguments import LONGEST_VALUE_TEXT, cut, did_you_mean, nearest
+from casadi_skin.model.loading import read_text as read_text_file
 from casadi_skin.runs.rules import (
     SceneError,
     Unknown,
     check_scene,
     check_unknown,
+    faults_at,
     inline,
     is_table,
     refusal,
@@ -60,14 +62,8 @@ def read_scene(path: str | Path) -> Scene:
 
 def read_text(path: str | Path) -> str:
     """Read the text of a scene file; raises SceneError where the file is missing or unreadable."""
-    source = str(path) or "."
-    try:
-        return Path(path).read_bytes().decode("utf-8-sig")  # some editors begin UTF-8 with a byte-order mark
-    except UnicodeDecodeError as error:
-        raise SceneError(f"{source}: not UTF-8 at byte {error.start}; accepted: TOML in UTF-8") from None
-    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
-        reason = getattr(error, "strerror", None) or error
-        raise SceneError(f"{source}: cannot be read: {reason}; accepted: a file in TOML") from None
+    with faults_at(""):
+        return read_text_file(Path(path), "TOML", "utf-8-sig")  # some editors begin UTF-8 with a byte-order mark
 
 
 def parse_scene(text: str, source: str = "scene") -> Scene:

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from casadi_skin.dynamics.starts import Spreading
     from casadi_skin.optimise.search import SearchResult
 
+MOST_BUILT_COMPONENTS = 2000  # of a model, whose programme a plan builds
 PER_PERIOD, FEWEST_TIMES, MOST_TIMES = 20, 401, 4001  # times that are written unless a number of them is given
 
 
@@ -311,19 +312,29 @@ class Search(Task):
 
     def plan(self) -> Lines:
         """The search, with the nonlinear programme of one start measured."""
-        from casadi_skin.optimise.family_search import FamilyNlp
+        from casadi_skin.optimise.family_search import HARMONICS_OFFERED, FamilyNlp
 
         table, problem = self.asked, self.request.searched
-        started = time.perf_counter()
-        problem = problem.prepared(problem.starts(1, table.seed)[0])
-        nlp = FamilyNlp(problem, problem.harmonics)
-        building = time.perf_counter() - started
+        tangent = any(str(name).endswith("_slope") for name in (table.objective, *(c.name for c in problem.conditions)))
+        if problem.family.size <= MOST_BUILT_COMPONENTS:
+            started = time.perf_counter()
+            problem = problem.prepared(problem.starts(1, table.seed)[0])
+            nlp = FamilyNlp(problem, problem.harmonics)
+            tangent, on = nlp.has_tangent, f"{nlp.size} on {nlp.harmonics} odd cosines"
+            building = (
+                f"{time.perf_counter() - started:.1g} s to build (measured now); starts and checks are not estimated"
+            )
+        else:
+            harmonics = HARMONICS_OFFERED[0]
+            each = (problem.family.size * harmonics + 1) * (1 + tangent)
+            on = f"{len(problem.free_names) + each * len(problem.amplitudes)} on {harmonics} odd cosines"
+            building = f"not known: more than {MOST_BUILT_COMPONENTS} components are not built for a plan"
         limits = zip(problem.free, problem.bounds, strict=True)
         bounds = ", ".join(f"{low:g} <= {name} <= {high:g}" for name, (low, high) in limits)
         held = [f"{c.name} = {c.upper:g}" if c.equality else f"{c.lower:g} <= {c.name} <= {c.upper:g}"
                 for c in problem.conditions]  # fmt: skip
         where = f"j = {problem.family.mode}" + ("" if "S" in problem.free else f", S = {problem.amplitudes[0]:g}")
-        tangent = " and those of its tangent" if nlp.has_tangent else ""
+        derivatives = " and those of its tangent" if tangent else ""
         processes = f"{table.workers} process{'' if table.workers == 1 else 'es'}"
         return [
             ("search", f"{'largest' if table.maximise else 'smallest'} {table.objective} on the family {where}"),
@@ -331,10 +342,10 @@ class Search(Task):
             ("held", "; ".join(held) or "nothing"),
             ("tolerance", f"{problem.tolerance:g}, relative, of objective and Omega"),
             ("starts", f"{table.starts}, seed {table.seed}, {processes}"),
-            ("unknowns", f"{nlp.size} on {nlp.harmonics} odd cosines; more harmonics where the tolerance asks for it"),
-            ("built", f"the orbit's equations{tangent}, their exact first and second derivatives, Ipopt"),
+            ("unknowns", f"{on}; more harmonics where the tolerance asks for it"),
+            ("built", f"the orbit's equations{derivatives}, their exact first and second derivatives, Ipopt"),
             ("not built", "families beyond the starts and checks" + ("" if tangent else ", the tangent")),
-            ("expected cost", f"{building:.1g} s to build (measured now); starts and checks are not estimated"),
+            ("expected cost", building),
         ]
 
     def run(self, run: Branches, directory: Path, scene_text: str) -> None:

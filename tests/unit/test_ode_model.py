@@ -327,7 +327,7 @@ def test_what_is_no_file_of_text_is_refused(tmp_path: Path) -> None:
     for name, words in (
         ("nothing.json", "cannot be read: No such file"),
         ("picture.png", "not UTF-8 at byte 128"),
-        ("pipe.json", "no file; accepted: a text file"),
+        ("pipe.json", "no regular file; accepted: a text file"),
         ("long.json", "longer than 33554432 bytes"),
     ):
         with pytest.raises(ValueError, match=rf"{name}: {words}"):

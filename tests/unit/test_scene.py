@@ -201,7 +201,7 @@ def test_files_as_editors_write_them_and_faults_name_them_as_given(
         assert str(caught.value).startswith(name.replace("\n", "\\n") + ": [chain]: given 3")
 
 
-def deny(self: Path) -> bytes:
+def deny(self: Path, _: str) -> bytes:
     raise PermissionError(13, "Permission denied", str(self))
 
 
@@ -216,7 +216,7 @@ def test_files_that_cannot_be_read(path: str, reason: str, tmp_path: Path, monke
     monkeypatch.chdir(tmp_path)
     Path("latin.toml").write_bytes("title = 'é'".encode("latin-1"))
     if path == "denied.toml":
-        monkeypatch.setattr(Path, "read_bytes", deny)
+        monkeypatch.setattr(Path, "open", deny)
     with pytest.raises(SceneError) as caught:
         read_scene(path)
     message = str(caught.value)

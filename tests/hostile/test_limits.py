@@ -1,0 +1,107 @@
+"""Files without end, and numbers at the ends of doubles: each is refused, or ends, in a line."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from casadi_skin import OdeModel, find_orbit, read_model, read_result, simulate
+from casadi_skin.model.loading import LARGEST_FILE_BYTES
+from casadi_skin.results.dataset import check_whole
+from casadi_skin.runs.binding import bound
+from casadi_skin.runs.map import map_lines
+from casadi_skin.runs.map_grid import MOST_TRIED, axes_of
+from casadi_skin.runs.plan import plan_lines
+from casadi_skin.runs.reading import parse_scene, read_scene
+from casadi_skin.runs.rules import SceneError
+
+TEN_GIGABYTES = 10 * 2**30
+CHAIN = "[chain]\nsites = 3\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n[family]\nmode = 1\namplitude_max = 0.5\n[map]\n"
+
+
+@pytest.mark.parametrize("read", [read_scene, read_model, read_result])
+@pytest.mark.parametrize("kind", ["device", "pipe", "long"])
+def test_files_without_end_are_refused(kind: str, read: Callable[[Path], object], tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    else:
+        path.touch()
+        os.truncate(path, TEN_GIGABYTES)
+    with pytest.raises(ValueError, match=f"^{path}: ") as caught:
+        read(path)
+    words = {"long": f"longer than {LARGEST_FILE_BYTES} bytes"}.get(kind, "no regular file")
+    if read is read_result:
+        words = {"long": "no record of a journal at byte 0"}.get(kind, "no such file")
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_long_table_is_looked_at_at_its_end(tmp_path: Path) -> None:
+    path = tmp_path / "family.csv"
+    path.touch()
+    os.truncate(path, TEN_GIGABYTES)
+    with pytest.raises(ValueError, match="its last row is cut off"):
+        check_whole(path)
+    with path.open("ab") as file:
+        file.write(b"\n")
+    check_whole(path)
+
+
+def van_der_pol() -> OdeModel:
+    x, v, mu = (ca.SX.sym(name) for name in ("x", "v", "mu"))
+    return OdeModel("vdp", ca.vertcat(x, v), ca.vertcat(v, mu * (1 - x**2) * v - x), mu, nominal=(1.0,))
+
+
+def test_a_state_that_the_model_cannot_take_ends_a_simulation() -> None:
+    """Scipy's steps have the length NaN then, and none of them ends."""
+    words = r"x = 1e\+200 is its largest component there, and CVODES returned CV_FIRST_RHSFUNC_ERR"
+    with pytest.raises(ArithmeticError, match=words):
+        simulate(van_der_pol(), [1e200, 0.0], [0.0, 1.0])
+
+
+@pytest.mark.parametrize("mu", [1e120, 1e200])
+def test_a_huge_parameter_ends_in_a_line(mu: float) -> None:
+    def circle(t: float) -> list[float]:
+        return [2.0 * np.cos(t), -2.0 * np.sin(t)]
+
+    with pytest.raises(ArithmeticError, match=r"^vdp: no solution near the guess: [^\n]*$"):
+        find_orbit(van_der_pol(), circle, 2.0 * np.pi, parameters={"mu": mu})
+
+
+def test_a_map_of_many_orbits_is_planned_from_few(tmp_path: Path) -> None:
+    text = CHAIN + "S = { from = 0.01, to = 0.5, points = 20000 }\ngamma = { from = 0, to = 0.9, points = 100 }\n"
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    scene = read_scene(path)
+    words = dict(map_lines(scene, bound(scene, path), path))
+    assert words["cells"] == "20000 S x 100 gamma = 2000000, orbits of 100 families"
+    assert "it failed" not in words["cost of cells"]
+
+
+def test_a_long_list_is_checked_in_little_time() -> None:
+    values = [1.0 + k / 2**20 for k in range(2**16)]
+    assert len(axes_of(parse_scene(f"{CHAIN}alpha = {values}\n"))[0].values) == 2**16 > MOST_TRIED
+    with pytest.raises(SceneError, match=r"1\.5 as item 65537 again"):
+        axes_of(parse_scene(f"{CHAIN}alpha = {[1.5, *values[1:], 1.5]}\n"))
+
+
+def test_a_search_on_many_sites_is_planned_without_its_programme(tmp_path: Path) -> None:
+    """Beside a small one, whose programme is built: unknowns are counted alike."""
+    chain, path = CHAIN.partition("[family]")[0], tmp_path / "scene.toml"
+    search = '[search]\nobjective = "Omega_slope"\nmode = 1\nS = 0.1\nfree = ["gamma"]\nbounds = { gamma = [0, 0.5] }\n'
+    unknowns = {}
+    for sites in (3, 30_000):
+        path.write_text(chain.replace("= 3", f"= {sites}") + search)
+        words = dict(plan_lines(bound(read_scene(path), path), measure=False))
+        unknowns[sites] = words["unknowns"]
+    assert unknowns[3].startswith(f"{1 + 2 * (3 * 6 + 1)} on 6 odd cosines; ")
+    assert unknowns[30_000].startswith(f"{1 + 2 * (30_000 * 6 + 1)} on 6 odd cosines; ")
+    assert words["expected cost"].startswith("not known: ")
