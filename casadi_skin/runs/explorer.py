@@ -149,18 +149,23 @@ def page_data(directory: Path) -> Contents:
 
 def _of_result(path: Path) -> Contents:
     """The contents of a page of a branch or a diagram in a file; raises ValueError for other contents."""
-    result, parts = read_result(path), list[Part]()
+    result = read_result(path)
     branches = getattr(result, "branches", (result,))
     if not all(isinstance(branch, Branch) and len(branch) for branch in branches):
         raise ValueError(f"{path}: holds {short_repr(result)}; {EXPLORER_FILE_ACCEPTED}")
+    with readable(path):  # a field of it may be another one than the class has
+        parts = [*_parts_of(path, branches)]
+    return _contents(path.stem, parts)
+
+
+def _parts_of(path: Path, branches: Sequence[Branch]) -> Iterator[Part]:
     for number, branch in enumerate(branches, start=1):
         family, rows = branch.space.is_family, list[Mapping[str, Any]]()
         name = f"other_{number}" if len(branches) > 1 else "family" if family else "branch"
         kinds = [] if family else [place.special or "" for place in places_of(branch)]
         if family and branch.diagram_of_changes is not None:
             rows += event_rows(mode_of(branch), branch.diagram_of_changes)
-        parts += _parts(path, name, dataset_of([branch]), kinds, rows)
-    return _contents(path.stem, parts)
+        yield from _parts(path, name, dataset_of([branch]), kinds, rows)
 
 
 def _rows(path: Path) -> list[dict[str, str]]:

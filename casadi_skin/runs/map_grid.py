@@ -102,7 +102,7 @@ def _check_range(name: str, axis: RangeTable) -> None:
         raise refusal(place, "a range for several parameters", "a list of lists")
     if axis.start == axis.to:
         raise refusal(f"{place}, to", f"{axis.to!r}, where it starts", "another number")
-    if not math.isfinite(axis.to - axis.start):
+    if not math.isfinite(float(axis.to) - axis.start):  # of integers the difference may be no float at all
         raise refusal(f"{place}, to", f"{axis.to!r}, farther from {axis.start!r} than numbers reach", "a nearer one")
     if axis.log and not (axis.start > 0 and axis.to > 0):
         raise refusal(f"{place}, log", f"true from {axis.start!r} to {axis.to!r}", "with numbers > 0")

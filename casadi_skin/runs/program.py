@@ -497,7 +497,8 @@ def _parser() -> argparse.ArgumentParser:
         prog="casadi-skin",
         description="Periodic orbits of lattices and of any model: families, branches, stability, pictures.",
         epilog="Example: casadi-skin new chain && casadi-skin run chain.toml. Exit status: 0 done, 1 failed or ended "
-        "early, 2 wrong input, 130 interrupted.",
+        "early, 2 wrong input, 130 interrupted. CASADI_SKIN_TRACEBACK=FILE in the environment keeps the traceback of "
+        "an unexpected error in a file.",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version, and which kernels are in use")
     added = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")

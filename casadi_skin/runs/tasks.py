@@ -32,6 +32,7 @@ from casadi_skin.runs.output import Lines, Progress
 from casadi_skin.runs.parts import mode_of, origin, picture
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import DynamicsTable, ExportTable, Scene, SearchTable
+from casadi_skin.solve.processes import WorkerEndedError
 
 if TYPE_CHECKING:
     from casadi_skin.dynamics import Evolution
@@ -355,7 +356,11 @@ class Search(Task):
         from casadi_skin.results.tables import write_search
 
         scene = self.request.scene
-        found = self.result = self._searched(run.progress, directory / JOURNAL_FILE)
+        try:
+            found = self.result = self._searched(run.progress, directory / JOURNAL_FILE)
+        except WorkerEndedError as error:
+            run.failures.append(f"[search]: {error}; starts that ended are kept; go on with --resume")
+            return
         run.progress.say("writing the search")
         write_search(found, directory, scene_text, scene.title or "")
         if found.optima or found.others:

@@ -304,7 +304,7 @@ class Pool(ThreadPoolExecutor):
 
 # Searches: starts shared by workers -----------------------------------------------------------------------------------
 
-ENDED_EARLY = 'search: a process ended early; in a script, parallel searches go below if __name__ == "__main__":'
+ENDED_EARLY = "search: a process ended early ({}); in a script, parallel searches go below if __name__ == '__main__':"
 
 
 @dataclass(frozen=True)
@@ -368,7 +368,7 @@ class Runner:
 
         A job has a `number` and a `name`, an outcome its `start` and `last`: iterations, objective and violation.
         For other processes `solve` is a method of an object that can be pickled, or a partial of a function with one.
-        An executor of the caller is not waited for after an interruption. Raises RuntimeError if a process ends early.
+        An executor of the caller is not waited for after an interruption. Raises WorkerEndedError if one ends early.
         """
         for done, ended in enumerate(self._ended(solve, jobs), start=1):
             yield ended
@@ -422,7 +422,7 @@ class Runner:
                         return
                     stop.set()
         except (BrokenProcessPool, WorkerEndedError) as error:
-            raise RuntimeError(ENDED_EARLY) from error
+            raise WorkerEndedError(ENDED_EARLY.format(error)) from error
         finally:
             for future in waiting:
                 future.cancel()

@@ -11,10 +11,11 @@ import pytest
 PROGRAM = """
 import atexit, sys
 from casadi_skin import __main__
+from casadi_skin.runs import program as commands
 def clean_up():
     print("cleaned up", end="")
 program = __main__.program
-__main__.main = lambda: {act}
+commands.main = lambda: {act}
 program()
 """
 

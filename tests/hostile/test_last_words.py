@@ -1,0 +1,166 @@
+"""Errors that no command expects are one line and exit status 1; those that it can expect name their place."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from apart import Ended
+from scenes import Runs, chain, family, table
+
+from casadi_skin import Chain, follow_family
+from casadi_skin.follow.branch import Branch
+from casadi_skin.results.saving import saved
+from casadi_skin.results.store import framed
+from casadi_skin.solve.processes import Worker
+
+Cli = Callable[..., Ended]
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+# The last handler -----------------------------------------------------------------------------------------------------
+
+PROGRAM = """
+import sys
+from casadi_skin import __main__
+from casadi_skin.runs import program
+def act(error):
+    raise error
+def caused():
+    try:
+        1 / 0
+    except ZeroDivisionError as error:
+        raise RuntimeError("elsewhere") from error
+{act}
+__main__.program()
+"""
+HINT = "; CASADI_SKIN_TRACEBACK=FILE keeps its traceback"
+
+
+def last_words(act: str, **environment: str) -> tuple[int, str]:
+    command = [sys.executable, "-c", PROGRAM.format(act=act)]
+    done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, check=False)
+    assert done.stdout == ""
+    return done.returncode, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("act", "words"),
+    [
+        ("program.main = lambda: act(KeyError('a\\nb'))", f"unexpected error: KeyError: 'a\\nb'{HINT}"),
+        ("program.main = lambda: act(ValueError('x\\n' * 500))", f"unexpected error: ValueError: {'x ' * 144}{HINT}"),
+        ("program.main = lambda: act(MemoryError())", f"unexpected error: MemoryError{HINT}"),
+        ("program.main = caused", f"unexpected error: ZeroDivisionError: division by zero{HINT}"),
+        ("sys.modules['casadi_skin.runs.program'] = None", "unexpected error: ModuleNotFoundError: import of"),
+    ],
+)
+def test_an_unexpected_error_is_one_line(act: str, words: str) -> None:
+    status, told = last_words(act)
+    assert status == 1
+    assert told.startswith(f"casadi-skin: {words}")
+    assert told.endswith(f"{HINT}\n")
+    assert told.count("\n") == 1
+
+
+def test_its_traceback_goes_to_the_file_that_is_asked_for(tmp_path: Path, cli: Cli) -> None:
+    file, act = tmp_path / "traceback", "program.main = lambda: act(KeyError('a'))"
+    told = "casadi-skin: unexpected error: KeyError: 'a'; its traceback"
+    assert last_words(act, CASADI_SKIN_TRACEBACK=str(file)) == (1, f"{told} is in {file}\n")
+    assert file.read_text().startswith("Traceback (most recent call last):\n")
+    assert last_words(act, CASADI_SKIN_TRACEBACK=str(tmp_path)) == (1, f"{told}: {tmp_path}: Is a directory\n")
+    assert "CASADI_SKIN_TRACEBACK=FILE" in cli("--help").out
+
+
+def test_an_interruption_before_a_command_begins_is_no_traceback() -> None:
+    assert last_words("program.main = lambda: act(KeyboardInterrupt())") == (130, "casadi-skin: interrupted\n")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of the address space are of Linux")
+@pytest.mark.parametrize("megabytes", [30, pytest.param(60, marks=pytest.mark.slow)])
+def test_an_import_without_memory_is_one_line(megabytes: int, tmp_path: Path) -> None:
+    words = "run", EXAMPLES / "fput_modes.toml", "--quiet", "--out", tmp_path
+    command = [sys.executable, "-m", "casadi_skin", *map(str, words)]
+    limit = (megabytes * 1_000_000,) * 2
+    done = subprocess.run(
+        command, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, limit), capture_output=True, text=True,
+        check=False, timeout=60,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "failed to map segment" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+# Errors that are expected ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("first", "last"), [("-" + "9" * 308, "9" * 308), ("9" * 308, "-" + "9" * 308)])
+def test_the_ends_of_a_range_that_floats_reach_may_be_too_far_apart(first: str, last: str, run: Runs) -> None:
+    scene = chain(4) + family(1, amplitude_max=0.3) + f"[map]\ng = {{ from = {first}, to = {last}, points = 3 }}\n"
+    told = run(scene, command="check", status=2).err
+    assert "[map] g, to: given " in told
+    assert told.count("\n") == 1
+
+
+@pytest.mark.parametrize("digits", [400, 5000])
+def test_an_end_of_many_digits_is_refused(digits: int, run: Runs) -> None:
+    scene = chain(4) + family(1, amplitude_max=0.3) + f"[map]\ng = {{ from = 0.1, to = {'9' * digits}, points = 3 }}\n"
+    assert run(scene, command="check", status=2).err.count("\n") == 1
+
+
+@pytest.fixture(scope="module")
+def branch() -> Branch:
+    return follow_family(Chain(2, 1.0, 0.25, -1.0), 1, 0.1, stability=True, tolerance=1e-4)
+
+
+def with_field(data: Any, name: str, value: Any) -> bool:
+    """Put a value into the first field of a name in data; whether there is one."""
+    if isinstance(data, dict) and name in data:
+        data[name] = value
+        return True
+    held = data.values() if isinstance(data, dict) else data if isinstance(data, list) else ()
+    return any(with_field(item, name, value) for item in held)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("space", 1e308), ("solutions", [1]), ("point", True), ("at_round_off", None), ("tangent", None),
+        ("error", 2.5),
+        ("mu", 10**6), ("mu_error", "x"), ("trivial", 2.5), ("multipliers", "x"), ("exact", -1), ("z", []),
+    ],
+)  # fmt: skip
+def test_a_saved_branch_with_a_wrong_field_is_refused(
+    name: str, value: Any, branch: Branch, tmp_path: Path, cli: Cli
+) -> None:
+    """Its checksum is right."""
+    data = msgspec.msgpack.decode(msgspec.msgpack.encode(saved(branch)))
+    assert with_field(data, name, value)
+    path = tmp_path / "branch.skin"
+    path.write_bytes(framed(msgspec.msgpack.encode(data)))
+    assert f"{path}: " in cli("explore", path).line
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("blank")
+def test_a_search_with_a_killed_worker_is_one_line_and_goes_on(run: Runs, monkeypatch: pytest.MonkeyPatch) -> None:
+    given = {"objective": "participation", "free": ["gamma"], "bounds": {"gamma": [0.1, 0.6]}, "starts": 3}
+    scene, answer, killed = chain(6, gamma=0.3, g=1.0), Worker._answer, list[int]()
+
+    def kill(self: Worker, *options: Any) -> Any:
+        if self.process is not None and not killed:
+            killed.append(self.process.pid)
+            self.process.kill()
+        return answer(self, *options)
+
+    monkeypatch.setattr(Worker, "_answer", kill)
+    told = run(scene + table("search", workers=2, **given), status=1).err
+    assert "[search]: search: a process ended early (its worker ended by signal 9)" in told
+    assert told.count("\n") == 1
+    assert "the best optimum sits on a bound" in run("", "--resume").out
