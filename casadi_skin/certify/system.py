@@ -23,7 +23,7 @@ from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.formula import Number
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import NotPolynomialError, constants, exact_terms
-from casadi_skin.zero.family import Coordinates
+from casadi_skin.zero.coordinates import Coordinates
 
 # The linear tail of a long or infinite chain, solved exactly, with bounds of the effect of its cubic terms ------------
 #

@@ -36,7 +36,8 @@ from casadi_skin.zero import mesh
 from casadi_skin.zero.augmented import Singularity, SingularProblem
 from casadi_skin.zero.balanced import ROUNDED_COMPONENT_RATIO
 from casadi_skin.zero.butcher import TABLES
-from casadi_skin.zero.family import TWO_PI, Method, numbered
+from casadi_skin.zero.coordinates import numbered
+from casadi_skin.zero.family import TWO_PI, Method
 from casadi_skin.zero.kinds import BOUND, BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, Unresolved
 from casadi_skin.zero.orbit import FIRST_INTERVALS, Periodic, Sizes
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError

@@ -21,8 +21,8 @@ from casadi_skin.stability.growth import TransientGrowth, transient_growth
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero import mesh
 from casadi_skin.zero.balanced import ComplexArray
+from casadi_skin.zero.coordinates import LOG10
 from casadi_skin.zero.cosines import cosine_matrix, quarter_phases
-from casadi_skin.zero.family import LOG10
 from casadi_skin.zero.problem import Array, Indices, Scalar
 from casadi_skin.zero.rest import Spectrum
 from casadi_skin.zero.settings import ContinuationSettings, Point, Target

@@ -21,8 +21,8 @@ from casadi_skin.lattice.stiffness import square_of_family
 from casadi_skin.lattice.tail import Tail, log_sums
 from casadi_skin.model.methods import EVERY_SITE, PAYS_FROM, TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.zero.coordinates import Coordinates, Localised, normalised, numbered
 from casadi_skin.zero.cosines import cosine_matrix
-from casadi_skin.zero.family import Coordinates, Localised, normalised, numbered
 from casadi_skin.zero.model_coordinates import FIRST, LAST, check_harmonics
 from casadi_skin.zero.problem import Array, Indices, Problem
 from casadi_skin.zero.settings import Point

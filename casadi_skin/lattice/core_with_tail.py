@@ -24,6 +24,7 @@ from casadi_skin.lattice.tail_parameter import Regime, TailParameter, TailValues
 from casadi_skin.model.methods import TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.native import TAIL, Structure
+from casadi_skin.zero.coordinates import Localised, normalised, shift_by_projection
 from casadi_skin.zero.cosines import (
     KEPT_RESOLUTIONS,
     CosineEquations,
@@ -33,7 +34,7 @@ from casadi_skin.zero.cosines import (
     cosine_matrix,
     quarter_phases,
 )
-from casadi_skin.zero.family import Localised, Method, normalised, shift_by_projection
+from casadi_skin.zero.family import Method
 from casadi_skin.zero.model_coordinates import DEEPEST_LOG_SCALE, ModelCoordinates, check_alone
 from casadi_skin.zero.problem import FREQUENCY_WEIGHT, Array, Buffers, Indices, Problem, Scalar, SingularError, Solve
 from casadi_skin.zero.settings import Point

@@ -25,7 +25,8 @@ from casadi_skin.zero.model_coordinates import FIRST, LAST, LinearSpectrum, numb
 from casadi_skin.zero.statement import named_values
 
 if TYPE_CHECKING:
-    from casadi_skin.zero.family import Coordinates, Method
+    from casadi_skin.zero.coordinates import Coordinates
+    from casadi_skin.zero.family import Method
 
 __all__ = ["Bond", "Lattice", "Site", "Uniform"]
 

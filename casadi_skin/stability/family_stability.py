@@ -20,13 +20,14 @@ from casadi_skin.stability.flows import CvodesFlow, FlowMap, OrbitState, Splitti
 from casadi_skin.stability.multipliers import floquet_vectors, floquets, vectors_of_map
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import Floquet, reversible_floquet
-from casadi_skin.zero.family import Coordinates, FamilyRequest
+from casadi_skin.zero.coordinates import Coordinates
+from casadi_skin.zero.family import FamilyRequest
 from casadi_skin.zero.problem import Array, Buffers, Problem
 from casadi_skin.zero.settings import Point, Refinement
 
 if TYPE_CHECKING:
     from casadi_skin.stability.tongues.hill import EdgeHill
-    from casadi_skin.zero.family import Localised
+    from casadi_skin.zero.coordinates import Localised
 
 STABILITY_BATCH = 32  # points whose stability is computed at a time: an interruption writes none that wait for it
 

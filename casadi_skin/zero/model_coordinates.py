@@ -21,7 +21,8 @@ from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
-from casadi_skin.zero.family import Coordinates, Method
+from casadi_skin.zero.coordinates import Coordinates
+from casadi_skin.zero.family import Method
 from casadi_skin.zero.problem import EPSILON, Array, Buffers
 from casadi_skin.zero.statement import named_values
 

@@ -32,7 +32,7 @@ from casadi_skin.stability.tongues.medium import (
     Medium,
     names_of_arcs,
 )
-from casadi_skin.zero.family import Coordinates
+from casadi_skin.zero.coordinates import Coordinates
 from casadi_skin.zero.problem import Array, Indices, Problem
 
 ROUND_OFF = 1e-15
