@@ -243,8 +243,9 @@ class BorderedSolver:
                 return BandFactors(self._kernel, memory, float(orientation[0]))
         solve = self._factor_sparse(nonzeros, row)
         sizes, residuals = self.problem.units_at(z, nonzeros)
-        self._probes[:-1, 1] = residuals * self.problem.probe
-        if not self._accurate(solve(self._probes), sizes, nonzeros, row):
+        probes = self._probes.copy()
+        probes[:-1, 1] *= residuals
+        if not self._accurate(solve(probes), sizes, nonzeros, row):
             raise SingularError(
                 "the Jacobian with its border is singular: two families meet, a fold in the held unknown, or sizes "
                 "too far apart for double precision"
