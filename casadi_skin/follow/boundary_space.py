@@ -126,7 +126,7 @@ def hopf_near(
     states = np.asarray(space.states_at(orbit, np.linspace(0.0, TWO_PI, 257)[:-1], None))
     model, values, x = space.model, space.parameters(orbit), states.mean(axis=0)
     statics = Statics(model, {**{key: values[key] for key in model.parameter_names}, name: start})
-    sizes = sizes_of([x, space.sizes.states[: x.size]])  # an equilibrium near zero has the size of the branch
+    sizes = sizes_of(statics, [x, space.sizes.states[: x.size]])  # an equilibrium near zero has the size of the branch
     equilibria = EquilibriumSpace(statics, 1e-10, "newton", sizes, parameter=name, to=to)
     guess = np.append(x / sizes, (values[name] - start) / (to - start))
     found = locate_rest(equilibria, HOPF, guess, 2j * np.pi / space.interval(orbit)[1])

@@ -388,7 +388,7 @@ def find_equilibrium(
     start = positions_of(model, guess)
     with one_thread(), np.errstate(all="ignore"):  # of equations that are not finite somewhere
         if transient is None:
-            return _near(EquilibriumSpace(statics, float(tolerance), corrector, sizes_of([start])), start)
+            return _near(EquilibriumSpace(statics, float(tolerance), corrector, sizes_of(statics, [start])), start)
         return _settled(statics, start, number("transient", transient), float(tolerance), corrector)
 
 
@@ -428,7 +428,7 @@ def find_equilibria(
         raise ValueError("upper: given a number below that in lower; accepted: numbers >= those in lower")
     whole("starts", starts, 1, MOST_STARTS)
     whole("seed", seed, 0)
-    space = EquilibriumSpace(statics, float(tolerance), corrector, sizes_of([low, high]))
+    space = EquilibriumSpace(statics, float(tolerance), corrector, sizes_of(statics, [low, high]))
     places = Sobol(statics.size, seed=seed).random(1 << max(0, (starts - 1).bit_length()))[:starts]
     found: list[Equilibrium] = []
     with one_thread():
@@ -528,7 +528,7 @@ def _settled(statics: Statics, start: Array, transient: float, tolerance: float,
     values = np.array(list(statics.values.values()))
     states = simulated(model.first_order(), values, full, np.linspace(0.0, transient, 201), 1e-9).states
     end = np.array(states[-1][: model.size])
-    space = EquilibriumSpace(statics, tolerance, corrector, sizes_of([end]))
+    space = EquilibriumSpace(statics, tolerance, corrector, sizes_of(statics, [end]))
     last = np.stack([state[: model.size] for state in states[-50:]])
     moving = float(np.max(np.ptp(last, axis=0) / np.maximum(np.abs(end), space.sizes)))
     if moving > SETTLED_DISTANCE:

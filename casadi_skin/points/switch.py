@@ -127,7 +127,7 @@ def _at_rest(orbit: Orbit) -> Equilibrium:
     space = orbit.space
     values = {name: orbit.parameters[name] for name in space.given.parameter_names}
     found = find_equilibrium(space.given, orbit.evaluate(0.0), parameters=values)
-    sizes = sizes_of([found.positions, space.sizes.states[: found.positions.size]])
+    sizes = sizes_of(found.space.statics, [found.positions, space.sizes.states[: found.positions.size]])
     return replace(found, space=replace(found.space, sizes=sizes))
 
 

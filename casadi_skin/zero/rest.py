@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -20,7 +21,14 @@ from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.pickled import programs_in
 from casadi_skin.model.result import Result
-from casadi_skin.zero.balanced import ROUNDED_COMPONENT_RATIO, BalancedMatrix, ComplexArray, NullSpace, units_of
+from casadi_skin.zero.balanced import (
+    ROUNDED_COMPONENT_RATIO,
+    BalancedMatrix,
+    ComplexArray,
+    NullSpace,
+    balanced,
+    units_of,
+)
 from casadi_skin.zero.problem import EPSILON, Array, Problem, Scalar
 from casadi_skin.zero.statement import in_order, named_values
 
@@ -206,15 +214,19 @@ class Course:
         return (value - self.start) / (self.to - self.start)
 
 
-def sizes_of(states: Sequence[Array]) -> Array:
+ROUNDED_STATE_RATIO = 1e-12  # of the largest component, in balanced units: a smaller one is zero but for rounding
+
+
+def sizes_of(statics: Statics, states: Sequence[Array]) -> Array:
     """Scale of each component: its largest value in these states as a power of two, shape (n,).
 
     One that is zero there has the median of the others as its scale, or 1.
     """
-    largest = np.max(np.abs(np.stack(list(states))), axis=0)
-    some = largest[largest > 1e-12 * float(np.max(largest, initial=0.0))]
-    usual = float(np.median(some)) if some.size else 1.0
-    return power_of_two(np.where(largest > 1e-12 * float(np.max(largest, initial=0.0)), largest, usual))
+    largest, units = np.max(np.abs(np.stack(list(states))), axis=0), np.ones(statics.size)
+    with suppress(ArithmeticError):  # where the equations are not defined
+        units = balanced(statics.jacobian(states[0], np.array(list(statics.values.values()))))[1]
+    moves = largest / units > ROUNDED_STATE_RATIO * float(np.max(largest / units, initial=0.0))
+    return power_of_two(np.where(moves, largest, np.median(largest[moves]) if np.any(moves) else 1.0))
 
 
 def power_of_two(sizes: Array) -> Array:
