@@ -113,6 +113,12 @@ def test_an_end_of_many_digits_is_refused(digits: int, run: Runs) -> None:
     assert run(scene, command="check", status=2).err.count("\n") == 1
 
 
+def test_a_lattice_of_first_order_has_no_linear_frequencies(cli: Cli, tmp_path: Path) -> None:
+    for more in ((), ("--out", tmp_path / "out")):
+        assert "[lattice]: given lattice; accepted" in cli("spectrum", EXAMPLES / "driven_chain.toml", *more).line
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.fixture(scope="module")
 def branch() -> Branch:
     return follow_family(Chain(2, 1.0, 0.25, -1.0), 1, 0.1, stability=True, tolerance=1e-4)
