@@ -205,6 +205,8 @@ def check(arguments: argparse.Namespace) -> int:
                 lines += map_lines(scene, request, arguments.scene)
         except SceneError as error:
             raise InputError(f"{arguments.scene}: {error}") from None
+        except (ValueError, ArithmeticError) as error:  # numbers that are finite, and what is made of them is not
+            raise InputError(f"{arguments.scene}: cannot be planned: {error}") from None
     if arguments.json:
         print_json([{"subject": subject, "words": words} for subject, words in lines])
     elif not arguments.quiet:

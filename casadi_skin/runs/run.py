@@ -128,7 +128,8 @@ class Run(Branches):
         if self.request.scene.spectrum is not None:
             from casadi_skin.runs.tasks import write_spectrum
 
-            write_spectrum(self.request, self.directory)
+            with self.named("[spectrum]: "):
+                write_spectrum(self.request, self.directory)
         branches = [branch for branch in self.branches if len(branch)]
         if not branches:
             return

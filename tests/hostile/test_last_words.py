@@ -119,6 +119,28 @@ def test_a_lattice_of_first_order_has_no_linear_frequencies(cli: Cli, tmp_path: 
     assert not (tmp_path / "out").exists()
 
 
+LATTICE = """[lattice]
+cells = 16
+[[lattice.site]]
+name = "a"
+[[lattice.bond]]
+from = "a"
+to = "a"
+offset = [1]
+gain = [1e308, 1e308]
+[spectrum]
+"""
+
+
+@pytest.mark.usefixtures("blank")
+def test_a_lattice_whose_stiffness_is_not_finite_is_one_line(run: Runs) -> None:
+    told = run(LATTICE, command="check", status=2).err
+    assert "cannot be planned: array must not contain infs or NaNs" in told
+    assert told.count("\n") == 1
+    assert "[spectrum]: " in (told := run(LATTICE, status=1).err)
+    assert told.count("\n") == 1
+
+
 @pytest.fixture(scope="module")
 def branch() -> Branch:
     return follow_family(Chain(2, 1.0, 0.25, -1.0), 1, 0.1, stability=True, tolerance=1e-4)
