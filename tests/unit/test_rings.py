@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from casadi_skin import Bond, Lattice, OdeModel, Site, follow_family
+from casadi_skin.results.figures.multipliers import multiplier_figure
 
 Array = NDArray[np.float64]
 
@@ -165,3 +166,9 @@ def test_a_family_that_is_unstable_from_rest_on_has_no_change_there() -> None:
     inside = branch.S > 1e-6  # below, multipliers are nearer to the circle than their errors
     assert np.array_equal(branch.stable[inside], branch.S[inside] > change.S)
     assert branch.unresolved == ()
+
+
+def test_a_picture_of_a_ring_tells_how_many_multipliers_are_trivial() -> None:
+    branch = follow_family(ring(4, "d + d^3"), 4, 0.1, stability=True, tolerance=1e-4)
+    figure = multiplier_figure(branch)
+    assert any("(4 trivial ones left out)" in axes.get_ylabel() for axes in figure.axes)

@@ -178,7 +178,9 @@ def _draw_moduli(axes: Axes, branch: Branch, diagram: StabilityDiagram | None) -
         axes.set(xlim=(0.0, 1.03 * values.max()), xlabel=style.amplitude_label(branch.space.model))
     else:
         axes.set_xlabel(style.plain(branch.parameter))
-    axes.set_ylabel(f"{MODULUS_LABEL}{TRIVIAL_LEFT_OUT[branch.orbits[0].floquet().trivial]}")
+    trivial = found[0].trivial
+    more = f" ({trivial} trivial ones left out)"  # each quantity that is conserved has two
+    axes.set_ylabel(f"{MODULUS_LABEL}{TRIVIAL_LEFT_OUT[trivial] if trivial < len(TRIVIAL_LEFT_OUT) else more}")
 
 
 def _draw_between_points(axes: Axes, branch: Branch) -> None:
