@@ -38,6 +38,7 @@ from casadi_skin.follow.search import (
 )
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace, corrector_of, snapped, target_of
+from casadi_skin.model.arguments import with_error
 from casadi_skin.model.result import Result
 from casadi_skin.solve.levels import ExactLevels
 from casadi_skin.zero.augmented import Augmented, Singularity, SingularProblem, singular_rest, singularity_of
@@ -142,7 +143,7 @@ class SpecialPoint(Result):
         words = f", {self.criticality}" if self.has_criticality else ""
         words += "".join(f", loses its {what}" for what in self.lost)
         name = self.parameter
-        return f"<{self.kind} at {name} = {self.parameters[name]:.12g} +- {self.error:.1e}{words}>"
+        return f"<{self.kind} at {name} = {with_error(self.parameters[name], self.error)}{words}>"
 
     def __str__(self) -> str:
         """One line, as `repr`, also within other words."""

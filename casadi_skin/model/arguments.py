@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, cast
 
 LONGEST_VALUE_TEXT = 60  # characters of a value or name in a message
+MOST_DIGITS = 12  # of a number with its error
 MANY_NODES = 1000  # of an expression that no message shows
 SAME_PERIOD_RTOL = 1e-12  # relative difference of periods that are the same
 
@@ -43,6 +44,14 @@ class _Short(reprlib.Repr):
         return f"{type(value).__name__} of shape {value.shape}" if deep else str(self.repr_instance(value, level))
 
     repr_MX = repr_SX
+
+
+def with_error(value: float, error: float) -> str:
+    """A number to the second digit of its error, or to 12 digits, and the error with two."""
+    digits = MOST_DIGITS
+    if value and 0.0 < error < abs(value):
+        digits = min(digits, math.floor(math.log10(abs(value))) - math.floor(math.log10(error)) + 2)
+    return f"{value:.{digits}g} +- {error:.1e}"
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

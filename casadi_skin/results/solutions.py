@@ -12,7 +12,7 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Equilibrium, Orbit, Solution
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS
 from casadi_skin.follow.special_points import SpecialPoint
-from casadi_skin.model.arguments import check_name, short_repr
+from casadi_skin.model.arguments import check_name, short_repr, with_error
 from casadi_skin.points.diagram import Diagram
 from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.results import words
@@ -51,8 +51,8 @@ def _(result: Orbit) -> words.Shown:
     known = result.known_floquet or vars(result).get("_floquet")
     rows: words.Rows = []
     if result.space.connects == FAMILY:
-        rows = [("S", f"{result.S:.10g}"), ("Omega", words.with_error(result.Omega, result.Omega_error))]
-    rows += [("period", words.with_error(result.period, result.period_error)), *words.parameters(result.parameters)]
+        rows = [("S", f"{result.S:.10g}"), ("Omega", with_error(result.Omega, result.Omega_error))]
+    rows += [("period", with_error(result.period, result.period_error)), *words.parameters(result.parameters)]
     rows += [("error", f"{result.profile_error:.1e}, relative, of the state")]
     rows += [("stability", _stability(known) if known is not None else "not computed; see floquet()")]
     return _in_time("Orbit", result, rows)
@@ -221,7 +221,7 @@ def _(result: Diagram) -> words.Shown:
 @words.show.register
 def _(result: SpecialPoint) -> words.Shown:
     name, values = result.parameter, result.parameters
-    rows = [(name, words.with_error(values[name], result.error)), *words.parameters(values, name)]
+    rows = [(name, with_error(values[name], result.error)), *words.parameters(values, name)]
     rows += [("loses", words.listed(result.lost))] if result.lost else []
 
     def columns() -> words.Columns:

@@ -43,11 +43,6 @@ def show(result: Any) -> Shown:
     raise TypeError(f"no result: {type(result).__name__}")
 
 
-def with_error(value: float, error: float) -> str:
-    """A number with its error."""
-    return f"{value:.12g} +- {error:.1e}"
-
-
 def model_words(model: Any) -> str:
     """A model in a few words."""
     return str(getattr(model, "name", repr(model)))

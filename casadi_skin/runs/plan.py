@@ -336,7 +336,7 @@ def _solved_lines(request: Request) -> Lines:
     return [
         *_branch_lines(scene.continuation, []),
         ("tolerance", f"{request.tolerance:g}, relative, of each state and free parameter"),
-        ("unknowns", _unknowns(request)),
+        *_unknowns(request),
         without if scene.stability is None else with_them,
     ]
 
@@ -385,19 +385,21 @@ def _problem_lines(request: Request) -> Lines:
     return [("problem", f"{words}{free}{best}")]
 
 
-def _unknowns(request: Request) -> str:
-    """States at the ends and stages of the intervals, and free parameters, on the first mesh."""
-    from casadi_skin.zero.butcher import TABLES
-    from casadi_skin.zero.orbit import DEFAULT_DEGREE, FIRST_INTERVALS, UNFOLDING
+def _unknowns(request: Request) -> Lines:
+    """States at the ends and stages of the intervals, and free parameters, on the first mesh; their expected cost."""
+    from casadi_skin.runs.cost import UNCERTAINTY, available_memory, cost_of, in_gigabytes
+    from casadi_skin.zero.orbit import UNFOLDING
     from casadi_skin.zero.stated_problem import PERIOD
 
-    method, model, problem = request.scene.methods, request.ode, request.problem
-    intervals, degree = method.intervals or FIRST_INTERVALS, method.degree or DEFAULT_DEGREE
-    table = TABLES[str(method.transcription)](degree)
-    columns = intervals * table.ends.size + 1
+    model, problem, cost = request.ode, request.problem, cost_of(request)
     unfolded = model.hamiltonian is not None and _symmetry(request).name == "FULL"
     orbit = () if model.forced else (PERIOD, UNFOLDING) if unfolded else (PERIOD,)
     free = orbit if problem is None else tuple(problem.free)
-    mesh = f"{intervals} {method.transcription} intervals of degree {degree} at the start"
     also = f"and {', '.join(free)} " if free else ""
-    return f"{model.full_size * columns} state values {also}on {mesh}; more where the tolerance asks for it"
+    there = available_memory()
+    memory = in_gigabytes(cost.bytes) + (f" of the {in_gigabytes(there)} there" if math.isfinite(there) else "")
+    words = f"{cost.seconds:.1g} s and {memory} for the first solution, within a factor of {UNCERTAINTY}"
+    return [
+        ("unknowns", f"{cost.unknowns} state values {also}on {cost.mesh}; more where the tolerance asks for it"),
+        ("expected cost", f"{words}; more on finer meshes, and each further point about half as long"),
+    ]

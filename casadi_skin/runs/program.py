@@ -127,7 +127,7 @@ def _stopped(arguments: argparse.Namespace, limit: TimeLimit) -> tuple[int, str]
     return (FAILED, f"{arguments.scene}: {limit}") if limit.is_over else (INTERRUPTED, "interrupted")
 
 
-@command(SCENE, OUT, [RESUME, OVERWRITE], OUTPUT)
+@command(SCENE, OUT, [RESUME, OVERWRITE], OUTPUT, switch("--beyond-memory", "run what needs more memory than there is"))
 def run(arguments: argparse.Namespace) -> int:
     """Compute what a scene asks for.
 
@@ -138,6 +138,10 @@ def run(arguments: argparse.Namespace) -> int:
         accepted = "a table [family], [equilibrium], [orbit], [solution], [search], [dynamics], [export] or [spectrum]"
         raise InputError(f"{arguments.scene}: asks for nothing to compute; accepted: {accepted}")
     request = _bound(scene, arguments)
+    if not arguments.beyond_memory and scene.given("orbit", "solution"):
+        from casadi_skin.runs.cost import check_memory
+
+        check_memory(request, arguments.scene)
     from casadi_skin.runs.directory import in_use
     from casadi_skin.runs.output import Progress
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,10 +14,12 @@ import pytest
 from casadi_skin import OdeModel, find_orbit, read_model, read_result, simulate
 from casadi_skin.model.loading import LARGEST_FILE_BYTES
 from casadi_skin.results.dataset import check_whole
+from casadi_skin.runs import cost
 from casadi_skin.runs.binding import bound
 from casadi_skin.runs.map import map_lines
 from casadi_skin.runs.map_grid import MOST_TRIED, axes_of
 from casadi_skin.runs.plan import plan_lines
+from casadi_skin.runs.program import main
 from casadi_skin.runs.reading import parse_scene, read_scene
 from casadi_skin.runs.rules import SceneError
 
@@ -105,3 +108,38 @@ def test_a_search_on_many_sites_is_planned_without_its_programme(tmp_path: Path)
     assert unknowns[3].startswith(f"{1 + 2 * (3 * 6 + 1)} on 6 odd cosines; ")
     assert unknowns[30_000].startswith(f"{1 + 2 * (30_000 * 6 + 1)} on 6 odd cosines; ")
     assert words["expected cost"].startswith("not known: ")
+
+
+RING = """
+import casadi as ca
+from casadi_skin import OdeModel
+
+x, v = ca.SX.sym("x", {n}), ca.SX.sym("v", {n})
+ring = OdeModel("ring", [*x.elements(), *v.elements()], ca.vertcat(v, (1 - x**2) * v - x), ca.SX(0, 1))
+"""
+
+
+def test_an_orbit_says_what_it_needs_and_is_refused_where_that_is_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tmp_path / "scene.toml"
+    scene.write_text('[model]\nfile = "ring.py"\nname = "ring"\n[orbit]\nstart = { x_0 = 0.1 }\nperiod = 6.66\n')
+    (tmp_path / "ring.py").write_text(RING.format(n=250))
+    request = bound(read_scene(scene), scene)
+    words = dict(plan_lines(request, measure=False))
+    assert words["unknowns"].startswith("42500 state values and period on 12 gauss intervals of degree 6 at the start")
+    assert re.match(r"2e\+01 s and 3.\d GB of the [\d.e+]+ GB there for the first solution", words["expected cost"])
+    monkeypatch.setattr(cost, "available_memory", lambda: 1e9)
+    out = tmp_path / "out"
+    assert main(["run", str(scene), "--out", str(out), "--quiet"]) == 2
+    line = capsys.readouterr().err
+    assert re.fullmatch(r"casadi-skin: \S+: \[orbit\]: needs about 3.\d GB of memory [^\n]* --beyond-memory\n", line)
+    assert not out.exists()
+
+
+def test_more_memory_than_there_is_may_be_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = tmp_path / "scene.toml"
+    scene.write_text('[model]\nfile = "ring.py"\nname = "ring"\n[orbit]\nstart = [2, 0]\nperiod = 6.66\n')
+    (tmp_path / "ring.py").write_text(RING.format(n=1))
+    monkeypatch.setattr(cost, "available_memory", lambda: 1e6)
+    assert main(["run", str(scene), "--out", str(tmp_path / "out"), "--quiet", "--beyond-memory"]) == 0

@@ -40,6 +40,7 @@ from casadi_skin import (
 from casadi_skin.dynamics import evolve
 from casadi_skin.dynamics.starts import spreading
 from casadi_skin.lattice.linear import bands, lattice_modes
+from casadi_skin.model.arguments import with_error
 from casadi_skin.model.result import Result
 from casadi_skin.optimise.search import pareto_front
 from casadi_skin.optimise.search_problem import solve_start
@@ -243,7 +244,10 @@ def small_family(**options: Any) -> Any:
 
 def test_print_tells_the_numbers() -> None:
     orbit = small_family(stability=True).orbits[-1]
-    assert f"Omega       {orbit.Omega:.12g} +- " in str(orbit)
+    assert f"Omega       {with_error(orbit.Omega, orbit.Omega_error)}" in str(orbit)
+    assert with_error(-1.23456789, 1.26e-4) == "-1.23457 +- 1.3e-04"
+    assert with_error(1.23456789, 1e-17) == "1.23456789 +- 1.0e-17"
+    assert with_error(0.5, 2.0) == "0.5 +- 2.0e+00"
     branch = str(made("Branch"))
     assert "hopf at 0" in branch or "hopf at -" in branch
     assert "Branch of equilibria of Hopf" in branch
