@@ -180,13 +180,12 @@ class BranchRun:
                 progress(solution)
         return self.branch()
 
-    def branch(self) -> Branch:
-        """The branch computed so far."""
-        end = None if self._waiting else self._iterator.end
-        return self.finished(end, self._iterator.detail, self._iterator.misses(self.solutions, self._stopped, end))
-
-    def finished(self, end: End | None, detail: str, misses: Mapping[str, tuple[float, ...]]) -> Branch:
-        """The branch of the solutions computed so far, with a known end."""
+    def branch(self, known_end: End | None = None, known_detail: str = "") -> Branch:
+        """The branch computed so far, with its end where that is known from before."""
+        if known_end is not None:
+            self._iterator.stop(known_end, known_detail)
+        end, detail = None if self._waiting else self._iterator.end, self._iterator.detail
+        misses = self._iterator.misses(self.solutions, self._stopped, end)
         changes, unresolved = ((), []) if self._ledger is None else (self._ledger.changes, self._ledger.unresolved)
         return Branch(
             self.space, tuple(self.solutions), tuple(changes),

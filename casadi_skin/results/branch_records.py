@@ -1,7 +1,8 @@
 """Records of branches and searches in the journal of a run: points as they converge, stability, ends, outcomes.
 
-A record is a tagged struct; points, multipliers, outcomes and curves are data in it as `store` writes results. Points
-that are read back are verified before a branch goes on from them.
+A record is a tagged struct; points, multipliers, outcomes and curves are data in it as `store` writes results. What is
+read back is verified before a branch goes on from it, as a file may have been edited: points solve their equations, the
+records of a branch have their numbers, and its end is where the last point is.
 """
 
 from __future__ import annotations
@@ -18,14 +19,16 @@ from casadi_skin.follow.follow import BranchIterator
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.results.store import DAMAGED_FILE_ERRORS, Reader, SavedResult, Writer
+from casadi_skin.stability.flows import FlowError
 from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.settings import End, Point, Target
 
 
 class PointRecord(msgspec.Struct, frozen=True, tag="point"):
-    """A converged point with all that the continuation needs to go on from it."""
+    """A converged point with all that the continuation needs to go on from it; `number` counts records of a branch."""
 
     branch: str
+    number: int
     point: Any
     missed: tuple[Target, ...] = ()  # by the continuation so far
     unresolved: tuple[Unresolved, ...] = ()  # stretches so far
@@ -35,6 +38,7 @@ class StabilityRecord(msgspec.Struct, frozen=True, tag="stability"):
     """Stability of the first point recorded whose stability was not."""
 
     branch: str
+    number: int
     floquet: Any
 
 
@@ -42,9 +46,9 @@ class EndRecord(msgspec.Struct, frozen=True, tag="end"):
     """The end of a branch."""
 
     branch: str
+    number: int
     end: End | None
     detail: str
-    misses: dict[str, tuple[float, ...]]
     unresolved: tuple[Unresolved, ...] = ()  # stretches
 
 
@@ -78,7 +82,9 @@ class OutcomeRecord(msgspec.Struct, frozen=True, tag="outcome"):
     outcome: Any
 
 
-BranchRecord = PointRecord | StabilityRecord | EndRecord | CutRecord | CycleRecord | EdgeRecord
+HeldRecord = PointRecord | StabilityRecord | EndRecord
+BranchRecord = HeldRecord | CutRecord | CycleRecord | EdgeRecord
+SAME_MULTIPLIER_RTOL = 1e-6  # of multipliers that are computed again, perhaps by another processor
 
 
 class Records(Protocol):
@@ -102,18 +108,39 @@ def value_of(data: Any, space: SolutionSpace | None = None) -> Any:
 
 
 def point_record(
-    branch: str, point: Point, points: BranchIterator | None = None, with_better: bool = False
+    branch: str, number: int, point: Point, points: BranchIterator | None = None, with_better: bool = False
 ) -> PointRecord:
     """Record of a point of the branch of that name; with its better solution where its stability is to be computed."""
     data = data_of(point if with_better else replace(point, better=None))
     if points is None:
-        return PointRecord(branch, data)
-    return PointRecord(branch, data, tuple(points.missed), tuple(points.unresolved))
+        return PointRecord(branch, number, data)
+    return PointRecord(branch, number, data, tuple(points.missed), tuple(points.unresolved))
 
 
-def stability_record(branch: str, orbit: Solution) -> StabilityRecord:
+def stability_record(branch: str, number: int, orbit: Solution) -> StabilityRecord:
     """Record of the stability of the next orbit of a branch."""
-    return StabilityRecord(branch, data_of(orbit.floquet()))
+    return StabilityRecord(branch, number, data_of(orbit.floquet()))
+
+
+def known_outcomes(records: Sequence[OutcomeRecord], starts: Sequence[Any]) -> tuple[list[Any], str]:
+    """Outcomes of these starts in records, the last of each, and the fault of the first record that is of none.
+
+    The optima among them are solved for again before they are results.
+    """
+    begins, found, faults = {start.number: data_of(start) for start in starts}, dict[int, Any](), list[str]()
+    for place, record in enumerate(records, start=1):
+        try:
+            outcome = value_of(record.outcome)
+            if data_of(outcome.start) != begins.get(outcome.start.number):
+                raise ValueError("another start")
+            found[outcome.start.number] = outcome
+        except DAMAGED_FILE_ERRORS as error:
+            faults.append(f"{_words(error)} in record {place}")
+    return list(found.values()), faults[0] if faults else ""
+
+
+def _words(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 @dataclass
@@ -140,27 +167,63 @@ class Known:
 
 
 def known_of(records: Sequence[BranchRecord], branch: str, space: SolutionSpace, stability: bool) -> Known:
-    """The state of a branch by its records, up to the first point that does not solve the equations."""
+    """The state of a branch by its records, up to the first that does not hold."""
+    held = _holding(records, branch)
+    known = _known(held, space, stability)
+    if stability and known.solutions:
+        place, fault = _doubtful(known.solutions)
+        if fault:
+            of_stability = [k for k, record in enumerate(held) if isinstance(record, StabilityRecord)]
+            known = _known(held[: of_stability[place]], space, stability)
+            known.fault = fault
+    return known
+
+
+def _known(held: Sequence[HeldRecord], space: SolutionSpace, stability: bool) -> Known:
+    """The state of a branch by records of its own, up to the first that is none where it stands."""
     known = Known()
-    for record in _holding(records, branch):
+    for record in held:
         try:
             known.fault = _taken(record, known, space, stability)
         except DAMAGED_FILE_ERRORS as error:
-            known.fault = " ".join(str(error).split()) or type(error).__name__
+            known.fault = _words(error)
         if known.fault:
             break
         known.kept += 1
     return known
 
 
-def _taken(
-    record: PointRecord | StabilityRecord | EndRecord, known: Known, space: SolutionSpace, stability: bool
-) -> str:
+def _doubtful(solutions: Sequence[Solution]) -> tuple[int, str]:
+    """The solution whose multipliers differ most from those beside it, and what is wrong with them, computed again."""
+    sizes = np.array([solution.floquet().max_abs_multiplier for solution in solutions])
+    jumps = np.abs(np.diff(sizes, prepend=sizes[:1], append=sizes[-1:]))
+    jumps[[0, -1]] = np.inf  # at the ends of what is known it is the other side that counts
+    place = int(np.argmax(np.minimum(jumps[:-1], jumps[1:]))) if sizes.size > 1 else 0
+    read = solutions[place].floquet()
+    try:
+        again = solutions[place].space.floquets([solutions[place].point])[0]
+    except FlowError:
+        return place, ""
+    off = abs(again.max_abs_multiplier - read.max_abs_multiplier)
+    same = read.multipliers.shape == again.multipliers.shape and read.stable == again.stable
+    allowed = again.error + SAME_MULTIPLIER_RTOL * again.max_abs_multiplier
+    return place, "" if same and off <= allowed else f"multipliers that are others, computed again, (off by {off:.1e})"
+
+
+def _taken(record: HeldRecord, known: Known, space: SolutionSpace, stability: bool) -> str:
     """Add a record to what is known; the reason where it does not hold."""
+    if known.end is not None or record.number != known.kept:
+        return f"{'an end' if known.end is not None else f'the number {record.number + 1}'}, where others are missing,"
     if isinstance(record, EndRecord):
+        if record.end is End.REACHED and not _at_end(known, space):
+            return "an end that the points do not reach"
         known.end, known.unresolved = record, record.unresolved
     elif isinstance(record, StabilityRecord):
-        known.solutions.append(space.solution(known.waiting.pop(0), value_of(record.floquet)))
+        found = value_of(record.floquet)
+        shapes = {found.others.shape, found.other_errors.shape, found.on_circle.shape, found.real.shape}
+        if len(shapes) > 1 or found.multipliers.shape != found.log_moduli.shape:
+            return "multipliers of another number"
+        known.solutions.append(space.solution(known.waiting.pop(0), found))
     else:
         point = value_of(record.point, space)
         if not point.z.size == point.tangent.size == point.problem.size:
@@ -176,6 +239,13 @@ def _taken(
     return ""
 
 
+def _at_end(known: Known, space: SolutionSpace) -> bool:
+    """Whether the last point is where the branch is to end, unless no point was found there."""
+    points, ends = [*(solution.point for solution in known.solutions), *known.waiting], space.point_solver.settings.ends
+    last = points[-1] if points else space.start
+    return any(end in known.missed or end.meets(last) for end in ends)
+
+
 def _fault(space: SolutionSpace, point: Point, known: Known) -> str:
     """Reason why a point is none of the branch; of a special point, whose equations may be singular, by residual."""
     leaves = bool(getattr(space, "leaves", False)) and not (known.solutions or known.waiting)
@@ -187,9 +257,9 @@ def _fault(space: SolutionSpace, point: Point, known: Known) -> str:
     return "" if off <= max(space.tolerance, point.error.profile) else f"a residual of {off:.1e}"
 
 
-def _holding(records: Sequence[BranchRecord], branch: str) -> list[PointRecord | StabilityRecord | EndRecord]:
+def _holding(records: Sequence[BranchRecord], branch: str) -> list[HeldRecord]:
     """The records of a branch that hold."""
-    mine = list[PointRecord | StabilityRecord | EndRecord]()
+    mine = list[HeldRecord]()
     for record in records:
         if record.branch != branch or isinstance(record, CycleRecord | EdgeRecord):
             continue

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 
 import msgspec
@@ -175,9 +176,10 @@ class Branches:
             words = f"{known.fault} in record {known.kept + 1} of {name}; what follows it is dropped and computed again"
             self.progress.report(f"{journal.path}: {words}")
             journal.append(CutRecord(name, known.kept))
+        numbers = count(known.kept)  # of the records of this branch
 
         def keep(point: Point, points: BranchIterator) -> None:
-            journal.append(point_record(name, point, points, self._with_stability))
+            journal.append(point_record(name, next(numbers), point, points, self._with_stability))
 
         following = BranchRun(
             space, self._with_stability, stability is not None and stability.events, known.solutions,
@@ -185,7 +187,7 @@ class Branches:
         )  # fmt: skip
         self.show(name, following.solutions, space)
         if known.end is not None:
-            self.branches.append(following.finished(known.end.end, known.end.detail, known.end.misses))
+            self.branches.append(following.branch(known.end.end, known.end.detail))
             return
         try:
             for result in following:
@@ -193,7 +195,7 @@ class Branches:
                 sought_again = point.special and not (point.located or point.requested)
                 periodic = result.is_orbit or result.known_floquet is not None
                 if periodic and self._with_stability and not sought_again:
-                    journal.append(stability_record(name, result))
+                    journal.append(stability_record(name, next(numbers), result))
                 self.show(name, following.solutions, space)
                 self.progress.solution(result, len(following.solutions))
         finally:
@@ -202,4 +204,4 @@ class Branches:
                 branch = replace(branch, with_events=False)
             self.branches.append(branch)
             self.show(name, branch.solutions, space)
-        journal.append(EndRecord(name, branch.end, branch.detail, dict(branch.misses), branch.passed_over))
+        journal.append(EndRecord(name, next(numbers), branch.end, branch.detail, branch.passed_over))

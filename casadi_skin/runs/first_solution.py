@@ -18,6 +18,7 @@ from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.branch_records import BranchRecord, CycleRecord, data_of, value_of
+from casadi_skin.results.store import DAMAGED_FILE_ERRORS
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import SELECTED, EquilibriumTable
 from casadi_skin.zero.problem import Array
@@ -141,8 +142,12 @@ def known_cycle(records: Sequence[BranchRecord], model: OdeModel, parameters: Ma
     if found is None:
         return None
     equations = equations_of_motion(model.first_order(), parameters)
-    t, states = value_of(found.t), value_of(found.states)
-    if states.shape != (t.size, equations.size) or not np.all(np.isfinite(states)):
+    try:
+        t, states = value_of(found.t), value_of(found.states)
+        whole = states.shape == (t.size, equations.size) and np.all(np.isfinite(states)) and np.all(np.diff(t) > 0.0)
+        if not (whole and t[0] <= found.start and 0.0 < found.period <= t[-1] - t[0]):
+            return None
+    except DAMAGED_FILE_ERRORS:
         return None
     evolution = Evolution(equations, t, states, "cvodes", 0.0, PHYSICAL, 0)
     return Cycle(evolution, found.start, found.period)

@@ -13,10 +13,11 @@ from casadi_skin.follow.space import EQUILIBRIA, SolutionSpace
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.points.curves import curve_space
 from casadi_skin.points.diagram import LEAVING_KINDS, Further
-from casadi_skin.points.edges import EdgeCurve
+from casadi_skin.points.edges import EdgeCurve, EdgePoint
 from casadi_skin.points.switch import leaving_space
 from casadi_skin.results.branch_records import EdgeRecord, Records
 from casadi_skin.results.saving import restored, saved
+from casadi_skin.results.store import DAMAGED_FILE_ERRORS, SavedResult
 from casadi_skin.runs.output import Progress
 from casadi_skin.runs.parts import Offshoots, ended_well, mode_of
 from casadi_skin.runs.scene import ContinuationTable
@@ -81,15 +82,29 @@ def follow_edges(
                 name = f"{listed} {mode} {number}"
                 progress.say(f"j = {mode}: edge {number} of {count} in {asked.parameter}")
                 try:
-                    curve: Any = restored(known[name]) if name in known else None
+                    point = family.edge(number - 1, further=listed == FURTHER_EVENTS_FILE)
+                    curve: Any = _known(known[name], point) if name in known else None
                     if curve is None:
-                        point = family.edge(number - 1, further=listed == FURTHER_EVENTS_FILE)
+                        if name in known:
+                            progress.report(f"{journal.path}: the record of {name} is none of it; it is followed again")
                         curve = point.curve(asked.parameter, asked.to, **options)
                         _keep(name, curve, journal, progress)
                 except (ValueError, ArithmeticError) as error:
                     failures.append(f"[continuation] curve: mode {mode}, edge {number} of {listed}: {error}")
                 else:
                     found.edges.append((mode, listed, number, curve))
+
+
+def _known(data: SavedResult, point: SpecialPoint) -> EdgeCurve | None:
+    """The curve of a record, unless it is none that begins at the edge."""
+    try:
+        curve = restored(data)
+        first: EdgePoint = curve.points[0]
+        values = {**first.orbit.parameters, "S": first.edge.value}
+        near = all(abs(values[k] - v) <= SAME_POINT_DISTANCE * max(abs(v), 1.0) for k, v in point.parameters.items())
+        return curve if near and isinstance(curve, EdgeCurve) else None
+    except DAMAGED_FILE_ERRORS:
+        return None
 
 
 def _keep(name: str, curve: EdgeCurve, journal: Records, progress: Progress) -> None:

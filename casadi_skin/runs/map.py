@@ -34,10 +34,10 @@ from casadi_skin.runs.directory import (
     in_use,
     prepare,
 )
-from casadi_skin.runs.map_cell import LOST, Computer, Result, check_quantities, compute
+from casadi_skin.runs.map_cell import LOST, OUTSIDE_FAULTS, Computer, Result, Row, check_quantities, compute
 from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Cells, Grid, Task, needed, plain, scene_at
 from casadi_skin.runs.map_lines import boundaries
-from casadi_skin.runs.map_result import DONE, FAILED, MOST_ATTEMPTS, WATCHED, Map
+from casadi_skin.runs.map_result import DONE, FAILED, MOST_ATTEMPTS, WATCHED, Map, compared
 from casadi_skin.runs.output import Progress
 from casadi_skin.runs.parts import origin
 from casadi_skin.runs.reading import parse_scene, read_text
@@ -55,6 +55,7 @@ ASK_SECONDS = 5.0  # seconds between two questions about the workers of a cluste
 LOOK_SECONDS = 1.0  # seconds between two looks at an engine
 SHOW_SECONDS = 0.2  # seconds between two changes of the line of progress
 MEASURED_ORBITS = 64  # of a family at most, by which the cost of all of them is measured
+SAME_VALUE_RTOL = 1e-6  # of a number of a cell that is computed again; processors differ by 1e-12
 TELL_SECONDS = 30.0  # seconds between two lines of progress where there is no terminal
 SHORT_CELL_SECONDS = 5.0  # seconds of a first cell, imports among them, below which it is measured again
 SCHEDULER_ADDRESS = re.compile(r"inproc://\S+|(\w+://)?[^\s/]+:\d{1,5}")  # of a scheduler
@@ -281,6 +282,8 @@ class MapRun:
             found = held.enter_context(Map(*given))
             if self.existing is Existing.RESUME:
                 found.forget_outside(mine=self.part is not None)
+                if engine is not None:
+                    self._check_sample(found, engine)
             found.waits = True
             try:
                 if engine is not None:
@@ -291,6 +294,21 @@ class MapRun:
                         engine.close()
                     self._write(found, progress)
             return found
+
+    def _check_sample(self, found: Map, engine: Engine) -> None:
+        """Compute the cells again that stand out most; raises DirectoryError where they are others in the journal."""
+        records = {record.cells: record for record in found.sample()}
+        tasks = (task for cells in records for task in self.grid.tasks(np.array(cells)))
+        for task, result in engine.results(pickle.dumps(self.computer), tasks, self.table.cell_limit):
+            if result.kind in OUTSIDE_FAULTS:
+                continue
+            for i, (cell, row) in enumerate(zip(task.cells, records[task.cells].rows, strict=True)):
+                again = Row({}, result.reason) if result.kind else result.rows[i]
+                for name, value in row.values.items():
+                    if isinstance(value, float) and compared(name) and not _same(value, again.values.get(name)):
+                        words = f"{self.grid.name(cell)}: {name} = {value!r}, computed again {again.values.get(name)}"
+                        accepted = "accepted: journals as the map wrote them, or --overwrite"
+                        raise DirectoryError(f"{self.directory}: {words}; {accepted}")
 
     def _engine(self, progress: Progress) -> Engine:
         def take_over(reason: str) -> Engine:
@@ -352,6 +370,11 @@ class MapRun:
         varied = {axis.name for axis in self.grid.axes}
         attributes = {name: v for name, v in origin(self.request, self.text).items() if name not in varied}
         found.write(attributes, self.scene.model is None, self.pictures)
+
+
+def _same(value: float, again: Any) -> bool:
+    """Whether a number was computed again, by any processor."""
+    return isinstance(again, float) and abs(value - again) <= SAME_VALUE_RTOL * max(abs(value), abs(again), 1.0)
 
 
 def _again(found: Map, batch: Cells, seen: NDArray[np.bool_]) -> Iterator[Task]:

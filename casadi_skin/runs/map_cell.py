@@ -55,6 +55,8 @@ Value = float | int | str
 Named = Iterator[tuple[str, Any, str]]  # names, values and meanings of quantities
 FAILED, DIED, LATE, LOST = "failed", "died", "late", "lost"  # kinds of faults; a computation reports the first itself
 OUTSIDE_FAULTS = (DIED, LATE, LOST)  # those that another run may not meet
+FAULTS = ("", FAILED, *OUTSIDE_FAULTS)
+TEXTS = ("end", "end_reason", "first_tongue", "regime")  # quantities that are words
 
 
 class Row(msgspec.Struct, frozen=True):

@@ -43,7 +43,7 @@ from casadi_skin.results.quantities import Cell
 from casadi_skin.results.store import Journal, mapped, record_at, scan
 from casadi_skin.results.words import Columns, Shown, listed, show
 from casadi_skin.runs.directory import SCENE_FILE, DirectoryError
-from casadi_skin.runs.map_cell import OUTSIDE_FAULTS, Result, Row, Value
+from casadi_skin.runs.map_cell import FAMILY_SUFFIX, FAULTS, OUTSIDE_FAULTS, TEXTS, Result, Row, Value
 from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Cells, Grid, Labels, Task, needed
 from casadi_skin.runs.output import Progress
 from casadi_skin.runs.reading import parse_scene, read_text
@@ -93,6 +93,8 @@ FILE_DATE = (1980, 1, 1, 0, 0, 0)  # so that the bytes depend on the map alone
 UNKNOWN, DONE, ENDED, FAILED = 0, 1, 2, 3  # states of a cell
 STATUS_WORDS = ("not computed", "done", "ended early", "failed")  # by state
 MOST_ATTEMPTS = 2  # at a cell
+CELLS_OF_ONE_SAMPLE, MOST_SAMPLES = 50, 8  # of so many cells one is computed again by --resume, and no more
+SMALLEST = np.finfo(float).tiny
 REASON, STARTED_FROM = "reason", "started_from"
 OF_BOUNDARY = ("stable", "first_instability", "first_tongue")  # quantities that locate a boundary of stability
 WATCHED = ("stable", "end")  # quantities where whose changes a map is refined unless it names others
@@ -156,16 +158,20 @@ class Map(WithVerbs):
         }
         self.seconds, self.finished = 0.0, 0
         self._ends = dict[Path, int]()  # how far each journal is read
+        self._faults = list[str]()  # records that no task of this map gives
         self._journal: Journal[MapRecord] | None = None
         if own is not None:
             self._ends[directory / own] = 0
-            self._journal = Journal(directory / own, RECORD_DECODER, partial(self._index, 0))
+            self._journal = Journal(directory / own, RECORD_DECODER, partial(self._read, 0))
             if self._journal.fault:
                 report(f"{directory / own}: {self._journal.fault}; what follows it is dropped and computed again")
             if self._journal.end == 0:
                 self._append(self._head)
         for path, fault in self.refresh().items():
             report(f"{path}: {fault}; what follows it is not read")
+        if self._faults:
+            more = f", and {len(self._faults) - 1} more" if len(self._faults) > 1 else ""
+            report(f"{self._faults[0]}{more}: such cells are not believed, and computed again by --resume")
 
     def __enter__(self) -> Self:
         return self
@@ -184,7 +190,7 @@ class Map(WithVerbs):
         for number, path in enumerate(self._ends):
             if self._journal is None or number > 0:
                 with mapped(path) as data:  # one that is being written may end in a part of a record
-                    self._ends[path], fault = scan(data, RECORD_DECODER, partial(self._index, number), self._ends[path])
+                    self._ends[path], fault = scan(data, RECORD_DECODER, partial(self._read, number), self._ends[path])
                 if fault:
                     faults[path] = fault
         return faults
@@ -203,13 +209,49 @@ class Map(WithVerbs):
         self._journal.append(record)
         self._index(0, place, record)
 
+    def _read(self, source: int, place: int, record: MapRecord) -> None:
+        """Take a record of a journal, unless it is none that a task of this map gives."""
+        fault = self._fault(record) if isinstance(record, TaskRecord) else ""
+        if fault:
+            self._faults.append(f"{list(self._ends)[source]}: {fault} at byte {place}")
+        else:
+            self._index(source, place, record)
+
+    def _fault(self, record: TaskRecord) -> str:
+        """Why the record of a task is none, in words; empty where it is one."""
+        cells, size = np.array(record.cells, dtype=np.int64), self.grid.size
+        if not (cells.size and 0 <= cells.min() <= cells.max() < size):
+            return "cells that the map does not have"
+        where, numbers = self.grid.name(record.cells[0]), [record.seconds]
+        together = np.unique(self.grid.families(cells)).size == 1 and np.unique(cells).size == cells.size
+        known = 1 <= record.attempt <= MOST_ATTEMPTS and record.kind in FAULTS and -1 <= record.neighbour < size
+        if not (together and known and len(record.rows) == (0 if record.kind else cells.size)):
+            return f"{where}: a record that no task gives"
+        for row in record.rows:
+            numbers += [*row.state, row.period]
+            for name, value in row.values.items():
+                if isinstance(value, str) != (FAMILY_SUFFIX.sub("", name) in TEXTS):
+                    return f"{where}: {name} = {short_repr(value)}"
+                numbers += [] if isinstance(value, str) else [value]
+        return "" if np.all(np.isfinite(numbers)) else f"{where}: a number that is not finite"
+
+    def sample(self) -> Iterator[TaskRecord]:
+        """Records of the cells that stand out most among all: the first to be computed again, to see if they hold."""
+        done = np.flatnonzero((self.states == DONE) & (self.attempts == 1))
+        scores = [_apart(v[done]) for name, v in self.columns.items() if self._kinds[name] is float and compared(name)]
+        if not (scores and done.size):
+            return
+        order = done[np.argsort(-np.max(scores, axis=0), kind="stable")]
+        for cell in order[: min(1 + done.size // CELLS_OF_ONE_SAMPLE, MOST_SAMPLES)]:
+            yield self._record(cell)
+
     def _index(self, source: int, place: int, record: MapRecord) -> None:
         if place == 0 and record != self._head:
             words = "accepted: that of this scene, or --overwrite"
             raise DirectoryError(f"{list(self._ends)[source]}: is the journal of another scene; {words}")
         self.meanings = {**record.meanings, **self.meanings}
-        if record.cells and 0 <= min(record.cells) <= max(record.cells) < self.grid.size:
-            self._index_task(source, place, record)  # type: ignore[arg-type]
+        if isinstance(record, TaskRecord):
+            self._index_task(source, place, record)
 
     def _index_task(self, source: int, place: int, record: TaskRecord) -> None:
         cells = np.array(record.cells, dtype=np.int64)
@@ -248,10 +290,15 @@ class Map(WithVerbs):
 
     def start(self, cell: int) -> tuple[tuple[float, ...], float]:
         """State and period of the solution of a computed cell, at which that of a neighbour may start."""
+        record = self._record(cell)
+        row = record.rows[record.cells.index(cell)]
+        return row.state, row.period
+
+    def _record(self, cell: int) -> TaskRecord:
+        """The record of a computed cell."""
         with mapped(list(self._ends)[self._sources[cell]]) as data:
             record: Any = record_at(data, int(self._places[cell]), RECORD_DECODER)[0]
-        row: Row = record.rows[record.cells.index(cell)]
-        return row.state, row.period
+        return record  # type: ignore[no-any-return]
 
     # What is known of cells -------------------------------------------------------------------------------------------
 
@@ -524,6 +571,25 @@ class Map(WithVerbs):
         for key in at:
             check_name("at", key, [axis.name for axis in others])
         draw_maps([places], name, drawn, [panel([_place_of(axis, at) for axis in others])])
+
+
+def compared(name: str) -> bool:
+    """Whether a quantity is the same wherever it is computed; errors and marks may differ."""
+    return not name.endswith("_error") and FAMILY_SUFFIX.sub("", name) not in NOT_DRAWN
+
+
+def _apart(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far each value is from the nearest other one, relative to the range of the others and to their size."""
+    known = np.flatnonzero(np.isfinite(values))
+    found = np.zeros(values.size)
+    if known.size > 1:
+        order = known[np.argsort(values[known])]
+        rising = values[order]
+        gaps = np.diff(rising, prepend=-np.inf, append=np.inf)
+        ranges = np.full(known.size, rising[-1] - rising[0])
+        ranges[[0, -1]] -= gaps[[1, -2]]  # without the first, and without the last
+        found[order] = np.minimum(gaps[:-1], gaps[1:]) / np.maximum(ranges, max(abs(np.median(rising)), SMALLEST))
+    return found
 
 
 def _distinct(name: str, more: str, taken: set[str]) -> str:

@@ -374,7 +374,7 @@ class Search(Task):
         """The result; starts that the journal holds are not run again."""
         from casadi_skin.optimise.search import search
         from casadi_skin.optimise.search_problem import Ending
-        from casadi_skin.results.branch_records import OutcomeRecord, data_of, value_of
+        from casadi_skin.results.branch_records import OutcomeRecord, data_of, known_outcomes
         from casadi_skin.results.store import Journal
 
         problem, asked = self.request.searched, self.asked
@@ -382,9 +382,12 @@ class Search(Task):
         with Journal(journal, msgspec.msgpack.Decoder(OutcomeRecord)) as file:
             if file.fault:
                 progress.report(f"{journal}: {file.fault}; what follows it is dropped and computed again")
-            known = [value_of(record.outcome) for record in file.records]
+            starts = problem.starts(asked.starts, asked.seed)
+            known, fault = known_outcomes(file.records, starts)
+            if fault:
+                progress.report(f"{journal}: {fault}; that start is run again")
             return search(
-                problem, problem.starts(asked.starts, asked.seed), deflate=asked.deflate, workers=asked.workers,
+                problem, starts, deflate=asked.deflate, workers=asked.workers,
                 known=[outcome for outcome in known if outcome.ending is not Ending.INTERRUPTED],
                 keep=lambda outcome: file.append(OutcomeRecord(data_of(outcome))),
                 progress=lambda where: progress.say(str(where)),

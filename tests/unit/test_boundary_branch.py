@@ -13,7 +13,7 @@ from casadi_skin.follow.follow import BranchRun, following_space
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.branch_records import BranchRecord, known_of, point_record, stability_record
-from casadi_skin.zero.settings import End
+from casadi_skin.zero.settings import End, Point
 
 
 def buckling() -> BoundaryValueProblem:
@@ -142,10 +142,14 @@ def test_a_branch_read_from_its_journal_goes_on_as_if_not_broken_off(kind: str, 
         return following_space(first, name, to, at=at, max_points=500, max_step=0.2)
 
     records: list[BranchRecord] = []
-    following = BranchRun(space(), stability, keep=lambda point, _: records.append(point_record("b", point)))
+
+    def keep(point: Point, _: object) -> None:
+        records.append(point_record("b", len(records), point))
+
+    following = BranchRun(space(), stability, keep=keep)
     for result in following:
         if stability and isinstance(result, Orbit):
-            records.append(stability_record("b", result))
+            records.append(stability_record("b", len(records), result))
     whole = following.solutions
     for part in range(1, 12):
         kept = part * len(records) // 12

@@ -93,7 +93,7 @@ def test_a_mesh_survives_the_journal_and_the_walk_goes_on_as_if_not_broken_off(S
     whole = [o for o in BranchRun(Family(request)) if isinstance(o, Orbit)]
     meshes = {o.point.problem.constants.tobytes() for o in whole}
     assert len(meshes) > 3  # it did move
-    records = [msgspec.msgpack.encode(point_record("mode 1", o.point)) for o in whole]
+    records = [msgspec.msgpack.encode(point_record("mode 1", k, o.point)) for k, o in enumerate(whole)]
     for kept in (len(whole) // 2, len(whole) - 3):
         known = known_of(
             [msgspec.msgpack.decode(r, type=PointRecord) for r in records[:kept]], "mode 1", Family(request), False

@@ -185,7 +185,7 @@ def test_a_run_that_is_taken_up_again_has_the_same_points_at_Omega_with_the_same
         at_Omega=(0.5, 0.2), at_period=(period,), period_max=60.0,
     )  # fmt: skip
     whole = [o for o in BranchRun(Family(request)) if isinstance(o, Orbit)]
-    records = [point_record("mode 1", o.point) for o in whole]
+    records = [point_record("mode 1", k, o.point) for k, o in enumerate(whole)]
     for cut in (len(whole) // 3, len(whole) // 2, len(whole) - 1):
         known = known_of(records[:cut], "mode 1", Family(request), False)
         assert (known.fault, known.kept) == ("", cut)
@@ -200,9 +200,9 @@ def test_a_run_that_is_taken_up_again_has_the_same_points_at_Omega_with_the_same
 
 def test_what_was_missed_is_kept_in_the_journal() -> None:
     tools = Family(family_request(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, corrector="newton", at_Omega=(9.0,)))
-    misses = {"Omega": (9.0,), "period": (100.0,)}
-    known = known_of([EndRecord("mode 1", End.REACHED, "", misses)], "mode 1", tools, False)
+    known = known_of([EndRecord("mode 1", 0, End.LIMIT, "words")], "mode 1", tools, False)
     assert known.end is not None
-    restored = BranchRun(tools).finished(known.end.end, known.end.detail, known.end.misses)
-    assert (restored.missed, restored.misses) == ((), misses)
+    missed = [tools.target("Omega", 9.0)]
+    restored = BranchRun(tools, missed=missed).branch(known.end.end, known.end.detail)
+    assert (restored.end, restored.detail, restored.misses) == (End.LIMIT, "words", {"Omega": (9.0,)})
     assert not restored.complete
