@@ -104,9 +104,12 @@ class InputError(ValueError):
 
 
 def complain(*reasons: str) -> None:
-    """Print reasons on standard error: the first few, each in one line of a length that can be read."""
+    """Print reasons on standard error: the first few, each in one line of a length that can be read.
+
+    Characters that would command a terminal, as a name may hold, are shown as Python writes them.
+    """
     for reason in reasons[:MOST_REASONS]:
-        line = " ".join(reason.split())
+        line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(reason.split()))
         fits = len(line) <= LINE_BEGIN + LINE_END
         print(line if fits else f"{line[:LINE_BEGIN]} ... {line[-LINE_END:]}", file=sys.stderr)
     if len(reasons) > MOST_REASONS:

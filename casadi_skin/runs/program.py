@@ -368,6 +368,8 @@ def _target(arguments: argparse.Namespace, default: Path, suffix: str = "") -> P
     path: Path = arguments.out or default
     if path.suffix != (suffix or path.suffix):
         raise InputError(f"{arguments.command}: given --out {path}; accepted: a name that ends in {suffix}")
+    if path.is_dir():
+        raise InputError(f"{arguments.command}: given --out {path}, a directory; accepted: the name of a file")
     if not path.parent.is_dir():
         place = "--out in a directory that is there"
         raise InputError(f"{arguments.command}: {path.parent} is no directory; accepted: {place}")
@@ -489,7 +491,8 @@ class _Parser(argparse.ArgumentParser):
 
             known = [name.strip("'") for name in choice[3].split(", ")]
             words = f"{choice[1]}: given '{choice[2]}'; {accepted_names(choice[2], known)}"
-        self.exit(WRONG_INPUT, f"{self.prog}: {words}; see {self.prog} --help\n")
+        complain(f"{self.prog}: {words}; see {self.prog} --help")
+        self.exit(WRONG_INPUT)
 
 
 class _Version(argparse.Action):
