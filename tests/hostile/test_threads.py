@@ -11,12 +11,14 @@ import os
 import pickle
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
+import matplotlib
 import numpy as np
 import pytest
 from kernels import needs_kernels, numpy_alone
@@ -35,6 +37,7 @@ from casadi_skin import (
     search_orbit,
     simulate,
 )
+from casadi_skin.results.figures.style import style
 
 THREADS = 8
 LIMIT = 300.0  # seconds after which threads are taken to wait for each other
@@ -185,6 +188,17 @@ def test_eight_threads_save_one_branch(tmp_path: Path) -> None:
     expected, branch = written(family(stability=True), THREADS), family(stability=True)
     found = together(*(lambda k=k: written(branch, k) for k in range(THREADS)))  # type: ignore[misc]
     assert set(found) == {expected}
+
+
+def test_eight_threads_leave_the_settings_of_matplotlib_alone() -> None:
+    def settled() -> None:
+        for _ in range(5):
+            with style():
+                time.sleep(0.001)
+
+    before = dict(matplotlib.rcParams)
+    together(*[settled] * THREADS)
+    assert dict(matplotlib.rcParams) == before
 
 
 # While another thread computes ----------------------------------------------------------------------------------------

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache
 from importlib.resources import as_file, files
 from io import BytesIO
@@ -15,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.model.files import replacing
+from casadi_skin.model.result import TURN
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
-    from contextlib import _GeneratorContextManager
-
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
@@ -180,11 +180,16 @@ LINE_DASHES: tuple[Any, ...] = ("-", (0, (5.0, 1.6)), (0, (1.0, 1.2)), (0, (5.0,
                            (0, (1.0, 3.0)))  # fmt: skip
 
 
-def style() -> _GeneratorContextManager[None]:
-    """The settings in which figures are made and saved, whatever the caller's are; a context, or `@style()`."""
+@contextmanager
+def style() -> Iterator[None]:
+    """The settings in which figures are made and saved, whatever the caller's are; a context, or `@style()`.
+
+    They are those of the process: one thread has them at a time.
+    """
     import matplotlib.style
 
-    return matplotlib.style.context(_settings(), after_reset=True)
+    with TURN, matplotlib.style.context(_settings(), after_reset=True):
+        yield
 
 
 @cache
