@@ -398,7 +398,7 @@ def _unknowns(request: Request) -> Lines:
     also = f"and {', '.join(free)} " if free else ""
     there = available_memory()
     memory = in_gigabytes(cost.bytes) + (f" of the {in_gigabytes(there)} there" if math.isfinite(there) else "")
-    words = f"{cost.seconds:.1g} s and {memory} for the first solution, within a factor of {UNCERTAINTY}"
+    words = f"{cost.seconds:.2g} s and {memory} for the first solution, within a factor of {UNCERTAINTY}"
     return [
         ("unknowns", f"{cost.unknowns} state values {also}on {cost.mesh}; more where the tolerance asks for it"),
         ("expected cost", f"{words}; more on finer meshes, and each further point about half as long"),
