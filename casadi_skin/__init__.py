@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from importlib import import_module
-from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 from casadi_skin._version import __version__
-from casadi_skin.model.result import Result, in_turn
+from casadi_skin.model.result import Result
 
 if TYPE_CHECKING:
     from casadi_skin.dynamics.evolve import simulate as simulate
@@ -115,11 +114,5 @@ def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that reading a scene or `--help` does not load CasADi."""
     for place, names in PLACES.items():
         if name in names:
-            module = import_module(f"casadi_skin.{place}")
-            found = getattr(module, name)
-            if isinstance(found, FunctionType) and name != "run_map":  # whose cells take turns one by one
-                found = in_turn(found)
-                setattr(module, name, found)  # where it is found again when it is pickled
-            globals()[name] = found
-            return found
+            return getattr(import_module(f"casadi_skin.{place}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -447,6 +447,7 @@ def distance_from_orbit(orbit: Any, evolution: Evolution) -> Array:
 # A model followed from any state and any time, stiff or not, for guesses of orbits ------------------------------------
 
 
+@in_turn
 def simulate(
     model: OdeModel,
     start: ArrayLike | Mapping[str, float],

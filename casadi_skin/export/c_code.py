@@ -35,6 +35,7 @@ from casadi_skin.export.orbit_equations import (
 )
 from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.interrupts import interrupts_deferred
+from casadi_skin.model.result import in_turn
 
 # The example program of an export: results of its parts, printed with all digits --------------------------------------
 
@@ -291,6 +292,7 @@ PART_MAKERS: Mapping[str, Callable[[ExportedModel], Part]] = MappingProxyType({
 START_HARMONICS = 12
 
 
+@in_turn
 def export_c(
     source: Source,
     directory: str | Path,

@@ -39,6 +39,7 @@ from casadi_skin.fmu.initial_value_problem import (
 from casadi_skin.fmu.instance import with_inputs
 from casadi_skin.model.arguments import check_name, file_path, truth
 from casadi_skin.model.files import replacing
+from casadi_skin.model.result import in_turn
 
 # The XML files of an FMU: modelDescription.xml for FMI 2.0 and 3.0, buildDescription.xml, terminalsAndIcons.xml -------
 
@@ -316,6 +317,7 @@ HEADER_FILES = ("instance.h", "dop853.h")
 _FILE_DATE = (1980, 1, 1, 0, 0, 0)  # of all files inside: the same model gives the same archive
 
 
+@in_turn
 def export_fmu(
     what: Source,
     path: str | Path,

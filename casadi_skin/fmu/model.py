@@ -21,6 +21,7 @@ from casadi_skin.fmu.instance import FmuInstance
 from casadi_skin.model.arguments import by_name, file_path, number, short_repr
 from casadi_skin.model.expressions import expression_of
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.result import in_turn
 
 Signal: TypeAlias = float | Callable[[Any], Any]
 _COMPARED_TIMES = (0.0, 0.37, 1.9)  # where the equations must be the same unless the model is forced
@@ -266,6 +267,7 @@ def at_symbols(columns: list[ca.SX], before: list[ca.SX], symbols: list[Any]) ->
 TIME_LIMIT = 60.0  # seconds
 
 
+@in_turn
 def import_fmu(
     path: str | Path,
     *,

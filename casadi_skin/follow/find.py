@@ -37,6 +37,7 @@ from casadi_skin.model.expressions import Expression, expression_of
 from casadi_skin.model.integrators import IntegrationError, stiff_cvodes
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.result import in_turn
 from casadi_skin.solve.levels import Levels, converged_mesh
 from casadi_skin.solve.newton import (
     Correction,
@@ -80,6 +81,7 @@ TURN_TRIALS, SAME_TIME = 3, 1e-9  # random points at which a field is compared w
 SHRUNK_MOTION, STILL_MOTION = 1e-6, 1e-12
 
 
+@in_turn
 def find_orbit(
     model: OdeModel,
     guess: Guess,

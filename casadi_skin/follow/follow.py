@@ -30,6 +30,7 @@ from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.follow.special_points import StretchPoints, rate
 from casadi_skin.model.arguments import by_name, check_options, duration, function_of, short_repr, truth
 from casadi_skin.model.interrupts import interrupts_deferred
+from casadi_skin.model.result import in_turn
 from casadi_skin.solve.watch import TimeLimitError, one_thread, watched
 from casadi_skin.stability.flows import FlowError
 from casadi_skin.zero.family import MAX_POINTS, FamilyModel, Method, family_request
@@ -413,6 +414,7 @@ class BranchIterator:
 # Following a family from a linear mode, or the branch through a solution: arguments checked, then continuation --------
 
 
+@in_turn
 def follow_family(
     model: FamilyModel,
     mode: int | str,

@@ -32,7 +32,7 @@ from casadi_skin.model.arguments import (
 from casadi_skin.model.integrators import simulated
 from casadi_skin.model.jumps import PARAMETER, STATE, JumpError
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.result import NoQuantityError
+from casadi_skin.model.result import NoQuantityError, in_turn
 from casadi_skin.solve.levels import ExactLevels, Levels
 from casadi_skin.solve.newton import Correction
 from casadi_skin.solve.watch import one_thread
@@ -354,6 +354,7 @@ SAME_EQUILIBRIUM_DISTANCE = 1e-6  # of the sizes: distance of two equilibria tha
 ACCEPTED_GUESSES = "numbers, one a state, numbers by state name, a simulation or another equilibrium"
 
 
+@in_turn
 def find_equilibrium(
     model: OdeModel | Chain,
     guess: Any,
@@ -392,6 +393,7 @@ def find_equilibrium(
         return _settled(statics, start, number("transient", transient), float(tolerance), corrector)
 
 
+@in_turn
 def find_equilibria(
     model: OdeModel | Chain,
     lower: ArrayLike,

@@ -28,9 +28,7 @@ class NoQuantityError(ValueError, AttributeError):
 
 
 TURN = threading.RLock()
-if hasattr(
-    os, "register_at_fork"
-):  # between two turns: in the child another thread's locks and arrays stay as they are
+if hasattr(os, "register_at_fork"):  # a fork waits for its turn: no array of the child is half computed
     os.register_at_fork(before=TURN.acquire, after_in_parent=TURN.release, after_in_child=TURN.release)
 
 

@@ -19,6 +19,7 @@ from casadi_skin.model.loading import read_source
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.operations import from_operations, to_operations
 from casadi_skin.model.pickled import PLAIN_FIELDS, column, equations_of, made
+from casadi_skin.model.result import in_turn
 
 MODEL_FORMAT = "casadi_skin model 2"
 ACCEPTED_MODEL_FILES = f"accepted: a file of format {MODEL_FORMAT!r}, as save_model writes it"
@@ -57,6 +58,7 @@ class Header(msgspec.Struct, frozen=True):
     format: str
 
 
+@in_turn
 def save_model(model: OdeModel, path: str | Path) -> Path:
     """Write a model to a file, from which `read_model` makes it again without the script that made it.
 
@@ -104,6 +106,7 @@ def checksum(model: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+@in_turn
 def read_model(path: str | Path) -> OdeModel:
     """The model in a file that `save_model` wrote.
 

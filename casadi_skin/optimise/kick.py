@@ -383,6 +383,7 @@ class SmallestKick(Result):
         return escape(self.orbit, self.best.kick if kick is None else kick, sampled(self.orbit, self.time))
 
 
+@in_turn
 def smallest_kick(
     orbit: Orbit,
     time: float,

@@ -252,6 +252,7 @@ def same_optimum(one: Outcome, other: Outcome) -> bool:
 DEFAULT_STARTS = 8
 
 
+@in_turn
 def search_orbit(
     chain_or_model: Chain | OdeModel,
     *,

@@ -24,6 +24,7 @@ from casadi_skin.model.files import replacing
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.operations import from_operations, to_operations
 from casadi_skin.model.pickled import programs_in
+from casadi_skin.model.result import in_turn
 from casadi_skin.model.saved import dumps, loads
 from casadi_skin.results.store import (
     DAMAGED_FILE_ERRORS,
@@ -43,6 +44,7 @@ FORMAT = "casadi_skin result 4"
 ACCEPTED_RESULTS = "accepted: a file that save_result wrote"
 
 
+@in_turn
 def save_result(result: Any, path: str | Path) -> Path:
     """Write a result to a file, from which `read_result` makes it again.
 
@@ -93,6 +95,7 @@ def restored(data: SavedResult, model: Any = None) -> Any:
     return Reader(data.shared, model, MADE_OF_WORDS).value(data.result)
 
 
+@in_turn
 def read_result(path: str | Path, *, model: Any = None) -> Any:
     """The result in a file of `save_result`; numbers computed from it equal those of the original, bit for bit.
 

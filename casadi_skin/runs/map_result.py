@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from casadi_skin.fmu.unzip import Archive
 from casadi_skin.model.arguments import check_name, cut, file_path, short_repr
 from casadi_skin.model.files import TemporaryFolder, replacing
-from casadi_skin.model.result import WithVerbs
+from casadi_skin.model.result import WithVerbs, in_turn
 from casadi_skin.results import present
 from casadi_skin.results.dataset import (
     LARGEST_WHOLE_NUMBER,
@@ -648,6 +648,7 @@ def _(found: Map) -> Shown:
 ACCEPTED_MAPS = "accepted: the directory of a map, with its scene.toml and journals, or a file of Map.save"
 
 
+@in_turn
 def read_map(directory: str | Path) -> Map:
     """Read a map that was computed, or is being computed, without its model and without computing anything.
 

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import casadi as ca
@@ -24,6 +25,7 @@ import pytest
 from kernels import needs_kernels, numpy_alone
 from matplotlib.figure import Figure
 
+import casadi_skin
 from casadi_skin import (
     Branch,
     Chain,
@@ -37,6 +39,7 @@ from casadi_skin import (
     search_orbit,
     simulate,
 )
+from casadi_skin.model.result import TURN
 from casadi_skin.results.figures.style import style
 
 THREADS = 8
@@ -252,5 +255,25 @@ def test_an_interrupt_ends_the_main_thread_alone(busy: Branch) -> None:
     assert busy.at(S=0.7).states.tobytes() == expected
 
 
+FUNCTIONS = [name for name in casadi_skin.__all__ if isinstance(getattr(casadi_skin, name), FunctionType)]
+
+
+@pytest.mark.parametrize("name", [name for name in FUNCTIONS if name != "run_map"])  # whose cells take turns one by one
+def test_every_public_function_waits_for_its_turn(name: str) -> None:
+    def without_arguments() -> None:
+        with pytest.raises(TypeError, match="missing"):
+            getattr(casadi_skin, name)()
+
+    thread = threading.Thread(target=without_arguments)
+    with TURN:
+        thread.start()
+        thread.join(0.05)
+        assert thread.is_alive()
+    thread.join(LIMIT)
+    assert not thread.is_alive()
+
+
 def test_public_functions_are_found_again_when_they_are_pickled() -> None:
-    assert pickle.loads(pickle.dumps(follow_family)) is follow_family
+    for name in FUNCTIONS:
+        function = getattr(casadi_skin, name)
+        assert pickle.loads(pickle.dumps(function)) is function
