@@ -49,6 +49,10 @@ def chain_coordinates(
     number = chain.mode_number(mode)
     square_of_family(chain.sites, **chain.parameters, mode=number)
     if abs(chain.gamma) == 1.0:
+        if chain.infinite:
+            raise ValueError(
+                "sites: given an infinite chain; accepted: with |gamma| = 1 a finite one, whose edge site moves"
+            )
         return EdgeSite(chain, number)
     sites = core_sites(chain, amplitude_max)
     obstacle = _obstacle(chain, number, sites, method)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -82,7 +83,7 @@ def test_an_interruption_before_a_command_begins_is_no_traceback() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of the address space are of Linux")
-@pytest.mark.parametrize("megabytes", [30, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("megabytes", [30, pytest.param(20, marks=pytest.mark.slow)])
 def test_an_import_without_memory_is_one_line(megabytes: int, tmp_path: Path) -> None:
     words = "run", EXAMPLES / "fput_modes.toml", "--quiet", "--out", tmp_path
     command = [sys.executable, "-m", "casadi_skin", *map(str, words)]
@@ -92,7 +93,7 @@ def test_an_import_without_memory_is_one_line(megabytes: int, tmp_path: Path) ->
         check=False, timeout=60,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (1, "")
-    assert "failed to map segment" in done.stderr
+    assert re.match("casadi-skin: unexpected error: (MemoryError;|ImportError: .*failed to map segment)", done.stderr)
     assert done.stderr.count("\n") == 1
 
 
@@ -117,6 +118,13 @@ def test_a_lattice_of_first_order_has_no_linear_frequencies(cli: Cli, tmp_path: 
     for more in ((), ("--out", tmp_path / "out")):
         assert "[lattice]: given lattice; accepted" in cli("spectrum", EXAMPLES / "driven_chain.toml", *more).line
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("gamma", [1.0, -1.0])
+def test_an_infinite_chain_whose_edge_site_moves_alone_is_refused(gamma: float, run: Runs) -> None:
+    scene = chain(4, gamma=gamma).replace("sites = 4", "sites = inf") + family("first", amplitude_max=0.3)
+    told = run(scene, command="check", status=2).err
+    assert "[chain] sites: given an infinite chain; accepted: with |gamma| = 1 a finite one" in told
 
 
 LATTICE = """[lattice]
