@@ -251,7 +251,8 @@ class BoundarySpace(ParameterSpace):
         if backwards:
             raise BoundaryError(f"{name}: {backwards}")
         estimate = point.error.relative(1.0)
-        family = in_family(point.problem, point.z) if estimate > self.tolerance else ""
+        doubtful = estimate > MEANINGLESS_ERROR or point.error.Omega > self.tolerance  # an isolated orbit has a period
+        family = in_family(point.problem, point.z) if doubtful else ""
         if family:
             raise FamilyError(f"{name}: {family}")
         if estimate > MEANINGLESS_ERROR:
