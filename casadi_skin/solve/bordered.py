@@ -184,8 +184,8 @@ class BorderedSolver:
         self._last: tuple[Array, Array, Solve] | None = None
         band = BandLayout.of(problem)
         self._kernel = None if band is None else band.kernel(problem)
-        self._probes = np.zeros((size, 2))
-        self._probes[-1, 0], self._probes[:-1, 1] = 1.0, problem.probe
+        self._probes = np.zeros((size, 3))
+        self._probes[-1, 0], self._probes[:-1, 1:] = 1.0, problem.probe[:, None]
         places = problem.kept("closed", lambda: _Places.of(problem))
         self._order, self._closing, self._open, self._taken = places.order, places.closing, places.open, places.taken
         self._closed = csc_matrix((np.zeros(places.rows.size), places.rows, places.bounds), shape=(size, size))
@@ -279,11 +279,12 @@ class BorderedSolver:
     def _accurate(self, probes: Array, sizes: Array | float, nonzeros: Array, row: Array) -> bool:
         """Whether solutions for `_probes` reproduce their right-hand side and the matrix is not singular.
 
-        The first, for (0, ..., 0, 1), gives the tangent; the second, for residuals in general position, is huge where
-        the matrix is singular, in `sizes` of unknowns. A NaN in either fails every comparison.
+        The first, for (0, ..., 0, 1), gives the tangent; the others, for residuals in general position, in units of their
+        own and of size 1, are huge where the matrix is singular: in `sizes` of unknowns, and as they are. Both have to be,
+        as components that are zero but for rounding have no size. A NaN fails every comparison.
         """
-        x, general = np.ascontiguousarray(probes.T)
-        if not np.max(np.abs(general) / sizes) < SINGULAR_GROWTH:
+        x, general, raw = np.ascontiguousarray(probes.T)
+        if not (np.max(np.abs(general) / sizes) < SINGULAR_GROWTH or np.max(np.abs(raw)) < SINGULAR_GROWTH):
             return False
         largest = max(x.max(), -x.min()) * max(nonzeros.max(), -nonzeros.min())
         if self.problem.in_order:  # collocation, whose solvers are made more often than used

@@ -519,11 +519,10 @@ def boundary_method(options: Mapping[str, Any]) -> Method:
 MOVED_SAMPLES = 9  # places along a guess at which components are asked what others move them by
 
 
-def _moved_by_others(statement: Statement, guess: Array) -> Array:
-    """What the others move each component by within the interval, or against its own decay, shape (components,)."""
+def _moved_by_others(statement: Statement, guess: Array, sizes: Array) -> Array:
+    """What others of such sizes move each component by within the interval, or against its decay, (components,)."""
     model, (start, end), p = statement.model, statement.span(), list(statement.values.values())
-    slopes = model.function("slopes", ca.jacobian(model.full_rhs, model.full_state))
-    sizes, moved = np.max(np.abs(guess), axis=0), np.zeros(guess.shape[1])
+    slopes, moved = model.function("slopes", ca.jacobian(model.full_rhs, model.full_state)), np.zeros(sizes.size)
     rows, columns = map(np.array, slopes.sparsity_out(0).get_triplet())
     for turn in np.linspace(0.0, 1.0, MOVED_SAMPLES):
         x = guess[int(turn * (len(guess) - 1))]
@@ -549,9 +548,11 @@ class Sizes:
         """
         states = 1e-3 * np.max(np.abs(guess), axis=0) if np.any(guess) else np.ones(guess.shape[1])
         small = (states > 0.0) & (states < SMALLEST_COMPONENT_RATIO * np.max(states))
-        if np.any(small):
-            least = SMALLEST_COMPONENT_RATIO * _moved_by_others(statement, guess)
-            states = np.where(small, np.maximum(states, least), states)
+        moved = np.max(np.abs(guess), axis=0)
+        for _ in range(np.count_nonzero(small)):  # a position that is zero is moved by a velocity that is
+            by_others = _moved_by_others(statement, guess, moved)
+            moved = np.where(small & (moved < SMALLEST_COMPONENT_RATIO * by_others), by_others, moved)
+            states = np.where(small, np.maximum(states, SMALLEST_COMPONENT_RATIO * moved), states)
         values = np.array([statement.values[name] for name in statement.free])
         return cls(states, np.where(values == 0.0, 1.0, 1e-3 * np.abs(values)))
 
