@@ -236,7 +236,7 @@ class BorderedSolver:
 
     def _factored(self, z: Array, nonzeros: Array, row: Array) -> Solve:
         if self._kernel is not None:
-            x = np.array(self._probes.T[None, ::-1], order="C")
+            x = np.array(self._probes.T[None, 1::-1], order="C")
             memory = self._kernel.memory()
             orientation = self._kernel.steps(z[None], nonzeros[None], row[None], x, memory)
             if orientation is not None:
@@ -279,9 +279,9 @@ class BorderedSolver:
     def _accurate(self, probes: Array, sizes: Array | float, nonzeros: Array, row: Array) -> bool:
         """Whether solutions for `_probes` reproduce their right-hand side and the matrix is not singular.
 
-        The first, for (0, ..., 0, 1), gives the tangent; the others, for residuals in general position, in units of their
-        own and of size 1, are huge where the matrix is singular: in `sizes` of unknowns, and as they are. Both have to be,
-        as components that are zero but for rounding have no size. A NaN fails every comparison.
+        The first, for (0, ..., 0, 1), gives the tangent; the others, for residuals in general position, in units of
+        their own and of size 1, are huge where the matrix is singular: in `sizes` of unknowns, and as they are. Both
+        have to be, as components that are zero but for rounding have no size. A NaN fails every comparison.
         """
         x, general, raw = np.ascontiguousarray(probes.T)
         if not (np.max(np.abs(general) / sizes) < SINGULAR_GROWTH or np.max(np.abs(raw)) < SINGULAR_GROWTH):
