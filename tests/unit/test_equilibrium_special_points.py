@@ -193,6 +193,7 @@ def _from_below(model: OdeModel, guess: object, name: str, start: float, to: flo
     return branch.special_points
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", [1.0, 1e8])
 def test_a_branch_on_which_derivatives_overflow_has_the_fold_before(unit: float) -> None:
     """p exp(x) = x: a fold at p = 1/e, x = 1; beyond it x grows until exp(x) has no room in a double."""
