@@ -72,7 +72,7 @@ def largest_multiplier(sites: int, force: Force, S: float) -> float:
 
 @pytest.mark.parametrize(
     ("sites", "force", "S_max"),
-    [(6, ALPHA, 1.0), (8, ALPHA, 0.8), (16, ALPHA, 0.4), (4, LENNARD_JONES, 0.02)],
+    [(6, ALPHA, 1.0), (8, ALPHA, 0.8), pytest.param(16, ALPHA, 0.4, marks=pytest.mark.slow), (4, LENNARD_JONES, 0.02)],
     ids=["alpha_6", "alpha_8", "alpha_16", "lennard_jones_4"],
 )
 def test_pi_mode_of_a_ring_loses_stability_where_an_independent_scan_does(
@@ -89,7 +89,7 @@ def test_pi_mode_of_a_ring_loses_stability_where_an_independent_scan_does(
     assert all(orbit.stable == (change.S > orbit.S) for orbit in branch.solutions)
 
 
-@pytest.mark.parametrize("sites", [4, 6, 8, 16])
+@pytest.mark.parametrize("sites", [4, 6, 8, pytest.param(16, marks=pytest.mark.slow)])
 def test_toda_ring_is_integrable_and_never_loses_stability(sites: int) -> None:
     branch = follow_family(ring(sites, TODA.formula), mode="last", amplitude_max=0.1, stability=True)
     assert branch.changes == ()
