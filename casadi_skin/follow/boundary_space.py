@@ -251,7 +251,8 @@ class BoundarySpace(ParameterSpace):
         if backwards:
             raise BoundaryError(f"{name}: {backwards}")
         estimate = point.error.relative(1.0)
-        doubtful = estimate > MEANINGLESS_ERROR or point.error.Omega > self.tolerance  # an isolated orbit has a period
+        # Of an orbit that is one of a family the period is not known; states that are zero may have any relative error.
+        doubtful = estimate > MEANINGLESS_ERROR or point.error.Omega > self.tolerance
         family = in_family(point.problem, point.z) if doubtful else ""
         if family:
             raise FamilyError(f"{name}: {family}")

@@ -305,7 +305,10 @@ class MapRun:
             for i, (cell, row) in enumerate(zip(task.cells, records[task.cells].rows, strict=True)):
                 again = Row({}, result.reason) if result.kind else result.rows[i]
                 for name, value in row.values.items():
-                    if isinstance(value, float) and compared(name) and not _same(value, again.values.get(name)):
+                    if not (isinstance(value, float) and compared(name)):
+                        continue
+                    size = float(np.nanmax(np.abs(found.columns.get(name, value))))
+                    if not _same(value, again.values.get(name), size):
                         words = f"{self.grid.name(cell)}: {name} = {value!r}, computed again {again.values.get(name)}"
                         accepted = "accepted: journals as the map wrote them, or --overwrite"
                         raise DirectoryError(f"{self.directory}: {words}; {accepted}")
@@ -372,9 +375,9 @@ class MapRun:
         found.write(attributes, self.scene.model is None, self.pictures)
 
 
-def _same(value: float, again: Any) -> bool:
-    """Whether a number was computed again, by any processor."""
-    return isinstance(again, float) and abs(value - again) <= SAME_VALUE_RTOL * max(abs(value), abs(again), 1.0)
+def _same(value: float, again: Any, size: float) -> bool:
+    """Whether a number was computed again, by any processor; `size` is the largest of its column."""
+    return isinstance(again, float) and abs(value - again) <= SAME_VALUE_RTOL * max(abs(again), size)
 
 
 def _again(found: Map, batch: Cells, seen: NDArray[np.bool_]) -> Iterator[Task]:

@@ -551,8 +551,11 @@ class Sizes:
         moved = np.max(np.abs(guess), axis=0)
         for _ in range(np.count_nonzero(small)):  # a position that is zero is moved by a velocity that is
             by_others = _moved_by_others(statement, guess, moved)
-            moved = np.where(small & (moved < SMALLEST_COMPONENT_RATIO * by_others), by_others, moved)
-            states = np.where(small, np.maximum(states, SMALLEST_COMPONENT_RATIO * moved), states)
+            rounded = small & (moved < SMALLEST_COMPONENT_RATIO * by_others)
+            if not np.any(rounded):
+                break
+            moved = np.where(rounded, by_others, moved)
+        states = np.where(small, np.maximum(states, SMALLEST_COMPONENT_RATIO * moved), states)
         values = np.array([statement.values[name] for name in statement.free])
         return cls(states, np.where(values == 0.0, 1.0, 1e-3 * np.abs(values)))
 
