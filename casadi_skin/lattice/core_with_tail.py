@@ -36,7 +36,17 @@ from casadi_skin.zero.cosines import (
 )
 from casadi_skin.zero.family import Method
 from casadi_skin.zero.model_coordinates import DEEPEST_LOG_SCALE, ModelCoordinates, check_alone
-from casadi_skin.zero.problem import FREQUENCY_WEIGHT, Array, Buffers, Indices, Problem, Scalar, SingularError, Solve
+from casadi_skin.zero.problem import (
+    FREQUENCY_WEIGHT,
+    Array,
+    Buffers,
+    Indices,
+    Problem,
+    Scalar,
+    SingularError,
+    Solve,
+    sparse_matrix,
+)
 from casadi_skin.zero.settings import Point
 
 
@@ -46,6 +56,10 @@ class EquationsWithTail:
     In the place of Omega z has u. Those of the attached site are by harmonic: (T R) down - s/Omega^2 (T q) across with
     the core's residual R and the matrix T from values at nodes to coefficients. Arguments of the function are z, the
     numbers of the core, (s, Omega, Omega_slope), across, across_slope, down and down_slope.
+
+    Attributes:
+        touched: unknowns in the equations of the attached site, Omega among them at `own_Omega`.
+        inside, by_Omega: places of their derivatives and of those by Omega among the non-zeros of the core's Jacobian.
     """
 
     def __init__(self, core: CosineEquations, harmonics: int, attached: int) -> None:
@@ -57,17 +71,23 @@ class EquationsWithTail:
         own, jacobian = core.function(ca.vertcat(z[:place], Omega, z[place + 1 :]), numbers)
         balance, bond = T @ own[rows], s / Omega**2
         site = T @ z[rows]
-        block = ca.diag(down) @ (T @ jacobian[rows, :])
-        block[:, rows] -= ca.diag(bond * across) @ T
-        by_u = slope * jacobian[:, place]
-        by_u[rows] = slope * block[:, place] + down_slope * balance
-        by_u[rows] += bond * (2.0 * slope / Omega * across - across_slope) * site
-
-        def with_rows(matrix: ca.MX, changed: ca.MX) -> ca.MX:
-            return ca.vertcat(matrix[: rows.start, :], changed, matrix[rows.stop :, :])
-
-        residual, jacobian = with_rows(own, down * balance - bond * across * site), with_rows(jacobian, block)
-        jacobian = ca.horzcat(jacobian[:, :place], by_u, jacobian[:, place + 1 :])
+        i, k = core.pattern
+        inside, in_place = (i >= rows.start) & (i < rows.stop), k == place
+        self.inside, self.by_Omega = np.flatnonzero(inside), np.flatnonzero(in_place)
+        self.touched = np.unique(k[inside])
+        self.own_Omega, first = (int(np.searchsorted(self.touched, at)) for at in (place, rows.start))
+        block = ca.diag(down) @ (T @ jacobian[rows, self.touched.tolist()])
+        block[:, first : first + H] -= ca.diag(bond * across) @ T
+        by_u = slope * block[:, self.own_Omega] + down_slope * balance
+        block[:, self.own_Omega] = by_u + bond * (2.0 * slope / Omega * across - across_slope) * site
+        # Non-zeros by their places: rows of sparse matrices put together would cost as much as the core.
+        kept, scaled = (np.flatnonzero(~inside & part) for part in (~in_place, in_place))
+        block_columns, block_rows = np.repeat(self.touched, H), np.tile(np.arange(size)[rows], self.touched.size)
+        i, k = (np.concatenate([t[kept], t[scaled], b]) for t, b in ((i, block_rows), (k, block_columns)))
+        found = jacobian.nz[:]
+        nonzeros = ca.vertcat(found[kept.tolist()], slope * found[scaled.tolist()], ca.vec(block))
+        jacobian = sparse_matrix((size - 1, size), i, k, nonzeros)
+        residual = ca.vertcat(own[: rows.start], down * balance - bond * across * site, own[rows.stop :])
         symbols = z, numbers, scalars, *values
         self.function = ca.Function("equations", symbols, [residual, jacobian])
         self.pattern = tuple(np.array(found, dtype=np.int64) for found in self.function.sparsity_out(1).get_triplet())
@@ -119,30 +139,19 @@ class CoreWithTailProblem(TrigonometricProblem):
         """Equations, and unknown positions, of the attached site."""
         return slice(self.attached * self.resolution, (self.attached + 1) * self.resolution)
 
-    @cached_property
-    def touched(self) -> Indices:
-        """Unknowns in the equations of the attached site by itself."""
-        rows, columns = self.core.pattern
-        return np.unique(columns[(rows >= self.rows.start) & (rows < self.rows.stop)])
-
-    @cached_property
-    def own_Omega(self) -> int:
-        """Place of Omega among those `touched`."""
-        return int(np.searchsorted(self.touched, self.Omega_index))
-
     def attached_balance(self, own: Array) -> tuple[Array, Array, Array]:
         """The core's equations of the attached site by harmonic, their derivatives, and those of all by Omega.
 
         `own` are unknowns of the core by itself. Derivatives are by those `touched`, of the equations times Omega^2 and
         over its value: a bond to the tail balances them.
         """
-        from scipy.sparse import csr_array
-
         residual, nonzeros = self.core.evaluate(own)
-        jacobian = csr_array((nonzeros, self.core.pattern), (self.size - 1, self.size))
-        block, balance = jacobian[self.rows].toarray()[:, self.touched], residual[self.rows]
-        block[:, self.own_Omega] += 2.0 / own[self.Omega_index] * balance
-        by_Omega = jacobian[:, [self.Omega_index]].toarray()[:, 0]
+        equations, (i, k) = self.equations, self.core.pattern
+        inside, at, touched = equations.inside, equations.by_Omega, equations.touched
+        block, by_Omega = np.zeros((self.resolution, touched.size)), np.zeros(self.size - 1)
+        block[i[inside] - self.rows.start, np.searchsorted(touched, k[inside])] = nonzeros[inside]
+        by_Omega[i[at]], balance = nonzeros[at], residual[self.rows]
+        block[:, equations.own_Omega] += 2.0 / own[self.Omega_index] * balance
         return self._to_coefficients @ balance, self._to_coefficients @ block, by_Omega
 
     def recursion(self, form: PolynomialForm, orders: int) -> TailRecursion:
@@ -210,6 +219,7 @@ class TailRecursion:
     def __init__(self, problem: CoreWithTailProblem, form: PolynomialForm, orders: int) -> None:
         H = problem.resolution
         self.problem, self.orders = problem, orders
+        self._touched, self._own_Omega = problem.equations.touched, problem.equations.own_Omega
         self._core = TaylorRecursion(problem.core, form, orders)
         self.end: tuple[int, float] | None = None
         self._along, self._powers = np.zeros((orders + 1, 1 + 2 * H)), np.zeros((orders + 1, orders + 1))
@@ -246,7 +256,7 @@ class TailRecursion:
         right = self._core.right_side(k)
         powers[2 : k + 1, k] = powers[1:k, k - 1 : 0 : -1] @ powers[1, 1:k]
         along = powers[2 : k + 1, k] @ self._by_u[2 : k + 1]
-        balance = self._block[:, problem.own_Omega] * along[0] - problem._to_coefficients @ right[problem.rows]
+        balance = self._block[:, self._own_Omega] * along[0] - problem._to_coefficients @ right[problem.rows]
         right[:-1] -= self._by_Omega * along[0]
         lower = np.einsum("jh,jh->h", self._down[1:k], self._balance[k - 1 : 0 : -1])
         lower -= self._bond * np.einsum("jh,jh->h", self._across[1:k], self._site[k - 1 : 0 : -1])
@@ -260,7 +270,7 @@ class TailRecursion:
         self._found[k], self._powers[1, k], self._along[k] = z, z[place], along + z[place] * self._by_u[1]
         self._site[k] = problem._to_coefficients @ z[problem.rows]
         own[place] *= self._by_u[1, 0]
-        self._balance[k] = balance + self._block @ own[problem.touched]
+        self._balance[k] = balance + self._block @ own[self._touched]
         own[place] = self._along[k, 0]
         self._core.put(k, own)
 
@@ -268,8 +278,8 @@ class TailRecursion:
         """What the compiled kernel needs for the same from order 2 on."""
         problem, (orders, size) = self.problem, self._found.shape
         return Structure(
-            TAIL, orders - 1, problem.resolution, size, problem.rows.start, problem.Omega_index, problem.touched.size,
-            problem.own_Omega, problem.touched, self._by_u, problem._to_coefficients, self._block, self._by_Omega,
+            TAIL, orders - 1, problem.resolution, size, problem.rows.start, problem.Omega_index, self._touched.size,
+            self._own_Omega, self._touched, self._by_u, problem._to_coefficients, self._block, self._by_Omega,
             self._along, self._powers, self._balance, self._site, self._found, self._bond,
         )  # fmt: skip
 
