@@ -30,7 +30,7 @@ from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import locate_rest
 from casadi_skin.zero.balanced import BalancedMatrix
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved, kind_of
-from casadi_skin.zero.problem import EPSILON, Array, Indices, SingularError
+from casadi_skin.zero.problem import Array, Indices, SingularError
 from casadi_skin.zero.rest import AlgebraicProblem
 from casadi_skin.zero.settings import Point
 
@@ -43,6 +43,7 @@ SETTLED_STEP = 1e-7  # of a stretch: a step that is none
 SMALL_STATE_COUNT = (
     16  # states: eigenvalues of more are computed only where derivatives are not what is between two points
 )
+SMALL_EIGENVALUE_RTOL, SMALL_ENTRY_RTOL = 1e-6, 1e-9  # of the largest: real parts that rounding may decide
 SURE_CHANGE_FACTOR = 10.0  # times the change of an eigenvalue, to first order, that leaves it on its side
 Flags = NDArray[np.bool_]
 SPECIAL_POINTS = "special points"  # in words: what may be missing
@@ -114,52 +115,95 @@ class Counts:
         return None
 
 
-def counted(equations: SolutionSpace, before: Point, after: Point) -> Counts | None:
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Equilibria between two points, by Newton's method from the cubic through both.
+
+    Attributes:
+        before, after: the points.
+        row: the metric times the tangent of the first.
+        sigma: places by row . (z - z of the first), both ends among them.
+        unknowns: the equilibria, shape (place, unknowns).
+        matrices: Jacobians there, but for a last step that is none, shape (place, equations, unknowns).
+        settled: where the steps became small.
+    """
+
+    before: Point
+    after: Point
+    row: Array
+    sigma: Array
+    unknowns: Array
+    matrices: Array
+    settled: Flags
+
+    @classmethod
+    def of(cls, equations: SolutionSpace, before: Point, after: Point) -> Places:
+        """As many as the ledger has between two points."""
+        weights = equations.point_solver.metric(before.problem, before.z)
+        row = weights * before.tangent
+        curve = LocalCurve.through(before.z, before.tangent, after.z, after.tangent, row)
+        over = LEDGER_PLACES if equations.statics.exact else OF_PROGRAMS
+        many = max(abs(after.parameter - before.parameter), curve.length / LEDGER_LENGTH)
+        count = int(np.clip(np.ceil(over * many), 3, MOST_PLACES_BETWEEN))
+        sigma = curve.length * np.linspace(0.0, 1.0, count + 1)
+        guesses = curve.at(sigma)
+        guesses[[0, -1]] = before.z, after.z
+        found = _solved(before.problem, guesses, row, SETTLED_STEP * curve.length, weights)
+        return cls(before, after, row, sigma, *found)
+
+    @property
+    def clear(self) -> bool:
+        """Whether every eigenvalue stays on its side of the imaginary axis, by far more than it moves between places.
+
+        The k-th largest real part is a continuous function of the place, of which a special point is a zero.
+        """
+        n = self.before.problem.statics.size
+        if n > SMALL_STATE_COUNT or not self.settled.all():
+            return False
+        matrices = self.matrices[:, :, :n]
+        real = np.sort(np.linalg.eigvals(matrices).real, axis=1)
+        moved, (low, high) = np.abs(real[1:] - real[:-1]).max(axis=0), (real.min(axis=0), real.max(axis=0))
+        rounding = max(SMALL_EIGENVALUE_RTOL * max(-low[0], high[-1]), SMALL_ENTRY_RTOL * np.abs(matrices).max())
+        return bool((np.maximum(low, -high) > np.maximum(SURE_CHANGE_FACTOR * moved, rounding)).all())
+
+
+def counted(equations: SolutionSpace, places: Places) -> Counts | None:
     """The numbers of unstable eigenvalues between two points; None where the branch is not found there."""
-    problem, first = before.problem, equations.sample(before)
-    row = first.row
-    curve = LocalCurve.through(before.z, before.tangent, after.z, after.tangent, row)
-    length = float(row @ (after.z - before.z))
-    weights = equations.point_solver.metric(problem, before.z)
-    over = LEDGER_PLACES if equations.statics.exact else OF_PROGRAMS
-    many = max(abs(after.parameter - before.parameter), length / LEDGER_LENGTH)
-    sigma = length * np.linspace(0.0, 1.0, int(np.clip(np.ceil(over * many), 3, MOST_PLACES_BETWEEN)) + 1)
-    guesses = np.array([curve.at(float(place)) for place in sigma])
-    guesses[[0, -1]] = before.z, after.z
-    unknowns, settled = _solved(problem, guesses, row, SETTLED_STEP * length, weights)
-    for k in np.flatnonzero(~settled):
-        point = equations.point_solver.along(before, after, float(sigma[k] / length))
+    before, after, sigma, unknowns = places.before, places.after, places.sigma, places.unknowns
+    problem, n = before.problem, before.problem.statics.size
+    for k in np.flatnonzero(~places.settled):
+        point = equations.point_solver.along(before, after, float(sigma[k] / sigma[-1]))
         if point is None:
             return None
         unknowns[k] = point.z
-    stack = problem.equations_at_all(unknowns)[1][:, :, : problem.statics.size]
-    stretch = SampledStretch.of((first, equations.sample(after)))
-    seen = (
-        np.ones(sigma.size, dtype=bool)
-        if problem.statics.size <= SMALL_STATE_COUNT
-        else _unlike(stretch, stack, sigma / length)
-    )
+    stack = problem.equations_at_all(unknowns)[1][:, :, :n]
+    stretch = SampledStretch.of((equations.sample(before), equations.sample(after)))
+    seen = np.ones(sigma.size, dtype=bool) if n <= SMALL_STATE_COUNT else _unlike(stretch, stack, sigma / sigma[-1])
     least, most = _numbers(problem.statics.model.rounding, stack, seen)
-    return Counts(before, after, row, sigma[seen], least, most, unknowns[seen])
+    return Counts(before, after, places.row, sigma[seen], least, most, unknowns[seen])
 
 
-def _solved(problem: AlgebraicProblem, z: Array, row: Array, still: float, weights: Array) -> tuple[Array, Flags]:
-    """Equilibria near states, each at its place along, by Newton's method; and whether the steps settled."""
+def _solved(
+    problem: AlgebraicProblem, z: Array, row: Array, still: float, weights: Array
+) -> tuple[Array, Array, Flags]:
+    """Equilibria near states, each at its place along; Jacobians before the last steps, and whether these settled."""
     z, left, settled = z.copy(), np.arange(len(z)), np.zeros(len(z), dtype=bool)
+    kept = np.empty((len(z), problem.size - 1, problem.size))
     for _ in range(NEWTON_STEPS):
-        residuals, matrices = problem.equations_at_all(z[left])
-        closed = np.concatenate([matrices, np.tile(row, (left.size, 1, 1))], axis=1)
-        regular = np.linalg.cond(closed) < 1.0 / EPSILON
-        left, closed, residuals = left[regular], closed[regular], residuals[regular]
-        right = np.concatenate([residuals, np.zeros((left.size, 1))], axis=1)
-        steps = np.linalg.solve(closed, right[..., None])[..., 0]
+        residuals, kept[left] = problem.equations_at_all(z[left])
+        closed, right = np.empty((left.size, problem.size, problem.size)), np.zeros((left.size, problem.size, 1))
+        closed[:, :-1], closed[:, -1], right[:, :-1, 0] = kept[left], row, residuals
+        try:
+            steps = np.linalg.solve(closed, right)[..., 0]
+        except np.linalg.LinAlgError:  # one is singular
+            break
         z[left] -= steps
-        small = np.sqrt(np.sum(weights * steps**2, axis=1)) <= still
+        small = np.sqrt(steps**2 @ weights) <= still
         settled[left[small]] = True
         left = left[~small]
         if not left.size:
             break
-    return z, settled
+    return z, kept, settled
 
 
 def _unlike(stretch: SampledStretch, matrices: Array, fractions: Array) -> np.ndarray:
@@ -184,8 +228,8 @@ def _numbers(rounding: float, matrices: Array, seen: np.ndarray) -> tuple[Indice
     stack = matrices[seen]
     real = np.linalg.eigvals(stack).real
     least, most = np.sum(real > 0.0, axis=1), np.sum(real > 0.0, axis=1)
-    near = np.min(np.abs(real), axis=1) <= 1e-6 * np.max(np.abs(real), axis=1)
-    near |= np.max(np.abs(stack), axis=(1, 2)) * 1e-9 > np.min(np.abs(real), axis=1)
+    near = np.min(np.abs(real), axis=1) <= SMALL_EIGENVALUE_RTOL * np.max(np.abs(real), axis=1)
+    near |= np.max(np.abs(stack), axis=(1, 2)) * SMALL_ENTRY_RTOL > np.min(np.abs(real), axis=1)
     for k in np.flatnonzero(near):
         linear = BalancedMatrix(stack[k], rounding)
         values, errors = linear.eigensystem[0].real, linear.errors()
@@ -211,8 +255,11 @@ def special_between(equations: SolutionSpace, before: Point, after: Point, gaps:
     The stretch is divided where the number of unstable eigenvalues differs along it, or the special points do not
     account for it; what stays is named.
     """
+    places = Places.of(equations, before, after)
+    if places.clear and float(places.row @ after.tangent) >= SHARP_TURN_COSINE:
+        return
     search = _Search(equations, before, after)
-    counts = counted(equations, before, after) if search.free else None
+    counts = counted(equations, places) if search.free else None
     if counts is None:
         yield from search.on_stretch()
         gaps += search.gaps
@@ -220,14 +267,14 @@ def special_between(equations: SolutionSpace, before: Point, after: Point, gaps:
             words = "the branch is not found between two points"
             gaps.append(gap_between(equations, before, after, words, SPECIAL_POINTS))
         return
-    places = counts.cuts
+    cuts = counts.cuts
     for _ in range(MOST_RECOUNTS):
-        parts, missed = pairwise((before, *counts.points(equations, places), after)), list[Unresolved]()
+        parts, missed = pairwise((before, *counts.points(equations, cuts), after)), list[Unresolved]()
         events = [one for ends in parts for one in _between(equations, *ends, missed)]
         missing = None if missed else counts.violation(events)
         if missing is None:
             break
-        places = sorted({*places, *missing})
+        cuts = sorted({*cuts, *missing})
     yield from events
     gaps += missed
     if missing is not None:

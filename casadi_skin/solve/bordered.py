@@ -3,9 +3,9 @@
 Banded problems are solved by band LU with the dense columns and rows in a border, by the compiled kernel.
 The band alone is singular at a linear mode (its null vector is the mode), so its diagonal entry at the largest entry of
 the state is raised, and an unknown more in the border takes that back; Schur complement of a bordered matrix, Keller
-(1977), Govaerts (2000) chapter 3. Everything else goes to SuperLU: of collocation the unknowns within the intervals
-first, in an order that the model's own pattern determines, so that dense blocks are left between ends of intervals
-alone (the condensation of Ascher, Mattheij and Russell 1995, section 7.2).
+(1977), Govaerts (2000) chapter 3. A few equations have dense factors. Everything else goes to SuperLU: of collocation
+the unknowns within the intervals first, in an order that the model's own pattern determines, so that dense blocks are
+left between ends of intervals alone (the condensation of Ascher, Mattheij and Russell 1995, section 7.2).
 """
 
 from __future__ import annotations
@@ -44,6 +44,28 @@ class BandFactors:
         return x.T.reshape(b.shape)
 
 
+class DenseFactors:
+    """Solves with the factors of a dense matrix."""
+
+    def __init__(self, matrix: Array) -> None:
+        from scipy.linalg.lapack import dgetrf
+
+        self._factors, self._pivots, where = dgetrf(matrix)
+        if where:
+            raise SingularError(f"the Jacobian with its border cannot be factorised: its pivot {where} is zero")
+
+    def __call__(self, b: Array) -> Array:
+        from scipy.linalg.lapack import dgetrs
+
+        return np.asarray(dgetrs(self._factors, self._pivots, b)[0])
+
+    @property
+    def orientation(self) -> float:
+        """The sign of the determinant."""
+        swaps = np.count_nonzero(self._pivots != np.arange(self._pivots.size))
+        return float(np.prod(np.sign(np.diag(self._factors))) * (-1.0) ** swaps)
+
+
 class SparseFactors:
     """Solves with factors by SuperLU of a matrix whose columns are in another order and whose rows are scaled."""
 
@@ -78,6 +100,7 @@ def _parity(permutation: Indices) -> float:
 
 SINGULAR_GROWTH = 1e12  # growth of residuals, in units of both (`Problem.units_at`), that only a singular matrix gives
 LONG_ROW_FACTOR = 1e-2  # factor of rows through most unknowns, as of integrals and of the arclength
+DENSE_UNKNOWNS = 24  # up to which dense factors take less time than sparse ones, measured
 ACCURATE_RESIDUAL = 1e-9  # residual of a solve, relative to the largest entries of matrix and solution
 
 
@@ -199,14 +222,6 @@ class BorderedSolver:
         return found
 
     @cached_property
-    def _jacobian(self) -> Any:
-        from scipy.sparse import csc_matrix
-
-        size, (rows, columns) = self.problem.size, self.problem.pattern
-        ends = np.searchsorted(columns, np.arange(size + 1))
-        return csc_matrix((np.zeros(rows.size), rows, ends), shape=(size - 1, size))
-
-    @cached_property
     def _scale(self) -> Array:
         """Factors of the rows that keep those through most unknowns from being pivots, which would fill the factors."""
         scale = np.ones(self.problem.size)
@@ -287,12 +302,8 @@ class BorderedSolver:
         if not (np.max(np.abs(general) / sizes) < SINGULAR_GROWTH or np.max(np.abs(raw)) < SINGULAR_GROWTH):
             return False
         largest = max(x.max(), -x.min()) * max(nonzeros.max(), -nonzeros.min())
-        if self.problem.in_order:  # collocation, whose solvers are made more often than used
-            rows, columns = self.problem.pattern
-            defect = np.bincount(rows, nonzeros * x[columns], self.problem.size - 1)
-        else:
-            self._jacobian.data = nonzeros
-            defect = self._jacobian @ x
+        rows, columns = self.problem.pattern
+        defect = np.bincount(rows, nonzeros * x[columns], self.problem.size - 1)
         return bool(
             max(defect.max(), -defect.min()) <= ACCURATE_RESIDUAL * largest and abs(row @ x - 1.0) <= ACCURATE_RESIDUAL
         )
@@ -300,6 +311,8 @@ class BorderedSolver:
     def _factor_sparse(self, nonzeros: Array, row: Array) -> Solve:
         from scipy.sparse.linalg import splu
 
+        if self.problem.size <= DENSE_UNKNOWNS and not self.problem.in_order:
+            return DenseFactors(self._dense(nonzeros, row))
         self._close(nonzeros, row)
         try:
             if not self.problem.in_order:
@@ -308,6 +321,13 @@ class BorderedSolver:
             return SparseFactors(splu(self._closed, permc_spec="NATURAL"), self._order, self._scale)
         except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
             raise SingularError(f"the Jacobian with its border cannot be factorised: {error}") from error
+
+    def _dense(self, nonzeros: Array, row: Array) -> Array:
+        """The closed matrix of a small problem."""
+        matrix = np.zeros((self.problem.size, self.problem.size))
+        matrix[self.problem.pattern] = nonzeros
+        matrix[-1] = row
+        return matrix
 
     def _close(self, nonzeros: Array, row: Array) -> None:
         """Fill the closed matrix."""

@@ -29,7 +29,7 @@ from casadi_skin.zero.balanced import (
     balanced,
     units_of,
 )
-from casadi_skin.zero.problem import EPSILON, Array, Problem, Scalar
+from casadi_skin.zero.problem import EPSILON, Array, Buffers, Problem, Scalar
 from casadi_skin.zero.statement import in_order, named_values
 
 # Of the size of x: steps of second and third derivatives of a program.
@@ -189,6 +189,7 @@ def _roots(squares: ComplexArray, errors: Array) -> tuple[ComplexArray, Array]:
 
 # The problem of equilibria --------------------------------------------------------------------------------------------
 
+TOGETHER = 12  # states at which equations are evaluated by one call
 SMALLEST_COMPONENT_RATIO = 1e-3  # of a component's size: changes of smaller components are measured by that
 
 
@@ -454,6 +455,16 @@ class AlgebraicProblem(Undiscretised):
     def equations_at_all(self, z: Array) -> tuple[Array, Array]:
         """Residuals and Jacobians of the equations as they are written at states (k, size): (k, m) and (k, m, size)."""
         residual, nonzeros = np.empty((len(z), self.size - 1)), np.empty((len(z), self.pattern[0].size))
-        for k, one in enumerate(z):
-            residual[k], nonzeros[k] = self._buffers(one, self.numbers)
+        for start in range(0, len(z), TOGETHER):
+            some = z[start : start + TOGETHER]
+            filled = np.concatenate([some, np.repeat(some[-1:], TOGETHER - len(some), axis=0)])
+            found = self._several(filled, self.numbers)
+            residual[start : start + TOGETHER], nonzeros[start : start + TOGETHER] = (
+                values.reshape(TOGETHER, -1)[: len(some)] for values in found
+            )
         return residual, self._matrix(nonzeros)
+
+    @cached_property
+    def _several(self) -> Buffers:
+        """The equations at several states at once."""
+        return Buffers(self.compiled.map(TOGETHER), TOGETHER)

@@ -23,7 +23,7 @@ from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.lattice.tail_parameter import TailParameter
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve import ipopt, watch
-from casadi_skin.solve.bordered import BorderedSolver
+from casadi_skin.solve.bordered import BorderedSolver, DenseFactors
 from casadi_skin.solve.ipopt import STEP_SHRINKAGE, ArbitratedCorrector, IpoptCorrector
 from casadi_skin.solve.newton import Correction, Corrector, NewtonCorrector, Status
 from casadi_skin.zero.cosines import TrigonometricProblem
@@ -399,3 +399,13 @@ def test_the_last_bits_of_a_state_do_not_depend_on_the_others(others: int) -> No
 
     for alone, among in zip(of(slice(12 - others, 12)), of(slice(None)), strict=True):
         np.testing.assert_array_equal(alone, among[12 - others :])
+
+
+@pytest.mark.parametrize("size", [2, 5, 9])
+def test_dense_factors_solve_and_know_the_sign_of_the_determinant(size: int) -> None:
+    for matrix in np.random.default_rng(size).normal(size=(8, size, size)):
+        factors, b = DenseFactors(matrix), np.arange(2.0 * size).reshape(size, 2)
+        np.testing.assert_allclose(matrix @ factors(b), b, rtol=0, atol=1e-10)
+        assert factors.orientation == np.sign(np.linalg.det(matrix))
+    with pytest.raises(SingularError, match="pivot 2 is zero"):
+        DenseFactors(np.ones((2, 2)))

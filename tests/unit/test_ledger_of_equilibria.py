@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from equilibrium_models import branch_of, has_points, symbols
 
-from casadi_skin import OdeModel, find_equilibrium
+from casadi_skin import Branch, OdeModel, find_equilibrium
 from casadi_skin.follow import rest_events
 
 
@@ -70,3 +70,20 @@ def test_pairs_that_come_and_go_at_random_are_all_listed(seed: int) -> None:
     model = OdeModel("cosines", x, ca.vertcat(*rows), p)
     branch = find_equilibrium(model, np.zeros(4), parameters={"p": 0.0}).follow("p", 1.0)
     has_points(branch, [("hopf", root) for root in np.sort(roots)], 5.1e-5)
+
+
+def test_stretches_that_are_clear_hide_no_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where eigenvalues stay on their sides by far nothing is sought: the search finds the same without that."""
+
+    def lorenz() -> Branch:
+        rates = lambda x, y, z, r: [10 * (y - x), r * x - y - x * z, x * y - 8 * z / 3]  # noqa: E731
+        return branch_of("x y z", rates, [7.0, 7.0, 19.0], 28.0, r=20.0)
+
+    found, searched = lorenz(), list[object]()
+    monkeypatch.setattr(rest_events.Places, "clear", property(lambda places: searched.append(places)))
+    again = lorenz()
+    assert len(searched) > 30
+    assert [(one.kind, one.parameters["r"]) for one in found.special_points] == [
+        (one.kind, one.parameters["r"]) for one in again.special_points
+    ]
+    np.testing.assert_array_equal(found.values, again.values)
