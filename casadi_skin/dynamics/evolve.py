@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import cache, cached_property, partial
 from typing import Any
 
 import casadi as ca
@@ -37,11 +37,14 @@ from casadi_skin.model.integrators import (
     size_of,
 )
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.operations import read
 from casadi_skin.model.result import in_turn
+from casadi_skin.native import kernels, program_lists, stepped
 from casadi_skin.stability.flows import SPLITTING_ORDER, KicksAndDrifts, srkn_step
-from casadi_skin.zero.problem import Array
+from casadi_skin.zero.problem import Array, Indices
 
-LONGEST_FOLD = 4096  # steps in one call, so that an interruption is noticed
+LONGEST_CALL = 4096  # steps, so that an interruption is noticed
+SEQUENCE = KicksAndDrifts.of(1).kicks, KicksAndDrifts.of(1).drifts
 MOST_RETRIES = 6
 FIRST_STEPS = 50  # that the first step is fitted to
 
@@ -71,19 +74,22 @@ def symplectic(
 
 
 class _Splitting:
-    """The step of the splitting and its repetitions, as CasADi functions of (q, q', h, parameters)."""
+    """The splitting with equal steps of q'' = f(q, parameters), compiled, or else by CasADi with the same numbers."""
 
     def __init__(self, model: OdeModel, parameters: Array) -> None:
         if model.order != 2 or model.forced:
             accepted = f"{', '.join(ANY_INTEGRATORS)}, or a model of second order without forcing"
             raise ValueError(f"method: given symplectic for {model.name}; accepted: {accepted}")
-        self.size, self.parameters = model.full_size, parameters
-        self.stages = KicksAndDrifts.of(1).kicks.size
-        q, v, h, p = model.state, model.velocity, ca.SX.sym("h"), model.parameters
-        x, u = srkn_step(model, h, p)
-        # h and the parameters go along unchanged, so that one input is all that a fold has to repeat.
-        self._step = ca.Function("step", [ca.vertcat(q, v, h, p)], [ca.vertcat(x, u, h, p)])
-        self._folds: dict[int, ca.Function] = {1: self._step}
+        self.model, self.size, self.parameters = model, model.full_size, parameters
+        force = ca.Function("force", [model.state, ca.vec(model.parameters)], [ca.densify(model.rhs)])
+        self._force = program_lists(*read(force), parameters) if kernels() else None
+
+    @cached_property
+    def _step(self) -> ca.Function:
+        """One step; h and the parameters go along unchanged, so that one input is all that a fold has to repeat."""
+        q, v, h, p = self.model.state, self.model.velocity, ca.SX.sym("h"), self.model.parameters
+        x, u = srkn_step(self.model, h, p)
+        return ca.Function("step", [ca.vertcat(q, v, h, p)], [ca.vertcat(x, u, h, p)])
 
     def _columns(self, states: Array, steps: Array) -> Array:
         """States, shape (many, size), with their steps and the parameters, one a column."""
@@ -92,32 +98,42 @@ class _Splitting:
 
     def _steps(self, states: Array, steps: Array) -> Array:
         """One step from each of many states, shape (many, size), each of its own length."""
-        return np.array(self._step(self._columns(states, steps))).T[:, : self.size]
+        if self._force is None:
+            return np.array(self._step(self._columns(states, steps))).T[:, : self.size]
+        after = np.array(states)
+        stepped(self._force, SEQUENCE, np.ones(len(after), dtype=np.int64), steps, after)
+        return after
 
-    def _advance(self, column: Array, count: int) -> tuple[Array, int]:
-        """`count` steps, in repetitions of powers of two up to LONGEST_FOLD, fewer to a state not finite; how many."""
-        left = count
-        while left > 0 and np.all(np.isfinite(column)):
-            many = min(LONGEST_FOLD, 1 << (left.bit_length() - 1))
-            if many not in self._folds:
-                self._folds[many] = self._step.fold(many)
-            column, left = np.array(self._folds[many](column)), left - many
-        return column, count - left
+    def _chain(self, states: Array, counts: Indices, step: float) -> None:
+        """Fill in all states but the first, each so many steps after the one before; nan where one is not finite."""
+        if self._force is not None:
+            stepped(self._force, SEQUENCE, counts, np.full(counts.size, step), states, chained=True)
+            return
+        column = self._columns(states[:1], np.array([step]))
+        for state, count in zip(states[1:], counts[1:].tolist(), strict=True):
+            for k in reversed(range(count.bit_length())):  # repetitions of powers of two
+                if count >> k & 1 and np.all(np.isfinite(column)):
+                    column = np.array(self._folds(1 << k)(column))
+            state[:] = column[: self.size, 0]
+
+    @cached_property
+    def _folds(self) -> Callable[[int], ca.Function]:
+        return cache(self._step.fold)
 
     def run(self, start: Array, t: Array, step: float) -> Trajectory:
         """States at the times t with a fixed step, up to the last one that is finite."""
-        before, steps = np.floor(t / step).astype(int), t.size
-        column, states = self._columns(start[None], np.array([step])), np.empty((t.size, self.size))
-        for i, count in enumerate(np.diff(before, prepend=0)):
-            column, taken = self._advance(column, int(count))
-            steps += taken
-            states[i] = column[: self.size, 0]
-            if not np.all(np.isfinite(states[i])):
-                states[i:] = np.nan
-                break
-        states = self._steps(states, t - before * step)
-        finite = np.append(np.all(np.isfinite(states), axis=1), False)
-        return Trajectory(states[: np.argmin(finite)], self.stages * steps, step)
+        before = np.floor(t / step).astype(np.int64)
+        marks = np.union1d(np.arange(0, before[-1] + 1, LONGEST_CALL), before)
+        states = np.full((marks.size, self.size), np.nan)
+        states[0] = start
+        for first in range(0, int(before[-1]), LONGEST_CALL):
+            these = slice(*np.searchsorted(marks, (first, first + LONGEST_CALL + 1)))
+            if np.all(np.isfinite(states[these.start])):
+                self._chain(states[these], np.diff(marks[these], prepend=first), step)
+        states = self._steps(states[np.searchsorted(marks, before)], t - before * step)
+        count = int(np.argmin(np.append(np.all(np.isfinite(states), axis=1), False)))
+        taken = int(np.append(0, before)[count])
+        return Trajectory(states[:count], SEQUENCE[0].size * (count + taken), step)
 
     def step_errors(self, states: Array, step: float, scale: float) -> Array:
         """Largest difference between one step and two half steps from states, shape (many, size) -> (many,).

@@ -8,7 +8,8 @@ tables below say how the arguments of its functions and the fields of its struct
 | source | what it computes | the same by numpy |
 | --- | --- | --- |
 | bordered.c | factors and solutions of bands with borders | `solve.bordered` |
-| splitting.c | transition matrices along orbits | `stability.flows` |
+| splitting.c | steps of a model, transition matrices along orbits | CasADi in `dynamics.evolve`, `stability.flows` |
+| program.c | expressions, operations that are alike together | CasADi |
 | decoupling.c | bases that make matrices block diagonal | `stability.tongues.blocks` |
 | elimination.c | cells of a row eliminated from its free end on | `stability.tongues.hill` |
 | taylor.c | power series of branches, and those with a linear tail | `zero.cosines`, `lattice.core_with_tail` |
@@ -19,14 +20,17 @@ from __future__ import annotations
 import ctypes
 import struct
 import zlib
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.model.operations import CODES, Program
 from casadi_skin.model.polynomial import Monomials
 
 Array = NDArray[np.float64]
@@ -42,6 +46,7 @@ FUNCTIONS = {
     "bordered_solve": "aaia",
     "bordered_steps": "aiaaaiaaaa",
     "transitions": "iiiiaaiaaaaia",
+    "stepped": "aiaaiiaaa",
     "invariant": "iiiiiaaaiaaairaa",
     "contracts": "iiiiaaairraa",
     "eliminated": "aiaaaaaa",
@@ -54,6 +59,15 @@ LAYOUT = "iiii" + 4 * "iaa" + "aarraaa"
 ROW = "iiiiii" + "aa"
 SERIES = "iiiii" + "aaaaaaaa" + 2 * (TERMS + "aa")
 TAIL = "iiiiiii" + "aaaaaaaaaa" + "r"
+
+PROGRAM = "iiiaaa"
+OPERATIONS = (
+    "add", "sub", "mul", "div", "neg", "sq", "twice", "inv", "pow", "constpow", "exp", "log", "sqrt", "sin", "cos",
+    "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "atan2", "hypot", "expm1",
+    "log1p", "erf", "floor", "ceil", "fabs", "sign", "lt", "le", "eq", "ne", "not", "and", "or", "if_else_zero",
+    "fmin", "fmax", "copysign",
+)  # fmt: skip
+KINDS = {CODES[name]: number for number, name in enumerate(OPERATIONS)} | {ca.OP_CONST: -1}  # numbers in program.c
 
 ENDINGS = {2: "", 4: "_avx2", 8: "_avx512"}  # of the names of functions, by the numbers that a register holds
 LANES = 8  # right-hand sides that bordered.c takes together, and components that splitting.c does, at least
@@ -219,6 +233,63 @@ def _extents(banded: int, width: int, targets: Indices) -> tuple[Indices, Indice
     np.maximum.at(reach, rows, columns)
     deep, reach = np.maximum.accumulate(deep), np.maximum.accumulate(reach)
     return deep, reach, np.arange(banded) - np.searchsorted(reach[deep], np.arange(banded))
+
+
+# Expressions, and steps of models of second order: program.c, splitting.c ---------------------------------------------
+
+
+def program_lists(program: Program, numbers: Sequence[float], parameters: Array) -> Structure | None:
+    """The first result of a program of a state and parameters; None where an operation is not among OPERATIONS.
+
+    Operations of one kind and depth are one list where their arguments are at equal steps. Those that depend on
+    parameters alone come first.
+    """
+    states, first, groups = program.inputs[0], sum(program.inputs), defaultdict[Any, list[int]](list)
+    keys = [(place < states, 0, -1) for place in range(first)]
+    arguments = [()] * first + [places for _, *places in program.operations]
+    for k, (code, *places) in enumerate(program.operations, start=first):
+        if code not in KINDS:
+            return None
+        moves, depth = any(keys[n][0] for n in places), 1 + max((keys[n][1] for n in places), default=-1)
+        keys.append((moves, depth, KINDS[code]))
+        groups[keys[k]].append(k)
+    place, order, known = list(range(len(keys))), list[int](), dict[Any, int]()
+    for key in sorted(groups):  # constants first
+        members = sorted(groups[key], key=lambda k: [place[n] for n in sorted(arguments[k], key=lambda n: keys[n][0])])
+        for k in members:
+            given = (key, *(place[n] for n in arguments[k])) if arguments[k] else k
+            place[k] = known.setdefault(given, first + len(order))  # what is the same is taken once
+            if place[k] == first + len(order):
+                order.append(k)
+    constants = first + len(numbers)
+    values = np.concatenate([np.zeros(states), parameters, numbers, np.zeros(first + len(order) - constants)])
+    kind = np.array([keys[k] for k in order[len(numbers) :]]).reshape(-1, 3)
+    given_at = np.array([[place[arguments[k][n]] for n in (0, -1)] for k in order[len(numbers) :]]).reshape(-1, 2)
+    steps = np.diff(given_at, axis=0, append=0)
+    alike = np.append(False, np.all(kind[1:] == kind[:-1], axis=1))[: len(kind)]
+    new = ~alike
+    new[2:] |= alike[1:-1] & np.any(steps[1:-1] != steps[:-2], axis=1)
+    at = np.flatnonzero(new)
+    columns = [kind[at, 2], np.diff(at, append=len(kind)), constants + at, given_at[at, 0], steps[at, 0]]
+    lists = np.column_stack([*columns, given_at[at, 1], steps[at, 1]])
+    results = np.array([place[n or 0] for n in program.results[0]])
+    return Structure(PROGRAM, states, int(np.sum(kind[at, 0] == 0)), len(at), lists, results, values)
+
+
+def stepped(
+    program: Structure, sequence: Sequence[Array], counts: Indices, steps: Array, states: Array, chained: bool = False
+) -> None:
+    """Take steps of q'' = f(q) from each of the states, (points, 2n), in their place.
+
+    Arguments:
+        program: of f.
+        sequence: kicks and drifts.
+        counts: numbers of steps, (points,).
+        steps: their lengths, (points,).
+        states: contiguous; where one is no longer finite, so are those that are chained to it.
+        chained: whether all but the first begin where the one before ends.
+    """
+    _call("stepped", program, sequence[0].size, *sequence, chained, len(states), counts, steps, states)
 
 
 # Variational flow along orbits: splitting.c --------------------------------------------------------------------------

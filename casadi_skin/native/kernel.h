@@ -1,4 +1,4 @@
-/* What the kernels share: their names, and terms of polynomials.
+/* What the kernels share: their names, terms of polynomials, and programs.
 
    Every source is compiled for any processor, and on x86-64 for AVX2 and AVX-512 too, under names of its own: REGISTER
    numbers go together. Fields of structures have eight bytes each, as native/__init__.py writes them. */
@@ -28,3 +28,12 @@ typedef struct {
 
 /* Solutions of `count` systems in the place of their right-hand sides, (count, size), by factors in `memory`. */
 int NAMED(bordered_solve)(const void *layout, double *memory, int64_t count, double *x);
+
+/* Operations on lists of numbers; those up to `fixed` do not depend on the state, which `values` begin with. */
+typedef struct {
+    int64_t states, fixed, count;
+    const int64_t *lists, *results; /* (count, 7), and the places of the results, (states) */
+    double *values;
+} program;
+
+void NAMED(evaluate)(const program *p, int64_t first, int64_t last);

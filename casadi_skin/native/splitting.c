@@ -1,8 +1,10 @@
-/* The variational flow X'' = J(t) X along orbits by kicks V += s_k J_k X and drifts X += a_k V.
+/* The flow q'' = f(q) by kicks q' += b_k h f(q) and drifts q += a_k h q', and the variational flow X'' = J(t) X along
+   orbits by kicks V += s_k J_k X and drifts X += a_k V.
 
    Products are rounded before they are added (-ffp-contract=off), in the order of the non-zeros of a row, as scipy and
    numpy do it: the results are the same to the last bit where these are compiled without fused operations. */
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -125,5 +127,52 @@ KERNEL(transitions)(int64_t points, int64_t n, int64_t reach, int64_t farthest, 
 #undef OF
         }
     free(memory);
+    return 0;
+}
+
+/* The next of `count` equal steps h of a state, x and v with n entries each; false where it is no longer finite. */
+static int one_step(const program *f, int64_t kicks, const double *weights, const double *drifts, double h, double *x,
+                    double *v)
+{
+    const int64_t n = f->states;
+    double sum = 0.0;
+    for (int64_t k = 0; k < kicks; k++) {
+        const double kick = weights[k] * h;
+        if (k > 0) {
+            const double drift = drifts[k - 1] * h;
+            for (int64_t i = 0; i < n; i++)
+                x[i] += drift * v[i];
+            memcpy(f->values, x, (size_t)n * sizeof(double));
+            NAMED(evaluate)(f, f->fixed, f->count);
+        }
+        for (int64_t i = 0; i < n; i++)
+            v[i] += kick * f->values[f->results[i]];
+    }
+    for (int64_t i = 0; i < n; i++)
+        sum += fabs(v[i]) + fabs(x[i]);
+    return sum < INFINITY;
+}
+
+/* States (points, 2n) after `counts` steps from what they are, or, where they are `chained`, from the one before; those
+   that would come from one that is not finite are not, either. */
+KERNEL(stepped)(const program *f, int64_t kicks, const double *weights, const double *drifts, int64_t chained,
+                int64_t points, const int64_t *counts, const double *steps, double *states)
+{
+    const int64_t n = f->states;
+    NAMED(evaluate)(f, 0, f->fixed);
+    for (int64_t p = 0; p < points; p++) {
+        double *x = states + p * 2 * n;
+        if (chained && p > 0)
+            memcpy(x, x - 2 * n, 2 * (size_t)n * sizeof(double));
+        if (counts[p] == 0)
+            continue;
+        memcpy(f->values, x, (size_t)n * sizeof(double)); /* the last kick of a step has the force of the next one */
+        NAMED(evaluate)(f, f->fixed, f->count);
+        int finite = 1;
+        for (int64_t s = 0; s < counts[p] && finite; s++)
+            finite = one_step(f, kicks, weights, drifts, steps[p], x, x + n);
+        if (!finite)
+            x[0] = NAN;
+    }
     return 0;
 }

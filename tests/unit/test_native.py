@@ -12,7 +12,9 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from kernels import forget, needs_kernels, numpy_alone
@@ -20,6 +22,9 @@ from lattices import plane
 from small_models import pendulums
 
 from casadi_skin import Branch, Chain, follow_family, native
+from casadi_skin.dynamics.evolution import equations_of_motion
+from casadi_skin.dynamics.evolve import evolve
+from casadi_skin.model import operations
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import Monomials
 from casadi_skin.solve.bordered import BandFactors, BorderedSolver
@@ -123,6 +128,39 @@ def test_multipliers_of_a_family_do_not_depend_on_the_kernels() -> None:
         assert abs(one.Omega - last.Omega) <= 1e-10
         assert abs(one.S - last.S) <= 1e-8
         np.testing.assert_allclose(one.floquet().multipliers, last.floquet().multipliers, rtol=0, atol=1e-10)
+
+
+@needs_kernels
+@pytest.mark.parametrize("name", native.OPERATIONS)
+def test_an_operation_of_a_program_is_that_of_casadi(name: str) -> None:
+    """Of lists at all kinds of steps, also of numbers that are not finite: a kick by it from rest is its value."""
+    numbers = [0.0, 1.0, -1.0, 0.3, -2.5, 7.0, 1e-300, 1e300, np.inf, -np.inf, np.nan]
+    x, p, code = ca.SX.sym("x", 24), ca.SX.sym("p", 2), operations.CODES[name]
+    pairs = [*((k, k + 1) for k in range(15)), *((23 - 2 * k, k) for k in range(7))]
+    arguments = [*((x[a], x[b]) for a, b in pairs), (p[0], x[5]), (p[1], p[0])]
+    unary = name in operations.ONE_ARGUMENT
+    entries = [ca.SX.unary(code, a) if unary else ca.SX.binary(code, a, b) for a, b in arguments]
+    force, generator = ca.Function("force", [x, p], [ca.densify(ca.vertcat(*entries))]), np.random.default_rng(3)
+    for _ in range(20):
+        state, parameters = generator.choice(numbers, 24), generator.choice(numbers, 2)
+        program = native.program_lists(*operations.read(force), parameters)
+        assert program is not None
+        after = np.concatenate([state, np.zeros(24)])[None]
+        kick = np.ones(1), np.zeros(0)
+        native.stepped(program, kick, np.array([1]), np.ones(1), after)
+        np.testing.assert_array_equal(after[0, 24:], np.array(force(state, parameters)).ravel())
+
+
+@needs_kernels
+@pytest.mark.parametrize("model", [Chain(24, 1.0, 0.25, -1.0), pendulums(5), plane((4, 3))], ids=lambda m: m.name)
+def test_steps_of_the_kernel_are_those_of_casadi(model: Any) -> None:
+    n = equations_of_motion(model).positions
+    start, t = 0.3 * np.random.default_rng(1).normal(size=(2, n)) * (np.arange(n) > n - 4), np.linspace(0.0, 30.0, 40)
+    found = evolve(model, *start, t, "symplectic", 1e-8)
+    with numpy_alone():
+        plain = evolve(model, *start, t, "symplectic", 1e-8)
+    np.testing.assert_array_equal(found.states, plain.states)
+    assert (found.step, found.evaluations) == (plain.step, plain.evaluations)
 
 
 @contextmanager
