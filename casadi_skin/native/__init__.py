@@ -12,6 +12,7 @@ tables below say how the arguments of its functions and the fields of its struct
 | program.c | expressions, operations that are alike together | CasADi |
 | decoupling.c | bases that make matrices block diagonal | `stability.tongues.blocks` |
 | elimination.c | cells of a row eliminated from its free end on | `stability.tongues.hill` |
+| multipliers.c | maps over the intervals of collocation, products of them | `stability.full_period`, `closed_maps` |
 | taylor.c | power series of branches, and those with a linear tail | `zero.cosines`, `lattice.core_with_tail` |
 """
 
@@ -50,6 +51,11 @@ FUNCTIONS = {
     "invariant": "iiiiiaaaiaaairaa",
     "contracts": "iiiiaaairraa",
     "eliminated": "aiaaaaaa",
+    "interval_maps": "aiiaaaaaaaa",
+    "products": "iiaaaaa",
+    "turned": "iiiiaaaaaaa",
+    "moved": "iiaaaaaaa",
+    "triangular": "iiaaa",
     "series_put": "ai",
     "series_right": "ai",
     "series_solve": "aaaa",
@@ -57,6 +63,7 @@ FUNCTIONS = {
 TERMS = "iaaaaaa"
 LAYOUT = "iiii" + 4 * "iaa" + "aarraaa"
 ROW = "iiiiii" + "aa"
+METHOD = "iiaaaaaa"
 SERIES = "iiiii" + "aaaaaaaa" + 2 * (TERMS + "aa")
 TAIL = "iiiiiii" + "aaaaaaaaaa" + "r"
 
@@ -388,6 +395,67 @@ def eliminated(
     if is_complex:
         return logs, phases[:, 0] + 1j * phases[:, 1], inverse[:, 0] + 1j * inverse[:, 1]
     return logs, phases[:, 0], inverse[:, 0]
+
+
+# Maps over intervals, and products of them, (maps, n, n): multipliers.c -----------------------------------------------
+
+MOST_STATES = 16  # for which these are faster than numpy's products of matrices
+
+
+def interval_maps(
+    method: Structure, checks: int, lengths: Array, jacobians: Array, along: tuple[Array, Array] | None
+) -> tuple[Array, Array | None, Array]:
+    """Maps over intervals, improved ones where derivatives along a better orbit are known, and growth of factors.
+
+    Arguments:
+        method: of kind METHOD; `checks` is the number of its check points.
+        lengths: of the intervals, (K,).
+        jacobians: at the stages, (K, d, n, n).
+        along: those along the better orbit at the stages, and at the check points, (K, checks, n, n).
+    """
+    K, d, n, _ = jacobians.shape
+    maps, growth, improved = np.empty((K, n, n)), np.empty(K), None if along is None else np.empty((K, n, n))
+    memory = np.empty(LANES * ((d * n) ** 2 + (5 * d + checks + 6) * n * n))
+    stages, checked = (None, None) if along is None else map(np.ascontiguousarray, along)
+    data = lengths, np.ascontiguousarray(jacobians), maps, growth, stages, checked, improved, memory
+    _call("interval_maps", method, K, n, *data)
+    return maps, improved, growth
+
+
+def products(maps: Array, inverse: bool) -> tuple[Array, float, Array, float]:
+    """The product, later maps times earlier ones, of norm 1, the logarithm of its size, and those of its inverse."""
+    K, n, _ = maps.shape
+    found, logs = np.empty((4, n, n)), np.empty(3)
+    _call("products", K, n, maps, found[0], found[1] if inverse else None, logs, found[2:])
+    return found[0], float(logs[0]), found[1], float(logs[1])
+
+
+def turned(maps: Array, vectors: Array, r: int) -> tuple[Array, Array, Array, Array]:
+    """Maps of the first r vectors, (maps, v, n), of the others, and across all of these with sizes of their terms."""
+    K, v, n = vectors.shape
+    shapes = (K, r, r), (K, v - r, v - r), (K, n - v, n - v), (K, n - v, n - v)
+    right, left, across, sizes = (np.empty(shape) for shape in shapes)
+    _call("turned", K, n, v, r, maps, vectors, right, left, across, sizes, np.empty((2 * K + 4, n, n)))
+    return right, left, across, sizes
+
+
+def moved(maps: Array, sizes: Array, left: Numbers, right: Numbers) -> tuple[Array, float]:
+    """Sums over all maps of |x| sizes |y| for rows x of `left` times the maps after, columns y of `right` likewise.
+
+    And the sum of all entries of the same with rows and columns of 1.
+    """
+    K, n, _ = maps.shape
+    sums, whole = np.empty(n), np.empty(1)
+    vectors = [np.ascontiguousarray([each.real, each.imag]) for each in (left, right)]
+    _call("moved", K, n, maps, sizes, *vectors, sums, whole, np.empty((K + 8, n, n)))
+    return sums, float(whole[0])
+
+
+def triangular(maps: Array, frame: Array) -> tuple[Array, Array]:
+    """Factors that are triangular, from a frame to that at the end, which is returned too."""
+    factors, frame = np.empty(maps.shape), frame.copy()
+    _call("triangular", len(maps), len(frame), maps, frame, factors)
+    return frame, factors
 
 
 # Power series of branches: taylor.c ----------------------------------------------------------------------------------

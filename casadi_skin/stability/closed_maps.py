@@ -11,25 +11,27 @@ from subspace iteration through the factors, which converges as the ratio of mod
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
-from itertools import pairwise
+from itertools import accumulate, pairwise
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin import native
 from casadi_skin.model.conserved import SymmetryClass, directions, is_odd, quantities
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.native import MOST_STATES, kernels
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import LARGEST_LOGARITHM
-from casadi_skin.zero.problem import Array, Indices
+from casadi_skin.zero.problem import Array, Buffers, Indices
 
 SMALL_MODULUS = 0.5  # modulus above which no eigenvalue has lost digits in a product with entries near 1
 EXTREME_LOG_CONDITION = float(np.log(1e14))  # of a product: beyond it eigenvalues in the middle have lost digits
 FAR_LOG_EIGENVALUE = 7.0  # logarithm of an eigenvalue of whose digits factors may have lost some
-WIDE_NORM = 1e200  # norm of a product that needs no scales
 LOG_MODULUS_SPREAD = float(np.log(1e4))  # of the moduli of a block
 CONVERGED_LOG_GAIN = 40.0  # logarithm of the gain of subspace iteration over a gap
 SUBSPACE_ROUNDS = 60  # of it
@@ -71,33 +73,55 @@ class Spectrum:
         return Spectrum(self.logs[chosen], self.phases[chosen], self.extreme)
 
 
-def scaled_product(maps: Sequence[Array] | Array) -> tuple[Array, float]:
+def scaled_product(maps: Array) -> tuple[Array, float]:
     """Later maps times earlier ones as a matrix of norm 1 and the logarithm of a factor."""
-    total, logarithm = np.eye(maps[0].shape[0]), 0.0
-    with np.errstate(over="ignore", invalid="ignore"):
-        plain = reduce(lambda done, matrix: matrix @ done, maps, total)
-        size = float(np.linalg.norm(plain))
-    if 1.0 / WIDE_NORM < size < WIDE_NORM:
-        return np.asarray(plain / size), float(np.log(size))
-    for matrix in maps:
-        total = matrix @ total
-        size = float(np.linalg.norm(total))
-        if size > 0.0:
-            total, logarithm = total / size, logarithm + float(np.log(size))
-    return total, logarithm
+    return _products(maps, inverse=False)[:2]
+
+
+def _compiled(maps: Array) -> bool:
+    """Whether the compiled kernels take maps of this size."""
+    return maps.shape[1] <= MOST_STATES and bool(kernels())
+
+
+def _products(maps: Array, inverse: bool = True) -> tuple[Array, float, Array, float]:
+    """The product with its size, and where wanted its inverse, from those of the maps; both of norm 1.
+
+    No finite numbers where a map is singular.
+    """
+    if _compiled(maps):
+        return native.products(np.ascontiguousarray(maps), inverse)
+    forward, found = _product(maps), (np.full_like(maps[0], np.nan), 0.0)
+    if inverse:
+        with suppress(np.linalg.LinAlgError):
+            found = _product(np.asarray(np.linalg.inv(maps[::-1]), dtype=float))
+    return *forward, *found
+
+
+def _product(maps: Array) -> tuple[Array, float]:
+    """By products of two neighbours, of two of these, and so on."""
+    logarithm = 0.0
+    while True:
+        sizes = np.linalg.norm(maps, axis=(1, 2))
+        sizes[sizes == 0.0] = 1.0
+        logarithm += float(np.sum(np.log(sizes)))
+        maps = maps / sizes[:, None, None]
+        if len(maps) == 1:
+            return maps[0], logarithm
+        even = len(maps) // 2 * 2
+        maps = np.concatenate([maps[1:even:2] @ maps[:even:2], maps[even:]])
 
 
 def spectrum_of(maps: Array) -> Spectrum:
     """Eigenvalues of the product of maps, shape (factors, n, n)."""
     if maps.shape[1] == 0:
         return Spectrum(np.empty(0), np.empty(0, dtype=complex))
-    forward, size = scaled_product(maps)
+    forward, size, inverse, inverse_size = _products(maps, len(maps) > 1)
     found = _shifted(np.linalg.eigvals(forward).astype(complex), size)
     if len(maps) == 1:
         return found
-    inverse = _inverse_product(maps)
-    if inverse is not None and size + inverse[1] <= EXTREME_LOG_CONDITION:
-        return _of_both(found, size, inverse)
+    known = np.all(np.isfinite(inverse)) and np.isfinite(inverse_size)
+    if known and size + inverse_size <= EXTREME_LOG_CONDITION:
+        return _of_both(found, size, (inverse, inverse_size))
     triangular = _schur(maps)
     return triangular or Spectrum(found.logs, found.phases, True)
 
@@ -122,16 +146,6 @@ def _of_both(forward: Spectrum, size: float, inverse: tuple[Array, float]) -> Sp
     return Spectrum(logs, np.where(small, backward.phases, forward.phases))
 
 
-def _inverse_product(maps: Array) -> tuple[Array, float] | None:
-    """The inverse of the product, from those of the maps, scaled; None where it has no finite entries."""
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):
-            inverse, size = scaled_product(np.asarray(np.linalg.inv(maps[::-1]), dtype=float))
-    except np.linalg.LinAlgError:
-        return None
-    return (inverse, size) if np.all(np.isfinite(inverse)) and np.isfinite(size) else None
-
-
 # The periodic Schur form ----------------------------------------------------------------------------------------------
 
 
@@ -141,9 +155,8 @@ def _schur(maps: Array) -> Spectrum | None:
     frame = np.linalg.qr(np.random.default_rng(0).normal(size=(n, n)))[0]
     edges: list[int] = []
     for turn in range(1, SUBSPACE_ROUNDS + 1):
-        start, factors = frame, np.empty_like(maps)
-        for k, matrix in enumerate(maps):
-            frame, factors[k] = np.linalg.qr(matrix @ frame)
+        start = frame
+        frame, factors = _triangular(maps, frame)
         diagonal = np.abs(np.diagonal(factors, axis1=1, axis2=2))
         if np.any(diagonal == 0.0):
             return None
@@ -160,6 +173,16 @@ def _schur(maps: Array) -> Spectrum | None:
     logs, phases = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("logs", "phases"))
     order = np.argsort(-logs, kind="stable")
     return Spectrum(logs[order], phases[order], True)
+
+
+def _triangular(maps: Array, frame: Array) -> tuple[Array, Array]:
+    """The frame after all maps, from that before, and the factors between frames."""
+    if _compiled(maps):
+        return native.triangular(np.ascontiguousarray(maps), frame)
+    factors = np.empty_like(maps)
+    for k, matrix in enumerate(maps):
+        frame, factors[k] = np.linalg.qr(matrix @ frame)
+    return frame, factors
 
 
 # Liouville's formula --------------------------------------------------------------------------------------------------
@@ -207,19 +230,17 @@ class Trivial:
     right: Array
     left: Array
 
-    def frames(self, units: Array) -> tuple[Indices, Array] | None:
-        """Orthogonal matrices, (places, n, n), in coordinates x / units, at places where the vectors have a direction.
+    def vectors(self, units: Array) -> tuple[Indices, Array] | None:
+        """Directions, then gradients, of length 1, (places, any, n), in coordinates x / units, where they have one.
 
-        Their first columns span the directions in which nothing conserved changes, the next what is left of the
-        gradients, the others the rest. The first place is that of the last, a period later. None where there are none.
+        The first place is that of the last, a period later. None where there are none.
         """
         right, left = self.right[:-1] / units, self.left[:-1] * units
         good = _well_directed(right) & _well_directed(left)
         vectors = np.concatenate([right[good], left[good]], axis=1)
         if not vectors.size:
             return None
-        vectors = vectors / np.linalg.norm(vectors, axis=2, keepdims=True)
-        return np.flatnonzero(good), np.linalg.qr(vectors.swapaxes(1, 2), mode="complete")[0]
+        return np.flatnonzero(good), vectors / np.linalg.norm(vectors, axis=2, keepdims=True)
 
 
 def no_trivial(n: int) -> Trivial:
@@ -247,9 +268,9 @@ def trivial_along(
 
 def vectors_along(model: OdeModel, states: Array, parameters: Array) -> tuple[Array, Array]:
     """Directions, that of time first, and gradients at states (ends, n), shape (ends, any, n) each."""
-    function, moved = _vectors(model)
-    columns = [np.array(v) for v in function.map(len(states)).call([0.0, states.T, parameters])]
-    vectors = np.array([column.T for column in columns]).swapaxes(0, 1)
+    function, moved = _vectors(model, len(states))
+    found = function(np.zeros(1), states, parameters)
+    vectors = np.stack([each.reshape(states.shape) for each in found], axis=1)
     return vectors[:, :moved], vectors[:, moved:]
 
 
@@ -307,16 +328,18 @@ def _well_directed(vectors: Array) -> NDArray[np.bool_]:
     """At which ends the vectors, (ends, any, n), are not too small, or too nearly dependent, for their directions."""
     if vectors.shape[1] == 0:
         return np.ones(len(vectors), dtype=bool)
-    smallest = np.linalg.svd(vectors, compute_uv=False)[:, -1]
+    one = vectors.shape[1] == 1
+    smallest = np.linalg.norm(vectors[:, 0], axis=1) if one else np.linalg.svd(vectors, compute_uv=False)[:, -1]
     return np.asarray(smallest > SLOWEST_MOTION_RATIO * np.max(smallest))
 
 
-@lru_cache(maxsize=16)
-def _vectors(model: OdeModel) -> tuple[ca.Function, int]:
+@lru_cache(maxsize=64)
+def _vectors(model: OdeModel, places: int) -> tuple[Buffers, int]:
     """Function (t, x, p) -> directions of time and of symmetries, then gradients; and the number of directions."""
     moved = [model.full_rhs, *directions(model).values()]
     slopes = [ca.gradient(quantity, model.full_state) for quantity in quantities(model).values()]
-    return model.function("trivial", *(ca.densify(e) for e in (*moved, *slopes))), len(moved)
+    function = model.function("trivial", *(ca.densify(e) for e in (*moved, *slopes)))
+    return Buffers(function.map(places), places), len(moved)
 
 
 MACHINE_EPSILON = float(np.finfo(float).eps)
@@ -342,7 +365,9 @@ class Multipliers:
     lost: bool = False
 
 
-def multipliers_along(maps: Array, trivial: Trivial, units: Array, contraction: float | None = None) -> Multipliers:
+def multipliers_along(
+    maps: Array, trivial: Trivial, units: Array, contraction: float | None = None, with_rounding: bool = True
+) -> Multipliers:
     """Multipliers of the product of maps, later ones times earlier ones.
 
     Arguments:
@@ -350,44 +375,63 @@ def multipliers_along(maps: Array, trivial: Trivial, units: Array, contraction: 
         trivial: multipliers that are 1, with vectors at all ends.
         units: sizes of the components.
         contraction: the logarithm of the determinant of the product; None where it is not known.
+        with_rounding: whether what rounding makes of them is wanted; zeros where not.
     """
-    from scipy.linalg import matrix_balance
-
     matrix, size = scaled_product(maps)
     scaled = matrix * units / units[:, None]
     coupled = np.abs(scaled) + COUPLED_ENTRY_RATIO * (np.max(np.abs(np.diagonal(scaled)), initial=0.0) or 1.0)
-    _, (scales, _) = matrix_balance(coupled, permute=False, separate=True)  # no entry is large by its units
+    scales = balancing(coupled)  # no entry is large by its units
     units = units * scales
-    maps = maps * units / units[:, None]
-    frames = trivial.frames(units)
-    near, across, sizes = _apart(maps, trivial, frames)
+    maps = maps * (units / units[:, None])
+    vectors = trivial.vectors(units)
+    near, across, sizes = _apart(maps, trivial, vectors)
     found = spectrum_of(across)
-    rounding = _rounding(across, sizes, found)
+    rounding = _rounding(across, sizes, found) if with_rounding else np.zeros(found.logs.size)
     is_other = np.ones(found.logs.size, dtype=bool)
     is_other[np.argsort(np.abs(found.values - 1.0), kind="stable")[: trivial.count - near.logs.size]] = False
     near, others = near.joined(found.taken(~is_other)), found.taken(is_other)
     if contraction is not None:  # at rest the one nearest to 1, which stands for the trivial one, may be far off
-        others = by_liouville(others, maps, contraction - (0.0 if frames else float(np.sum(near.logs))))
+        others = by_liouville(others, maps, contraction - (0.0 if vectors else float(np.sum(near.logs))))
     norm = float(np.linalg.norm(scaled * scales / scales[:, None], 2))
     return Multipliers(near, others, rounding[is_other], matrix, size, max(1.0, norm * np.exp(min(size, 700.0))))
 
 
-def _apart(maps: Array, trivial: Trivial, frames: tuple[Indices, Array] | None) -> tuple[Spectrum, Array, Array]:
-    """The multipliers of what the frames take out, the maps across that, and the sizes of their entries' terms."""
-    if frames is None:
+def balancing(matrix: Array) -> Array:
+    """Units, powers of 2, in which rows and columns of a matrix are of one size."""
+    from scipy.linalg.lapack import dgebal
+
+    return np.asarray(dgebal(matrix, scale=1, permute=0)[3])
+
+
+def _apart(maps: Array, trivial: Trivial, vectors: tuple[Indices, Array] | None) -> tuple[Spectrum, Array, Array]:
+    """The multipliers of what the vectors take out, the maps across that, and the sizes of their entries' terms."""
+    if vectors is None:
         return Spectrum.of(np.empty(0, dtype=complex)), maps, np.abs(maps)
-    places, first = frames
+    places, known = vectors
     if len(places) < len(maps):
         parts = np.split(np.roll(maps, -places[0], axis=0), (places - places[0])[1:])
         maps = np.array([reduce(lambda done, following: following @ done, part) for part in parts])
-    last, r = np.roll(first, -1, axis=0).swapaxes(1, 2), trivial.right.shape[1]
-    known, turned = r + trivial.left.shape[1], last @ maps @ first
+    *blocks, across, sizes = _turned(maps, known, trivial.right.shape[1])
     values = []
-    for block in (turned[:, :r, :r], turned[:, r:known, r:known]):
-        product, size = scaled_product(block)
-        values.append(np.linalg.eigvals(product * np.exp(size)).astype(complex))
-    sizes = np.abs(last[:, known:]) @ np.abs(maps) @ np.abs(first[:, :, known:])
-    return Spectrum.of(np.concatenate(values)), turned[:, known:, known:], sizes
+    for block in blocks:
+        if block.size:
+            product, size = scaled_product(block)
+            values.append(np.linalg.eigvals(product * np.exp(size)).astype(complex))
+    return Spectrum.of(np.concatenate(values)), across, sizes
+
+
+def _turned(maps: Array, vectors: Array, r: int) -> tuple[Array, Array, Array, Array]:
+    """Maps in frames whose first columns span vectors (maps, v, n): of the first r, of the others, and across all.
+
+    The last has sizes of the terms of its entries. The directions come first, in which nothing conserved changes, then
+    what is left of the gradients.
+    """
+    if _compiled(maps):
+        return native.turned(np.ascontiguousarray(maps), np.ascontiguousarray(vectors), r)
+    first, v = np.linalg.qr(vectors.swapaxes(1, 2), mode="complete")[0], vectors.shape[1]
+    last = np.roll(first, -1, axis=0).swapaxes(1, 2)
+    turned, sizes = last @ maps @ first, np.abs(last[:, v:]) @ np.abs(maps) @ np.abs(first[:, :, v:])
+    return turned[:, :r, :r], turned[:, r:v, r:v], turned[:, v:, v:], sizes
 
 
 def _rounding(maps: Array, sizes: Array, found: Spectrum) -> Array:
@@ -396,12 +440,8 @@ def _rounding(maps: Array, sizes: Array, found: Spectrum) -> Array:
     own = np.asarray(MAP_ENTRY_ROUNDING * MACHINE_EPSILON * K * np.abs(found.values))
     if n == 0 or found.extreme:
         return own
-    there, back = np.empty((K + 1, n, n)), np.empty((K + 1, n, n))
-    there[0] = back[K] = np.eye(n)
-    for k in range(K):
-        there[k + 1] = maps[k] @ there[k]
-        back[K - 1 - k] = back[K - k] @ maps[K - 1 - k]
-    values, right = np.linalg.eig(there[K])
+    product, size = scaled_product(maps)
+    values, right = np.linalg.eig(product)
     order = np.argsort(-np.abs(values))
     right = right[:, order]
     with np.errstate(all="ignore"):
@@ -409,10 +449,30 @@ def _rounding(maps: Array, sizes: Array, found: Spectrum) -> Array:
             left = np.linalg.inv(right)
         except np.linalg.LinAlgError:  # exactly defective
             left = np.full_like(right, np.inf)
-        after, before = left @ back[1:], there[:-1] @ right
-        terms = (np.abs(after) @ sizes) * np.abs(before).swapaxes(1, 2)
-        moved = MAP_ENTRY_ROUNDING * MACHINE_EPSILON * np.sum(terms, axis=(0, 2))
-        conditions = np.linalg.norm(left, axis=1) * np.linalg.norm(right, axis=0) * np.linalg.norm(there[K])
-        moved += BACKWARD_ERROR_UNITS * MACHINE_EPSILON * conditions
-        whole = MAP_ENTRY_ROUNDING * MACHINE_EPSILON * float(np.sum(np.abs(back[1:]) @ sizes @ np.abs(there[:-1])))
-    return np.asarray(np.fmin(np.maximum(moved, MACHINE_EPSILON * np.abs(found.values)), np.sqrt(whole)))
+        moved, whole = _moved(maps, sizes, left, right)
+        conditions = np.linalg.norm(left, axis=1) * np.linalg.norm(right, axis=0) * np.exp(size)
+        moved = MACHINE_EPSILON * (MAP_ENTRY_ROUNDING * moved + BACKWARD_ERROR_UNITS * conditions)
+        bound = np.sqrt(MAP_ENTRY_ROUNDING * MACHINE_EPSILON * whole)
+    return np.asarray(np.fmin(np.maximum(moved, MACHINE_EPSILON * np.abs(found.values)), bound))
+
+
+def _moved(maps: Array, sizes: Array, left: NDArray[Any], right: NDArray[Any]) -> tuple[Array, float]:
+    """How much all entries of all maps, changed by parts of `sizes`, move each eigenvalue, and the whole product."""
+    if _compiled(maps):
+        return native.moved(np.ascontiguousarray(maps), sizes, left, right)
+    one = np.eye(len(left))[None]
+    there = np.concatenate([one, _running(maps)[:-1]])
+    back = np.concatenate([one, _running(maps[:0:-1].swapaxes(1, 2)).swapaxes(1, 2)])[::-1]
+    terms = (np.abs(left @ back) @ sizes) * np.abs(there @ right).swapaxes(1, 2)
+    return np.sum(terms, axis=(0, 2)), float(np.sum(np.abs(back) @ sizes @ np.abs(there)))
+
+
+def _running(maps: Array) -> Array:
+    """Products of the first maps, of 1, of 2, and so on."""
+    if maps.shape[1] > MOST_STATES:
+        return np.array(list(accumulate(maps, lambda done, matrix: matrix @ done))).reshape(maps.shape)
+    step = 1
+    while step < len(maps):
+        maps = np.concatenate([maps[:step], maps[step:] @ maps[:-step]])
+        step *= 2
+    return maps

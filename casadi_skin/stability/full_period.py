@@ -12,17 +12,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.integrators import CvodesError, IntegrationError, Trajectory
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.native import METHOD, MOST_STATES, Structure, kernels
+from casadi_skin.native import interval_maps as compiled_maps
 from casadi_skin.stability.closed_maps import (
     Multipliers,
     Spectrum,
     Trivial,
+    balancing,
     multipliers_along,
     no_trivial,
     trivial_along,
@@ -33,6 +36,7 @@ from casadi_skin.stability.closed_maps import (
 from casadi_skin.stability.flows import LOCAL_TOLERANCE_RATIO, TIGHTEST_LOCAL_TOLERANCE, transition_by_cvodes
 from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
 from casadi_skin.zero.butcher import CollocationTable
+from casadi_skin.zero.discretisation import at_checks, by_intervals, missed
 from casadi_skin.zero.problem import Array, Indices
 from casadi_skin.zero.stated_problem import TURNED_FIELD_RTOL, BoundaryProblem, Closure
 
@@ -87,28 +91,76 @@ def _distances(found: Spectrum, better: Spectrum) -> Array:
 RESOLVED_LOG_GROWTH = 2.0  # logarithm of the factor that a perturbation may change by in an interval
 WITHIN_PART = 1.0  # the same in a part
 MOST_PARTS = 20_000
+MOST_GROWTH = 16.0  # of factors without exchanges: multipliers of rows; measured: as accurate as with them
 MOST_WORK = 1e10  # of the linear systems of all parts: their number times the third power of their size
 LARGEST_STACK = 4_000_000  # entries of the matrices of several intervals that are factored in one call
 
 
-def interval_maps(jacobians: Array, lengths: Array, table: CollocationTable) -> Array:
+def interval_maps(
+    jacobians: Array, lengths: Array, table: CollocationTable, along: tuple[Array, Array] | None = None
+) -> tuple[Array, Array]:
     """Transition matrices over intervals from derivatives at their stages, in order of time, shape (any, n, n).
 
     They are solved for in balanced units, powers of 2: where sizes of states differ by 1e10, pivots would be chosen by
-    their units, and entries lose all digits that small states have.
+    their units, and entries lose all digits that small states have. Where derivatives along a better orbit are known,
+    at the stages and at the check points (any, points, n, n), the second ones are improved by the defect that the
+    polynomials of the maps have there; else they are the same.
     """
-    from scipy.linalg import matrix_balance
+    n, d, K = jacobians.shape[1], table.degree, lengths.size
+    units = balancing(np.max(np.abs(jacobians), axis=0))
+    ratios = units / units[:, None]
+    of_intervals = (jacobians * ratios).reshape(K, d, n, n)
+    known = None if along is None else ((along[0] * ratios).reshape(K, d, n, n), along[1] * ratios)
+    if n <= MOST_STATES and table.stages == tuple(range(1, d + 1)) and kernels():
+        maps, improved, growth = compiled_maps(*_method(table), lengths, of_intervals, known)
+        improved = maps if improved is None else improved
+        left = np.flatnonzero(~(growth <= MOST_GROWTH))
+    else:
+        maps, left = np.empty((K, n, n)), np.arange(K)
+        improved = maps if along is None else np.empty((K, n, n))
+    for these in np.array_split(left, left.size * (n * d) ** 2 // LARGEST_STACK + 1) if left.size else ():
+        better = None if known is None else (known[0][these], known[1][these])
+        maps[these], improved[these] = _solved_maps(of_intervals[these], lengths[these, None, None], table, better)
+    ratios = units[:, None] / units
+    return maps * ratios, improved * ratios
 
-    n, d = jacobians.shape[1], table.degree
-    _, (units, _) = matrix_balance(np.max(np.abs(jacobians), axis=0), permute=False, separate=True)
-    jacobians = jacobians * units / units[:, None]
-    by_interval, maps = jacobians.reshape(-1, d, n, n), np.empty((lengths.size, n, n))
-    for these in np.array_split(np.arange(lengths.size), lengths.size * (n * d) ** 2 // LARGEST_STACK + 1):
-        A, h = by_interval[these], lengths[these, None, None]
-        stages = np.linalg.solve(_stage_systems(A, h, table), np.tile(np.eye(n), (d, 1)))
-        weighted = h * (table.extended[-1][:, None, None] * A).swapaxes(1, 2).reshape(len(A), n, d * n)
-        maps[these] = np.eye(n) + weighted @ stages
-    return np.asarray(maps * units[:, None] / units)
+
+def _solved_maps(A: Array, h: Array, table: CollocationTable, along: tuple[Array, Array] | None) -> tuple[Array, Array]:
+    """The same of some intervals, from their derivatives (intervals, d, n, n) and lengths (intervals, 1, 1).
+
+    The defect of the polynomials of the maps is integrated with the maps from there to the end, Z.
+    """
+    K, d, n = A.shape[:3]
+    systems, one, weights, defect = _stage_systems(A, h, table), np.eye(n), table.extended[-1], table.defect
+    stages = np.linalg.solve(systems, np.tile(one, (d, 1))).reshape(K, d, n, n)
+    slopes = A @ stages
+    maps: Array = one + h * np.tensordot(slopes, weights, (1, 0))
+    if along is None:
+        return maps, maps
+    by_stages = (h[..., None] * weights[:, None, None] * A).transpose(0, 1, 3, 2).reshape(K, d * n, n)
+    by_stages = np.linalg.solve(systems.swapaxes(1, 2), by_stages).reshape(K, d, n, n).swapaxes(2, 3)
+    to_end = one + _combined((table.matrix / weights).T, by_stages)
+    support = one + np.concatenate([np.zeros((K, 1, n, n)), h[..., None] * _combined(table.extended, slopes)], axis=1)
+    defects = along[1] @ _combined(defect.at_points[0], support[:, : d + 1]) - _combined(defect.at_points[1], slopes)
+    missed = np.tensordot(to_end @ (along[0] @ stages - slopes), defect.quadrature[0], (1, 0))
+    ways = np.concatenate([maps[:, None], to_end], axis=1) if table.stages[0] else to_end  # else the start is a stage
+    missed += np.tensordot(
+        _combined(defect.at_points[not table.stages[0]], ways) @ defects, defect.quadrature[1], (1, 0)
+    )
+    return maps, maps + h * missed
+
+
+def _combined(weights: Array, matrices: Array) -> Array:
+    """Combinations of the matrices of each interval, (intervals, any, n, n)."""
+    return np.asarray(np.einsum("ij,kjab->kiab", weights, matrices))
+
+
+@lru_cache(maxsize=16)
+def _method(table: CollocationTable) -> tuple[Structure, int]:
+    """A method whose stages are the values behind the start, for compiled kernels, and its number of check points."""
+    arrays = table.matrix, table.extended[-1], *table.defect.at_points, *table.defect.quadrature
+    checks = table.defect.quadrature[1].size
+    return Structure(METHOD, table.degree, checks, *map(np.ascontiguousarray, arrays)), checks
 
 
 def _stage_systems(A: Array, h: Array, table: CollocationTable) -> Array:
@@ -137,16 +189,28 @@ def needed_parts(problem: BoundaryProblem, jacobians: Array) -> Indices | None:
     return None if np.max(counts) * WITHIN_PART <= RESOLVED_LOG_GROWTH else counts
 
 
-def maps_of_parts(problem: BoundaryProblem, z: Array, n: int, counts: Indices) -> tuple[Array, Array]:
-    """Maps over so many parts of each interval, of the first n components, and states at their ends."""
-    lengths, table = np.repeat(problem.constants / counts, counts), problem.table
+def maps_of_parts(
+    problem: BoundaryProblem, z: Array, n: int, counts: Indices, between: Array | None = None
+) -> tuple[Array, Array]:
+    """Maps over so many parts of each interval, of the first n components, and states at their ends.
+
+    What is `between` is added to the polynomials at the inner check points.
+    """
+    parts, interval = np.repeat(counts, counts), np.repeat(np.arange(counts.size), counts)
+    lengths, table = problem.constants[interval] / parts, problem.table
     ends = np.append(0.0, np.cumsum(lengths))
     places = (ends[:-1, None] + lengths[:, None] * table.nodes).ravel()
     ends[-1] = 1.0
+    states = problem.sample(z, places)
+    if between is not None:
+        turn = np.arange(parts.size) - np.repeat(np.cumsum(counts) - counts, counts)
+        weights = table.beside(((turn[:, None] + table.nodes) / parts[:, None]).ravel())
+        inner = between.reshape(counts.size, -1, states.shape[1])[np.repeat(interval, table.degree)]
+        states = states + (weights[:, None] @ inner)[:, 0]
     size, mapped = problem.formulation.states, problem.formulation.jacobian_function.map(places.size)
-    blocks = np.array(mapped(places[None], problem.sample(z, places).T, *problem.repeated(z, places.size)))
+    blocks = np.array(mapped(places[None], states.T, *problem.repeated(z, places.size)))
     finer = blocks.reshape(size, places.size, size).transpose(1, 0, 2)[:, :n, :n]
-    return interval_maps(finer, lengths, table), problem.sample(z, ends)[:, :n]
+    return interval_maps(finer, lengths, table)[0], problem.sample(z, ends)[:, :n]
 
 
 LEAST_LOCAL_TOLERANCE = 1e-12
@@ -262,28 +326,55 @@ def _same(one: Array, other: Array) -> bool:
 
 
 def by_collocation(orbit: Closed, better: Closed | None, tolerance: float) -> Floquet:
-    """Multipliers from the interval maps of the linearised equations; `better` is the orbit on a finer mesh."""
-    found = _multipliers(orbit, tolerance)
-    if better is None:
-        return judged(found, None, tolerance)
-    return judged(found, _multipliers(better, tolerance), tolerance, orbit.problem.left_by(better.problem))
+    """Multipliers from the interval maps of the linearised equations.
+
+    `better` is the orbit on a finer mesh, or a better one on the same mesh: along that the defect of the linearised
+    equations gives better maps.
+    """
+    if better is None or better.problem is orbit.problem:
+        return judged(*_multipliers(orbit, tolerance, better), tolerance)
+    (found, _), (finer, _) = (_multipliers(one, tolerance, None) for one in (orbit, better))
+    return judged(found, finer, tolerance, orbit.problem.left_by(better.problem))
 
 
-def _multipliers(orbit: Closed, tolerance: float) -> Multipliers:
-    """From maps over intervals; over parts of these where several are so far from 1 that digits may be lost."""
-    problem, z, n = orbit.problem, orbit.z, orbit.size
-    jacobians = problem.discretisation.jacobians(z, problem.numbers)[:, :n, :n]  # at all stages, of unit length
-    quadrature = np.outer(problem.constants, problem.table.extended[-1]).ravel()
-    contraction = orbit.contraction(float(quadrature @ np.trace(jacobians, axis1=1, axis2=2)))
-    maps, units = interval_maps(jacobians, problem.constants, problem.table), units_of(orbit.ends)
-    found = multipliers_along(orbit.over_the_period(maps), orbit.trivial(tolerance), units, contraction)
-    counts = needed_parts(problem, jacobians) if orbit.is_whole and found.others.far > 1 else None
-    if counts is None:
-        return found
-    if not np.sum(counts) <= min(MOST_PARTS, MOST_WORK / (problem.degree * n) ** 3):
-        return replace(found, lost=True)
-    maps, ends = maps_of_parts(problem, z, n, counts)
-    return multipliers_along(orbit.over_the_period(maps), orbit.trivial(tolerance, ends), units, contraction)
+def _multipliers(orbit: Closed, tolerance: float, better: Closed | None) -> tuple[Multipliers, Multipliers | None]:
+    """From maps over intervals; over parts of these where several are so far from 1 that digits may be lost.
+
+    The second ones are those of the better maps.
+    """
+    problem, n, units = orbit.problem, orbit.size, units_of(orbit.ends)
+    equations, numbers = problem.discretisation, problem.numbers
+    jacobians = equations.jacobians(orbit.z, numbers)[:, :n, :n]  # at all stages, of unit length
+    exponents, between, along = [_exponent(problem, jacobians, None)], None, None
+    if better is not None:
+        between = missed(equations, orbit.z, numbers)[1]
+        checks = equations.jacobians_at(*at_checks(equations, better.z, numbers, between))
+        along = equations.jacobians(better.z, numbers)[:, :n, :n], by_intervals(equations, checks)[..., :n, :n]
+        exponents.append(_exponent(problem, *along))
+    orbits = [(orbit, None)] if better is None else [(orbit, None), (better, between)]
+
+    def multipliers(which: int, maps: Array, ends: Array | None = None) -> Multipliers:
+        trivial, contraction = orbits[which][0].trivial(tolerance, ends), orbit.contraction(exponents[which])
+        return multipliers_along(orbit.over_the_period(maps), trivial, units, contraction, which == 0)
+
+    maps = interval_maps(jacobians, problem.constants, problem.table, along)
+    found = [multipliers(which, maps[which]) for which in range(len(orbits))]
+    counts = needed_parts(problem, jacobians) if orbit.is_whole and found[0].others.far > 1 else None
+    if counts is not None and np.sum(counts) <= min(MOST_PARTS, MOST_WORK / (problem.degree * n) ** 3):
+        parts = [maps_of_parts(problem, one.z, n, counts, inner) for one, inner in orbits]
+        found = [multipliers(which, *each) for which, each in enumerate(parts)]
+    elif counts is not None:
+        found[0] = replace(found[0], lost=True)
+    return found[0], found[1] if better is not None else None
+
+
+def _exponent(problem: BoundaryProblem, stages: Array, checks: Array | None) -> float:
+    """The integral of the trace of derivatives at the stages, and at the check points where these are known."""
+    traces, quadrature = np.trace(stages, axis1=1, axis2=2).reshape(-1, problem.degree), problem.table.defect.quadrature
+    if checks is None:
+        return float(problem.constants @ (traces @ problem.table.extended[-1]))
+    both = traces @ quadrature[0] + np.trace(checks, axis1=2, axis2=3) @ quadrature[1]
+    return float(problem.constants @ both)
 
 
 def by_cvodes(orbit: Closed, better: Closed | None, tolerance: float) -> Floquet:

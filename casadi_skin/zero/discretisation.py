@@ -222,7 +222,7 @@ class Discretisation:
 
     def __init__(self, formulation: Formulation, intervals: int, table: CollocationTable) -> None:
         self.shared: dict[Any, Any] = {}
-        self._at, self._last = b"", (np.empty(0), np.empty(0))
+        self._at, self._last, self._by_states = b"", (np.empty(0), np.empty(0)), np.empty(0)
         self._on = b""  # the mesh whose places and weights are kept
         self._n, self._K, self._d, self._R = formulation.states, intervals, table.degree, table.ends.size
         self._m, self.table, self.formulation = int(formulation.scalars.numel()), table, formulation
@@ -255,6 +255,16 @@ class Discretisation:
             self._at, self._last = at, found
         return self._last
 
+    @property
+    def intervals(self) -> int:
+        """Number K of intervals."""
+        return self._K
+
+    @property
+    def state_values(self) -> int:
+        """How many of the unknowns are values of states."""
+        return self._states
+
     def _lay(self, lengths: Array) -> None:
         """Set the places of the stages, shape (K d + 1, 1), and the weights of their increments, shape (K, R, d)."""
         on = lengths.tobytes()
@@ -277,6 +287,7 @@ class Discretisation:
         arguments = self.stages(z, numbers)
         values, (_, _, scalars, constants), weights = z[: self._states].reshape(-1, n), arguments, self._weights
         field, by_states, by_scalars = self._at_stages(self._field, arguments)
+        self._by_states = by_states.copy()
         increments = weights @ field.reshape(K, d, n)
         ends = values[1:].reshape(K, R, n) - values[self._start][:, None, :]
         condition, *derivatives = self._conditions(values[0], values[-1], scalars, constants)
@@ -299,9 +310,18 @@ class Discretisation:
 
     def jacobians(self, z: Array, numbers: Array) -> Array:
         """Derivatives of the field by the states at the stages, dense, shape (K d, n, n)."""
-        found = np.zeros((self._K * self._d, self._n, self._n))
-        rows, columns = (list(places) for places in self.formulation.patterns[0])
-        found[:, rows, columns] = self._at_stages(self._field, self.stages(z, numbers))[1]
+        if z.tobytes() + numbers.tobytes() == self._at:
+            return self._dense(self._by_states)
+        return self._dense(self._at_stages(self._field, self.stages(z, numbers))[1])
+
+    def jacobians_at(self, *arguments: Array) -> Array:
+        """The same at (s, x, scalars, constants), as many places as there are stages and one more."""
+        return self._dense(self._field(*arguments)[1].reshape(self._K * self._d + 1, -1))
+
+    def _dense(self, nonzeros: Array) -> Array:
+        found = np.zeros((len(nonzeros), self._n, self._n))
+        rows, columns = self.formulation.patterns[0]
+        found[:, rows, columns] = nonzeros
         return found
 
     def along(self, *arguments: Array) -> tuple[Array, Array]:
@@ -324,28 +344,41 @@ def missed(equations: Discretisation, z: Array, numbers: Array) -> tuple[Array, 
         The residual, shape (size - 1,), and the integral of the defect from the start of its interval to each inner
         check point, less the polynomial through those at the stages, shape (inner points, states).
     """
-    of, table, start = equations.formulation, equations.table.defect, equations.structure.start
-    n, K, d = of.states, start.size, equations.table.degree
-    lengths, constants = numbers[:K], numbers[K:]
-    count = n * (K * equations.table.ends.size + 1)
-    values, scalars = z[:count].reshape(-1, n), z[count:]
-    polynomials = values[start[:, None] + np.arange(d + 1)]
-    ends = np.concatenate([[0.0], np.cumsum(lengths)])
-    inner = ends[:-1, None] + lengths[:, None] * table.inner
-    places = np.concatenate([inner.ravel(), ends])[:, None]
-    states = np.concatenate([(table.values @ polynomials).reshape(-1, n), values[:: equations.table.ends.size]])
-    count = K * table.inner.size
-
-    def by_intervals(found: Array) -> Array:
-        """Values at the check points of each interval, shape (intervals, points, values)."""
-        between, ends = found[:count].reshape(K, table.inner.size, found.shape[1]), found[count:, None]
-        return np.concatenate([ends[:-1], between, ends[1:]], axis=1)[:, table.checked]
-
-    field, integrands = map(by_intervals, equations.along(places, states, scalars, constants))
-    defects = lengths[:, None, None] * field - table.slopes @ polynomials
+    of, table, K, d = equations.formulation, equations.table.defect, equations.intervals, equations.table.degree
+    lengths, arguments = numbers[:K], at_checks(equations, z, numbers)
+    field, integrands = (by_intervals(equations, found) for found in equations.along(*arguments))
+    defects = lengths[:, None, None] * field - table.slopes @ polynomials(equations, z)
     residual = [-(table.increments @ defects).ravel(), np.zeros(of.conditions.numel())]
     if of.integrals:
         at_stages = equations.along(*equations.stages(z, numbers))[1][:-1].reshape(K, d, -1)
         whole = table.quadrature[0] @ at_stages + table.quadrature[1] @ integrands
         residual.append(lengths @ whole - lengths @ (equations.table.extended[-1] @ at_stages))
-    return np.concatenate(residual), (table.between @ defects).reshape(-1, n)
+    return np.concatenate(residual), (table.between @ defects).reshape(-1, of.states)
+
+
+def polynomials(equations: Discretisation, z: Array) -> Array:
+    """The state values that determine the polynomial of each interval, shape (K, d + 1, states)."""
+    values = z[: equations.state_values].reshape(-1, equations.formulation.states)
+    return np.asarray(values[equations.structure.start[:, None] + np.arange(equations.table.degree + 1)])
+
+
+def at_checks(equations: Discretisation, z: Array, numbers: Array, between: Array | float = 0.0) -> tuple[Array, ...]:
+    """(s, x, scalars, constants) at the inner check points of all intervals, then at the ends of these.
+
+    `between` is added to the polynomials at the inner points, shape (inner points, states).
+    """
+    n, table, count = equations.formulation.states, equations.table, equations.state_values
+    lengths, constants = np.split(numbers, [equations.intervals])
+    ends = np.concatenate([[0.0], np.cumsum(lengths)])
+    inner = ends[:-1, None] + lengths[:, None] * table.defect.inner
+    within = (table.defect.values @ polynomials(equations, z)).reshape(-1, n) + between
+    states = np.concatenate([within, z[:count].reshape(-1, n)[:: table.ends.size]])
+    return np.concatenate([inner.ravel(), ends])[:, None], states, z[count:], constants
+
+
+def by_intervals(equations: Discretisation, found: Array) -> Array:
+    """Values there at the check points of each interval, shape (intervals, points, ...)."""
+    table, K = equations.table.defect, equations.intervals
+    between, ends = np.split(found, [K * table.inner.size])
+    between = between.reshape(K, table.inner.size, *found.shape[1:])
+    return np.concatenate([ends[:-1, None], between, ends[1:, None]], axis=1)[:, table.checked]

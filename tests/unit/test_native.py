@@ -28,7 +28,10 @@ from casadi_skin.model import operations
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import Monomials
 from casadi_skin.solve.bordered import BandFactors, BorderedSolver
+from casadi_skin.stability.closed_maps import Trivial, multipliers_along
 from casadi_skin.stability.flows import JacobianAlong, SplittingMap
+from casadi_skin.stability.full_period import interval_maps
+from casadi_skin.zero.butcher import CollocationTable, gauss_table, radau_table
 from casadi_skin.zero.cosines import PolynomialForm, TaylorRecursion, TrigonometricProblem
 from casadi_skin.zero.family import family_request
 
@@ -58,6 +61,45 @@ def both_ways(model: OdeModel, steps: int, orbits: int) -> list[np.ndarray]:
 def test_kernel_and_numpy_agree_to_rounding(model: OdeModel) -> None:
     compiled, plain = both_ways(model, 5, 3)
     np.testing.assert_allclose(compiled, plain, rtol=1e-13, atol=1e-14 * np.max(np.abs(plain)))
+
+
+@needs_kernels
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+@pytest.mark.parametrize("table", [gauss_table(1), gauss_table(6), radau_table(4)])
+def test_maps_over_intervals_are_those_by_numpy(table: CollocationTable, n: int) -> None:
+    """Also those that elimination without exchanges leaves to numpy: two of nineteen, whose first pivot is 1e-9."""
+    generator, K, points = np.random.default_rng(n), 19, table.defect.quadrature[1].size
+    lengths = generator.uniform(0.02, 0.08, size=K)
+    stages, moved = generator.normal(size=(2, K * table.degree, n, n))
+    stages[[0, 5 * table.degree], 0, 0] = (1.0 - 1e-9) / (lengths[[0, 5]] * table.matrix[0, 0])
+    along = stages + 0.01 * moved, generator.normal(size=(K, points, n, n))
+    found = interval_maps(stages, lengths, table, along)
+    with numpy_alone():
+        plain = interval_maps(stages, lengths, table, along)
+    for one, other in zip(found, plain, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.max(np.abs(other)))
+
+
+@needs_kernels
+@pytest.mark.parametrize("known", [(0, 0), (1, 0), (1, 1), (2, 1)])
+@pytest.mark.parametrize("scale", [1.0, 4.0])
+def test_multipliers_of_chains_of_maps_are_those_by_numpy(known: tuple[int, int], scale: float) -> None:
+    """Far from 1 too, by a periodic Schur form; some vectors are carried along, as those of time and of gradients."""
+    generator, K, n = np.random.default_rng(7), 40, 5
+    frames = np.linalg.qr(generator.normal(size=(K, n, n)))[0]
+    frames = np.concatenate([frames, frames[:1]])
+    upper = np.eye(n) * np.exp(scale * np.linspace(0.3, -0.3, n)) + np.triu(0.2 * generator.normal(size=(K, n, n)), 1)
+    upper[:, range(sum(known)), range(sum(known))] = 1.0
+    maps = frames[1:] @ upper @ frames[:-1].swapaxes(1, 2)
+    right, left = np.split(frames.swapaxes(1, 2)[:, : sum(known)], [known[0]], axis=1)
+    trivial = Trivial(sum(known), right, left)
+    found = multipliers_along(maps, trivial, np.ones(n))
+    with numpy_alone():
+        plain = multipliers_along(maps, trivial, np.ones(n))
+    np.testing.assert_allclose(found.others.logs, plain.others.logs, rtol=1e-11, atol=1e-9)
+    np.testing.assert_allclose(found.trivial.values, plain.trivial.values, rtol=0, atol=1e-6)  # double ones
+    np.testing.assert_allclose(found.rounding, plain.rounding, rtol=1e-3, atol=1e-300)
+    np.testing.assert_allclose(found.matrix, plain.matrix, rtol=0, atol=1e-11)
 
 
 @needs_kernels
