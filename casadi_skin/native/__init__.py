@@ -8,6 +8,7 @@ tables below say how the arguments of its functions and the fields of its struct
 | source | what it computes | the same by numpy |
 | --- | --- | --- |
 | bordered.c | factors and solutions of bands with borders | `solve.bordered` |
+| collocation.c | the same of collocation equations, and maps over their intervals | `solve.bordered` |
 | splitting.c | steps of a model, transition matrices along orbits | CasADi in `dynamics.evolve`, `stability.flows` |
 | program.c | expressions, operations that are alike together | CasADi |
 | decoupling.c | bases that make matrices block diagonal | `stability.tongues.blocks` |
@@ -46,6 +47,9 @@ LIBRARY = Path(__file__).with_name("kernels.library")
 FUNCTIONS = {
     "bordered_solve": "aaia",
     "bordered_steps": "aiaaaiaaaa",
+    "collocation_factors": "aaaaraaaa",
+    "collocation_solve": "aaia",
+    "collocation_maps": "aaa",
     "transitions": "iiiiaaiaaaaia",
     "stepped": "aiaaiiaaa",
     "invariant": "iiiiiaaaiaaairaa",

@@ -53,25 +53,6 @@ static void fill(const entries *e, const double *nonzeros, double *array)
         array[e->target[i]] = nonzeros[e->source[i]];
 }
 
-/* The largest modulus, NaN where one of the numbers is. */
-static double largest(const double *x, int64_t count)
-{
-    double most[LANES] = {0.0}; /* independent of one another, so that they go together */
-    int64_t unknown = 0;
-    for (; count % LANES; count--) {
-        most[0] = fabs(x[count - 1]) > most[0] ? fabs(x[count - 1]) : most[0];
-        unknown |= x[count - 1] != x[count - 1];
-    }
-    for (int64_t i = 0; i < count; i += LANES)
-        for (int64_t k = 0; k < LANES; k++) {
-            most[k] = fabs(x[i + k]) > most[k] ? fabs(x[i + k]) : most[k];
-            unknown |= x[i + k] != x[i + k];
-        }
-    for (int64_t k = 1; k < LANES; k++)
-        most[0] = most[k] > most[0] ? most[k] : most[0];
-    return unknown ? NAN : most[0];
-}
-
 static double product(const double *x, const double *y, int64_t count)
 {
     double sums[4] = {0.0}; /* independent of one another, so that they go together */

@@ -3,6 +3,7 @@
    Every source is compiled for any processor, and on x86-64 for AVX2 and AVX-512 too, under names of its own: REGISTER
    numbers go together. Fields of structures have eight bytes each, as native/__init__.py writes them. */
 
+#include <math.h>
 #include <stdint.h>
 
 _Static_assert(sizeof(void *) == 8 && sizeof(double) == 8, "fields of structures have eight bytes");
@@ -18,6 +19,25 @@ enum { REGISTER = 4 };
 enum { REGISTER = 2 };
 #endif
 #define KERNEL(name) __attribute__((visibility("default"))) int NAMED(name) /* returns 0, or 1 where it fails */
+
+/* The largest modulus, NaN where one of the numbers is. */
+static inline double largest(const double *x, int64_t count)
+{
+    double most[8] = {0.0}; /* independent of one another, so that they go together */
+    int64_t unknown = 0;
+    for (; count % 8; count--) {
+        most[0] = fabs(x[count - 1]) > most[0] ? fabs(x[count - 1]) : most[0];
+        unknown |= x[count - 1] != x[count - 1];
+    }
+    for (int64_t i = 0; i < count; i += 8)
+        for (int64_t k = 0; k < 8; k++) {
+            most[k] = fabs(x[i + k]) > most[k] ? fabs(x[i + k]) : most[k];
+            unknown |= x[i + k] != x[i + k];
+        }
+    for (int64_t k = 1; k < 8; k++)
+        most[0] = most[k] > most[0] ? most[k] : most[0];
+    return unknown ? NAN : most[0];
+}
 
 /* Terms coefficient * p^power * product of `degree` states, each added to a place of its own, a row or a non-zero. */
 typedef struct {

@@ -3,9 +3,10 @@
 Banded problems are solved by band LU with the dense columns and rows in a border, by the compiled kernel.
 The band alone is singular at a linear mode (its null vector is the mode), so its diagonal entry at the largest entry of
 the state is raised, and an unknown more in the border takes that back; Schur complement of a bordered matrix, Keller
-(1977), Govaerts (2000) chapter 3. A few equations have dense factors. Everything else goes to SuperLU: of collocation
-the unknowns within the intervals first, in an order that the model's own pattern determines, so that dense blocks are
-left between ends of intervals alone (the condensation of Ascher, Mattheij and Russell 1995, section 7.2).
+(1977), Govaerts (2000) chapter 3. A few equations have dense factors. Of collocation the unknowns within the intervals
+come first, so that dense blocks are left between ends of intervals alone (the condensation of Ascher, Mattheij and
+Russell 1995, section 7.2): of few states by another compiled kernel, native/collocation.c. Everything else goes to
+SuperLU, collocation of many states in an order that the model's own pattern determines, and what a kernel refuses.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.native import MOST, BorderedKernel, Structure, kernels
+from casadi_skin.native.collocation import CollocationKernel
+from casadi_skin.zero.collocation import CollocationEquations
 from casadi_skin.zero.problem import Array, Indices, Problem, SingularError, Solve
 
 if TYPE_CHECKING:
@@ -42,6 +45,29 @@ class BandFactors:
         x = np.array(b.reshape(b.shape[0], -1).T, order="C")
         self.kernel.solve(self.memory, x)
         return x.T.reshape(b.shape)
+
+
+class CollocationFactors:
+    """Solves with condensed collocation equations; `maps` are those over the intervals with scalars held.
+
+    `along` is the solution for the closing row alone, (0, ..., 0, 1).
+    """
+
+    def __init__(self, kernel: CollocationKernel, memory: Array, orientation: float, along: Array) -> None:
+        self.kernel, self.memory, self.orientation, self.along = kernel, memory, orientation, along
+
+    def __call__(self, b: Array) -> Array:
+        x = np.array(b.reshape(b.shape[0], -1).T, order="C")
+        self.kernel.solve(self.memory, x)
+        return x.T.reshape(b.shape)
+
+    @cached_property
+    def maps(self) -> Array:
+        """From the start to the end of each interval, (intervals, n, n), of the matrix that was factorised.
+
+        Raises numpy.linalg.LinAlgError where one is not defined.
+        """
+        return self.kernel.maps(self.memory)
 
 
 class DenseFactors:
@@ -99,6 +125,7 @@ def _parity(permutation: Indices) -> float:
 
 
 SINGULAR_GROWTH = 1e12  # growth of residuals, in units of both (`Problem.units_at`), that only a singular matrix gives
+MOST_STATES = 30  # of collocation whose blocks are taken for dense; of rings, SuperLU takes 1.5 times as long at 30
 LONG_ROW_FACTOR = 1e-2  # factor of rows through most unknowns, as of integrals and of the arclength
 DENSE_UNKNOWNS = 24  # up to which dense factors take less time than sparse ones, measured
 ACCURATE_RESIDUAL = 1e-9  # residual of a solve, relative to the largest entries of matrix and solution
@@ -201,17 +228,13 @@ class BorderedSolver:
     """Factorises [dR/dz; row] for one problem; the structure is analysed once, the numbers at each call."""
 
     def __init__(self, problem: Problem) -> None:
-        from scipy.sparse import csc_matrix
-
         self.problem, size = problem, problem.size
         self._last: tuple[Array, Array, Solve] | None = None
         band = BandLayout.of(problem)
         self._kernel = None if band is None else band.kernel(problem)
         self._probes = np.zeros((size, 3))
         self._probes[-1, 0], self._probes[:-1, 1:] = 1.0, problem.probe[:, None]
-        places = problem.kept("closed", lambda: _Places.of(problem))
-        self._order, self._closing, self._open, self._taken = places.order, places.closing, places.open, places.taken
-        self._closed = csc_matrix((np.zeros(places.rows.size), places.rows, places.bounds), shape=(size, size))
+        self._collocation = _collocation_kernel(problem)
 
     @staticmethod
     def of(problem: Problem) -> BorderedSolver:
@@ -220,6 +243,18 @@ class BorderedSolver:
             problem.shared["bordered"] = BorderedSolver(problem)
         found: BorderedSolver = problem.shared["bordered"]
         return found
+
+    @cached_property
+    def _places(self) -> _Places:
+        found: _Places = self.problem.kept("closed", lambda: _Places.of(self.problem))
+        return found
+
+    @cached_property
+    def _closed(self) -> Any:
+        from scipy.sparse import csc_matrix
+
+        places, size = self._places, self.problem.size
+        return csc_matrix((np.zeros(places.rows.size), places.rows, places.bounds), shape=(size, size))
 
     @cached_property
     def _scale(self) -> Array:
@@ -256,6 +291,9 @@ class BorderedSolver:
             orientation = self._kernel.steps(z[None], nonzeros[None], row[None], x, memory)
             if orientation is not None:
                 return BandFactors(self._kernel, memory, float(orientation[0]))
+        condensed = self._condensed(nonzeros, row, z)
+        if condensed is not None:
+            return condensed
         solve = self._factor_sparse(nonzeros, row)
         sizes, residuals = self.problem.units_at(z, nonzeros)
         probes = self._probes.copy()
@@ -287,7 +325,7 @@ class BorderedSolver:
     def orientation(self, nonzeros: Array, row: Array) -> float:
         """The sign of the determinant of [dR/dz; row], which a branch that crosses changes; 0 where it is singular."""
         try:
-            return self._factor_sparse(nonzeros, row).orientation
+            return (self._condensed(nonzeros, row) or self._factor_sparse(nonzeros, row)).orientation
         except SingularError:
             return 0.0
 
@@ -308,6 +346,14 @@ class BorderedSolver:
             max(defect.max(), -defect.min()) <= ACCURATE_RESIDUAL * largest and abs(row @ x - 1.0) <= ACCURATE_RESIDUAL
         )
 
+    def _condensed(self, nonzeros: Array, row: Array, z: Array | None = None) -> CollocationFactors | None:
+        """By the kernel of collocation; None where there is none, and of a matrix that is singular, in sizes at z."""
+        kernel = self._collocation
+        if kernel is None:
+            return None
+        found = kernel.factors(nonzeros, row, *((None, 1.0) if z is None else self.problem.sizes_at(z)))
+        return None if found is None else CollocationFactors(kernel, *found)
+
     def _factor_sparse(self, nonzeros: Array, row: Array) -> Solve:
         from scipy.sparse.linalg import splu
 
@@ -316,9 +362,9 @@ class BorderedSolver:
         self._close(nonzeros, row)
         try:
             if not self.problem.in_order:
-                return SparseFactors(splu(self._closed), self._order, None)
+                return SparseFactors(splu(self._closed), self._places.order, None)
             self._closed.data *= self._scales
-            return SparseFactors(splu(self._closed, permc_spec="NATURAL"), self._order, self._scale)
+            return SparseFactors(splu(self._closed, permc_spec="NATURAL"), self._places.order, self._scale)
         except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
             raise SingularError(f"the Jacobian with its border cannot be factorised: {error}") from error
 
@@ -331,7 +377,23 @@ class BorderedSolver:
 
     def _close(self, nonzeros: Array, row: Array) -> None:
         """Fill the closed matrix."""
-        self._closed.data[self._open], self._closed.data[self._closing] = nonzeros[self._taken], row[self._order]
+        places, data = self._places, self._closed.data
+        data[places.open], data[places.closing] = nonzeros[places.taken], row[places.order]
+
+
+def _collocation_kernel(problem: Problem) -> CollocationKernel | None:
+    """The compiled kernel of collocation equations with few states, as many as unknowns but one."""
+    if not (kernels() and isinstance(problem, CollocationEquations) and problem.equations == problem.size - 1):
+        return None
+    n, scalars = problem.formulation.states, problem.size - problem.states
+    counts = n + scalars - 1 - problem.formulation.integrals, problem.formulation.integrals
+    if n > MOST_STATES:
+        return None
+    sizes, limits = (n, problem.resolution, problem.table.ends.size, scalars), (SINGULAR_GROWTH, ACCURATE_RESIDUAL)
+    found: CollocationKernel = problem.kept(
+        "collocation", lambda: CollocationKernel(sizes, counts, problem.pattern, limits, problem.probe)
+    )
+    return found
 
 
 def long_rows(rows: NDArray[np.integer[Any]], size: int) -> Indices:

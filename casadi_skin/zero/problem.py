@@ -324,6 +324,10 @@ class Problem(ABC):
         """Residuals of size 1 in general position, shape (size - 1,), which are not to be written to."""
         return _probe(self.size - 1)
 
+    def sizes_at(self, z: Array) -> tuple[Array | None, float]:
+        """Sizes of the unknowns at z, and the least of residuals of conditions; None where all are 1."""
+        return None, 1.0
+
     def units_at(self, z: Array, nonzeros: Array) -> tuple[Array | float, Array | float]:
         """What unknowns at z and residuals are measured by, of each one or of all, with the Jacobian's non-zeros."""
         return 1.0, 1.0

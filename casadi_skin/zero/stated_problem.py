@@ -86,18 +86,22 @@ class BoundaryProblem(CollocationEquations):
     def sample(self, z: Array, theta: Array) -> Array:
         return self._interpolate(z, np.asarray(theta, dtype=float))
 
-    def units_at(self, z: Array, nonzeros: Array) -> tuple[Array, Array]:
-        """Sizes of unknowns, and of the largest terms of residuals: components and times have units of their own.
+    def sizes_at(self, z: Array) -> tuple[Array, float]:
+        """Components and times have units of their own; a component whose guess is zero has that of the largest one.
 
-        A component whose guess is zero has the size of the largest one. Of a condition whose derivative vanishes the
-        size is that of the smallest, or 1: it determines nothing there.
+        Of a condition whose derivative vanishes the size is that of the smallest, or 1: it determines nothing there.
         """
-        sizes, largest, floors = self.sizes(z), np.zeros(self.size - 1), self.floors[self.floors > 0.0]
+        sizes, floors = self.sizes(z), self.floors
         states = sizes[: self.states].reshape(self.columns, -1)
-        states[:, self.floors == 0.0] = np.max(states[0])
+        states[:, floors == 0.0] = np.max(states[0])
+        return sizes, float(np.min(floors[floors > 0.0] / COMPONENT_FLOOR, initial=1.0))
+
+    def units_at(self, z: Array, nonzeros: Array) -> tuple[Array, Array]:
+        """Sizes of unknowns, and of the largest terms of residuals."""
+        (sizes, least), largest = self.sizes_at(z), np.zeros(self.size - 1)
         np.maximum.at(largest, self.pattern[0], np.abs(nonzeros) * sizes[self.pattern[1]])
         conditions = largest[self.states - self.formulation.states :]
-        conditions[:] = np.maximum(conditions, np.min(floors / COMPONENT_FLOOR, initial=1.0))
+        conditions[:] = np.maximum(conditions, least)
         return sizes, largest
 
     def frequency(self, z: Array) -> float:

@@ -1,0 +1,81 @@
+"""Factors and solutions of collocation equations by the compiled kernel: collocation.c, which has the equations."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from casadi_skin.native import LANES, Array, Indices, Structure, kernels
+
+LAYOUT = 20 * "i" + "aaarra"
+
+
+class CollocationKernel:
+    """Factors and solutions of collocation equations on K intervals, closed by one more row.
+
+    Arguments:
+        sizes: numbers n of states, K of intervals, R of increments of an interval, m of scalars.
+        counts: numbers of conditions and of integrals.
+        pattern: rows and columns of the non-zeros, by columns.
+        limits, probe: as for `BorderedKernel`; residuals of size 1 in general position.
+    """
+
+    def __init__(
+        self,
+        sizes: tuple[int, int, int, int],
+        counts: tuple[int, int],
+        pattern: tuple[Indices, Indices],
+        limits: tuple[float, float],
+        probe: Array,
+    ) -> None:
+        n, K, R, m = sizes
+        (rows, columns), inner, longs, last = pattern, n * (R - 1), counts[1] + 1, 2 * n + m
+        heights = [-(-height // LANES) * LANES for height in (R * n + longs, 2 * n + longs, last)]
+        widths = inner + last, n + last, last
+        orders = (K * R * n + (K - 1) * 2 * n + last + 1) // 2  # integers, two in the room of a real number
+        room = 4 * (sum(heights) + last + longs) + (2 * n + 2) * heights[1]  # right-hand sides, or a block of maps
+        matrices = K * heights[0] * widths[0], (K - 1) * heights[1] * widths[1], heights[2] * last
+        parts = *matrices, (n * (K + 1) + m) * longs, 2 * (K * R * n + n + m), room, orders
+        at = np.cumsum([0, *(-(-part // LANES) * LANES for part in parts)])
+        self._n, self._K, self._size, self._room = n, K, n * (K * R + 1) + m, int(at[-1]) + LANES
+        # Columns of each non-zero counted from x_k, x_(k+1) or the first scalar, and the rows from its interval's.
+        bottom, (k, row) = n * K * R, np.divmod(rows, R * n)
+        scalar, column = columns - bottom - n, columns - k * R * n
+        column = np.where(column < n, column + inner, np.where(column < R * n, column - n, column))
+        column = np.where(scalar >= 0, scalar + inner + 2 * n, column)
+        target = (k * widths[0] + column) * heights[0] + row
+        below = rows - bottom
+        edge = np.where(columns < n, columns, columns - bottom + n)  # of x_0, x_K and the scalars
+        target = np.where(below >= 0, at[2] + edge * heights[2] + below + n, target)
+        k, column = np.divmod(np.minimum(columns, bottom), R * n)
+        inside = (k * widths[0] + column - n) * heights[0] + R * n + below - counts[0]
+        place = np.where(columns < bottom, k * n + column, columns - bottom + K * n)
+        at_node = at[3] + place * longs + below - counts[0]
+        target = np.where(below >= counts[0], np.where(column < n, at_node, inside), target)
+        data = target.astype(np.int32), rows.astype(np.int32), np.searchsorted(columns, np.arange(self._size + 1))
+        shape = *sizes, counts[0], longs, rows.size, *heights, *widths, *at[:-1].tolist()
+        self.layout = Structure(LAYOUT, *shape, *data, *limits, probe)
+
+    def factors(
+        self, nonzeros: Array, row: Array, sizes: Array | None, least: float
+    ) -> tuple[Array, float, Array] | None:
+        """Factors, the sign of the determinant, and the solution for the closing row; None of a singular matrix.
+
+        Arguments:
+            nonzeros, row: of the Jacobian, and the closing row.
+            sizes: of the unknowns, by which singular matrices are told; 1 where it is None.
+            least: size of residuals of conditions, at least.
+        """
+        memory, sign, x = np.empty(self._room), np.empty(1), np.empty((4, self._size))
+        data = nonzeros, row, sizes, least, memory, sign, x, x[3]
+        return None if kernels()["collocation_factors"](self.layout, *data) else (memory, float(sign[0]), x[0])
+
+    def solve(self, memory: Array, x: Array) -> None:
+        """Overwrite right-hand sides, (count, size), by solutions with the factors in `memory`."""
+        kernels()["collocation_solve"](self.layout, memory, len(x), x)
+
+    def maps(self, memory: Array) -> Array:
+        """Maps from x_k to x_(k+1) of the linearised equations with scalars held, (K, n, n), from the factors."""
+        found = np.empty((self._K, self._n, self._n))
+        if kernels()["collocation_maps"](self.layout, memory, found):
+            raise np.linalg.LinAlgError("Singular matrix")
+        return found
