@@ -26,6 +26,7 @@ from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain_coordinates import LongChain
 from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.conserved import SymmetryClass
+from casadi_skin.model.result import in_turn
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.problem import Array
 
@@ -153,6 +154,7 @@ FINE_RADIUS = 1e-17  # radius relative to the norm that is below the resolution 
 ACCEPTED_ORBITS = "an orbit of a family whose model is of second order and reversible, as sums of cosines"
 
 
+@in_turn
 def certify(
     orbit: Orbit, harmonics: int | None = None, weight: float = HARMONIC_WEIGHT, decimals: bool | None = None
 ) -> Certificate:

@@ -26,6 +26,7 @@ from casadi_skin.certify.certify import HARMONIC_WEIGHT, best_attempt, reason_of
 from casadi_skin.certify.system import CosineSeries, CosineSystem, potential, weights_of
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Orbit
+from casadi_skin.model.result import in_turn
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.tongues.diagram import StabilityEdge
@@ -428,6 +429,7 @@ TWO_PI = 2.0 * np.pi
 EXPONENTS_TRIED = 3  # exponents farthest from the axis
 
 
+@in_turn
 def certify_stability(orbit: Orbit) -> ProvedStability:
     """Prove that an orbit is stable, or that it is unstable, to small disturbances of any symmetry.
 
@@ -459,6 +461,7 @@ def certify_stability(orbit: Orbit) -> ProvedStability:
         return _unstable(orbit, problem, floquet.mu)
 
 
+@in_turn
 def certify_change(branch: Branch, change: StabilityEdge) -> tuple[float, float] | None:
     """Prove that a family changes its stability between two values of S, as near to a change as proofs separate them.
 

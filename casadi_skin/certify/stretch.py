@@ -43,6 +43,7 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain_coordinates import LongChain
 from casadi_skin.model.arguments import number
+from casadi_skin.model.result import in_turn
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.problem import Array
 
@@ -315,6 +316,7 @@ def _chebyshev(values: Array) -> Array:
     return np.asarray(coefficients)
 
 
+@in_turn
 def certify_branch(branch: Branch, start: float, end: float) -> ProvedStretch:
     """Prove that the orbits of a family from one S to another are one curve without fold or branch point.
 

@@ -329,6 +329,7 @@ def unit_direction(
     return np.asarray(direction / (largest * np.linalg.norm(direction / largest)))
 
 
+@in_turn
 def perturbed(
     orbit: Orbit,
     size: float,
@@ -436,6 +437,7 @@ def _state_curve(orbit: Orbit) -> tuple[Curve, Array]:
     return Curve(points, count, unit), sizes
 
 
+@in_turn
 def distance_from_orbit(orbit: Any, evolution: Evolution) -> Array:
     """Distance of a time evolution from an orbit at each time.
 

@@ -28,6 +28,7 @@ from casadi_skin.lattice.declaration import Array
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import ComplexArray
 from casadi_skin.model.arguments import check_name
+from casadi_skin.model.result import in_turn
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.family import family_request
 from casadi_skin.zero.settings import Point
@@ -85,6 +86,7 @@ class Resonance:
         return find_orbit(self.lattice, self.guess, parameters=self.parameters, **options)
 
 
+@in_turn
 def conservative_part(lattice: Lattice) -> Lattice:
     """The same lattice without damping and drives."""
     declared = lattice.declaration
@@ -92,6 +94,7 @@ def conservative_part(lattice: Lattice) -> Lattice:
     return Lattice(declared.cells, sites, declared.bonds, declared.boundary, declared.parameters, lattice.name)
 
 
+@in_turn
 def energy_balance(lattice: Lattice, orbit: Orbit) -> EnergyBalance:
     """Energy that drives supply and damping takes in one period.
 
@@ -110,6 +113,7 @@ def energy_balance(lattice: Lattice, orbit: Orbit) -> EnergyBalance:
     return EnergyBalance(orbit.period * power[0], orbit.period * power[1])
 
 
+@in_turn
 def resonances(
     lattice: Lattice, mode: int | str, amplitude_max: float, frequency: str, **options: Any
 ) -> tuple[Resonance, ...]:
@@ -203,6 +207,7 @@ BALANCE_TOLERANCE = 1e-12
 LARGEST_S = 1e4  # up to which a threshold is looked for
 
 
+@in_turn
 def threshold(chain: Chain) -> float:
     """S_c at which the end breather of the infinite chain is born: Omega leaves the band edge that it was pinned to.
 

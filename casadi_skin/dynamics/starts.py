@@ -18,11 +18,12 @@ from casadi_skin.lattice.declaration import FIXED, PERIODIC, Array
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import lattice_modes
 from casadi_skin.model.arguments import number, short_repr
-from casadi_skin.model.result import Result
+from casadi_skin.model.result import Result, in_turn
 from casadi_skin.zero.model_coordinates import linear_spectrum
 from casadi_skin.zero.statement import named_values
 
 
+@in_turn
 def initial_state(
     model: Any,
     size: float,
@@ -116,6 +117,7 @@ class Spreading(Result):
         return np.asarray(self.energies.sum(axis=1))
 
 
+@in_turn
 def spreading(evolution: Evolution) -> Spreading:
     """The distribution of the energy of a lattice in the course of a time evolution.
 
@@ -150,6 +152,7 @@ def spreading(evolution: Evolution) -> Spreading:
     return Spreading(evolution.t, energies, centre + 1.0, 1.0 / np.sum(share**2, axis=1), second)
 
 
+@in_turn
 def energies_by_site(lattice: Lattice, states: ArrayLike, parameters: Mapping[str, float] | None = None) -> Array:
     """Energies of all sites.
 

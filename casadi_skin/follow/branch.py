@@ -19,7 +19,7 @@ from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.special_points import SpecialPoint, folds_of_family, special_point
 from casadi_skin.model.arguments import cut, number, short_repr, whole
 from casadi_skin.model.conserved import SymmetryClass
-from casadi_skin.model.result import Result
+from casadi_skin.model.result import Result, in_turn
 from casadi_skin.solve.watch import Budget, TimeLimitError
 from casadi_skin.stability.tongues.diagram import Place, StabilityDiagram, StabilityEdge
 from casadi_skin.zero.kinds import EDGE, FOLD, STABILITY, Unresolved, count_in_words
@@ -504,6 +504,7 @@ def _listed(values: Sequence[float]) -> str:
 # Shares of harmonics in an orbit, and where along a family the third takes over from the first ------------------------
 
 
+@in_turn
 def harmonic_shares(orbit: Orbit, coordinates: str = "gauge") -> Array:
     """Shares of the odd harmonics 1, 3, 5, ... in the mean over time of sum_n x_n^2, shape (harmonics,), of sum 1.
 
@@ -521,6 +522,7 @@ def harmonic_shares(orbit: Orbit, coordinates: str = "gauge") -> Array:
     return np.asarray(squares / np.sum(squares))
 
 
+@in_turn
 def third_harmonic_leads(branch: Branch, coordinates: str = "gauge") -> Orbit | None:
     """The orbit at which the third harmonic first becomes as large as the fundamental, or None where it never does.
 

@@ -484,6 +484,7 @@ def _check_choices(stability: object, events: object, until: object, progress: o
         function_of(name, function, "a solution")
 
 
+@in_turn
 def follow(
     solution: Solution,
     parameter: str,

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from casadi_skin.lattice.declaration import Array
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.model.result import Result
+from casadi_skin.model.result import Result, in_turn
 from casadi_skin.zero.model_coordinates import eigenmodes, symmetrising_scale
 
 ComplexArray = NDArray[np.complex128]
@@ -56,6 +56,7 @@ class LatticeModes(Result):
         return bool(np.max(np.abs(self.squares.imag)) <= REAL_SQUARE_RTOL * np.max(np.abs(self.squares)))
 
 
+@in_turn
 def lattice_modes(lattice: Lattice, parameters: Mapping[str, float] | None = None) -> LatticeModes:
     """Linear modes of a lattice, left and right, from the symmetric problem of its gauge where there is one.
 
@@ -133,6 +134,7 @@ class Bands(Result):
         return [(float(a), float(b)) for a, b in zip(high[:-1], low[1:], strict=True) if b > a]
 
 
+@in_turn
 def bands(
     lattice: Lattice, parameters: Mapping[str, float] | None = None, points: int = 201, open_ends: bool = True
 ) -> Bands:
@@ -236,6 +238,7 @@ RESOLVED_PHASE_CHANGE = 0.25 * np.pi  # change of a phase from one wave number t
 ON_CURVE = 1e-7  # of |omega^2|: nearer to the spectrum of the ring no winding number is computed
 
 
+@in_turn
 def winding_numbers(lattice: Lattice, squares: ArrayLike, parameters: Mapping[str, float] | None = None) -> Array:
     """Winding number of the spectrum of the ring round values of omega^2, as the wave number goes from 0 to 2 pi.
 
@@ -267,6 +270,7 @@ def winding_numbers(lattice: Lattice, squares: ArrayLike, parameters: Mapping[st
     return found + 0.0  # no -0
 
 
+@in_turn
 def brillouin_zone(lattice: Lattice, squares: ArrayLike, parameters: Mapping[str, float] | None = None) -> ComplexArray:
     """Factors beta of the two waves of middle size at values of omega^2: of those of long open lattices, of equal size.
 

@@ -17,6 +17,7 @@ from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.methods import QUARTER_PERIOD
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.result import in_turn
 
 Array = NDArray[np.float64]
 HAMILTONIAN = "hamiltonian"
@@ -132,6 +133,7 @@ class SymmetryClass(Enum):
         }[self]
 
 
+@in_turn
 def symmetry_class(model: OdeModel) -> SymmetryClass:
     """Smallest part of the period that the declared symmetries of `model` allow."""
     if model.reversal is None:

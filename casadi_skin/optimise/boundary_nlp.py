@@ -20,6 +20,7 @@ from casadi_skin.follow.find import limits_of, packed, space_of
 from casadi_skin.follow.find import solve as without_objective
 from casadi_skin.follow.space import BoundaryError
 from casadi_skin.model.pickled import programs_in
+from casadi_skin.model.result import in_turn
 from casadi_skin.optimise.nlp import FLAT_CURVATURE, Nlp, Optimality, Solution, optimality
 from casadi_skin.optimise.search_problem import Condition, named
 from casadi_skin.solve.ipopt import SOLVED_STATUS, nlp_reason
@@ -139,6 +140,7 @@ class Refined:
         return Point(problem, self.solution.x, unit, self.error, 0.0, self.solution.iterations)
 
 
+@in_turn
 def solve(statement: Statement, guess: Guess, **options: Any) -> solutions.Solution:
     """The solution of a boundary-value problem near a guess; with an objective or bounds the local optimum.
 

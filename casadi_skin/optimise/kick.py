@@ -467,6 +467,7 @@ def smallest_kick(
     )
 
 
+@in_turn
 def kick_norm(orbit: Orbit, kick: Array, norm: str = "physical") -> float:
     """Norm of a kick (2N,): Euclidean, or "energy", sqrt(|eta'|^2 + eta L eta) of its image eta in the gauge."""
     if norm == "physical":

@@ -27,6 +27,7 @@ from casadi_skin.follow.special_points import (
     special_solutions,
 )
 from casadi_skin.model.arguments import check_name
+from casadi_skin.model.result import in_turn
 from casadi_skin.points.edges import EdgeCurve, edge_curve, parameters_of
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.augmented import SingularProblem
@@ -109,6 +110,7 @@ class OrbitCurveSpace(BoundarySpace):
         return float(np.sum(terms_of(self.kind, linear, *linear.critical(self.kind))))
 
 
+@in_turn
 def curve(
     point: SpecialPoint,
     parameter: str,

@@ -13,7 +13,7 @@ from casadi_skin.follow.follow import BranchRun
 from casadi_skin.follow.space import EQUILIBRIA
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import whole
-from casadi_skin.model.result import Result
+from casadi_skin.model.result import Result, in_turn
 from casadi_skin.points.leaving import DEFAULT_TOLERANCE
 from casadi_skin.points.switch import leaving_space
 from casadi_skin.zero.kinds import HOPF, KINDS
@@ -67,6 +67,7 @@ class Diagram(Result):
         return tuple(found)
 
 
+@in_turn
 def follow_all(
     branch: Branch,
     *,

@@ -16,6 +16,7 @@ from casadi_skin.follow.solution import Equilibrium, Orbit, Solution, following_
 from casadi_skin.follow.space import EquilibriumError
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import duration
+from casadi_skin.model.result import in_turn
 from casadi_skin.points.leaving import DEFAULT_TOLERANCE, born_at, leaving_solutions
 from casadi_skin.points.lost_symmetry import breaking_space, start_of
 from casadi_skin.solve.newton import Correction
@@ -34,6 +35,7 @@ DIFFERENCE_STEP = 1e-4  # of the units of the unknowns: that of second derivativ
 SAME_DIRECTION_DISTANCE = 1e-4  # of a direction: the difference that distinguishes two branches
 
 
+@in_turn
 def switch(
     point: SpecialPoint,
     parameter: str,

@@ -21,6 +21,7 @@ from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
+from casadi_skin.model.result import in_turn
 from casadi_skin.zero.coordinates import Coordinates
 from casadi_skin.zero.family import Method
 from casadi_skin.zero.problem import EPSILON, Array, Buffers
@@ -629,6 +630,7 @@ class LinearSpectrum:
     bands: tuple[tuple[float, float], ...] = ()
 
 
+@in_turn
 def linear_spectrum(model: Any, parameters: Mapping[str, float] | None = None) -> LinearSpectrum:
     """The linear spectrum of a model.
 

@@ -1,6 +1,8 @@
 """Results that threads share: eight at once find the bytes of one, a forked process can compute, an interrupt ends one.
 
-What one thread finds is found on results of its own, so that nothing is known before the eight begin.
+What one thread finds is found on results of its own, so that nothing is known before the eight begin. Without the lock
+these tests fail, wait without end or end the process in most of their runs, but for an equilibrium, a model
+and saving: CasADi gives each call of a function and each integrator memory of its own, and what is saved is known.
 """
 
 from __future__ import annotations
@@ -9,11 +11,13 @@ import _thread
 import multiprocessing
 import os
 import pickle
+import re
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
+from importlib import import_module
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -129,6 +133,15 @@ def at(place: float) -> Callable[[Branch], bytes]:
     return lambda branch: branch.at(S=place).states.tobytes()
 
 
+def rests(branch: Branch) -> list[bytes]:
+    return [branch.at(p=p).state.tobytes() for p in (0.02, 0.05, 0.2)]
+
+
+def cycles(branch: Branch) -> list[bytes]:
+    point = next(point for point in branch.special_points if point.kind == "hopf")
+    return rows(point.follow("p", 0.2), "period")
+
+
 def evolved(model: OdeModel) -> bytes:
     return bytes(simulate(model, [2.0, 0.0], np.linspace(0.0, 20.0, 11)).states.tobytes())
 
@@ -151,8 +164,11 @@ SHARED: dict[str, tuple[Callable[[], Any], tuple[Callable[[Any], Any], ...]]] = 
     "orbits of a family": (family, tuple(at(place) for place in np.linspace(0.2, 1.2, THREADS))),
     "an orbit": (cycle, (lambda orbit: rows(orbit.follow("mu", 2.0, stability=True), "period", "mu"),)),
     "an equilibrium": (rest, (lambda one: points(one.follow("p", 0.25)),)),
-    "a branch of orbits": (lambda: family(stability=True), (changes, multipliers, points, drawn)),
-    "a branch of equilibria": (lambda: rest().follow("p", 0.25), (points, drawn, lambda branch: rows(branch, "x"))),
+    "a branch of orbits": (
+        lambda: family(stability=True),
+        (changes, multipliers, drawn, *(at(place) for place in (0.3, 0.4, 0.6, 0.8, 0.9))),
+    ),
+    "a branch of equilibria": (lambda: rest().follow("p", 0.25), (points, drawn, rests, cycles)),
     "a model": (van_der_pol, (evolved,)),
     "a chain": (lambda: Chain(4, 1.0, 0.25, 1.0), (searched,)),
 }
@@ -209,19 +225,21 @@ def test_eight_threads_leave_the_settings_of_matplotlib_alone() -> None:
 
 @pytest.fixture
 def busy() -> Iterator[Branch]:
-    """A family along which another thread computes."""
+    """A family along which four other threads compute."""
     branch, stop = family(), threading.Event()
 
-    def work() -> None:
+    def work(place: float) -> None:
         while not stop.is_set():
-            branch.at(S=0.3)
+            branch.at(S=place)
 
-    thread = threading.Thread(target=work)
-    thread.start()
+    threads = [threading.Thread(target=work, args=(place,)) for place in (0.3, 0.5, 0.9, 1.1)]
+    for thread in threads:
+        thread.start()
     yield branch
     stop.set()
-    thread.join(LIMIT)
-    assert not thread.is_alive()
+    for thread in threads:
+        thread.join(LIMIT)
+        assert not thread.is_alive()
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
@@ -233,7 +251,7 @@ def test_a_process_forked_meanwhile_computes(busy: Branch) -> None:
         own, other = busy.at(S=0.7).states.tobytes(), together(lambda: busy.at(S=0.7).states.tobytes())
         answer.send((own, other[0]))
 
-    for _ in range(5):
+    for _ in range(10):
         here, there = context.Pipe()
         process = context.Process(target=child, args=(there,))
         process.start()
@@ -246,34 +264,55 @@ def test_a_process_forked_meanwhile_computes(busy: Branch) -> None:
 def test_an_interrupt_ends_the_main_thread_alone(busy: Branch) -> None:
     def on_and_on() -> None:
         while True:
-            busy.at(S=0.7)
+            assert busy.at(S=0.7).states.tobytes() == expected
 
     expected = family().at(S=0.7).states.tobytes()
-    threading.Timer(0.05, _thread.interrupt_main).start()
+    threading.Timer(0.5, _thread.interrupt_main).start()
     with pytest.raises(KeyboardInterrupt):
         on_and_on()
     assert busy.at(S=0.7).states.tobytes() == expected
 
 
-FUNCTIONS = [name for name in casadi_skin.__all__ if isinstance(getattr(casadi_skin, name), FunctionType)]
+# Whatever is public ---------------------------------------------------------------------------------------------------
+
+# Cells of maps take turns one by one; the others read no result and no model, but arrays, or text for a compiler.
+WITHOUT_TURN = ("run_map", "write_netcdf", "write_csv", "build_c")
+NAMED = re.compile(r"^::: casadi_skin[.]([\w.]+)[.](\w+)$", re.MULTILINE)
 
 
-@pytest.mark.parametrize("name", [name for name in FUNCTIONS if name != "run_map"])  # whose cells take turns one by one
-def test_every_public_function_waits_for_its_turn(name: str) -> None:
-    def without_arguments() -> None:
+def documented() -> Iterator[tuple[str, str]]:
+    """Modules and names in them that the reference has."""
+    for page in (Path(__file__).parents[2] / "docs").glob("reference_*.md"):
+        yield from NAMED.findall(page.read_text(encoding="utf-8"))
+
+
+def public_functions() -> dict[str, FunctionType]:
+    """Those of the package, and those that the reference documents in its modules."""
+    found = {f"casadi_skin.{name}": getattr(casadi_skin, name) for name in casadi_skin.__all__}
+    for module, name in documented():
+        if not module.rpartition(".")[2][0].isupper():  # no methods
+            found[f"casadi_skin.{module}.{name}"] = getattr(import_module(f"casadi_skin.{module}"), name, None)
+    return {name: value for name, value in found.items() if isinstance(value, FunctionType)}
+
+
+def test_every_public_function_waits_for_its_turn() -> None:
+    def without_arguments(function: Callable[[], Any]) -> None:
         with pytest.raises(TypeError, match="missing"):
-            getattr(casadi_skin, name)()
+            function()
 
-    thread = threading.Thread(target=without_arguments)
+    functions = {n: f for n, f in public_functions().items() if n.rpartition(".")[2] not in WITHOUT_TURN}
+    assert len(functions) > 60
+    threads = {n: threading.Thread(target=without_arguments, args=(f,)) for n, f in functions.items()}
     with TURN:
-        thread.start()
-        thread.join(0.05)
-        assert thread.is_alive()
-    thread.join(LIMIT)
-    assert not thread.is_alive()
+        for thread in threads.values():
+            thread.start()
+        time.sleep(0.5)
+        assert not [name for name, thread in threads.items() if not thread.is_alive()]
+    for thread in threads.values():
+        thread.join(LIMIT)
+        assert not thread.is_alive()
 
 
 def test_public_functions_are_found_again_when_they_are_pickled() -> None:
-    for name in FUNCTIONS:
-        function = getattr(casadi_skin, name)
+    for function in public_functions().values():
         assert pickle.loads(pickle.dumps(function)) is function

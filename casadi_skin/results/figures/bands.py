@@ -9,6 +9,7 @@ import numpy as np
 
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import Bands, bands, brillouin_zone, lattice_modes, winding_numbers
+from casadi_skin.model.result import in_turn
 from casadi_skin.results.figures import style
 from casadi_skin.zero.model_coordinates import linear_spectrum
 
@@ -29,6 +30,7 @@ def draw_bands(axes: Axes, found: Bands) -> None:
     axes.set_ylabel(r"linear frequency $\omega$")
 
 
+@in_turn
 def band_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None) -> Figure:
     """Bands against the wave number, modes of the lattice by participation ratio, and omega^2 of a ring.
 
@@ -67,6 +69,7 @@ def band_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None)
 SKIN_RING_POINTS = 1001
 
 
+@in_turn
 def skin_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None) -> Figure:
     """omega^2 of the ring and of the modes by their winding numbers, and the factors beta of the modes' waves.
 
@@ -114,6 +117,7 @@ def skin_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None)
 # The linear spectrum and its two end modes (paper, Fig. 2a) -----------------------------------------------------------
 
 
+@in_turn
 def spectrum_figure(model: Any, parameters: Mapping[str, float] | None = None) -> Figure:
     """Linear frequencies against j, the cutoffs of an infinite lattice, and the modes 1 and N (paper, Fig. 2a).
 

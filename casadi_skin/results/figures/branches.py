@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS, SOLUTIONS
+from casadi_skin.model.result import in_turn
 from casadi_skin.results.figures import style
 from casadi_skin.results.quantities import extremes
 from casadi_skin.zero.kinds import HOPF, KINDS, kind_of
@@ -209,6 +210,7 @@ def solution_title(solution: Solution, name: str = "", without: Iterable[str] = 
 # Branches in one parameter, and curves in two -------------------------------------------------------------------------
 
 
+@in_turn
 def branch_figure(branch: Branch, title: str = "") -> Figure:
     """Largest and smallest value of the first state, and the period or the largest multiplier, against the parameter.
 

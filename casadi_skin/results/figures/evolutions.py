@@ -17,6 +17,7 @@ from casadi_skin.dynamics.evolve import distance_from_orbit
 from casadi_skin.dynamics.starts import Spreading
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.model.result import in_turn
 from casadi_skin.results.figures import style
 from casadi_skin.zero.problem import Array
 
@@ -34,6 +35,7 @@ EXTENT_WINDOWS = 200  # over which that extent is taken
 FEW_STATES = 6  # states of a model of first order that are drawn as lines
 
 
+@in_turn
 def spacetime_figure(
     evolution: Evolution,
     title: str = "",
@@ -261,6 +263,7 @@ def sizes_of(found: Spreading) -> dict[str, Array]:
     return {"participation number (sites)": found.participation, "second moment (cells squared)": found.second_moment}
 
 
+@in_turn
 def spreading_figure(found: Spreading, lattice: Lattice) -> Figure:
     """Energies of the sites in time as colour, and below them three numbers that locate them.
 

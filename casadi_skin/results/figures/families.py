@@ -10,6 +10,7 @@ import numpy as np
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.linear import band_edges, lattice_modes
+from casadi_skin.model.result import in_turn
 from casadi_skin.results.figures import style
 from casadi_skin.results.figures.branches import Pieces, draw_changes, draw_marks, draw_pieces, stability_pieces
 from casadi_skin.results.figures.multipliers import frequency_pieces, requested, shade_unresolved
@@ -140,6 +141,7 @@ def _draw_shifts(axes: Axes, branches: Sequence[Branch]) -> None:
         axes.annotate(name, (end[0], size), (6, 0), textcoords="offset points", va="center", annotation_clip=False)
 
 
+@in_turn
 def frequency_figure(branches: Sequence[Branch]) -> Figure:
     """Omega against S of families, stable solid and unstable dashed (paper, Fig. 3a and d).
 
@@ -259,6 +261,7 @@ def _draw_profiles(
         axes.set_ylabel(r"$|y_n(0)|\,/\,\Vert y\Vert$")
 
 
+@in_turn
 def profile_figure(branches: Sequence[Branch]) -> Figure | None:
     """Profiles y_n(0) of requested orbits, scaled to norm 1, over the linear mode.
 
@@ -306,6 +309,7 @@ MOST_ORBITS = 3  # side by side
 DEEPEST_PLANE = -8.0  # of the logarithms drawn
 
 
+@in_turn
 def plane_figure(branch: Branch) -> Figure | None:
     """Displacements at t = 0 over their norm in the plane, and their decimal logarithms, one column a requested orbit.
 

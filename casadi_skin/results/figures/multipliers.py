@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from casadi_skin.model.result import in_turn
 from casadi_skin.results.figures import style
 from casadi_skin.stability.result import CutTail, Floquet
 from casadi_skin.zero.problem import Array
@@ -264,6 +265,7 @@ def requested(branch: Branch, at_most: int) -> dict[tuple[float, int], Orbit]:
     return {keys[i]: orbits[i] for i in picked}
 
 
+@in_turn
 def multiplier_figure(branch: Branch, title: str = "") -> Figure | None:
     """Moduli of the multipliers along a branch, and multipliers in the complex plane at up to three requested orbits.
 

@@ -14,6 +14,7 @@ from casadi_skin.follow.closed_curve import cosine_curve
 from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS
 from casadi_skin.model.files import TemporaryFolder, replacing
+from casadi_skin.model.result import in_turn
 from casadi_skin.results.figures import style
 from casadi_skin.results.figures.branches import solution_title
 from casadi_skin.zero.problem import Array, Indices
@@ -28,6 +29,7 @@ ORBIT_SAMPLES = 2001  # of an orbit
 STATES_SHOWN = 6  # states drawn against time
 
 
+@in_turn
 def orbit_figure(solution: Solution, title: str = "") -> Figure:
     """States against time over the interval or the period and, of two or more, the plane of the first two.
 
@@ -197,6 +199,7 @@ CLOCK_ROOM = 0.2  # of the height of a plane, for the clock
 Show = Callable[[int], "tuple[Artist, ...]"]
 
 
+@in_turn
 def animate(orbit: Orbit, path: Path | str, periods: int = 1, frames: int = FRAMES_PER_PERIOD) -> Path:
     """Write an orbit over whole periods as a film: a GIF repeats without a jump, MP4 needs the program ffmpeg.
 

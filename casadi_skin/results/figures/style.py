@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.model.files import replacing
-from casadi_skin.model.result import TURN
+from casadi_skin.model.result import TURN, in_turn
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
@@ -335,6 +335,7 @@ def number_sites(axes: Axes, first: int, last: int, label: str) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True, min_n_ticks=1, steps=[1, 2, 5, 10]))
 
 
+@in_turn
 def save(figure: Figure, stem: Path, formats: Iterable[str] = ("png",)) -> list[Path]:
     """Write `stem`.png, or the formats named, each replaced atomically, and return their paths.
 
