@@ -59,7 +59,7 @@ def symplectic(
     and is not gone on from, so that the map that is iterated stays one and the same. Raises IntegrationError where the
     state is not finite, or no step meets the tolerance.
     """
-    splitting = _Splitting(model, parameters)
+    splitting = Splitting(model, parameters)
     if step is not None:
         return finite_trajectory("symplectic", splitting.run(start, t, step), t)
     first = min(1.0 / fastest_frequency(model, parameters, start, t[-1]), float(t[-1]))
@@ -73,7 +73,7 @@ def symplectic(
     return wanted
 
 
-class _Splitting:
+class Splitting:
     """The splitting with equal steps of q'' = f(q, parameters), compiled, or else by CasADi with the same numbers."""
 
     def __init__(self, model: OdeModel, parameters: Array) -> None:
@@ -104,7 +104,7 @@ class _Splitting:
         stepped(self._force, SEQUENCE, np.ones(len(after), dtype=np.int64), steps, after)
         return after
 
-    def _chain(self, states: Array, counts: Indices, step: float) -> None:
+    def chain(self, states: Array, counts: Indices, step: float) -> None:
         """Fill in all states but the first, each so many steps after the one before; nan where one is not finite."""
         if self._force is not None:
             stepped(self._force, SEQUENCE, counts, np.full(counts.size, step), states, chained=True)
@@ -129,7 +129,7 @@ class _Splitting:
         for first in range(0, int(before[-1]), LONGEST_CALL):
             these = slice(*np.searchsorted(marks, (first, first + LONGEST_CALL + 1)))
             if np.all(np.isfinite(states[these.start])):
-                self._chain(states[these], np.diff(marks[these], prepend=first), step)
+                self.chain(states[these], np.diff(marks[these], prepend=first), step)
         states = self._steps(states[np.searchsorted(marks, before)], t - before * step)
         count = int(np.argmin(np.append(np.all(np.isfinite(states), axis=1), False)))
         taken = int(np.append(0, before)[count])

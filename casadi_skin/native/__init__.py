@@ -10,6 +10,7 @@ tables below say how the arguments of its functions and the fields of its struct
 | bordered.c | factors and solutions of bands with borders | `solve.bordered` |
 | collocation.c | the same of collocation equations, and maps over their intervals | `solve.bordered` |
 | splitting.c | steps of a model, transition matrices along orbits | CasADi in `dynamics.evolve`, `stability.flows` |
+| segments.c | steps of a chain with first and second derivatives | `optimise.kick_flow` |
 | program.c | expressions, operations that are alike together | CasADi |
 | decoupling.c | bases that make matrices block diagonal | `stability.tongues.blocks` |
 | elimination.c | cells of a row eliminated from its free end on | `stability.tongues.hill` |
@@ -52,6 +53,7 @@ FUNCTIONS = {
     "collocation_maps": "aaa",
     "transitions": "iiiiaaiaaaaia",
     "stepped": "aiaaiiaaa",
+    "segments": "aiaraaaaa",
     "invariant": "iiiiiaaaiaaairaa",
     "contracts": "iiiiaaairraa",
     "eliminated": "aiaaaaaa",
@@ -72,6 +74,7 @@ SERIES = "iiiii" + "aaaaaaaa" + 2 * (TERMS + "aa")
 TAIL = "iiiiiii" + "aaaaaaaaaa" + "r"
 
 PROGRAM = "iiiaaa"
+CHAIN = "iirraaa"
 OPERATIONS = (
     "add", "sub", "mul", "div", "neg", "sq", "twice", "inv", "pow", "constpow", "exp", "log", "sqrt", "sin", "cos",
     "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "atan2", "hypot", "expm1",
@@ -301,6 +304,22 @@ def stepped(
         chained: whether all but the first begin where the one before ends.
     """
     _call("stepped", program, sequence[0].size, *sequence, chained, len(states), counts, steps, states)
+
+
+# Steps of a chain with their derivatives: segments.c -----------------------------------------------------------------
+
+
+def segments(
+    sequence: tuple[Array, Array], chain: tuple[float, float, Array], counts: Indices, h: float, states: Array,
+    multipliers: Array | None,
+) -> tuple[Array, Array, Array | None]:  # fmt: skip
+    """As `optimise.kick_flow.segments`, with kicks and drifts of a step, and stiffness, coupling, cubic terms."""
+    (kicks, drifts), (stiffness, coupling, cubic), (count, size) = sequence, chain, states.shape
+    given = Structure(CHAIN, size // 2, kicks.size, stiffness, coupling, kicks, drifts, cubic)
+    after, jacobians = np.empty((count, size)), np.empty((count, size, size + 1))
+    hessians = None if multipliers is None else np.empty((count, size + 1, size + 1))
+    _call("segments", given, count, counts, h, states, multipliers, after, jacobians, hessians)
+    return after, jacobians, hessians
 
 
 # Variational flow along orbits: splitting.c --------------------------------------------------------------------------

@@ -21,13 +21,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_skin.dynamics.evolve import Splitting
 from casadi_skin.follow.closed_curve import Curve, cosine_curve
 from casadi_skin.follow.solution import Orbit
+from casadi_skin.optimise.kick_flow import ChainForce
 from casadi_skin.optimise.nlp import Nlp, Solution, optimality
 from casadi_skin.optimise.search_problem import CosineOrbit
-from casadi_skin.solve.ipopt import SOLVED_STATUS
-from casadi_skin.stability.flows import srkn_step
-from casadi_skin.zero.problem import Array
+from casadi_skin.solve.ipopt import SOLVED_STATUS, Computed
+from casadi_skin.zero.problem import Array, Indices
 
 # The flow from a kicked orbit over many steps with exact derivatives, and its distance from the orbit -----------------
 
@@ -104,23 +105,22 @@ class KickedFlow:
         return np.concatenate([self.orbit.profile / (np.sqrt(self.orbit.S) * chain.rho), np.zeros(chain.sites)])
 
     @cached_property
-    def step(self) -> ca.Function:
-        """Function (state with h below) -> the same one step later, by the splitting of order 6 (Blanes and Moan 2002).
+    def _splitting(self) -> Splitting:
+        return Splitting(self.orbit.model.gauge_model(), np.array([self.orbit.model.g * self.orbit.S]))
 
-        h goes along unchanged, so that a repetition has one input.
-        """
-        model, h = self.orbit.model.gauge_model(), ca.SX.sym("h")
-        q, v = model.state, model.velocity
-        x, u = srkn_step(model, h, self.orbit.model.g * self.orbit.S)
-        return ca.Function("step", [ca.vertcat(q, v, h)], [ca.vertcat(x, u, h)])
+    @cached_property
+    def force(self) -> ChainForce:
+        """That of the gauge in units of sqrt(S)."""
+        chain = self.orbit.model
+        return ChainForce(2.0 + chain.alpha, chain.coupling, chain.g * self.orbit.S * np.asarray(chain.weights))
 
     def run(self, kicks: Array) -> Array:
         """States at all steps from kicks (many, 2N), shape (many, steps + 1, 2N); not finite where one runs away."""
-        many = len(kicks)
-        column = np.vstack([(self.start + kicks).T, np.full(many, self.time / self.steps)])
-        walk = self.step.map(many).mapaccum(self.steps)
-        later = np.array(walk(column)).reshape(self.size + 1, self.steps, many)
-        return np.concatenate([column[:, None], later], axis=1)[: self.size].transpose(2, 1, 0)
+        states, counts = np.empty((len(kicks), self.steps + 1, self.size)), np.arange(self.steps + 1).clip(max=1)
+        for each, kick in zip(states, kicks, strict=True):
+            each[0] = self.start + kick
+            self._splitting.chain(each, counts, self.time / self.steps)
+        return states
 
     def distances(self, states: Array) -> Array:
         """Distance of states (..., 2N) from the orbit, shape (...), in the curve's unit; inf for nan."""
@@ -154,10 +154,9 @@ class KickedFlow:
 
     def linear_images(self, directions: Array) -> Array:
         """Images of the columns of `directions` (2N, m) under the linearised flow, shape (steps + 1, 2N, m)."""
-        jacobian, h = self.step.jacobian(), self.time / self.steps
-        images = [directions]
-        for state in self.run(np.zeros((1, self.size)))[0, :-1]:
-            images.append(np.array(jacobian(np.append(state, h), 0))[: self.size, : self.size] @ images[-1])
+        states, images = self.run(np.zeros((1, self.size)))[0, :-1], [directions]
+        for derivative in self.force.segments(np.ones(self.steps, dtype=np.int64), self.time / self.steps, states)[1]:
+            images.append(derivative[:, :-1] @ images[-1])
         return np.array(images)
 
     def linear_gains(self, directions: Array) -> tuple[Array, Array, Array]:
@@ -184,6 +183,7 @@ IPOPT_OPTIONS: Mapping[str, Any] = {
     "ipopt.bound_push": 1e-4,  # starts are feasible, some at the end of the time: left there
     "ipopt.bound_frac": 1e-4,
     "ipopt.mu_init": 1e-4,
+    "no_nlp_grad": True,  # the gradient of the Lagrangian, which is not used
 }
 
 
@@ -232,31 +232,89 @@ class KickNlp(Nlp):
         self.flow, self.basis, self.scale = flow, basis, scale
         self.steps = np.diff(np.append(np.arange(0, flow.steps, SEGMENT_STEPS), flow.steps))
         spread = scale * np.linalg.norm(flow.linear_images(basis)[np.cumsum(self.steps)], axis=2)
-        self._units = np.maximum(distance, spread).T
-        size, many, self._kicks = flow.size, len(self.steps), basis.shape[1]
-        z = ca.MX.sym("z", self._kicks + size * many + 2)
-        kick, share, phase, units = z[: self._kicks], z[-2], z[-1], ca.DM(self._units)
-        nodes = units * ca.reshape(z[self._kicks : -2], size, many)
-        before = ca.horzcat(flow.start + ca.DM(scale * basis) @ kick, nodes[:, :-1])
-        gaps = ca.vec((self._segments(before, share * (flow.time / flow.steps)) - nodes) / units)
+        self._units, self._kicks = np.maximum(distance, spread), basis.shape[1]
+        node, phase, lam = ca.MX.sym("node", flow.size), ca.MX.sym("phase"), ca.MX.sym("lam", 2)
         point, tangent = flow.symbols(phase)
-        away = (flow.output_scale * nodes[:, -1] - point) / distance
-        g = ca.vertcat(gaps, ca.sumsqr(away) - 1.0, ca.dot(away, tangent))
+        away, at = (flow.output_scale * self._units[-1] * node - point) / distance, ca.vertcat(node, phase)
+        end = ca.vertcat(ca.sumsqr(away) - 1.0, ca.dot(away, tangent))
+        self._end = ca.Function("end", [at], [end, ca.densify(ca.jacobian(end, at))])
+        self._end_hessian = ca.Function("hessian", [at, lam], [ca.triu(ca.hessian(ca.dot(lam, end), at)[0])])
+        z = ca.MX.sym("z", self._kicks + self._units.size + 2)
+        dense = ca.Sparsity.dense(self._units.size + 2, 1)
+        self._flowing = Computed("g", {"x": z.numel()}, {"g": dense}, lambda x: [self._rows(x)[0]])
         options = {**IPOPT_OPTIONS, "ipopt.max_iter": MOST_ITERATIONS}
-        bounds = {"time": ([z.numel() - 2], 0.0, 1.0)}
-        super().__init__(z, ca.sumsqr(kick), g, bounds, options=options, place=ca.vertcat(kick, share))
+        bounds, place = {"time": ([z.numel() - 2], 0.0, 1.0)}, ca.vertcat(z[: self._kicks], z[-2])
+        super().__init__(z, ca.sumsqr(z[: self._kicks]), self._flowing(z), bounds, options=options, place=place)
 
-    def _segments(self, before: ca.MX, h: ca.MX) -> ca.MX:
-        """States after each segment, (2N, segments): equal ones in one map, the last by itself if it is shorter."""
-        size, states = self.flow.size, ca.MX.sym("states", self.flow.size + 1)
-        parts: list[ca.MX] = []
-        for count in sorted(set(self.steps.tolist()), reverse=True):
-            many = int(np.count_nonzero(self.steps == count))
-            moved = self.flow.step.fold(int(count))(states) if count > 1 else self.flow.step(states)
-            segment = ca.Function("segment", [states], [moved[:size]]).map(many)
-            column = sum(part.shape[1] for part in parts)
-            parts.append(segment(ca.vertcat(before[:, column : column + many], ca.repmat(h, 1, many))))
-        return ca.horzcat(*parts)
+    def _segments(self, x: Array, multipliers: Array | None = None) -> tuple[Array, Array, Array | None]:
+        """The gaps, and derivatives by the states before segments and by the share of the time, of scaled gaps."""
+        flow, units = self.flow, self._units
+        h, nodes = x[-2] * flow.time / flow.steps, units * x[self._kicks : -2].reshape(units.shape)
+        before = np.vstack([flow.start + self.scale * self.basis @ x[: self._kicks], nodes[:-1]])
+        given = None if multipliers is None else multipliers[: units.size].reshape(units.shape) / units
+        after, first, second = flow.force.segments(self.steps, h, before, given)
+        last = flow.time / flow.steps * (np.arange(flow.size + 1) == flow.size) + (np.arange(flow.size + 1) < flow.size)
+        if second is not None:
+            second *= last[:, None] * last
+        return (after - nodes) / units, first * last / units[:, :, None], second
+
+    def _rows(self, x: Array) -> tuple[Array, Array]:
+        """Constraints, and the non-zeros of their derivatives in the order of `_of_jacobian`."""
+        gaps, first, _ = self._segments(x)
+        end, slope = (np.array(each) for each in self._end(np.append(x[-2 - self.flow.size : -2], x[-1])))
+        starts, states = self.scale * first[0, :, :-1] @ self.basis, first[1:, :, :-1] * self._units[:-1, None]
+        parts = starts, states, -np.ones(gaps.size), first[:, :, -1], slope
+        return np.append(gaps, end), np.concatenate([part.ravel() for part in parts])
+
+    def _curved(self, x: Array, lam_f: float, lam_g: Array) -> Array:
+        """Second derivatives of the Lagrangian in the order of `_of_hessian`."""
+        second, units, size = self._segments(x, lam_g)[2], self._units[:-1], self.flow.size
+        assert second is not None
+        into, end = self.scale * self.basis, self._end_hessian(np.append(x[-2 - size : -2], x[-1]), lam_g[-2:])
+        kicks = into.T @ second[0, :size, :size] @ into + 2.0 * lam_f * np.eye(self._kicks)
+        states = second[1:, :size, :size] * units[:, :, None] * units[:, None]
+        parts = kicks[np.triu_indices(self._kicks)], states[:, *np.triu_indices(size)], second[0, :size, -1] @ into
+        more = second[1:, :size, -1] * units, np.sum(second[:, -1, -1]), np.array(end.nonzeros())
+        return np.concatenate([np.ravel(part) for part in (*parts, *more)])
+
+    @cached_property
+    def _of_jacobian(self) -> tuple[ca.Sparsity, Indices]:
+        """The pattern of the Jacobian, and the order of its non-zeros among `_rows`."""
+        kicks, rows = np.arange(self._kicks), np.arange(self._units.size).reshape(self._units.shape)
+        nodes, share, end = self._kicks + rows, self.size - 2, rows.size + np.arange(2)
+        at = np.append(nodes[-1], share + 1)
+        pairs = (rows[0][:, None], kicks), (rows[1:, :, None], nodes[:-1, None]), (rows, nodes), (rows, share)
+        return _pattern((rows.size + 2, self.size), *pairs, (end[:, None], at))
+
+    @cached_property
+    def _of_hessian(self) -> tuple[ca.Sparsity, Indices]:
+        """The pattern of the upper half of the Hessian, and the order of its non-zeros among `_curved`."""
+        kicks, nodes = np.arange(self._kicks), self._kicks + np.arange(self._units.size).reshape(self._units.shape)
+        share, (a, b) = self.size - 2, np.triu_indices(self.flow.size)
+        at, (row, column) = np.append(nodes[-1], share + 1), self._end_hessian.sparsity_out(0).get_triplet()
+        pairs = np.triu_indices(self._kicks), (nodes[:-1, a], nodes[:-1, b]), (kicks, share), (nodes[:-1], share)
+        return _pattern((self.size, self.size), *pairs, (share, share), (at[row], at[column]))
+
+    @cached_property
+    def _constraints(self) -> ca.Function:
+        pattern, order = self._of_jacobian
+
+        def values(x: Array, _: Array) -> list[Array]:
+            g, nonzeros = self._rows(x)
+            return [g, nonzeros[order]]
+
+        results = {"g": ca.Sparsity.dense(self._units.size + 2, 1), "jac_g_x": pattern}
+        return Computed("jac_g", {"x": self.size, "p": 0}, results, values)
+
+    @cached_property
+    def _hessian(self) -> ca.Function:
+        pattern, order = self._of_hessian
+        arguments = {"x": self.size, "p": 0, "lam_f": 1, "lam_g": self._units.size + 2}
+
+        def values(x: Array, _: Array, lam_f: Array, lam_g: Array) -> list[Array]:
+            return [self._curved(x, float(lam_f[0]), lam_g)[order]]
+
+        return Computed("hess_lag", arguments, {"triu_hess_gamma_x_x": pattern}, values)
 
     def shown(self, f: float) -> float:
         """The norm in place of its square in units of `scale`."""
@@ -265,7 +323,7 @@ class KickNlp(Nlp):
     def packed(self, kick: Array, time: float) -> Array:
         """Unknowns of a kick (m,) that is at the distance after a time."""
         states = replace(self.flow, time=time).run((self.basis @ kick)[None])[0]
-        nodes, phase = states[np.cumsum(self.steps)] / self._units.T, self.flow.nearest_phase(states[-1])
+        nodes, phase = states[np.cumsum(self.steps)] / self._units, self.flow.nearest_phase(states[-1])
         return np.concatenate([kick / self.scale, nodes.ravel(), [time / self.flow.time, phase]])
 
     def optimum(self, name: str, solution: Solution, words: str = "") -> KickOptimum:
@@ -276,3 +334,12 @@ class KickNlp(Nlp):
             phase=float(solution.x[-1]), kkt=found.kkt.largest, violation=found.kkt.violation,
             strict=found.curvature > 0, iterations=solution.iterations, words=words or solution.words,
         )  # fmt: skip
+
+
+def _pattern(shape: tuple[int, int], *pairs: tuple[Any, Any]) -> tuple[ca.Sparsity, Indices]:
+    """The sparsity of entries at rows and columns, and their order in it."""
+    both = [np.broadcast_arrays(row, column) for row, column in pairs]
+    rows, columns = (np.concatenate([each[k].ravel() for each in both]) for k in (0, 1))
+    order = np.lexsort((rows, columns))
+    ends = np.searchsorted(columns[order], np.arange(shape[1] + 1))
+    return ca.Sparsity(*shape, ends.tolist(), rows[order].tolist()), order

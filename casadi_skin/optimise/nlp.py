@@ -72,7 +72,7 @@ class Nlp:
         self._g = ca.densify(ca.vertcat(equations, *(column for column, _, _ in conditions.values())))
         self._p = type(x).sym("p", 0) if p is None else p
         self.p, self.place, self.measured = np.array(values, dtype=float), place, np.array(measured, dtype=int)
-        self._jacobian = ca.jacobian(self._g, x) if jacobian is None else jacobian
+        self._given_jacobian = jacobian
         self._solvers: dict[bool, tuple[ca.Function, IterationCallback]] = {}
         self.lower, self.upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
         for places, lower, upper in bounds.values():
@@ -92,6 +92,10 @@ class Nlp:
         return int(self._x.numel())
 
     # Functions ------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _jacobian(self) -> Expression:
+        return ca.jacobian(self._g, self._x) if self._given_jacobian is None else self._given_jacobian
 
     @cached_property
     def _constraints(self) -> ca.Function:

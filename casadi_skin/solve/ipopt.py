@@ -93,7 +93,52 @@ class _Once:
         return self._last[2]
 
 
-class _Constraints(ca.Callback):  # type: ignore[misc]
+class Computed(ca.Callback):  # type: ignore[misc]
+    """A function of dense columns: `evaluate` takes their entries, and gives the non-zeros of each result."""
+
+    def __init__(
+        self,
+        name: str,
+        arguments: Mapping[str, int],
+        results: Mapping[str, ca.Sparsity],
+        evaluate: Callable[..., Sequence[Array]] = lambda *_: (),
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._arguments, self._results, self._compute = list(arguments.items()), list(results.items()), evaluate
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return len(self._arguments)
+
+    def get_n_out(self) -> int:
+        return len(self._results)
+
+    def get_name_in(self, i: int) -> str:
+        return self._arguments[i][0]
+
+    def get_name_out(self, i: int) -> str:
+        return self._results[i][0]
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._arguments[i][1], 1)
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        return self._results[i][1]
+
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, arguments: list[Any], results: list[Any]) -> int:
+        """Fill the results that are wanted, as buffers of doubles."""
+        given = zip(arguments, self._arguments, strict=True)  # None for zeros
+        entries = [np.zeros(count) if buffer is None else np.frombuffer(buffer) for buffer, (_, count) in given]
+        for result, values in zip(results, self._compute(*entries), strict=True):
+            if result is not None:
+                np.frombuffer(result)[:] = values
+        return 0
+
+
+class _Constraints(Computed):
     """The constraints of `count` points, with their Jacobian or without, as a function.
 
     Its arguments are the unknowns, and a row, its value and the scale of the residuals of each point, with the numbers
@@ -103,7 +148,6 @@ class _Constraints(ca.Callback):  # type: ignore[misc]
     def __init__(
         self, problem: Problem, evaluate: _Once, count: int, with_jacobian: bool, one_scalar: bool = False
     ) -> None:
-        ca.Callback.__init__(self)
         self._evaluate, self._count = evaluate, count
         self._size, self._numbers = problem.size, problem.numbers.size
         self._with_jacobian = with_jacobian
@@ -113,34 +157,14 @@ class _Constraints(ca.Callback):  # type: ignore[misc]
         closed = np.insert(rows, ends[self._in_row + 1], size - 1)  # it is the last entry of its columns
         added = np.searchsorted(self._in_row, np.arange(size + 1))
         block = ca.Sparsity(size, size, (ends + added).tolist(), closed.tolist())
-        self._sparsity = ca.diagcat(*[block] * count)
         self._closing = ends[self._in_row + 1] + np.arange(self._in_row.size)
         self._open = np.delete(np.arange(closed.size), self._closing)
-        self.construct("jac_g" if with_jacobian else "g", {})
+        arguments = {"x": count * size, "p": count * (size + 2) + self._numbers}
+        results = {"g": ca.Sparsity.dense(count * size, 1)}
+        results |= {"jac_g_x": ca.diagcat(*[block] * count)} if with_jacobian else {}
+        super().__init__("jac_g" if with_jacobian else "g", arguments, results)
 
-    def get_n_in(self) -> int:
-        return 2
-
-    def get_n_out(self) -> int:
-        return 1 + self._with_jacobian
-
-    def get_name_in(self, i: int) -> str:
-        return "xp"[i]
-
-    def get_name_out(self, i: int) -> str:
-        return ("g", "jac_g_x")[i]
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        count, size = self._count, self._size
-        return ca.Sparsity.dense((count * size, count * (size + 2) + self._numbers)[i])
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return self._sparsity if i else ca.Sparsity.dense(self._count * self._size)
-
-    def has_eval_buffer(self) -> bool:
-        return True
-
-    def eval_buffer(self, arguments: list[memoryview], results: list[memoryview | None]) -> int:
+    def eval_buffer(self, arguments: list[Any], results: list[Any]) -> int:
         """Fill the results that are wanted, as buffers of doubles; not a number where the model cannot be evaluated."""
         count, size = self._count, self._size
         z, held = (np.frombuffer(argument) for argument in arguments)

@@ -23,7 +23,6 @@ DOCS = Path(__file__).parents[2] / "docs"
 PAGES = {path.stem: path for path in (*sorted(DOCS.glob("*.md")), DOCS.parent / "README.md")}
 WITH_PROGRAMS = [name for name, path in PAGES.items() if "```python\n" in path.read_text(encoding="utf-8")]
 NOTEBOOKS = ("my_chain", "my_lattice", "my_ode")
-ELSEWHERE = ("smallest_kick",)  # its program takes a minute; test_example_scripts.py does the same with fewer starts
 CLUSTERS = ("executorlib", "mpi4py", "dask_jobqueue")  # programs that import these need a cluster
 REFERENCES = (  # tables and formulas to look things up in, partly generated
     "accuracy_and_speed", "boundary_speed", "examples", "paper_checked", "peers", "proofs", "python_reference",
@@ -66,7 +65,7 @@ def prepared(page: str) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [name for name in WITH_PROGRAMS if name not in (*NOTEBOOKS, *ELSEWHERE)])
+@pytest.mark.parametrize("page", [name for name in WITH_PROGRAMS if name not in NOTEBOOKS])
 def test_the_programs_of_a_page_run_one_after_the_other(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,7 +10,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +27,10 @@ from casadi_skin.dynamics.evolve import evolve
 from casadi_skin.model import operations
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import Monomials
+from casadi_skin.optimise.kick_flow import ChainForce
 from casadi_skin.solve.bordered import BandFactors, BorderedSolver
 from casadi_skin.stability.closed_maps import Trivial, multipliers_along
-from casadi_skin.stability.flows import JacobianAlong, SplittingMap
+from casadi_skin.stability.flows import JacobianAlong, SplittingMap, srkn_step
 from casadi_skin.stability.full_period import interval_maps
 from casadi_skin.zero.butcher import CollocationTable, gauss_table, radau_table
 from casadi_skin.zero.cosines import PolynomialForm, TaylorRecursion, TrigonometricProblem
@@ -203,6 +204,33 @@ def test_steps_of_the_kernel_are_those_of_casadi(model: Any) -> None:
         plain = evolve(model, *start, t, "symplectic", 1e-8)
     np.testing.assert_array_equal(found.states, plain.states)
     assert (found.step, found.evaluations) == (plain.step, plain.evaluations)
+
+
+@pytest.mark.parametrize("without", [pytest.param(False, marks=needs_kernels), True])
+def test_derivatives_of_segments_are_those_of_casadi(without: bool) -> None:
+    """Of three segments, the last of which is shorter: states, first and second derivatives."""
+    chain, generator, h = Chain(5, 1.0, 0.3, -1.0), np.random.default_rng(2), 0.4
+    model, step = chain.gauge_model(), ca.SX.sym("h")
+    q, v = srkn_step(model, step, -0.7)
+    one = ca.Function("one", [ca.vertcat(model.state, model.velocity, step)], [ca.vertcat(q, v, step)])
+    counts, (states, multipliers) = np.array([3, 3, 1]), generator.normal(size=(2, 3, 10))
+    force = ChainForce(2.0 + chain.alpha, chain.coupling, -0.7 * np.asarray(chain.weights))
+    with numpy_alone() if without else nullcontext():
+        found = force.segments(counts, h, states, multipliers)
+        first = force.segments(counts, h, states)
+    assert first[2] is None
+    x, given = ca.SX.sym("x", 11), ca.SX.sym("given", 10)
+    for k, count in enumerate(counts.tolist()):
+        after = x
+        for _ in range(count):
+            after = one(after)
+        results = [after[:10], ca.jacobian(after[:10], x), ca.hessian(ca.dot(given, after[:10]), x)[0]]
+        function = ca.Function("segment", [x, given], results)
+        for number, value in enumerate(function(np.append(states[k], h), multipliers[k])):
+            expected = np.array(value).reshape(np.shape(found[number][k]))
+            np.testing.assert_allclose(found[number][k], expected, rtol=0, atol=1e-13 * np.max(np.abs(expected)))
+            if number < 2:
+                np.testing.assert_allclose(first[number][k], found[number][k], rtol=0, atol=1e-15)
 
 
 @contextmanager
