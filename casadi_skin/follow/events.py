@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple, cast
 
@@ -22,8 +23,9 @@ import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.normal_forms import critical_angle
+from casadi_skin.follow.point import ALIGNED_COSINE
 from casadi_skin.follow.samples import Crossing, Sample, SampledStretch
-from casadi_skin.follow.search import ExponentSampler, Search, gap_between
+from casadi_skin.follow.search import ExponentSampler, Search, gap_between, nearest_order
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import snapped, target_of
 from casadi_skin.follow.special_points import special_orbit
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
 OUTSIDE_STRETCH = 1e-3  # of a stretch: a special orbit farther out is another one
 SAME_EVENT = 1e-8  # of a stretch: events of one kind that near are one, of multipliers that a symmetry keeps together
 ASIDE_FRACTIONS = (0.0, 0.03, 0.2)  # of a stretch, from a root: at a branch point itself no orbit is found
+FAR_DISTANCE = 4.0  # of the changes of a logarithm on a stretch and on that before: a distance that needs no rates
 CRITICAL_LOG_MODULUS = 1e-4  # log |multiplier| of one that is on the unit circle at a requested value
 SAME_MEETING = 1e-3  # of a stretch between two orbits: meetings of two pairs that near are looked at once
 PLACES_NEAR_MEETING = 3  # places near a meeting at which it is looked whether the pairs have left the circle
@@ -76,14 +79,14 @@ def at_requested_value(solution: Solution) -> Solution:
     return critical
 
 
-def events_between(space: BoundarySpace, before: Solution, after: Solution) -> tuple[list[Event], list[Unresolved]]:
-    """Events between two orbits of a branch, neither of them special, in order, and stretches not resolved."""
-    first, last = (end.floquet().exponents for end in (before, after))
+def events_between(space: BoundarySpace, sampler: ExponentSampler) -> tuple[list[Event], list[Unresolved]]:
+    """Events between the ends of a sampler, neither of them special, in order, and stretches not resolved."""
+    first, last = (exponents for _, exponents in sampler.ends)
     events, gaps = list[Event](), list[Unresolved]()
     if not first.values.size:
         return events, gaps
     kind = _Free if first.pairs is None or last.pairs is None else _Paired
-    search = kind(space, before, after)
+    search = kind(space, sampler)
     for one in sorted(search.on_stretch(), key=lambda event: event.place):
         if events and _is_same(one, events[-1]):
             events[-1] = events[-1]._replace(jump=events[-1].jump + one.jump)
@@ -104,21 +107,60 @@ def _is_same(one: Event, other: Event) -> bool:
 class _OrbitSearch(Search):
     """The search on one stretch between two orbits."""
 
-    def __init__(self, space: BoundarySpace, before: Solution, after: Solution) -> None:
-        exponents = [end.floquet().exponents for end in (before, after)]
-        super().__init__(space.point_solver, before.point, after.point)
-        known = list(zip(self.ends, exponents, strict=True))
-        self.space, self.sampler = space, ExponentSampler(space.multipliers_alone, known)
+    def __init__(self, space: BoundarySpace, sampler: ExponentSampler) -> None:
+        (before, _), (after, _) = sampler.ends
+        super().__init__(space.point_solver, before, after)
+        self.space, self.sampler, self._own = space, sampler, {id(self.first): self.ends[0]}
+
+    def own(self, point: Point) -> Point:
+        return self._own.get(id(point), point)
 
     def outside(self, point: Point) -> tuple[int, int]:
         """The number of multipliers outside the circle at a point, and how many errors leave open."""
-        return self.sampler.exponents(self.own(point))[0].outside
+        return self.sampler.here(self.own(point)).outside
 
     def is_clear(self, point: Point) -> bool:
         return self.outside(point)[1] <= min(self.outside(end)[1] for end in (self.first, self.last))
 
+    @cached_property
+    def past(self) -> Point | None:
+        """The point before the stretch in the unknowns of this, where the branch goes on without a sharp turn."""
+        if self.sampler.past is None:
+            return None
+        (past, exponents), (_, others) = self.sampler.past, self.sampler.ends[0]
+        if exponents.values.size != others.values.size or (exponents.pairs is None) != (others.pairs is None):
+            return None
+        problem = self.last.problem
+        z, tangent = (past.problem.prolong(v, problem) for v in (past.z, past.tangent))
+        there = replace(past, problem=problem, z=z, tangent=tangent, better=None)
+        ahead = float(self.row @ tangent), float((self.metric(there) * tangent) @ self.last.tangent)
+        if not (self.sigma(there) < 0.0 and min(ahead) > ALIGNED_COSINE):
+            return None
+        self._own[id(there)] = past
+        return there
+
+    def on_stretch(self) -> list[Event]:
+        return [] if self.past is not None and self._is_far(self.past) else super().on_stretch()
+
+    def _is_far(self, past: Point) -> bool:
+        """Whether multipliers stay away from the circle, by their changes since the point before, without any rates."""
+        first, last = (exponents for _, exponents in self.sampler.ends)
+        if last.outside[1]:
+            return False
+        here, longer = first.values.real, self.length / -self.sigma(past)
+        before = self.sampler.here(self.own(past)).values
+        was, then = (values[nearest_order(first.values, values)].real for values in (before, last.values))
+        moves = FAR_DISTANCE * (np.abs(then - here) + longer * np.abs(here - was))
+        return bool(np.all((here * then > 0.0) & (np.minimum(np.abs(here), np.abs(then)) > moves)))
+
     def passes(self, stretch: SampledStretch) -> bool:
-        return super().passes(stretch) and self.balanced(stretch) and self.meeting(stretch) is None
+        clear = any(self.is_clear(end.point) for end in (stretch.first, stretch.last)) and self.balanced(stretch)
+        if clear and self.past is not None and stretch.first.point is self.first:
+            three = SampledStretch.of((self.sample(self.past), *stretch.samples), self.real)
+            clear = three.keeps_signs(1)
+        elif clear:
+            clear = super().passes(stretch)
+        return clear and self.meeting(stretch) is None
 
     def balanced(self, stretch: SampledStretch, jumps: int = 0) -> bool:
         """Whether jumps account for the change in the number of multipliers outside the circle."""
@@ -211,8 +253,8 @@ class _Free(_OrbitSearch):
 class _Paired(_OrbitSearch):
     """Multipliers in pairs mu, 1/mu: pairs leave the circle through 1 and -1, or two of them where they collide."""
 
-    def __init__(self, space: BoundarySpace, before: Solution, after: Solution) -> None:
-        super().__init__(space, before, after)
+    def __init__(self, space: BoundarySpace, sampler: ExponentSampler) -> None:
+        super().__init__(space, sampler)
         self.real, self._tried = True, list[float]()
         # The multipliers of an orbit that is odd are squares, which touch -1 and do not pass it.
         odd = space.periodic is not None and space.symmetry is SymmetryClass.QUARTER
@@ -282,7 +324,7 @@ class _Paired(_OrbitSearch):
             yield Crossing(int(k), kind, critical_angle(kind), jump)
 
     def traces(self, point: Point) -> ComplexArray:
-        here = self.sampler.exponents(self.own(point))[0]
+        here = self.sampler.here(self.own(point))
         pairs = here.pairs
         return np.empty(0, complex) if pairs is None else np.asarray(here.traces(pairs)[0], dtype=complex)
 
@@ -360,6 +402,7 @@ class Ledger:
         self.space = space
         self.changes: list[StabilityChange] = []
         self.unresolved: list[Unresolved] = []
+        self._sampler = ExponentSampler(space.multipliers_alone)
         self._count: int | None = None  # n_u behind the last solution; None where it is not known
 
     def between(self, before: Solution, after: Solution, leaving: bool = False) -> Iterator[Solution]:
@@ -388,7 +431,8 @@ class Ledger:
         if special and not leaving and self._count is not None:
             self._passed(before, self._count, start, critical_angle(before.point.special, before))
         self._count = start
-        events, gaps = events_between(self.space, first, last)
+        self._sampler = self._sampler.between(*((end.point, end.floquet().exponents) for end in (first, last)))
+        events, gaps = events_between(self.space, self._sampler)
         self.unresolved += gaps
         for event in events:
             self._passed(event.solution, self._count, self._count + event.jump, event.angle)

@@ -87,6 +87,9 @@ CUBIC_ERROR_BOUND = 0.25  # of the error of a cubic between two ends: four times
 COMMON_ERROR_MARGIN = (
     0.1  # of the change of a quantity between two samples: is added, for errors that two cubics have in common
 )
+# Without a sample on a part: of the error of the cubic at its start, and of the change of a quantity on it. Of 6959
+# crossings there and back, planted 0.1 to 5 steps apart, 6533 are found, and 6497 with a sample on every other part.
+PART_ERROR_BOUND, PART_ERROR_MARGIN = 5.0, 0.7
 _NEAR_ENDS = 0.5 ** np.arange(6.0, 24.0, 2.0)
 HALF_STRETCH_PLACES = np.concatenate(
     [[0.0], _NEAR_ENDS[::-1], np.linspace(0.0, 1.0, 17)[1:-1], 1.0 - _NEAR_ENDS, [1.0]]
@@ -125,22 +128,25 @@ class SampledStretch:
     Attributes:
         samples: first, middle (or not) and last.
         sigma: their places, by sigma = row . (z - z of the first).
-        curve: the cubic in z through the ends.
         real: whether eigenvalues count that are real at every sample alone, or all by their real parts.
     """
 
     samples: tuple[Sample, ...]
     sigma: Array
-    curve: LocalCurve
     real: bool
 
     @classmethod
     def of(cls, samples: tuple[Sample, ...], real: bool = False) -> SampledStretch:
         """The stretch through samples in order."""
-        first, last = samples[0], samples[-1]
+        first = samples[0]
         sigma = np.array([float(first.row @ (sample.point.z - first.point.z)) for sample in samples])
-        ends = (first.point.z, first.point.tangent, last.point.z, last.point.tangent)
-        return cls(samples, sigma, LocalCurve.through(*ends, first.row), real)
+        return cls(samples, sigma, real)
+
+    @cached_property
+    def curve(self) -> LocalCurve:
+        """The cubic in z through the ends."""
+        first, last = self.first.point, self.last.point
+        return LocalCurve.through(first.z, first.tangent, last.z, last.tangent, self.first.row)
 
     @property
     def first(self) -> Sample:
@@ -210,14 +216,21 @@ class SampledStretch:
     def _halves(self) -> tuple[_Cubics, Array]:
         """Cubics between neighbouring samples, and the bounds of their errors, shape (part, 1, quantity)."""
         g, d = self.quantities
-        missed = np.zeros(g.shape[1])
-        if len(self.samples) > 2:
-            place = np.full((1, g.shape[1]), self.sigma[1] / self.length)
-            value, slope = hermite_cubic(g[[0, -1]], d[[0, -1]] * self.length, place)
-            missed = np.abs(g[1] - value[0]) + np.abs(d[1] * self.length - slope[0]) / 7.0
         parts = [_looked_at(g[k : k + 2], d[k : k + 2] * length) for k, length in enumerate(np.diff(self.sigma))]
         cubics = _Cubics(*(np.array(part) for part in zip(*parts, strict=True)))
-        return cubics, CUBIC_ERROR_BOUND * missed + COMMON_ERROR_MARGIN * np.ptp(cubics.values, axis=1, keepdims=True)
+        return cubics, CUBIC_ERROR_BOUND * self._missed + COMMON_ERROR_MARGIN * np.ptp(
+            cubics.values, axis=1, keepdims=True
+        )
+
+    @cached_property
+    def _missed(self) -> Array:
+        """By how much the cubics through the ends fail at the sample between them, shape (quantity,)."""
+        g, d = self.quantities
+        if len(self.samples) < 3:
+            return np.zeros(g.shape[1])
+        place = np.full((1, g.shape[1]), self.sigma[1] / self.length)
+        value, slope = hermite_cubic(g[[0, -1]], d[[0, -1]] * self.length, place)
+        return np.asarray(np.abs(g[1] - value[0]) + np.abs(d[1] * self.length - slope[0]) / 7.0)
 
     @cached_property
     def isolates_roots(self) -> NDArray[np.bool_]:
@@ -231,6 +244,15 @@ class SampledStretch:
         steady = np.all(_sign(g[-1] - g[0]) * cubics.slopes >= shaky, axis=(0, 1))
         still = np.all(g == 0.0, axis=0)
         return np.asarray(still | np.where(sign != _sign(g[-1]), steady, clear))
+
+    def keeps_signs(self, part: int) -> bool:
+        """Whether no quantity vanishes on the part behind a sample, within bounds that need no sample on it."""
+        g, _ = self.quantities
+        cubics, _ = self._halves
+        bound = PART_ERROR_BOUND * self._missed + PART_ERROR_MARGIN * np.ptp(cubics.values[part], axis=0)
+        sign, t = _sign(g[part]), cubics.places[part]
+        clear = np.all(sign * cubics.values[part] > bound * 16.0 * (t * (1.0 - t)) ** 2, axis=0)
+        return bool(np.all(clear & (sign == _sign(g[part + 1])) | np.all(g == 0.0, axis=0)))
 
     @property
     def changed(self) -> NDArray[np.bool_]:

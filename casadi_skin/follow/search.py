@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import pairwise, product
 from typing import Any, NamedTuple
@@ -309,29 +309,43 @@ TANGENT_DIFFERENCE_STEP = (
 )
 
 
-@dataclass(frozen=True, eq=False)
 class ExponentSampler:
-    """Samples at points of one branch, for one stretch between two of them.
+    """Samples at points of one branch, for one stretch between two of them, then for the next.
 
     Attributes:
-        alone: the multipliers at a point without their errors, which takes a fraction of the time.
         ends: both ends of the stretch with their exponents: other points take the errors that are larger there.
-        known: exponents and their rates that have been computed, by the unknowns of their points.
+        past: the point before it, likewise; None where there is none.
     """
 
-    alone: Callable[[Point], Floquet]
-    ends: Sequence[tuple[Point, Exponents]]
-    known: dict[int, tuple[Point, Exponents, Exponents]] = field(default_factory=dict)
+    def __init__(self, alone: Callable[[Point], Floquet], *ends: tuple[Point, Exponents]) -> None:
+        """`alone` computes the multipliers at a point without their errors, which takes a fraction of the time."""
+        self.alone, self.ends = alone, ends
+        self.past: tuple[Point, Exponents] | None = None
+        self._known = {id(point): (point, exponents) for point, exponents in ends}
+        self._ahead = dict[int, Exponents]()  # by the identity of points that are known
+
+    def between(self, *ends: tuple[Point, Exponents]) -> ExponentSampler:
+        """For another stretch, with what is known of its ends and, where it is the next one, of the point before."""
+        found = ExponentSampler(self.alone, *ends)
+        if self.ends and self.ends[-1][0] is ends[0][0]:
+            found.past = past = self.ends[0]
+            found._known[id(past[0])] = past
+        found._ahead = {place: ahead for place, ahead in self._ahead.items() if place in found._known}
+        return found
+
+    def here(self, point: Point) -> Exponents:
+        """Exponents at a point."""
+        if id(point) not in self._known:
+            self._known[id(point)] = point, self._alone(point)
+        return self._known[id(point)][1]
 
     def exponents(self, point: Point) -> tuple[Exponents, Exponents]:
-        """Those at a point, and those one step along its tangent in the same order."""
-        place = id(point)
-        if place not in self.known:
-            here = next((exponents for end, exponents in self.ends if end is point), None) or self._alone(point)
+        """The same, and those one step along its tangent in the same order."""
+        here = self.here(point)
+        if id(point) not in self._ahead:
             ahead = self.alone(beside_on_tangent(point, TANGENT_DIFFERENCE_STEP)).exponents.values
-            ahead = ahead[nearest_order(here.values, ahead)]
-            self.known[place] = point, here, Exponents(ahead, here.noise)
-        return self.known[place][1:]
+            self._ahead[id(point)] = Exponents(ahead[nearest_order(here.values, ahead)], here.noise)
+        return here, self._ahead[id(point)]
 
     def _alone(self, point: Point) -> Exponents:
         """Exponents with the errors of the nearest ones at the ends."""

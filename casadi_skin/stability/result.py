@@ -343,7 +343,7 @@ class Exponents:
     values: ComplexArray
     noise: Array
 
-    @property
+    @cached_property
     def pairs(self) -> Indices | None:
         """Places of mu and of 1/mu, shape (m / 2, 2); None where multipliers are not such pairs."""
         left, found = list(range(self.values.size)), []
@@ -360,7 +360,7 @@ class Exponents:
             found.append((k, nearest))
         return np.array(found, dtype=int).reshape(-1, 2)
 
-    @property
+    @cached_property
     def outside(self) -> tuple[int, int]:
         """The number of multipliers outside the circle by their values, and how many may be on either side of it."""
         pairs = self.pairs

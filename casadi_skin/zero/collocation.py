@@ -185,6 +185,9 @@ class CollocationEquations(Problem):
         return np.asarray(np.einsum("tk,tkn->tn", weights, values[columns]))
 
     def prolong(self, z: Array, finer: Self) -> Array:
+        same = self.constants is finer.constants or np.array_equal(self.constants, finer.constants)
+        if same and self.table is finer.table:
+            return z
         return np.concatenate([self._interpolate(z, finer._fractions()).ravel(), z[self.states :]])
 
     def improvement(self, z: Array, solve: Solve) -> tuple[Array, float] | None:

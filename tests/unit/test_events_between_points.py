@@ -1,0 +1,107 @@
+"""Multipliers that cross the circle and come back between two points of a branch: how many the search finds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from casadi_skin.follow.events import Event, _Free
+from casadi_skin.follow.samples import Crossing, SampledStretch
+from casadi_skin.follow.search import ExponentSampler
+from casadi_skin.stability.result import Exponents
+from casadi_skin.zero.settings import ErrorEstimate, Point
+
+Growth = Callable[[Any], Any]
+BELLS: list[Growth] = [lambda u: np.exp(-u * u), lambda u: 1 / (1 + u * u), lambda u: 1 / np.cosh(u) ** 2]
+LINE: Any = SimpleNamespace(prolong=lambda z, other: z)
+
+
+def at(s: float) -> Point:
+    """The point of a straight branch at a place along it."""
+    return Point(LINE, np.array([s]), np.ones(1), ErrorEstimate(0.0, 0.0), 1.0, 0)
+
+
+@dataclass
+class Line:
+    """A straight branch with one multiplier whose logarithm is given and one inside; what is computed is counted."""
+
+    growth: Growth
+    sets: int = 0
+    corrected: int = 0
+
+    def exponents(self, point: Point) -> Exponents:
+        s = float(point.z[0])
+        return Exponents(np.array([self.growth(s), -2.0 - 0.05 * s], dtype=complex), np.full(2, 1e-9))
+
+    def alone(self, point: Point) -> Any:
+        self.sets += 1
+        return SimpleNamespace(exponents=self.exponents(point))
+
+    def metric(self, *_: Any) -> Any:
+        return np.ones(1)
+
+    def unrefined_along(self, before: Point, after: Point, fraction: float) -> Point:
+        self.corrected += 1
+        return at(before.z[0] + fraction * (after.z[0] - before.z[0]))
+
+    def found(self, places: Any) -> int:
+        """The number of events between points at places, in order."""
+        points, space, found = [at(s) for s in places], SimpleNamespace(point_solver=self, parameter="s"), 0
+        space.value = lambda name, point: float(point.z[0])
+        sampler = ExponentSampler(self.alone)
+        for before, after in pairwise(points):
+            sampler = sampler.between((before, self.exponents(before)), (after, self.exponents(after)))
+            found += len(_Free(space, sampler).on_stretch())  # type: ignore[arg-type]
+        return found
+
+
+def flat(random: np.random.Generator, dip: Growth, centre: float) -> Growth:
+    size, length = 10 ** random.uniform(-3, 0.5), random.uniform(4, 40) * random.choice([-1, 1])
+    return lambda s: size * (1 + 0.8 * np.tanh((s - centre) / length) - dip(s))
+
+
+def valley(random: np.random.Generator, dip: Growth, centre: float) -> Growth:
+    floor, power = 10 ** random.uniform(-3, 0), random.choice([2, 4])
+    return lambda s: np.abs((s - centre) / 3) ** power + floor * (1 - dip(s))
+
+
+def slope(random: np.random.Generator, dip: Growth, centre: float) -> Growth:
+    size, rate = 10 ** random.uniform(-3, 0.5), random.uniform(0.1, 0.8) * random.choice([-1, 1])
+    return lambda s: size * (np.exp(rate * (s - centre)) - dip(s))
+
+
+@pytest.mark.parametrize(("shape", "least", "sets"), [(flat, 0.9, 2.0), (valley, 0.95, 3.2), (slope, 0.92, 2.4)])
+def test_crossings_there_and_back_within_a_step_are_found_as_often_as_with_a_sample_on_every_step(
+    shape: Callable[..., Growth], least: float, sets: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Dips from a sixth of a step to five steps wide, on steps of 0.8 to 1.25.
+
+    With rates computed for each stretch anew and a corrected point on each that its ends do not clear it was 0.911,
+    0.953 and 0.936 of 1200 models each, with 3.1, 4.6 and 3.6 sets of multipliers a step.
+    """
+
+    def located(search: _Free, stretch: SampledStretch, passage: Crossing) -> Event:
+        place = search.sigma(stretch.first.point) + stretch.root(stretch.leading + passage.quantity)
+        return Event(place, None, passage.kind, passage.angle, passage.jump)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(_Free, "located", located)
+    random, found, planted, computed, steps = np.random.default_rng(1), 0, 0, 0, 0
+    for _ in range(80):
+        centre, width, over = random.uniform(5, 7), 10 ** random.uniform(-0.8, 0.7), 1 + 10 ** random.uniform(-2, 0.3)
+        bell = BELLS[random.integers(3)]
+        line = Line(shape(random, lambda s: over * bell((s - centre) / width), centre))  # noqa: B023
+        places = random.uniform(0, 1) + np.append(0.0, np.cumsum(random.uniform(0.8, 1.25, 12)))
+        with np.errstate(over="ignore"):
+            values = line.growth(np.linspace(places[0], places[-1], 20_001))
+            many, crossings = line.found(places), int(np.sum(values[1:] * values[:-1] < 0.0))
+        assert many <= crossings
+        found, planted = found + many, planted + crossings
+        computed, steps = computed + line.sets, steps + places.size - 1
+    assert found >= least * planted
+    assert computed <= sets * steps
