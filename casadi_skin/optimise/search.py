@@ -29,6 +29,7 @@ from casadi_skin.optimise.search_problem import (
     Optimum,
     Outcome,
     Start,
+    lost_start,
     nearest,
     solve_start,
 )
@@ -139,7 +140,7 @@ def search(
     Raises:
         ValueError, TypeError: processes that cannot be used, or a problem that cannot be sent to them.
     """
-    runner = Runner(progress, workers, executor)
+    runner = Runner(progress, workers, executor, lost_start)
     if executor is not None or workers > 1:
         _check_pickled(problem)
     outcomes, again, began = list(known), list[Outcome](), time.perf_counter()

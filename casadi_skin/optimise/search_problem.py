@@ -115,6 +115,11 @@ class Startable(Protocol):
         """
 
 
+def lost_start(start: Start, words: str) -> Outcome:
+    """Outcome of a start whose processes were ended, in words; it may be run again."""
+    return Outcome(start, Ending.INTERRUPTED, words)
+
+
 def solve_start(
     problem: Startable, start: Start, monitor: Monitor | None = None, *, known: Sequence[Array] = ()
 ) -> Outcome:

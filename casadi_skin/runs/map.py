@@ -45,7 +45,7 @@ from casadi_skin.runs.request import Request
 from casadi_skin.runs.rules import SceneError
 from casadi_skin.runs.scene import MapTable, Scene
 from casadi_skin.solve.processes import Pool
-from casadi_skin.solve.watch import one_thread
+from casadi_skin.solve.watch import one_thread, watched
 
 TASKS_AHEAD = 3  # tasks a worker that are handed over before they are begun
 ASSUMED_WORKERS = 64  # workers of an executor without a public number of workers
@@ -54,6 +54,7 @@ MOST_WORKERS = 256
 ASK_SECONDS = 5.0  # seconds between two questions about the workers of a cluster
 LOOK_SECONDS = 1.0  # seconds between two looks at an engine
 SHOW_SECONDS = 0.2  # seconds between two changes of the line of progress
+MEASURED_SECONDS = 10.0  # after which a plan gives up to measure the cost of cells
 MEASURED_ORBITS = 64  # of a family at most, by which the cost of all of them is measured
 SAME_VALUE_RTOL = 1e-6  # of a number of a cell that is computed again; processors differ by 1e-12
 TELL_SECONDS = 30.0  # seconds between two lines of progress where there is no terminal
@@ -477,18 +478,21 @@ def map_lines(scene: Scene, request: Request, path: Path) -> list[tuple[str, str
     chosen = np.linspace(0, len(middle.cells) - 1, min(len(middle.cells), MEASURED_ORBITS)).astype(int).tolist()
     amplitudes = tuple(middle.amplitudes[i] for i in chosen if middle.amplitudes)
     few = msgspec.structs.replace(middle, cells=tuple(middle.cells[i] for i in chosen), amplitudes=amplitudes)
-    result = computer(few)
-    if result.seconds < SHORT_CELL_SECONDS:
+    with watched(MEASURED_SECONDS):
         result = computer(few)
+        if not result.kind and result.seconds < SHORT_CELL_SECONDS:
+            result = computer(few)
+    least = "more than " if (over := result.seconds >= MEASURED_SECONDS) else ""
     each = result.seconds / len(chosen)
     sizes = " x ".join(f"{len(range(0, len(axis.values), axis.stride))} {axis.name}" for axis in grid.axes)
     of_families = f", orbits of {tasks} families" if grid.amplitude is not None else ""
-    watched = ", ".join(table.watch or WATCHED)
-    finest = f"; refined where {watched} change, to {grid.size}" if grid.refined else ""
+    quantities = ", ".join(table.watch or WATCHED)
+    finest = f"; refined where {quantities} change, to {grid.size}" if grid.refined else ""
     unused = [f"[{name}]" for name in ("spectrum", "dynamics", "export") if getattr(scene, name) is not None]
     failed = f"; it failed: {result.reason}" if result.kind else ""
-    one = f"{duration(each)} for one"
-    words = f"{one} (measured on {grid.name(middle.cells[0])}{failed}); {duration(each * cells.size)} for all"
+    failed = f", given up after {duration(result.seconds)}" if over else failed
+    one = f"{least}{duration(each)} for one"
+    words = f"{one} (measured on {grid.name(middle.cells[0])}{failed}); {least}{duration(each * cells.size)} for all"
     more = ", more where cells are refined" if grid.refined else ""
     limit = f"; at most {duration(table.cell_limit)} a cell" if table.cell_limit is not None else ""
     left_out = [("not in cells", f"{', '.join(unused)}, films and pictures of single cells")] if unused else []

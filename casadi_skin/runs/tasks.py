@@ -352,6 +352,7 @@ class Search(Task):
     def run(self, run: Branches, directory: Path, scene_text: str) -> None:
         """Search, and write search.csv, starts.csv, search.nc and the picture."""
         from casadi_skin.optimise.search import SearchStatus
+        from casadi_skin.optimise.search_problem import Ending
         from casadi_skin.results.figures.search import search_figure
         from casadi_skin.results.tables import write_search
 
@@ -367,6 +368,8 @@ class Search(Task):
             picture(scene, directory / "search", search_figure, found, self.asked.objective)
         if found.status is SearchStatus.INTERRUPTED:
             raise KeyboardInterrupt
+        for outcome in (outcome for outcome in found.outcomes if outcome.ending is Ending.INTERRUPTED):
+            run.failures.append(f"[search]: start {outcome.start.number}: {outcome.words}, twice; go on with --resume")
         if found.status not in (SearchStatus.FOUND, SearchStatus.ON_BOUND):
             run.failures.append(f"[search]: {found.reason}")
 

@@ -336,16 +336,24 @@ class Runner:
     """Runs starts with `workers` processes or an `executor` of processes, and reports where it is.
 
     `interrupted` is true after SIGINT, SIGTERM or SIGHUP; the second one interrupts at once. Raises TypeError or
-    ValueError for processes that cannot be used.
+    ValueError for processes that cannot be used. A start that ends two workers by a signal has the outcome `lost` of
+    itself and of how they ended; without `lost` it ends the search.
     """
 
-    def __init__(self, report: Report | None = None, workers: int = 1, executor: Executor | None = None) -> None:
+    def __init__(
+        self,
+        report: Report | None = None,
+        workers: int = 1,
+        executor: Executor | None = None,
+        lost: Callable[[Any, str], Any] | None = None,
+    ) -> None:
         whole("workers", workers, 1)
         if isinstance(executor, ThreadPoolExecutor) or not isinstance(executor, Executor | None):
             accepted = "a concurrent.futures.Executor of processes (CasADi shares no function between threads)"
             raise TypeError(f"executor: given {short_repr(executor)}; accepted: {accepted}")
         function_of("progress", report, "a SearchProgress")
         self.report, self.workers, self.executor, self.interrupted = report, workers, executor, False
+        self._lost = lost
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
         if self.interrupted:
@@ -386,7 +394,7 @@ class Runner:
             data, reports, stop = pickle.dumps(function), SimpleQueue[SearchProgress](), threading.Event()
             pool = Pool(min(self.workers, many), main=True)
             try:
-                waiting = {pool.submit(_in_pool, data, job, reports.put, stop) for job in jobs}
+                waiting = {pool.submit(_in_pool, data, job, self._lost, reports.put, stop) for job in jobs}
                 yield from self._elsewhere(waiting, reports, stop)
             finally:
                 pool.close()
@@ -447,9 +455,22 @@ def _solved(
     return solve(job, monitor)
 
 
-def _in_pool(function: bytes, job: Any, report: Tell, stop: threading.Event) -> Any:
-    """Solve one start in the worker of this thread; None where the search was stopped before."""
-    return None if stop.is_set() else in_worker(function, job, None, report, stop)
+def _in_pool(
+    function: bytes, job: Any, lost: Callable[[Any, str], Any] | None, report: Tell, stop: threading.Event
+) -> Any:
+    """Solve one start in the worker of this thread; None where the search was stopped before.
+
+    One whose worker ends by a signal, as where memory is short, is solved once more.
+    """
+    words, attempts = "", 2
+    while attempts and not stop.is_set():
+        try:
+            return in_worker(function, job, None, report, stop)
+        except WorkerEndedError as error:
+            if (_here.worker.exit_code or 0) >= 0 or lost is None:
+                raise
+            words, attempts = str(error), attempts - 1
+    return lost(job, words) if lost is not None and words else None
 
 
 def _in_executor(function: bytes, job: Any) -> Any:

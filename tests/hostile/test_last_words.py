@@ -185,18 +185,23 @@ def test_a_saved_branch_with_a_wrong_field_is_refused(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("blank")
-def test_a_search_with_a_killed_worker_is_one_line_and_goes_on(run: Runs, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_search_goes_on_where_a_worker_is_killed(times: int, run: Runs, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A start whose worker is killed is run again; killed twice, it is named, and run by --resume."""
     given = {"objective": "participation", "free": ["gamma"], "bounds": {"gamma": [0.1, 0.6]}, "starts": 3}
-    scene, answer, killed = chain(6, gamma=0.3, g=1.0), Worker._answer, list[int]()
+    scene, answer, killed = chain(6, gamma=0.3, g=1.0), Worker._answer, list[Worker]()
 
     def kill(self: Worker, *options: Any) -> Any:
-        if self.process is not None and not killed:
-            killed.append(self.process.pid)
+        if self.process is not None and len(killed) < times and self in (killed or [self]):
+            killed.append(self)
             self.process.kill()
         return answer(self, *options)
 
     monkeypatch.setattr(Worker, "_answer", kill)
-    told = run(scene + table("search", workers=2, **given), status=1).err
-    assert "[search]: search: a process ended early (its worker ended by signal 9)" in told
-    assert told.count("\n") == 1
-    assert "the best optimum sits on a bound" in run("", "--resume").out
+    done = run(scene + table("search", workers=2, **given), status=int(times == 2))
+    assert ("on a bound" in done.out, len(killed)) == (True, times)
+    if times == 2:
+        assert re.fullmatch(
+            r".*\[search\]: start [123]: its worker ended by signal 9, twice; go on with --resume\n", done.err
+        )
+        assert "3 of 3 starts led to it" in run("", "--resume").out

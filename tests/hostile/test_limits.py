@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,13 +16,16 @@ from casadi_skin import OdeModel, find_orbit, read_model, read_result, simulate
 from casadi_skin.model.loading import LARGEST_FILE_BYTES
 from casadi_skin.results.dataset import check_whole
 from casadi_skin.runs import cost
+from casadi_skin.runs import map as map_module
 from casadi_skin.runs.binding import bound
 from casadi_skin.runs.map import map_lines
+from casadi_skin.runs.map_cell import Computer
 from casadi_skin.runs.map_grid import MOST_TRIED, axes_of
 from casadi_skin.runs.plan import plan_lines
 from casadi_skin.runs.program import main
 from casadi_skin.runs.reading import parse_scene, read_scene
 from casadi_skin.runs.rules import SceneError
+from casadi_skin.solve.watch import check_time_limit
 
 TEN_GIGABYTES = 10 * 2**30
 CHAIN = "[chain]\nsites = 3\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n[family]\nmode = 1\namplitude_max = 0.5\n[map]\n"
@@ -77,6 +81,24 @@ def test_a_huge_parameter_ends_in_a_line(mu: float) -> None:
 
     with pytest.raises(ArithmeticError, match=r"^vdp: no solution near the guess: [^\n]*$"):
         find_orbit(van_der_pol(), circle, 2.0 * np.pi, parameters={"mu": mu})
+
+
+def test_the_cost_of_cells_that_take_too_long_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half a minute or more for S to 1e100 with stability."""
+
+    def endless(*_: object) -> None:
+        end = time.monotonic() + 5.0
+        while time.monotonic() < end:
+            check_time_limit("a step")
+
+    monkeypatch.setattr(map_module, "MEASURED_SECONDS", 0.2)
+    monkeypatch.setattr(Computer, "_rows", endless)
+    path = tmp_path / "scene.toml"
+    scene = parse_scene(CHAIN + "S = { from = 0.1, to = 1e100, points = 10 }\n", str(path))
+    words = dict(map_lines(scene, bound(scene, path), path))["cost of cells"]
+    assert re.fullmatch(
+        r"more than 0.02\d* s for one \(measured on S = 0.1, given up after 0.2\d* s\); more than .*", words
+    )
 
 
 def test_a_map_of_many_orbits_is_planned_from_few(tmp_path: Path) -> None:
