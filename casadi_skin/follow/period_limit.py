@@ -61,7 +61,7 @@ def unbounded(space: SolutionSpace, before: Point, after: Point) -> Point | None
         return None
     walking = space.statement.model.parameter_names.index(space.parameter)
     way = abs(space.to - space.statement.values[space.parameter])
-    course, found = stays(space, after, walking)
+    course, found = _approaches(space, after, walking)
     beside = in_a_period(course, found)
     if len(beside) < 2:
         return None
@@ -70,7 +70,7 @@ def unbounded(space: SolutionSpace, before: Point, after: Point) -> Point | None
     left = rate * sum(1.0 / min(rest.growth, rest.decay) for rest in rests if not len(rest.centre))
     if left > DISTANCE_SAFETY * allowed or any(abs(double - value) > allowed * way for double in doubles):
         return None
-    if not _grows(beside, in_a_period(*stays(space, before, walking))):
+    if not _grows(beside, in_a_period(*_approaches(space, before, walking))):
         return None
     limit = _limit(space, after, course, (beside, found), doubles, DISTANCE_SAFETY * allowed * way)
     if limit is None:
@@ -84,6 +84,12 @@ def unbounded(space: SolutionSpace, before: Point, after: Point) -> Point | None
     ):
         return None
     return _marked(space, after, limit, beside)
+
+
+def _approaches(space: SolutionSpace, orbit: Point, walking: int) -> tuple[Course, list[Stay]]:
+    """As `stays`, those alone that come close: an orbit passes other saddles, or one again, on its way to a limit."""
+    course, found = stays(space, orbit, walking)
+    return course, [stay for stay in found if stay.nearest < CLOSE_APPROACH_RATIO * LINEAR_DISTANCE]
 
 
 def _marked(space: SolutionSpace, orbit: Point, limit: Limit, period: Sequence[Stay]) -> Point:
@@ -108,7 +114,7 @@ def _grows(after: Sequence[Stay], before: Sequence[Stay]) -> bool:
         return False
     for stay, one in zip(after[:-1], before[:-1], strict=True):
         rest, length, other = stay.rest, stay.end - stay.start, one.end - one.start
-        if not (length > other and stay.nearest < CLOSE_APPROACH_RATIO * LINEAR_DISTANCE):
+        if not (length > other and stay.nearest > 0.0):
             return False
         if len(rest.centre):
             expected, own, slack = 0.5 * np.log(one.speed / stay.speed), np.log(length / other), 0.0
