@@ -24,7 +24,10 @@ START_FRACTION = 1e-3  # of the first point walked: where the family's first poi
 
 @dataclass(frozen=True)
 class _Departure:
-    """A point to step from, in the unknowns of the problem to be solved: its tangent t, the metric, the way on."""
+    """A point to step from, in the unknowns of the problem to be solved: its tangent t, the metric, the way on.
+
+    `turning` is how many times the angles of the settings a step may turn.
+    """
 
     problem: Problem
     z: Array
@@ -33,6 +36,7 @@ class _Departure:
     row: Array
     curve: Callable[[float], Array]
     side: Side | None
+    turning: float
 
     def angle(self, tangent: Array) -> float:
         """Angle in degrees between t and another tangent, in the metric at z."""
@@ -135,7 +139,8 @@ class ArclengthContinuation(Continuation):
             for past in self.history[-2::-1]
         ]
         curve = predictor(z, t, predicting(z, before, row, weights), row)
-        return _Departure(problem, z, t, weights, row, curve, self._side_of(current, problem))
+        turning = self.settings.layer_angles if problem.has_layers(z) else 1.0
+        return _Departure(problem, z, t, weights, row, curve, self._side_of(current, problem), turning)
 
     def _side_of(self, current: Point, problem: Problem) -> Side | None:
         """The side of a corner that the current point is on; None where corners are not sought."""
@@ -154,8 +159,8 @@ class ArclengthContinuation(Continuation):
             return None
         solve = self.point_solver.factor(problem, correction.z, row)
         tangent = self.point_solver.tangent(problem, correction.z, solve)
-        angle = departure.angle(tangent)
-        if max(angle, departure.angle(correction.z - departure.z)) > self.settings.guard_angle:
+        angle = departure.angle(tangent) / departure.turning
+        if max(angle, departure.angle(correction.z - departure.z) / departure.turning) > self.settings.guard_angle:
             return None  # a prediction of high order may land on a part of the branch beyond a turn
         if departure.side is not None:
             there = Side(problem, correction.z, tangent, solve.orientation)

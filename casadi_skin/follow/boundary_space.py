@@ -13,7 +13,6 @@ import numpy as np
 
 from casadi_skin.follow.branch_points import ONE_PLACE, branch_points_between
 from casadi_skin.follow.period_limit import joined_words, unbounded
-from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.search import MonitorSearch
 from casadi_skin.follow.solution import Orbit, Solution
@@ -154,8 +153,6 @@ def hopf_end(space: BoundarySpace, before: Point, after: Point) -> Point | None:
 # Solutions of a statement, and the branch of them in one parameter --------------------------------------------------
 
 MESH_INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
-# Of tangents and chords, in degrees: steps go by what the prediction misses, as a layer that moves turns any tangent.
-GUARD_ANGLE, AIM_ANGLE = 45.0, 30.0
 OFF_EDGE = 1e-10  # of the interval: distance of a jump in time from an edge of the mesh that counts
 PER_STAGE = 2  # places a stage at which a solution is looked at for jumps
 MEANINGLESS_ERROR = 1e-2  # estimated error beyond which a solution is no solution, rounding or not
@@ -216,11 +213,6 @@ class BoundarySpace(ParameterSpace):
         if name == "ipopt":
             make = partial(ArbitratedCorrector, always=self.statement.always_confirmed, far=True)
         return RoundedCorrector(make(problem, tolerance, MOST_IPOPT_ITERATIONS))
-
-    @cached_property
-    def point_solver(self) -> PointSolver:
-        settings = self.settings or ContinuationSettings(1.0, self.tolerance)
-        return PointSolver(self.levels, replace(settings, guard_angle=GUARD_ANGLE, aim_angle=AIM_ANGLE))
 
     @cached_property
     def levels(self) -> Levels:

@@ -279,6 +279,10 @@ class Problem(ABC):
         """An order of the unknowns in which factors of the Jacobian are sparse, where they are `in_order`."""
         return np.arange(self.size)
 
+    def has_layers(self, z: Array) -> bool:
+        """Whether the solution has parts in which it goes far faster than elsewhere."""
+        return False
+
     # Adaptation: where the unknowns of a transcription should lie ------------------------------------
 
     def transferred(self, other: Other) -> Other:

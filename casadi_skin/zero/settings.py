@@ -89,6 +89,7 @@ class ContinuationSettings:
     guard_distance: float = 0.08  # of the step, between predicted and corrected point
     guard_angle: float = 14.0
     aim_angle: float = 8.0
+    layer_angles: float = 3.75  # times these angles, where a solution has layers: they turn any tangent as they move
 
     @property
     def ends(self) -> tuple[Target, ...]:

@@ -22,6 +22,7 @@ from casadi_skin.zero.discretisation import Formulation
 from casadi_skin.zero.problem import Array, Problem, Scalar
 from casadi_skin.zero.statement import Statement
 
+LAYER_SPEED_RATIO = 20.0  # of mean speed: Lorenz' cycles and those of an explosive reaction have 15, canards 22 to 160
 LONGEST_CONDITION = 40  # characters of a condition in a message
 PERIOD = "period"  # the free parameter that is the unknown period of an autonomous orbit
 COMPONENT_FLOOR = 1e-3  # of the largest value of a component: what it is measured by at least
@@ -143,6 +144,11 @@ class BoundaryProblem(CollocationEquations):
         weights = self.sizes(z, parameter_scale) ** -2.0
         weights[: self.states] /= self.columns
         return np.asarray(weights)
+
+    def has_layers(self, z: Array) -> bool:
+        values = z[: self.states].reshape(self.columns, -1)
+        ways = np.linalg.norm(np.diff(values, axis=0) / self._component_sizes(values), axis=1)
+        return bool(np.max(ways / np.diff(self._fractions())) > LAYER_SPEED_RATIO * np.sum(ways))
 
     def rounding(self, z: Array) -> Array:  # type: ignore[override]
         """Of each equation, as components of the state have units of their own."""
