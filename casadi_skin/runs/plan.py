@@ -156,6 +156,11 @@ def plan_lines(request: Request, measure: bool) -> Lines:
         lines.append(not_built)
     for task in tasks_of(request):
         lines += task.plan()
+    if scene.given("family", "search"):
+        from casadi_skin.runs.cost import UNCERTAINTY, bytes_of, memory_in_words
+
+        if bytes_of(request):
+            lines.append(("memory", f"{memory_in_words(request)} a process, within a factor of {UNCERTAINTY}"))
     return lines if scene.time_limit is None else [*lines, ("time limit", f"{scene.time_limit:g} s")]
 
 
@@ -387,7 +392,7 @@ def _problem_lines(request: Request) -> Lines:
 
 def _unknowns(request: Request) -> Lines:
     """States at the ends and stages of the intervals, and free parameters, on the first mesh; their expected cost."""
-    from casadi_skin.runs.cost import UNCERTAINTY, available_memory, cost_of, in_gigabytes
+    from casadi_skin.runs.cost import UNCERTAINTY, cost_of, memory_in_words
     from casadi_skin.zero.orbit import UNFOLDING
     from casadi_skin.zero.stated_problem import PERIOD
 
@@ -396,9 +401,9 @@ def _unknowns(request: Request) -> Lines:
     orbit = () if model.forced else (PERIOD, UNFOLDING) if unfolded else (PERIOD,)
     free = orbit if problem is None else tuple(problem.free)
     also = f"and {', '.join(free)} " if free else ""
-    there = available_memory()
-    memory = in_gigabytes(cost.bytes) + (f" of the {in_gigabytes(there)} there" if math.isfinite(there) else "")
-    words = f"{cost.seconds:.2g} s and {memory} for the first solution, within a factor of {UNCERTAINTY}"
+    words = (
+        f"{cost.seconds:.2g} s and {memory_in_words(request)} for the first solution, within a factor of {UNCERTAINTY}"
+    )
     return [
         ("unknowns", f"{cost.unknowns} state values {also}on {cost.mesh}; more where the tolerance asks for it"),
         ("expected cost", f"{words}; more on finer meshes, and each further point about half as long"),

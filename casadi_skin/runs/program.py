@@ -127,7 +127,10 @@ def _stopped(arguments: argparse.Namespace, limit: TimeLimit) -> tuple[int, str]
     return (FAILED, f"{arguments.scene}: {limit}") if limit.is_over else (INTERRUPTED, "interrupted")
 
 
-@command(SCENE, OUT, [RESUME, OVERWRITE], OUTPUT, switch("--beyond-memory", "run what needs more memory than there is"))
+BEYOND_MEMORY = switch("--beyond-memory", "run what needs more memory than there is")
+
+
+@command(SCENE, OUT, [RESUME, OVERWRITE], OUTPUT, BEYOND_MEMORY)
 def run(arguments: argparse.Namespace) -> int:
     """Compute what a scene asks for.
 
@@ -138,10 +141,10 @@ def run(arguments: argparse.Namespace) -> int:
         accepted = "a table [family], [equilibrium], [orbit], [solution], [search], [dynamics], [export] or [spectrum]"
         raise InputError(f"{arguments.scene}: asks for nothing to compute; accepted: {accepted}")
     request = _bound(scene, arguments)
-    if not arguments.beyond_memory and scene.given("orbit", "solution"):
+    if not arguments.beyond_memory:
         from casadi_skin.runs.cost import check_memory
 
-        check_memory(request, arguments.scene)
+        check_memory(request, arguments.scene, scene.search.workers if scene.search is not None else 1)
     from casadi_skin.runs.directory import in_use
     from casadi_skin.runs.output import Progress
 
@@ -266,7 +269,7 @@ def _closed_form(scene: Scene) -> list[float] | None:
 
 
 @command(
-    SCENE, OUT, [RESUME, OVERWRITE], switch("--no-pictures", "tables alone"), OUTPUT,
+    SCENE, OUT, [RESUME, OVERWRITE], switch("--no-pictures", "tables alone"), OUTPUT, BEYOND_MEMORY,
     value("--workers", "processes on this machine (default: 1)", "N", int, default=1),
     [value("--scheduler", "a dask scheduler, whose workers compute the cells", "ADDRESS", str),
      value("--part", "one share of a batch array; whoever comes last joins them", "K/N", str),
@@ -294,6 +297,10 @@ def map_(arguments: argparse.Namespace) -> int:
         raise
     except ValueError as error:
         raise InputError(f"map: --{error}") from None
+    if not (arguments.beyond_memory or arguments.collect or arguments.scheduler):
+        from casadi_skin.runs.cost import check_memory
+
+        check_memory(mapping.request, arguments.scene, arguments.workers)
     limit = TimeLimit(scene.time_limit)
     with Progress(arguments.quiet) as progress:
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import resource
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from scenes import chain, table
 
 from casadi_skin import OdeModel, find_orbit, read_model, read_result, simulate
 from casadi_skin.model.loading import LARGEST_FILE_BYTES
@@ -165,3 +167,83 @@ def test_more_memory_than_there_is_may_be_asked_for(tmp_path: Path, monkeypatch:
     (tmp_path / "ring.py").write_text(RING.format(n=1))
     monkeypatch.setattr(cost, "available_memory", lambda: 1e6)
     assert main(["run", str(scene), "--out", str(tmp_path / "out"), "--quiet", "--beyond-memory"]) == 0
+
+
+PLANE = """
+[lattice]
+cells = [40, 40]
+boundary = "fixed"
+parameters = { g = -1.0 }
+[[lattice.site]]
+name = "a"
+onsite = "y + g*y^3"
+[[lattice.bond]]
+from = "a"
+to = "a"
+offset = [1, 0]
+force = "d"
+[[lattice.bond]]
+from = "a"
+to = "a"
+offset = [0, 1]
+force = "d"
+[family]
+mode = 1
+amplitude_max = 1.0
+"""
+LARGE = {
+    "family": ("run", PLANE, "0.36 GB", "family"),
+    "multipliers": ("run", PLANE + "[stability]\n", "1.2 GB", "family"),
+    "search": (
+        "run",
+        chain(200) + table("search", objective="Omega", mode="last", free=["S"], bounds={"S": [0.1, 1]}, workers=2),
+        "0.52 GB",
+        "search",
+    ),
+    "map": ("map", PLANE + "[map]\ng = [-1.0, 1.0]\n", "1.1 GB", "family"),
+}
+
+
+@pytest.mark.parametrize("name", LARGE)
+def test_what_needs_more_memory_than_there_is_is_refused_before_it_starts(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command, text, need, asked = LARGE[name]
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    scene = parse_scene(text, str(path))
+    assert "GB" in dict(plan_lines(bound(scene, path), measure=False))["memory"]
+    monkeypatch.setattr(cost, "available_memory", lambda: 1e8)
+    words = ("--workers", "3") if command == "map" else ()
+    assert main([command, str(path), "--out", str(tmp_path / "out"), "--quiet", *words]) == 2
+    line = capsys.readouterr().err
+    assert line.startswith(f"casadi-skin: {path}: [{asked}]: needs about {need} of memory (within a factor of 2)")
+    assert line.endswith("or the option --beyond-memory\n")
+    assert line.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_memory_that_a_container_or_ulimit_leaves_is_what_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (resource.RLIM_INFINITY,) * 2)
+    free = cost.available_memory()
+    own, limits = tmp_path / "own", tmp_path / "job" / "step"
+    own.write_text("0::/job/step\n")
+    limits.mkdir(parents=True)
+    monkeypatch.setattr(cost, "OWN_GROUPS", own)
+    monkeypatch.setattr(cost, "GROUPS", tmp_path)
+    (limits / "memory.max").write_text("max\n")
+    assert cost.available_memory() == pytest.approx(free, rel=0.5)
+    for name, text in (("max", "5000000"), ("current", "4000000"), ("stat", "anon 3\ninactive_file 250000\n")):
+        (limits.parent / f"memory.{name}").write_text(text)
+    assert cost.available_memory() == 1.25e6
+    own.write_text("9:memory:/job\n")
+    (tmp_path / "memory" / "job").mkdir(parents=True)
+    (tmp_path / "memory" / "memory.limit_in_bytes").write_text("7000000")
+    (tmp_path / "memory" / "memory.usage_in_bytes").write_text("1000000")
+    assert cost.available_memory() == pytest.approx(free, rel=0.5)
+    (tmp_path / "memory" / "memory.stat").write_text("cache 1\n")
+    assert cost.available_memory() == 6e6
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (1000, 1000))
+    assert cost.available_memory() < 0
