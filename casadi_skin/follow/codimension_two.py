@@ -41,6 +41,7 @@ from casadi_skin.follow.space import ORBITS, Followed
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import FULL_TURN, turned
 from casadi_skin.zero.augmented import Augmented
+from casadi_skin.zero.balanced import dense
 from casadi_skin.zero.kinds import (
     BRANCH_POINT,
     CUSP,
@@ -300,7 +301,7 @@ class EquilibriumCurveSearch(CurveSearch):
         return complex(point.problem.singularity.rate * np.sqrt(complex(kappa(point))))
 
     def others(self, point: Point) -> ComplexArray:
-        values = np.asarray(np.linalg.eigvals(point.problem.rates(point.z)), dtype=np.complex128)
+        values = np.asarray(np.linalg.eigvals(dense(point.problem.rates(point.z))), dtype=np.complex128)
         return self.without_critical(point, values)[0]
 
     def error(self, point: Point, test: Test, slope: float, width: float) -> float:

@@ -188,6 +188,7 @@ class BranchRun:
         end, detail = None if self._waiting else self._iterator.end, self._iterator.detail
         misses = self._iterator.misses(self.solutions, self._stopped, end)
         changes, unresolved = ((), []) if self._ledger is None else (self._ledger.changes, self._ledger.unresolved)
+        self._iterator.unresolved += self.space.unproved()
         return Branch(
             self.space, tuple(self.solutions), tuple(changes),
             self.stability or self.space.stability_included, end, detail, misses,

@@ -93,7 +93,7 @@ def _linearised(point: SpecialPoint) -> LinearisedEquations:
     else:
         raise ValueError(f"{kind}: given one of {type(solution).__name__.lower()}s; accepted: one of equilibria")
     p = np.array([solution.parameters[name] for name in statics.values])
-    return LinearisedRest(statics, x, p, np.ones_like(x), balanced(statics.jacobian(x, p))[1], near=near)
+    return LinearisedRest(statics, x, p, np.ones_like(x), balanced(statics.matrix(x, p))[1], near=near)
 
 
 def _closed(point: SpecialPoint) -> Closure | None:

@@ -14,21 +14,24 @@ saddles have no eigenvalue on the axis, and are not seen.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.follow.point import LocalCurve
+from casadi_skin.follow.rest_samples import Leading, half_plane, rightmost
 from casadi_skin.follow.samples import Crossing, Sample, SampledStretch, hermite_cubic
-from casadi_skin.follow.search import Search, gap_between
+from casadi_skin.follow.search import CLEAR_DISTANCE, Search, gap_between
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import locate_rest
-from casadi_skin.zero.balanced import BalancedMatrix
+from casadi_skin.solve.bordered import BorderedSolver
+from casadi_skin.zero.balanced import BalancedMatrix, dense
+from casadi_skin.zero.half_plane import HalfPlaneError
 from casadi_skin.zero.kinds import BRANCH_POINT, FOLD, HOPF, Unresolved, kind_of
 from casadi_skin.zero.problem import Array, Indices, SingularError
 from casadi_skin.zero.rest import AlgebraicProblem
@@ -44,6 +47,7 @@ SMALL_STATE_COUNT = (
     16  # states: eigenvalues of more are computed only where derivatives are not what is between two points
 )
 SMALL_EIGENVALUE_RTOL, SMALL_ENTRY_RTOL = 1e-6, 1e-9  # of the largest: real parts that rounding may decide
+PROVED_EVERY = 8  # stretches of a branch of a large system
 SURE_CHANGE_FACTOR = 10.0  # times the change of an eigenvalue, to first order, that leaves it on its side
 Flags = NDArray[np.bool_]
 SPECIAL_POINTS = "special points"  # in words: what may be missing
@@ -124,7 +128,7 @@ class Places:
         row: the metric times the tangent of the first.
         sigma: places by row . (z - z of the first), both ends among them.
         unknowns: the equilibria, shape (place, unknowns).
-        matrices: Jacobians there, but for a last step that is none, shape (place, equations, unknowns).
+        entries: non-zeros of the Jacobians there, but for a last step that is none, shape (place, non-zeros).
         settled: where the steps became small.
     """
 
@@ -133,7 +137,7 @@ class Places:
     row: Array
     sigma: Array
     unknowns: Array
-    matrices: Array
+    entries: Array
     settled: Flags
 
     @classmethod
@@ -148,54 +152,97 @@ class Places:
         sigma = curve.length * np.linspace(0.0, 1.0, count + 1)
         guesses = curve.at(sigma)
         guesses[[0, -1]] = before.z, after.z
-        found = _solved(before.problem, guesses, row, SETTLED_STEP * curve.length, weights)
-        return cls(before, after, row, sigma, *found)
+        return cls(
+            before, after, row, sigma, *_solved(before.problem, guesses, row, SETTLED_STEP * curve.length, weights)
+        )
 
-    @property
-    def clear(self) -> bool:
+    def clear(self, equations: SolutionSpace) -> bool:
         """Whether every eigenvalue stays on its side of the imaginary axis, by far more than it moves between places.
 
         The k-th largest real part is a continuous function of the place, of which a special point is a zero.
         """
-        n = self.before.problem.statics.size
-        if n > SMALL_STATE_COUNT or not self.settled.all():
+        problem = self.before.problem
+        if not self.settled.all() or float(self.row @ self.after.tangent) < SHARP_TURN_COSINE:
             return False
-        matrices = self.matrices[:, :, :n]
+        if problem.statics.size > SMALL_STATE_COUNT:
+            return self._stay(*map(equations.leading, (self.before, self.after)))
+        matrices = problem.filled(self.entries)[:, :, :-1]
         real = np.sort(np.linalg.eigvals(matrices).real, axis=1)
         moved, (low, high) = np.abs(real[1:] - real[:-1]).max(axis=0), (real.min(axis=0), real.max(axis=0))
         rounding = max(SMALL_EIGENVALUE_RTOL * max(-low[0], high[-1]), SMALL_ENTRY_RTOL * np.abs(matrices).max())
         return bool((np.maximum(low, -high) > np.maximum(SURE_CHANGE_FACTOR * moved, rounding)).all())
 
+    def _stay(self, first: Leading, last: Leading) -> bool:
+        """The same by eigenvalues and rates at both ends, where derivatives between them are as these show."""
+        if len({*first.numbers, *last.numbers}) > 1:
+            return False
+        g, slopes = self._real_parts(first, last)
+        moves = np.abs(g[1] - g[0]) + np.abs(slopes[0]) + np.abs(slopes[1])
+        far = (np.sign(g[0]) == np.sign(g[1])) & (np.min(np.abs(g), axis=0) > CLEAR_DISTANCE * moves)
+        return bool(np.all(far)) and not np.any(self.unlike(first, last)[1:-1])
+
+    def _real_parts(self, first: Leading, last: Leading) -> tuple[Array, Array]:
+        """The largest real parts at both ends, and their rates over the stretch, shape (2, eigenvalues)."""
+        many, length, ends = leading_count(first, last), self.sigma[-1], (first, last)
+        rates = (length, length / float(self.row @ self.after.tangent))
+        return np.array([end.values.real[:many] for end in ends]), np.array(
+            [end.rates.real[:many] * rate for end, rate in zip(ends, rates, strict=True)]
+        )
+
+    def unlike(self, first: Leading, last: Leading) -> Flags:
+        """Where derivatives are not what is between a few places, by as much as may take an eigenvalue across."""
+        problem, fractions, (g, slopes) = (
+            self.before.problem,
+            self.sigma / self.sigma[-1],
+            self._real_parts(first, last),
+        )
+        nodes = np.unique(np.linspace(0, len(fractions) - 1, 4).astype(int))
+        weights = np.array([[np.prod([(t - fractions[j]) / (fractions[i] - fractions[j]) for j in nodes if j != i])
+                             for i in nodes] for t in fractions])  # fmt: skip
+        off, many = self.entries - weights @ self.entries[nodes], g.shape[1]
+        moved = SURE_CHANGE_FACTOR * np.maximum(*(end.moved(problem, off, many) for end in (first, last)))
+        values, _ = hermite_cubic(g, slopes, np.repeat(fractions[:, None], many, axis=1))
+        found = np.any(moved[:, :many] >= np.abs(values), axis=1) | np.any(moved[:, many:] >= 1.0, axis=1)
+        found[[0, -1]] = True
+        return np.asarray(found)
+
+
+def leading_count(first: Leading, last: Leading) -> int:
+    """How many eigenvalues matter between two points."""
+    margin = min(first.margin, last.margin)
+    return min(max(first.needed(margin), last.needed(margin)), first.values.size, last.values.size)
+
 
 def counted(equations: SolutionSpace, places: Places) -> Counts | None:
     """The numbers of unstable eigenvalues between two points; None where the branch is not found there."""
     before, after, sigma, unknowns = places.before, places.after, places.sigma, places.unknowns
-    problem, n = before.problem, before.problem.statics.size
+    problem = before.problem
     for k in np.flatnonzero(~places.settled):
         point = equations.point_solver.along(before, after, float(sigma[k] / sigma[-1]))
         if point is None:
             return None
         unknowns[k] = point.z
-    stack = problem.equations_at_all(unknowns)[1][:, :, :n]
-    stretch = SampledStretch.of((equations.sample(before), equations.sample(after)))
-    seen = np.ones(sigma.size, dtype=bool) if n <= SMALL_STATE_COUNT else _unlike(stretch, stack, sigma / sigma[-1])
-    least, most = _numbers(problem.statics.model.rounding, stack, seen)
+    places = replace(places, entries=problem.equations_at_all(unknowns)[1])
+    small = problem.statics.size <= SMALL_STATE_COUNT
+    seen = np.ones(sigma.size, dtype=bool) if small else places.unlike(*map(equations.leading, (before, after)))
+    least, most = _numbers(problem, places.entries[seen])
     return Counts(before, after, places.row, sigma[seen], least, most, unknowns[seen])
 
 
 def _solved(
     problem: AlgebraicProblem, z: Array, row: Array, still: float, weights: Array
 ) -> tuple[Array, Array, Flags]:
-    """Equilibria near states, each at its place along; Jacobians before the last steps, and whether these settled."""
+    """Equilibria near states, each at its place along; non-zeros of Jacobians, and whether the steps settled."""
     z, left, settled = z.copy(), np.arange(len(z)), np.zeros(len(z), dtype=bool)
-    kept = np.empty((len(z), problem.size - 1, problem.size))
+    kept = np.empty((len(z), problem.pattern[0].size))
+    steps_of: Callable[[Array, Array], Array] = partial(
+        _chord_steps if problem.statics.is_sparse else _steps, problem, row
+    )
     for _ in range(NEWTON_STEPS):
         residuals, kept[left] = problem.equations_at_all(z[left])
-        closed, right = np.empty((left.size, problem.size, problem.size)), np.zeros((left.size, problem.size, 1))
-        closed[:, :-1], closed[:, -1], right[:, :-1, 0] = kept[left], row, residuals
         try:
-            steps = np.linalg.solve(closed, right)[..., 0]
-        except np.linalg.LinAlgError:  # one is singular
+            steps = steps_of(residuals, kept[left])
+        except (np.linalg.LinAlgError, SingularError):  # one is singular
             break
         z[left] -= steps
         small = np.sqrt(steps**2 @ weights) <= still
@@ -206,35 +253,79 @@ def _solved(
     return z, kept, settled
 
 
-def _unlike(stretch: SampledStretch, matrices: Array, fractions: Array) -> np.ndarray:
-    """Places at which a matrix is not what is between a few of them, by as much as may take an eigenvalue across."""
-    nodes = np.unique(np.linspace(0, len(matrices) - 1, 4).astype(int))
-    weights = np.array([[np.prod([(t - fractions[j]) / (fractions[i] - fractions[j]) for j in nodes if j != i])
-                         for i in nodes] for t in fractions])  # fmt: skip
-    linear = BalancedMatrix(matrices[0])
-    d = linear.balanced[1]
-    off = matrices - np.tensordot(weights, matrices[nodes], axes=1)
-    size = np.linalg.norm(off / d[:, None] * d, axis=(1, 2))
-    g, slopes = stretch.quantities
-    values, _ = hermite_cubic(g, slopes * stretch.length, np.repeat(fractions[:, None], g.shape[1], axis=1))
-    conditions = np.maximum(linear.conditions, BalancedMatrix(matrices[-1]).conditions[stretch.order])
-    near = np.any(SURE_CHANGE_FACTOR * size[:, None] * conditions >= np.abs(values[:, stretch.leading :]), axis=1)
-    near[[0, -1]] = True
-    return np.asarray(near)
+def _steps(problem: AlgebraicProblem, row: Array, residuals: Array, entries: Array) -> Array:
+    """Newton steps at states."""
+    closed, right = np.empty((len(entries), problem.size, problem.size)), np.zeros((len(entries), problem.size, 1))
+    closed[:, :-1], closed[:, -1], right[:, :-1, 0] = problem.filled(entries), row, residuals
+    return np.asarray(np.linalg.solve(closed, right)[..., 0])
 
 
-def _numbers(rounding: float, matrices: Array, seen: np.ndarray) -> tuple[Indices, Indices]:
+def _chord_steps(problem: AlgebraicProblem, row: Array, residuals: Array, entries: Array) -> Array:
+    """The same with the matrix of one of them, which is near to those of the others."""
+    middle = entries[len(entries) // 2]
+    largest = problem.equation_sizes(np.zeros(problem.size), middle)
+    solve = BorderedSolver.of(problem).unchecked(middle / largest[problem.pattern[0]], row)
+    return solve(np.append((residuals / largest).T, np.zeros((1, len(residuals))), axis=0)).T
+
+
+def _numbers(problem: AlgebraicProblem, entries: Array) -> tuple[Indices, Indices]:
     """Bounds of the numbers of eigenvalues with a positive real part."""
-    stack = matrices[seen]
-    real = np.linalg.eigvals(stack).real
-    least, most = np.sum(real > 0.0, axis=1), np.sum(real > 0.0, axis=1)
-    near = np.min(np.abs(real), axis=1) <= SMALL_EIGENVALUE_RTOL * np.max(np.abs(real), axis=1)
-    near |= np.max(np.abs(stack), axis=(1, 2)) * SMALL_ENTRY_RTOL > np.min(np.abs(real), axis=1)
-    for k in np.flatnonzero(near):
-        linear = BalancedMatrix(stack[k], rounding)
-        values, errors = linear.eigensystem[0].real, linear.errors()
-        least[k], most[k] = np.sum(values > errors), np.sum(values > -errors)
+    rounding, bounds = problem.statics.model.rounding, list[tuple[int, int]]()
+    for some in entries:
+        matrix = problem.states_part(some)
+        part = half_plane(problem, matrix)
+        if part is not None:
+            bounds.append(part.numbers(rounding))
+            continue
+        matrix = dense(matrix)
+        real = np.linalg.eigvals(matrix).real
+        small = max(SMALL_EIGENVALUE_RTOL * np.max(np.abs(real)), SMALL_ENTRY_RTOL * np.max(np.abs(matrix)))
+        errors: Array | float = 0.0
+        if np.min(np.abs(real)) <= small:
+            linear = BalancedMatrix(matrix, rounding)
+            real, errors = linear.eigensystem[0].real, linear.errors()
+        bounds.append((int(np.count_nonzero(real > errors)), int(np.count_nonzero(real > -errors))))
+    least, most = np.array(bounds).T
     return least, most
+
+
+class Census:
+    """Proofs along a branch of a large system that the eigenvalues known beside the axis are all that there are.
+
+    Attributes:
+        whole: whether all eigenvalues are computed, as those beside the axis are not found.
+    """
+
+    def __init__(self, equations: SolutionSpace) -> None:
+        self.equations, self.whole = equations, False
+        self._proved: Point | None = None
+        self._passed = list[Point]()  # since then
+
+    def passed(self, before: Point, after: Point) -> list[Unresolved]:
+        """Goes on by a stretch; the part of the branch since the last proof where the next one fails."""
+        if not self.equations.statics.is_sparse:
+            return []
+        if self._proved is None:
+            self._proved, self.whole = before, not self._is_whole(before)
+        self._passed.append(after)
+        return self.close() if len(self._passed) >= PROVED_EVERY else []
+
+    def close(self) -> list[Unresolved]:
+        """The part of the branch since the last proof where there is none at its end."""
+        if self._proved is None or not self._passed:
+            return []
+        start, end = self._proved, self._passed[-1]
+        self._proved, self._passed = end, []
+        if self._is_whole(end):
+            return []
+        words = "the number of eigenvalues near the imaginary axis is not proved"
+        return [gap_between(self.equations, start, end, words, SPECIAL_POINTS)]
+
+    def _is_whole(self, point: Point) -> bool:
+        part = self.equations.leading(point).part
+        with suppress(HalfPlaneError):
+            return part is None or part.missing == 0
+        return False
 
 
 # Special points on a stretch of a branch of equilibria: distinguished by their eigenvalues, then located one by one
@@ -255,8 +346,9 @@ def special_between(equations: SolutionSpace, before: Point, after: Point, gaps:
     The stretch is divided where the number of unstable eigenvalues differs along it, or the special points do not
     account for it; what stays is named.
     """
+    gaps += equations.census.passed(before, after)
     places = Places.of(equations, before, after)
-    if places.clear and float(places.row @ after.tangent) >= SHARP_TURN_COSINE:
+    if places.clear(equations):
         return
     search = _Search(equations, before, after)
     counts = counted(equations, places) if search.free else None
@@ -306,9 +398,10 @@ class _Search(Search):
         self.free = equations.statics.oscillates and not conserves  # whether pairs may cross the axis one by one
         super().__init__(equations.point_solver, before, after, real=not self.free)
         self.equations, self.squares = equations, not self.free and equations.model.order == 1
+        self._count = leading_count(*map(equations.leading, (before, after)))
 
     def sampled(self, point: Point) -> Sample:
-        sample: Sample = self.equations.sample(self.own(point))
+        sample: Sample = rightmost(self.equations.sample(self.own(point)), self._count)
         if not self.squares:
             return sample
         return replace(sample, values=sample.values**2, rates=2.0 * sample.values * sample.rates)

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from casadi_skin.follow.codimension_two import EquilibriumCurveSearch, special_on_curve
 from casadi_skin.follow.normal_forms import terms_of
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.rest_events import special_between
-from casadi_skin.follow.rest_samples import sample_of
+from casadi_skin.follow.rest_events import Census, special_between
+from casadi_skin.follow.rest_samples import Leading, sample_of
 from casadi_skin.follow.samples import Sample
 from casadi_skin.follow.solution import Equilibrium, Solution, following_settings
 from casadi_skin.follow.space import EQUILIBRIA, EquilibriumError, ParameterSpace, corrector_of, of_last_points
@@ -111,7 +111,21 @@ class EquilibriumSpace(ParameterSpace):
     @of_last_points
     def sample(self, point: Point) -> Sample:
         """Eigenvalues and rates at a point."""
-        return sample_of(point, self.point_solver.metric(point.problem, point.z))
+        return sample_of(point, self.point_solver.metric(point.problem, point.z), self.leading(point))
+
+    @of_last_points
+    def leading(self, point: Point) -> Leading:
+        """The eigenvalues at a point that matter."""
+        return Leading.at(point, self.census.whole)
+
+    @cached_property
+    def census(self) -> Census:
+        """Where the number of eigenvalues is proved."""
+        return Census(self)
+
+    def unproved(self) -> list[Unresolved]:
+        """The last part of the branch where the number of eigenvalues is not proved."""
+        return self.census.close()
 
     def refined(self, problem: Any, correction: Correction) -> Point:
         """The equilibrium of a correction with u held; raises EquilibriumError where it is not regular."""

@@ -141,6 +141,10 @@ class SolutionSpace:
         """
         yield from ()
 
+    def unproved(self) -> list[Unresolved]:
+        """The part at the end of a branch of which it is not proved that no special point is missing."""
+        return []
+
     def singular_near(self, guess: Point) -> Point | None:
         """The branch point near a guess that `special_between` does not find; None where there is none."""
         return None

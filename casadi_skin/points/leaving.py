@@ -122,7 +122,7 @@ def born_at(
     """
     model = statics.model
     values = dict(statics.values)
-    omega, q, _ = critical_pair(statics.jacobian(x, np.array(list(values.values()))), omega)
+    omega, q, _ = critical_pair(statics.matrix(x, np.array(list(values.values()))), omega)
     size = sizes_of(statics, [x])
     amplitude = float(np.min(size / np.maximum(np.abs(q), 1e-300)))
     period = 2.0 * np.pi / omega

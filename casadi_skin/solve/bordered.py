@@ -294,7 +294,7 @@ class BorderedSolver:
         condensed = self._condensed(nonzeros, row, z)
         if condensed is not None:
             return condensed
-        solve = self._factor_sparse(nonzeros, row)
+        solve = self.unchecked(nonzeros, row)
         sizes, residuals = self.problem.units_at(z, nonzeros)
         probes = self._probes.copy()
         probes[:-1, 1] *= residuals
@@ -325,7 +325,7 @@ class BorderedSolver:
     def orientation(self, nonzeros: Array, row: Array) -> float:
         """The sign of the determinant of [dR/dz; row], which a branch that crosses changes; 0 where it is singular."""
         try:
-            return (self._condensed(nonzeros, row) or self._factor_sparse(nonzeros, row)).orientation
+            return (self._condensed(nonzeros, row) or self.unchecked(nonzeros, row)).orientation
         except SingularError:
             return 0.0
 
@@ -354,7 +354,8 @@ class BorderedSolver:
         found = kernel.factors(nonzeros, row, *((None, 1.0) if z is None else self.problem.sizes_at(z)))
         return None if found is None else CollocationFactors(kernel, *found)
 
-    def _factor_sparse(self, nonzeros: Array, row: Array) -> Solve:
+    def unchecked(self, nonzeros: Array, row: Array) -> Solve:
+        """As `factor` of a matrix that may be nearly singular."""
         from scipy.sparse.linalg import splu
 
         if self.problem.size <= DENSE_UNKNOWNS and not self.problem.in_order:

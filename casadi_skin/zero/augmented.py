@@ -30,10 +30,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.zero.balanced import BalancedMatrix, upper_pair
+from casadi_skin.zero.balanced import dense, is_mostly_zero
 from casadi_skin.zero.discretisation import Formulation
 from casadi_skin.zero.kinds import DOUBLING, HOPF, KINDS, TORUS
-from casadi_skin.zero.linearised import Linearised, Vector, null_vectors, velocities
+from casadi_skin.zero.linearised import Linearised, Vector, critical_pair, null_vectors, velocities
 from casadi_skin.zero.problem import EPSILON, Array, Indices, Problem, SingularError, Solve
 from casadi_skin.zero.rest import AlgebraicProblem
 from casadi_skin.zero.stated_problem import ZERO_SOLUTION_SIZE, BoundaryProblem
@@ -381,17 +381,18 @@ class SingularRest(Augmented, AlgebraicProblem):
         width = self.copies[2]
         B, rows, columns = self._leading(nonzeros, n, width), given.sizes, np.append(given.sizes, np.ones(width - n))
         if given.kind == HOPF:
-            one, B = np.eye(n), Triplets(B.values / given.rate, B.rows, B.columns)
-            B = B + B.moved(n, n)
-            B = B + _blocks((0, n, -one), (n, 0, z[self.added_index] * one), (2 * n, 0, given.normal[None]))
+            B = Triplets(B.values / given.rate, B.rows, B.columns)
+            one = Triplets(np.ones(n), np.arange(n), np.arange(n))
+            B = B + B.moved(n, n) + one.moved(0, n, -1.0) + one.moved(n, 0, z[self.added_index])
+            B = B + _blocks((2 * n, 0, given.normal[None]))
             columns = np.tile(columns, 2)
             rows = np.append(columns, 1.0)
         return Border.of(B, rows, columns, given.shape)
 
     def push_size(self, z: Array) -> float:
         n, units = self.equations, self.singularity.sizes
-        slopes = self._matrix(super().evaluate(z)[1])[n:] * self.lengths(z)
-        return float(np.linalg.norm(self.rates(z) * units / units[:, None]) + np.max(np.abs(slopes)))
+        slopes = self.filled(super().evaluate(z)[1])[n:] * self.lengths(z)
+        return float(np.linalg.norm(dense(self.rates(z)) * units / units[:, None]) + np.max(np.abs(slopes)))
 
     def _further_slopes(self, z: Array, left: Array, v: Array) -> Array:
         found, n = super()._further_slopes(z, left, v), self.equations
@@ -408,14 +409,14 @@ class SingularRest(Augmented, AlgebraicProblem):
 
     def rounding(self, z: Array) -> Array:  # type: ignore[override]
         found = np.full(self.size - 1, AlgebraicProblem.rounding(self, z))
-        largest = self._largest(z, super().evaluate(z)[1])[self.equations :]
+        largest = self.equation_sizes(z, super().evaluate(z)[1])[self.equations :]
         assert self._last is not None
         own = SUM_ROUNDING * max(EPSILON, self.statics.model.rounding) * self._last[2] / largest
         found[self.equations :] = np.maximum(found[self.equations :], own)
         return found
 
-    def jacobian(self, z: Array) -> Array:
-        return self._matrix(super().evaluate(z)[1])
+    def entries(self, z: Array) -> Array:
+        return super().evaluate(z)[1].copy()
 
 
 def singular_rest(kind: str, inner: AlgebraicProblem, z: Array, near: complex | None) -> tuple[SingularRest, Array]:
@@ -426,11 +427,9 @@ def singular_rest(kind: str, inner: AlgebraicProblem, z: Array, near: complex | 
     n, units = inner.states, inner.units(z)
     normal, rate, added = np.zeros_like(units), 1.0, [0.0] * (KINDS[kind].shape[1] - 1)
     if kind == HOPF:
-        linear = BalancedMatrix(inner.rates(z))
-        values = linear.eigensystem[0]
-        k = upper_pair(values, near)
-        rate = float(2.0 ** np.round(np.log2(abs(near or values[k].imag))))
-        normal, added = normal_of(linear.vectors(k)[0], units), [(values[k].imag / rate) ** 2]
+        omega, q, _ = critical_pair(inner.rates(z), None if near is None else near.imag)
+        rate = float(2.0 ** np.round(np.log2(abs(near or omega))))
+        normal, added = normal_of(q, units), [(omega / rate) ** 2]
     first: Any = (*inner.free, inner.walking)[0]
     problem = SingularRest(Singularity(kind, first.name, units, normal, rate=rate), inner)
     return problem, np.concatenate([z[: n + 1], added, [0.0]])
@@ -448,9 +447,9 @@ class Triplets:
         both = zip((self.values, self.rows, self.columns), (other.values, other.rows, other.columns), strict=True)
         return Triplets(*(np.concatenate(pair) for pair in both))
 
-    def moved(self, rows: int, columns: int) -> Triplets:
-        """The same, further down and to the right."""
-        return Triplets(self.values, self.rows + rows, self.columns + columns)
+    def moved(self, rows: int, columns: int, factor: float = 1.0) -> Triplets:
+        """A multiple of the same, further down and to the right."""
+        return Triplets(factor * self.values, self.rows + rows, self.columns + columns)
 
 
 def _blocks(*blocks: tuple[int, int, Array]) -> Triplets:
@@ -479,7 +478,7 @@ class Border:
     def of(
         cls, B: Triplets, rows: Array, columns: Array, shape: tuple[int, int], order: Indices | None = None
     ) -> Border:
-        """Of a matrix whose rows and columns have sizes; its columns an order of elimination, unless it is dense.
+        """Of a matrix whose rows and columns have sizes; its columns an order of elimination where it is known.
 
         Raises SingularError.
         """
@@ -487,7 +486,10 @@ class Border:
         scaled = Triplets(B.values * columns[B.columns] / rows[B.rows], B.rows, B.columns)
         L, R = generator.normal(size=(p, nl)), generator.normal(size=(q, nr))
         K = scaled + _blocks((0, q, L), (p, 0, LONG_ROW_FACTOR * R.T))
-        solve, places = _dense_factors(K) if order is None else _sparse_factors(K, np.append(order, range(q, q + nl)))
+        if order is None and not is_mostly_zero(q + nl, K.values.size):
+            solve, places = _dense_factors(K)
+        else:
+            solve, places = _sparse_factors(K, None if order is None else np.append(order, range(q, q + nl)))
         right = solve(np.vstack([np.zeros((p, nr)), LONG_ROW_FACTOR * np.eye(nr)]), False)[places[:q]]
         left = solve(np.vstack([np.zeros((q, nl)), np.eye(nl)]), True)[:p]
         if not (np.all(np.isfinite(right)) and np.all(np.isfinite(left))):
@@ -497,15 +499,18 @@ class Border:
         return cls(G, np.linalg.norm(products, axis=0), right * columns[:, None], left / rows[:, None], L[:, 0] * rows)
 
 
-def _sparse_factors(K: Triplets, order: Indices) -> tuple[Callable[[Array, bool], Array], Indices]:
+def _sparse_factors(K: Triplets, order: Indices | None) -> tuple[Callable[[Array, bool], Array], Indices]:
     """The solution with a square matrix, or its transpose, whose unknowns are eliminated in an order; their places."""
     from scipy.sparse import csc_matrix
     from scipy.sparse.linalg import splu
 
-    places = np.empty(order.size, dtype=np.int64)
-    places[order] = np.arange(order.size)
+    size = int(K.rows.max()) + 1
+    places = np.arange(size)
+    if order is not None:
+        places[order] = np.arange(size)
     try:
-        factors = splu(csc_matrix((K.values, (K.rows, places[K.columns])), shape=(order.size,) * 2), "NATURAL")
+        matrix = csc_matrix((K.values, (K.rows, places[K.columns])), shape=(size, size))
+        factors = splu(matrix, "COLAMD" if order is None else "NATURAL")
     except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
         raise SingularError(f"the linearised equations lose more rank than expected: {error}") from error
     solve: Any = factors.solve

@@ -5,8 +5,10 @@ A is df/dx, shape (n, n), and B = A d / d in units d that are powers of two, wit
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,8 @@ DERIVATIVE_ROUNDING = 16.0
 ROUNDED_COMPONENT_RATIO = 1e-12  # of the usual size of a component: one that is smaller is zero
 LARGE_MOVE = 1e200  # beyond it a component moves at a singular place alone
 SLIGHT_DISTURBANCE = 1e-8  # of an equation's terms: a disturbance by which no regular equilibrium moves far
+BALANCING_ROUNDS, BALANCED_CHANGE = 200, 1e-3  # of a sparse matrix; the last change of the logarithm of a unit
+NOT_FINITE = "the derivatives are not finite at the equilibrium"
 FAINT_UNIT_RATIO = 1e-3  # of the unit by which a component acts on others: the least unit of one that hardly changes
 
 
@@ -86,14 +90,89 @@ class BalancedMatrix:
         return right[:, place] * d, left[:, place] / d
 
 
-def balanced(matrix: Array) -> tuple[Array, Array]:
-    """B = A d / d with rows and columns alike, and d, powers of two; raises ArithmeticError without finite entries."""
+def balanced(matrix: Any) -> tuple[Any, Array]:
+    """B = A d / d with rows and columns alike, and d, powers of two; raises ArithmeticError without finite entries.
+
+    Of a dense matrix, or of a sparse one by columns.
+    """
     from scipy.linalg import matrix_balance
 
+    if is_sparse(matrix):
+        return scaled(matrix, np.exp2(np.round(logarithms_of_units(matrix))))
     if not np.all(np.isfinite(matrix)):
-        raise ArithmeticError("the derivatives are not finite at the equilibrium")
+        raise ArithmeticError(NOT_FINITE)
     found, scales = matrix_balance(matrix, permute=False, separate=True)
     return np.asarray(found), np.asarray(scales[0])
+
+
+def scaled(matrix: Any, d: Array) -> tuple[Any, Array]:
+    """A sparse matrix A d / d by columns, and d."""
+    found = matrix.copy()
+    found.data = matrix.data * np.repeat(d, np.diff(matrix.indptr)) / d[matrix.indices]
+    return found, d
+
+
+def is_sparse(matrix: Any) -> bool:
+    """Whether a matrix is one of scipy.sparse."""
+    return not isinstance(matrix, np.ndarray)
+
+
+DENSE_SIZE, MOST_NONZEROS = 100, 0.1  # up to which matrices are dense; and the share of non-zeros of sparse ones
+
+
+def is_mostly_zero(size: int, nonzeros: int) -> bool:
+    """Whether a square matrix is best treated as a sparse one."""
+    return size > DENSE_SIZE and nonzeros < MOST_NONZEROS * size**2
+
+
+def dense(matrix: Any) -> Array:
+    """A matrix as an array."""
+    return np.asarray(matrix.toarray() if is_sparse(matrix) else matrix)
+
+
+def shifted(matrix: Any, shift: complex) -> Any:
+    """A square matrix less a multiple of the unit matrix."""
+    from scipy.sparse import eye
+
+    n = matrix.shape[0]
+    return (matrix - shift * eye(n)).tocsc() if is_sparse(matrix) else matrix - shift * np.eye(n)
+
+
+def solution(matrix: Any) -> tuple[Callable[[Any], Any], float]:
+    """The solution with a matrix, a function of the right-hand side, and its condition number (estimated if sparse)."""
+    from scipy.sparse.linalg import LinearOperator, onenormest, splu
+
+    if not is_sparse(matrix):
+        return partial(np.linalg.solve, matrix), float(np.linalg.cond(matrix))
+    try:
+        factors: Any = splu(matrix)
+    except RuntimeError:  # "Factor is exactly singular"
+        return partial(np.full_like, fill_value=np.nan), np.inf
+    inverse: Any = LinearOperator(
+        matrix.shape, factors.solve, lambda b: factors.solve(b, "H"), dtype=matrix.dtype, matmat=factors.solve
+    )
+    return factors.solve, float(onenormest(inverse) * np.max(abs(matrix).sum(axis=0)))
+
+
+def logarithms_of_units(matrix: Any) -> Array:
+    """Logarithms to the base 2 of units in which sums of rows and columns of a sparse matrix are alike, but for signs.
+
+    All move at once, by half of what each alone would (Osborne 1960). Raises ArithmeticError without finite entries.
+    """
+    if not np.all(np.isfinite(matrix.data)):
+        raise ArithmeticError(NOT_FINITE)
+    n, rows = matrix.shape[0], matrix.indices
+    columns = np.repeat(np.arange(n), np.diff(matrix.indptr))
+    sizes, found = np.where(rows == columns, 0.0, np.abs(matrix.data)), np.zeros(n)
+    for _ in range(BALANCING_ROUNDS):
+        now = sizes * np.exp2(found[columns] - found[rows])
+        by_row, by_column = np.bincount(rows, now, n), np.bincount(columns, now, n)
+        seen = (by_row > 0.0) & (by_column > 0.0)
+        change = 0.25 * np.log2(np.where(seen, by_row, 1.0) / np.where(seen, by_column, 1.0))
+        found += change
+        if np.max(np.abs(change), initial=0.0) < BALANCED_CHANGE:
+            break
+    return found
 
 
 def upper_pair(values: ComplexArray, near: complex | None = None) -> int:
@@ -174,25 +253,32 @@ def units_of(matrix: Array, x: Array, by_parameters: Array, usual: Array, otherw
 
     B, d = balanced(matrix)
     moved = _response(B, by_parameters / d[:, None]) * d
-    _, blocks = connected_components(matrix != 0.0, connection="strong")
-    acting, least = np.array(d), np.full_like(d, FAINT_UNIT_RATIO)
-    for block in range(int(blocks.max(initial=-1)) + 1):
-        own = blocks == block
-        for sizes in (np.maximum(np.abs(x), usual), moved, otherwise):
-            largest = float(np.max(sizes[own] / d[own]))
-            if ROUNDED_COMPONENT_RATIO * float(np.max(otherwise[own] / d[own])) < largest < LARGE_MOVE:
-                acting[own] *= largest
-                least[own] = 1.0 if sizes is otherwise else FAINT_UNIT_RATIO
-                break
+    blocks, block = connected_components(matrix != 0.0, connection="strong")
+    largest = np.zeros((blocks, 3))
+    np.maximum.at(largest, block, np.array([np.maximum(np.abs(x), usual), moved, otherwise]).T / d[:, None])
+    known = (ROUNDED_COMPONENT_RATIO * largest[:, 2:] < largest) & (largest < LARGE_MOVE)
+    which = np.argmax(known, axis=1)
+    factor = np.where(known.any(axis=1), largest[np.arange(blocks), which], 1.0)
+    acting, least = d * factor[block], np.where(known[:, 2] & (which == 2), 1.0, FAINT_UNIT_RATIO)[block]
     general = np.cos(np.arange(d.size) ** 2 % 6.25)  # orthogonal to no null vector, as one is that a symmetry gives
-    disturbed = SLIGHT_DISTURBANCE * np.max(np.abs(B), axis=1, initial=0.0) * acting / d * general
+    disturbed = SLIGHT_DISTURBANCE * _largest_of_rows(B) * acting / d * general
     moved = np.maximum(moved, _response(B, disturbed[:, None]) * d)  # far where the matrix is singular
     return np.asarray(np.maximum(np.abs(x), np.clip(moved, least * acting, acting)))
 
 
-def _response(matrix: Array, change: Array) -> Array:
+def _largest_of_rows(matrix: Any) -> Array:
+    """The largest entry of each row."""
+    if is_sparse(matrix):
+        return np.asarray(abs(matrix).max(axis=1).toarray()).ravel()
+    return np.asarray(np.max(np.abs(matrix), axis=1, initial=0.0))
+
+
+def _response(matrix: Any, change: Array) -> Array:
     """How far the components of a state move where its equations change, shape (n,); infinite at singular places."""
+    from scipy.sparse.linalg import splu
+
     try:
-        return np.asarray(np.max(np.abs(np.linalg.solve(matrix, change)), axis=1, initial=0.0))
-    except np.linalg.LinAlgError:
-        return np.full(len(matrix), np.inf)
+        moved = splu(matrix).solve(change) if is_sparse(matrix) else np.linalg.solve(matrix, change)
+    except (np.linalg.LinAlgError, RuntimeError):  # SuperLU: "Factor is exactly singular"
+        return np.full(matrix.shape[0], np.inf)
+    return np.asarray(np.max(np.abs(moved), axis=1, initial=0.0))

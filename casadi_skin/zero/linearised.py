@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.model.expressions import Expression
-from casadi_skin.zero.balanced import BalancedMatrix, NullSpace, balanced, upper_pair
+from casadi_skin.zero.balanced import BalancedMatrix, NullSpace, balanced, is_sparse, shifted, solution, upper_pair
 from casadi_skin.zero.discretisation import Formulation
+from casadi_skin.zero.half_plane import pair_near
 from casadi_skin.zero.kinds import KINDS
 from casadi_skin.zero.problem import EPSILON, Array, SingularError
 from casadi_skin.zero.rest import Statics
@@ -81,9 +82,9 @@ class LinearisedRest:
     components = states = inner
 
     @cached_property
-    def jacobian(self) -> Array:
-        """df/dx in the sizes."""
-        return self.statics.jacobian(self.x, self.p) * self.sizes / self.sizes[:, None]
+    def jacobian(self) -> Any:
+        """df/dx in the sizes, of scipy.sparse where the model's is."""
+        return self.statics.scaled(self.statics.matrix(self.x, self.p), self.sizes)
 
     @cached_property
     def by_parameters(self) -> Array:
@@ -94,6 +95,10 @@ class LinearisedRest:
     @cached_property
     def null_vectors(self) -> tuple[Array, Array]:
         """Right and left null vector."""
+        if self.statics.is_sparse:
+            B, d = balanced(self.jacobian)
+            v, psi = null_vectors(B)
+            return v * d, psi / d if self.left is None else self.left
         found = NullSpace.of(self.jacobian, self.units, rows=self.units)
         return found.right[:, -1], found.left[:, -1] if self.left is None else self.left
 
@@ -134,11 +139,13 @@ class LinearisedRest:
 
         Raises LinAlgError where another eigenvalue is that multiple, to rounding.
         """
-        shift = 1j * multiple * self.pair[0] * np.eye(self.inner) if multiple else 0.0
-        if not np.linalg.cond(balanced(self.jacobian)[0] - shift) < 1.0 / EPSILON:
+        B, d = balanced(self.jacobian)
+        matrix = shifted(B, 1j * multiple * self.pair[0]) if multiple else B
+        solve, growth = solution(matrix)
+        if not growth < 1.0 / EPSILON:
             words = f"resonance 1:{multiple} there" if multiple else "another eigenvalue vanishes there"
             raise np.linalg.LinAlgError(words)
-        return np.asarray(np.linalg.solve(self.jacobian - shift, -forcing))
+        return np.asarray(solve(-forcing / d) * d)
 
     def velocity(self, v: Vector) -> Vector:
         """Contribution of -v in the field."""
@@ -157,17 +164,20 @@ class LinearisedRest:
         return np.ones(1)
 
 
-def critical_pair(A: Array, near: float | None = None) -> tuple[float, Vector, Vector]:
+def critical_pair(A: Any, near: float | None = None) -> tuple[float, Vector, Vector]:
     """The frequency omega > 0 of the critical pair of eigenvalues, q with A q = i omega q, and its adjoint.
 
     The pair is that nearest to i `near`, by default that nearest to the imaginary axis.
     """
-    linear = BalancedMatrix(A)
-    values = linear.eigensystem[0]
-    k = upper_pair(values, None if near is None else 1j * near)
-    right, left = linear.vectors(k)
+    if is_sparse(A):
+        value, right, left = pair_near(A, near)
+    else:
+        linear = BalancedMatrix(A)
+        values = linear.eigensystem[0]
+        k = upper_pair(values, None if near is None else 1j * near)
+        value, (right, left) = complex(values[k]), linear.vectors(k)
     q = right / np.linalg.norm(right)
-    return float(values[k].imag), q, np.asarray(left / np.vdot(left, q).conj())
+    return value.imag, q, np.asarray(left / np.vdot(left, q).conj())
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,9 +27,11 @@ from casadi_skin.zero.balanced import (
     ComplexArray,
     NullSpace,
     balanced,
+    dense,
+    is_mostly_zero,
     units_of,
 )
-from casadi_skin.zero.problem import EPSILON, Array, Buffers, Problem, Scalar
+from casadi_skin.zero.problem import EPSILON, Array, Buffers, Indices, Problem, Scalar
 from casadi_skin.zero.statement import in_order, named_values
 
 # Of the size of x: steps of second and third derivatives of a program.
@@ -108,7 +110,7 @@ class Statics:
     def _jacobian(self) -> ca.Function:
         x, p = self.symbols()
         f = self.function(x, p)
-        return ca.Function("J", [x, p], [ca.densify(ca.jacobian(f, x)), ca.densify(ca.jacobian(f, p))])
+        return ca.Function("J", [x, p], [ca.jacobian(f, x), ca.densify(ca.jacobian(f, p))])
 
     @cached_property
     def _forms(self) -> list[ca.Function]:
@@ -125,13 +127,56 @@ class Statics:
         kind = type(self.model.state)
         return kind.sym("x", self.size), kind.sym("p", int(self.model.parameters.numel()))
 
+    @cached_property
+    def _buffers(self) -> Buffers:
+        return Buffers(self._jacobian)
+
+    def _derivatives(self, x: Array, p: Array) -> Sequence[Array]:
+        """Non-zeros of df/dx and of df/dp by columns, which the next call may overwrite."""
+        if self.exact:
+            return self._buffers(x, p)
+        return [np.array(part.nonzeros()) for part in self._jacobian(x, p)]
+
+    @cached_property
+    def _pattern(self) -> tuple[Indices, Indices]:
+        """Rows of the non-zeros of df/dx, and where columns start."""
+        found = self._jacobian.sparsity_out(0)
+        return np.array(found.row(), dtype=np.intc), np.array(found.colind(), dtype=np.intc)
+
+    @cached_property
+    def is_sparse(self) -> bool:
+        """Whether df/dx is large, and most of it zero."""
+        return is_mostly_zero(self.size, self._pattern[0].size)
+
+    def matrix(self, x: Array, p: Array) -> Any:
+        """df/dx, shape (n, n): of scipy.sparse by columns where it `is_sparse`."""
+        return self.filled(self._derivatives(x, p)[0].copy())
+
+    def filled(self, nonzeros: Array) -> Any:
+        """A matrix of the pattern of df/dx with these non-zeros, as `matrix`."""
+        from scipy.sparse import csc_matrix
+
+        rows, starts = self._pattern
+        if self.is_sparse:
+            return csc_matrix((nonzeros, rows, starts), shape=(self.size, self.size))
+        found = np.zeros((self.size, self.size))
+        found[rows, np.repeat(np.arange(self.size), np.diff(starts))] = nonzeros
+        return found
+
+    def scaled(self, matrix: Any, sizes: Array) -> Any:
+        """A matrix of derivatives of components over their sizes."""
+        if not self.is_sparse:
+            return np.asarray(matrix * sizes / sizes[:, None])
+        rows, starts = self._pattern
+        return self.filled(matrix.data * np.repeat(sizes, np.diff(starts)) / sizes[rows])
+
     def jacobian(self, x: Array, p: Array) -> Array:
-        """df/dx, shape (n, n)."""
-        return np.array(self._jacobian(x, p)[0])
+        """df/dx, dense."""
+        return dense(self.matrix(x, p))
 
     def by_parameters(self, x: Array, p: Array) -> Array:
         """df/dp, shape (n, parameters)."""
-        return np.array(self._jacobian(x, p)[1])
+        return np.array(self._derivatives(x, p)[1]).reshape(-1, self.size).T
 
     @cached_property
     def exact(self) -> bool:
@@ -225,7 +270,7 @@ def sizes_of(statics: Statics, states: Sequence[Array]) -> Array:
     """
     largest, units = np.max(np.abs(np.stack(list(states))), axis=0), np.ones(statics.size)
     with suppress(ArithmeticError):  # where the equations are not defined
-        units = balanced(statics.jacobian(states[0], np.array(list(statics.values.values()))))[1]
+        units = balanced(statics.matrix(states[0], np.array(list(statics.values.values()))))[1]
     moves = largest / units > ROUNDED_STATE_RATIO * float(np.max(largest / units, initial=0.0))
     return power_of_two(np.where(moves, largest, np.median(largest[moves]) if np.any(moves) else 1.0))
 
@@ -249,13 +294,14 @@ def _units(statics: Statics, x: Array, p: Array, courses: Sequence[Course], usua
 
     Balancing would turn one, as of a product with a component that is zero, into units without bound.
     """
-    matrix, ranges = statics.jacobian(x, p), np.abs(p)
+    matrix, ranges = statics.matrix(x, p), np.abs(p)
     for course in courses:
         ranges[list(statics.values).index(course.name)] += abs(course.to - course.start)
-    moved = statics.jacobian(
+    moved = statics.matrix(
         x + ROUNDED_COMPONENT_RATIO * np.maximum(np.abs(x), sizes), p + ROUNDED_COMPONENT_RATIO * ranges
     )
-    matrix = np.where(np.abs(matrix) <= np.abs(moved - matrix), 0.0, matrix)  # all are kept beside undefined places
+    entries, others = (one.data if statics.is_sparse else one for one in (matrix, moved))
+    entries[np.abs(entries) <= np.abs(others - entries)] = 0.0  # all are kept beside undefined places
     return units_of(matrix, x, moving(statics, x, p, courses), usual, sizes)
 
 
@@ -343,10 +389,10 @@ class AlgebraicProblem(Undiscretised):
         return self._scaled(z, *super().evaluate(z))
 
     def _scaled(self, z: Array, residual: Array, nonzeros: Array) -> tuple[Array, Array]:
-        largest = self._largest(z, nonzeros)
+        largest = self.equation_sizes(z, nonzeros)
         return residual / largest, nonzeros / largest[self.pattern[0]]
 
-    def _largest(self, z: Array, nonzeros: Array) -> Array:
+    def equation_sizes(self, z: Array, nonzeros: Array) -> Array:
         """The largest derivative of each equation, by unknowns of their size; 1 of one that has none."""
         rows, columns = self.pattern
         largest = np.zeros(self.size - 1)
@@ -363,10 +409,9 @@ class AlgebraicProblem(Undiscretised):
         """All parameters of the model, in its order."""
         return np.asarray(self.parameters_at(z[self.states :]), dtype=float)
 
-    def rates(self, z: Array) -> Array:
-        """dF/dy, in units of the sizes, shape (n, n)."""
-        matrix = self.statics.jacobian(self.state(z), self.parameters(z))
-        return np.asarray(matrix * self.scale / self.scale[:, None])
+    def rates(self, z: Array) -> Any:
+        """dF/dy, in units of the sizes, shape (n, n), of scipy.sparse where the model's derivatives are."""
+        return self.statics.scaled(self.statics.matrix(self.state(z), self.parameters(z)), self.scale)
 
     def named(self, z: Array) -> dict[str, float]:
         """All parameters by name."""
@@ -438,22 +483,43 @@ class AlgebraicProblem(Undiscretised):
         change = None if moved is None else self.jacobian(z + moved) - matrix
         return NullSpace.of(matrix, self.units_of_all(z), self.statics.model.rounding, change)
 
+    def entries(self, z: Array) -> Array:
+        """The non-zeros of the Jacobian of the equations as they are written."""
+        return self._buffers(z, self.numbers)[1].copy()
+
+    @cached_property
+    def states_places(self) -> tuple[Indices, Indices, Indices]:
+        """Which non-zeros of the Jacobian are derivatives of the model's equations by states, and their places."""
+        rows, columns = self.pattern
+        chosen = np.flatnonzero((rows < self.states) & (columns < self.states))
+        return chosen, rows[chosen], columns[chosen]
+
+    def states_part(self, nonzeros: Array) -> Any:
+        """The derivatives by states, of scipy.sparse where the model's are, from non-zeros of the Jacobian."""
+        from scipy.sparse import csc_matrix
+
+        n, (chosen, rows, columns) = self.states, self.states_places
+        if self.statics.is_sparse:
+            return csc_matrix((nonzeros[chosen], rows, np.searchsorted(columns, np.arange(n + 1))), shape=(n, n))
+        return self.filled(nonzeros)[:n, :n]
+
     def dense(self, z: Array) -> Array:
         """The Jacobian, each equation relative to its largest derivative, shape (size - 1, size)."""
-        return self._matrix(self.evaluate(z)[1])
+        return self.filled(self.evaluate(z)[1])
 
     def jacobian(self, z: Array) -> Array:
         """The Jacobian of the equations as they are written, shape (size - 1, size)."""
-        return self._matrix(self._buffers(z, self.constants)[1])
+        return self.filled(self.entries(z))
 
-    def _matrix(self, nonzeros: Array) -> Array:
+    def filled(self, nonzeros: Array) -> Array:
+        """Dense ones, shape (..., size - 1, size)."""
         rows, columns = self.pattern
         matrix = np.zeros((*nonzeros.shape[:-1], self.size - 1, self.size))
         matrix[..., rows, columns] = nonzeros
         return matrix
 
     def equations_at_all(self, z: Array) -> tuple[Array, Array]:
-        """Residuals and Jacobians of the equations as they are written at states (k, size): (k, m) and (k, m, size)."""
+        """Residuals and non-zeros of Jacobians of the equations as they are written at states (k, size)."""
         residual, nonzeros = np.empty((len(z), self.size - 1)), np.empty((len(z), self.pattern[0].size))
         for start in range(0, len(z), TOGETHER):
             some = z[start : start + TOGETHER]
@@ -462,7 +528,7 @@ class AlgebraicProblem(Undiscretised):
             residual[start : start + TOGETHER], nonzeros[start : start + TOGETHER] = (
                 values.reshape(TOGETHER, -1)[: len(some)] for values in found
             )
-        return residual, self._matrix(nonzeros)
+        return residual, nonzeros
 
     @cached_property
     def _several(self) -> Buffers:

@@ -115,7 +115,7 @@ def test_solutions_are_those_of_dense_elimination(
         assert np.max(backward) <= 2e-12  # of rows that are no pivots of intervals
         np.testing.assert_allclose(solve(b[:, 1]), x[:, 1], rtol=0, atol=1e-14 * np.max(np.abs(x[:, 1])))
         assert solve.orientation == np.linalg.slogdet(matrix)[0]
-        assert solver.orientation(nonzeros, row) == solver._factor_sparse(nonzeros, row).orientation
+        assert solver.orientation(nonzeros, row) == solver.unchecked(nonzeros, row).orientation
         along = np.linalg.solve(matrix, np.eye(problem.size)[-1] / largest[-1]) * problem.units
         allowed = 1e-13 * np.linalg.cond(matrix) * np.max(np.abs(along / problem.units)) * problem.units
         assert np.all(np.abs(solve.along - along) <= allowed)

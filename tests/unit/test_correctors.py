@@ -233,7 +233,7 @@ def only_the_band(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise AssertionError("the band was not enough")
 
-    monkeypatch.setattr(BorderedSolver, "_factor_sparse", refuse)
+    monkeypatch.setattr(BorderedSolver, "unchecked", refuse)
 
 
 def check_solved(problem: Problem, z: Array, row: Array, nonzeros: Array | None = None) -> None:

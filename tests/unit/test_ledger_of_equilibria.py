@@ -80,7 +80,7 @@ def test_stretches_that_are_clear_hide_no_point(monkeypatch: pytest.MonkeyPatch)
         return branch_of("x y z", rates, [7.0, 7.0, 19.0], 28.0, r=20.0)
 
     found, searched = lorenz(), list[object]()
-    monkeypatch.setattr(rest_events.Places, "clear", property(lambda places: searched.append(places)))
+    monkeypatch.setattr(rest_events.Places, "clear", lambda *places: searched.append(places))
     again = lorenz()
     assert len(searched) > 30
     assert [(one.kind, one.parameters["r"]) for one in found.special_points] == [
