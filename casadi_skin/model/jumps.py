@@ -19,14 +19,18 @@ from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_skin.model.arguments import cut
 from casadi_skin.model.equations import Array, Equations
 from casadi_skin.model.operations import operated, read
 
+Booleans: TypeAlias = NDArray[np.bool_]
+Indices: TypeAlias = NDArray[np.int64]
 Values: TypeAlias = Callable[[Array], Array]  # at places, one a row
 TIME, STATE, PARAMETER, INPUT = 1, 2, 4, 8  # by what an operation switches, as bits
-PATH_HALVINGS = 200  # of a stretch of a path until its ends are neighbouring doubles
+PATH_DIVISIONS = 50  # of a stretch of a path until its ends are neighbouring doubles
+WITHIN_STRETCH = np.arange(1.0, 16.0)[:, None] / 16.0  # places at which it is divided: one call costs as much as many
 TRIED_CROSSINGS = 64  # of one operation along a path that are tried
 TIME_PLACES = 4001  # places of an interval of time at which operations are looked at
 INTERVAL_END_RTOL = 1e-12  # of an interval of time: as near to its ends, or to another time, a switch is there
@@ -195,12 +199,12 @@ class Jumps:
                 np.tile(parameters, (TIME_PLACES, 1)),
             ]
         )
-        classes, crossed = value(places), set[float]()
-        for k in np.flatnonzero(np.any(np.diff(classes, axis=0) != 0.0, axis=1)):
-            for j in np.flatnonzero(classes[k] != classes[k + 1]).tolist():
-                after = _neighbours(value, j, places[k], places[k + 1])[1]
-                crossed.add(float((after[0] - start) / (end - start)))
-        inside = sorted(fraction for fraction in crossed if INTERVAL_END_RTOL < fraction < 1.0 - INTERVAL_END_RTOL)
+        k, entries = np.nonzero(np.diff(value(places), axis=0))
+        if not k.size:
+            return np.empty(0)
+        after = _neighbours(value, entries, places[k], places[k + 1])[1]
+        crossed = sorted(set(((after[:, 0] - start) / (end - start)).tolist()))
+        inside = [fraction for fraction in crossed if INTERVAL_END_RTOL < fraction < 1.0 - INTERVAL_END_RTOL]
         return np.array([f for f, last in zip(inside, [0.0, *inside], strict=False) if f - last > INTERVAL_END_RTOL])
 
     def along(self, times: Array, states: Array, parameters: Array, by: int = STATE) -> str:
@@ -217,21 +221,30 @@ class Jumps:
         if not tried:
             return ""
         rows = np.broadcast_to(parameters, (len(times), np.shape(parameters)[-1]))
-        places, value, field = np.column_stack([times, states, rows]), self._values(tried), self._field
+        places = np.column_stack([times, states, rows])
+        key = by, places.tobytes()
+        if key not in self._known:
+            self._known.clear()
+            self._known[key] = self._jump(places, tried)
+        return self._known[key]
+
+    def _jump(self, places: Array, tried: Sequence[Switch]) -> str:
+        """The same between places (t, x, p), one a row, by the operations tried."""
+        value, field = self._values(tried), self._field
         switched = np.diff(value(places), axis=0) != 0.0
-        if not switched.any():
+        crossings = [(j, k) for j in range(len(tried)) for k in _some(np.flatnonzero(switched[:, j]))]
+        if not crossings:
             return ""
         rates = np.abs(field(places))
         scale = np.max(np.where(np.isfinite(rates), rates, 0.0), axis=0, initial=0.0)
-        for j, switch in enumerate(tried):
-            changes = np.flatnonzero(switched[:, j])
-            for k in changes[:: max(1, len(changes) // TRIED_CROSSINGS)]:
-                ends = places[k], places[k + 1]
-                between = _neighbours(value, j, *ends)
-                row = _jumping_row(field, *ends, *between, scale)
-                if row is not None:
-                    return f"the equation of {self.model.state_names[row]} jumps, by {switch.text}"
-        return ""
+        entries, k = np.array(crossings).T
+        ends = places[k], places[k + 1]
+        jumps = _jumping(field, *ends, *_neighbours(value, entries, *ends), scale)
+        first = int(np.argmax(np.any(jumps, axis=1)))
+        if not jumps[first].any():
+            return ""
+        row, switch = int(np.argmax(jumps[first])), tried[entries[first]]
+        return f"the equation of {self.model.state_names[row]} jumps, by {switch.text}"
 
     def beside(self, state: Array, parameters: Array, distances: Array) -> str:
         """That the equations jump within distances of a state along each of its components, shapes (states,)."""
@@ -250,30 +263,47 @@ class Jumps:
         return _on_rows(self._functions[key], self.model.full_size)
 
     @cached_property
+    def _known(self) -> dict[tuple[int, bytes], str]:
+        """What was found along the last path: a point of a branch asks more than once."""
+        return {}
+
+    @cached_property
     def _functions(self) -> dict[tuple[int, ...], ca.Function]:
         return {}
 
 
-def _neighbours(value: Values, entry: int, before: Array, after: Array) -> tuple[Array, Array]:
-    """Neighbouring doubles between two places at which an entry of a value differs, at which it differs as well."""
-    first = value(before[None])[0, entry]
-    for _ in range(PATH_HALVINGS):
-        middle = 0.5 * (before + after)
-        if np.all((middle == before) | (middle == after)):
+def _some(changes: Indices) -> Indices:
+    """Crossings of one operation that are tried."""
+    return changes[:: max(1, changes.size // TRIED_CROSSINGS)]
+
+
+def _neighbours(value: Values, entries: Indices, before: Array, after: Array) -> tuple[Array, Array]:
+    """Neighbouring doubles between two places at which an entry of a value differs, at which it differs as well.
+
+    Of several stretches, one a row, with an entry each.
+    """
+    each, count = np.arange(len(entries)), len(WITHIN_STRETCH)
+    first = value(before)[each, entries]
+    for _ in range(PATH_DIVISIONS):
+        inner = before[:, None] + WITHIN_STRETCH * (after - before)[:, None]
+        if np.all((inner == before[:, None]) | (inner == after[:, None])):
             break
-        before, after = (middle, after) if value(middle[None])[0, entry] == first else (before, middle)
+        values = value(inner.reshape(-1, before.shape[1])).reshape(len(entries), count, -1)
+        same = values[each, :, entries] == first[:, None]
+        passed = np.where(same.all(axis=1), count, np.argmin(same, axis=1))  # places before the first that differs
+        ends = np.concatenate([before[:, None], inner, after[:, None]], axis=1)
+        before, after = ends[each, passed], ends[each, passed + 1]
     return before, after
 
 
-def _jumping_row(field: Values, start: Array, end: Array, before: Array, after: Array, scale: Array) -> int | None:
-    """The row of the field that jumps between two neighbours on a stretch; None where none does."""
+def _jumping(field: Values, start: Array, end: Array, before: Array, after: Array, scale: Array) -> Booleans:
+    """Whether each row of the field jumps between two neighbours on stretches, shape (stretches, rows)."""
     way = APART_FRACTION * (end - start)
-    near, apart = (np.abs(np.diff(field(np.array(pair)), axis=0)[0])
-                   for pair in ((before, after), (before - way, after + way)))  # fmt: skip
+    values = field(np.concatenate([before, after, before - way, after + way])).reshape(4, len(start), -1)
+    near, apart = np.abs(values[1] - values[0]), np.abs(values[3] - values[2])
     low, high = SIMILAR_JUMP_RATIOS
     with np.errstate(invalid="ignore"):
-        jumps = (near > SMALLEST_JUMP * scale) & (near > low * apart) & (near < high * apart)
-    return int(np.argmax(jumps)) if jumps.any() else None
+        return np.asarray((near > SMALLEST_JUMP * scale) & (near > low * apart) & (near < high * apart))
 
 
 def _on_rows(function: ca.Function, states: int) -> Values:
