@@ -58,6 +58,7 @@ class EquationsWithTail:
     numbers of the core, (s, Omega, Omega_slope), across, across_slope, down and down_slope.
 
     Attributes:
+        shared: objects that all problems with these equations share, whatever their tails.
         touched: unknowns in the equations of the attached site, Omega among them at `own_Omega`.
         inside, by_Omega: places of their derivatives and of those by Omega among the non-zeros of the core's Jacobian.
     """
@@ -91,7 +92,7 @@ class EquationsWithTail:
         symbols = z, numbers, scalars, *values
         self.function = ca.Function("equations", symbols, [residual, jacobian])
         self.pattern = tuple(np.array(found, dtype=np.int64) for found in self.function.sparsity_out(1).get_triplet())
-        self.buffers = Buffers(self.function)
+        self.buffers, self.shared = Buffers(self.function), dict[Any, Any]()
 
 
 @lru_cache(maxsize=KEPT_RESOLUTIONS)
@@ -161,11 +162,6 @@ class CoreWithTailProblem(TrigonometricProblem):
     @cached_property
     def equations(self) -> EquationsWithTail:  # type: ignore[override]
         return _equations_of(self.core.equations, self.resolution, self.attached)
-
-    @property
-    def shared(self) -> dict[Any, Any]:
-        """Not those of the equations: solvers evaluate the problem that they are made for, with its own tail."""
-        return self._shared
 
     def _values(self, z: Array, numbers: Array) -> Sequence[Array]:
         """As those of other problems; not a number where a harmonic that should be bound is in the band."""

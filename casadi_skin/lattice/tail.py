@@ -231,7 +231,7 @@ class Tail:
 
     def _angle(self, place: Place, across: float, down: float) -> float:
         """phi from a vector in its direction, which says nothing at an edge."""
-        below, above = self._gap_angles(place.gap)
+        below, above = self._gap_angles[place.gap]
         start = below if place.edge % 2 else above
         if place.off == 0.0:
             return start
@@ -264,10 +264,14 @@ class Tail:
         """Directions of the vectors at the edges."""
         return [float(np.arctan2(*self._vector(Place(k), 0.0))) for k in range(len(self.edges))]
 
-    def _gap_angles(self, gap: int) -> tuple[float, float]:
-        """phi at the edges below and above a gap; the same for both where there is one alone."""
-        first, *others = (self._edge_angles[edge.edge] for edge in self.sides(gap) if edge is not None)
-        return first, first + (others[0] - first) % math.pi if others else first
+    @cached_property
+    def _gap_angles(self) -> list[tuple[float, float]]:
+        """phi at the edges below and above each gap; the same for both where there is one alone."""
+        found = []
+        for gap in range(len(self.edges) // 2 + 1):
+            first, *others = (self._edge_angles[edge.edge] for edge in self.sides(gap) if edge is not None)
+            found.append((first, first + (others[0] - first) % math.pi if others else first))
+        return found
 
     def slope(self, place: Place) -> float:
         """d phi / d lambda: infinite at the edge of an infinite tail's band."""

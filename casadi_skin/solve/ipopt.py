@@ -80,12 +80,19 @@ def residual_scale(problem: Problem, z: Array) -> float:
 class _Once:
     """Values of a function of unknowns and numbers, kept for the next call: constraints and Jacobian are one.
 
-    They are those of the first `distinct` points, the last of which stands for all others.
+    They are those of the first `distinct` points, the last of which stands for all others. Problems that share a solver
+    take turns in it: each is stated with `of` before it is solved.
     """
 
     def __init__(self, problem: Problem, count: int) -> None:
         self._problem, self.distinct = problem, count
         self._last: tuple[Array, Array, tuple[Array, Array]] | None = None
+
+    def of(self, problem: Problem, distinct: int) -> None:
+        """Evaluate a problem from now on, at so many different points."""
+        if problem is not self._problem:
+            self._problem, self._last = problem, None
+        self.distinct = distinct
 
     def __call__(self, z: Array, numbers: Array) -> tuple[Array, Array]:
         if self._last is None or not (np.array_equal(z, self._last[0]) and np.array_equal(numbers, self._last[1])):
@@ -258,7 +265,7 @@ class IpoptCorrector(Corrector):
     def all_corrected(self, points: Sequence[HeldState]) -> list[Correction]:
         """Corrections of up to `count` points, which share their status; the last point fills the rest."""
         count, size = self._guess.shape
-        self._evaluate.distinct = len(points)
+        self._evaluate.of(self.problem, len(points))
         check_time_limit(f"Ipopt, {size * count} unknowns")
         for k in range(count):
             z, row, value = points[min(k, len(points) - 1)]

@@ -160,14 +160,17 @@ def test_the_jacobian_is_that_of_the_residual(edge: int) -> None:
         np.testing.assert_allclose(dense[:, column], difference, atol=1e-8)
 
 
-def test_problems_with_the_same_core_are_confirmed_each_with_its_own_tail() -> None:
-    for sites in (120, 58):
+def test_problems_with_the_same_core_share_ipopt_and_are_confirmed_each_with_its_own_tail() -> None:
+    shared = list[dict[object, object]]()
+    for sites in (120, 58, 120):
         tools = Family(family_request(Chain(sites, 1.0, 0.4, -1.0), 1, 2.0, tail="eliminated"))
         _, point = itertools.islice(tools.continuation((tools.start,)), 2)
         problem, z = point.problem, point.z
         (found,) = ArbitratedCorrector(problem).confirm_all([(z, problem.parameter_row(), z[problem.parameter_index])])
         assert found.converged
         np.testing.assert_allclose(found.z, z, atol=1e-9)
+        shared.append(problem.shared)
+    assert all(one is shared[0] for one in shared)
 
 
 # Families -----------------------------------------------------------------------------------------------------------
