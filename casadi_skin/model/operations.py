@@ -196,6 +196,7 @@ def from_operations(
             if depths[-1] > MOST_DEPTH:
                 raise ValueError(f"{depths[-1]} operations one upon the other; accepted: up to {MOST_DEPTH}")
             made = {0: ca.SX, 1: ca.SX.unary, 2: ca.SX.binary}[len(places)]
+            ca.GlobalOptions.setSimplificationOnTheFly(name == "twice")  # else it would be a product with 2
             known.append(made(CODES[name], *(known[place] for place in places)) if places else made(value))
     for entry in (entry for entries in results for entry in entries):
         if entry is not None and not 0 <= entry < len(known):

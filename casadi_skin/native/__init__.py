@@ -8,7 +8,7 @@ tables below say how the arguments of its functions and the fields of its struct
 | source | what it computes | the same by numpy |
 | --- | --- | --- |
 | bordered.c | factors and solutions of bands with borders | `solve.bordered` |
-| collocation.c | the same of collocation equations, and maps over their intervals | `solve.bordered` |
+| collocation.c | collocation equations, their factors, maps over intervals | `zero.discretisation`, `solve.bordered` |
 | splitting.c | steps of a model, transition matrices along orbits | CasADi in `dynamics.evolve`, `stability.flows` |
 | segments.c | steps of a chain with first and second derivatives | `optimise.kick_flow` |
 | program.c | expressions, operations that are alike together | CasADi |
@@ -51,6 +51,7 @@ FUNCTIONS = {
     "collocation_factors": "aaaaraaaa",
     "collocation_solve": "aaia",
     "collocation_maps": "aaa",
+    "collocation_equations": "aaaaa",
     "transitions": "iiiiaaiaaaaia",
     "stepped": "aiaaiiaaa",
     "segments": "aiaraaaaa",

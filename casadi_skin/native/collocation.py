@@ -7,6 +7,27 @@ import numpy as np
 from casadi_skin.native import LANES, Array, Indices, Structure, kernels
 
 LAYOUT = 20 * "i" + "aaarra"
+EQUATIONS = 12 * "i" + 14 * "a"
+MOST_KEPT = (
+    8_000_000  # numbers of memory that is used again: an operating system takes as long to give it as factors do
+)
+
+_free = list[Array]()
+
+
+def _memory(size: int) -> Array:
+    """Room for as many numbers, that of factors which nobody holds any more if there is some."""
+    for k, known in enumerate(_free):
+        if size <= known.size <= 2 * size:
+            return _free.pop(k)
+    return np.empty(size)
+
+
+def give_back(memory: Array) -> None:
+    """Let the memory of factors be used again."""
+    _free.append(memory)
+    while sum(known.size for known in _free) > MOST_KEPT:
+        _free.pop(0)
 
 
 class CollocationKernel:
@@ -65,9 +86,12 @@ class CollocationKernel:
             sizes: of the unknowns, by which singular matrices are told; 1 where it is None.
             least: size of residuals of conditions, at least.
         """
-        memory, sign, x = np.empty(self._room), np.empty(1), np.empty((4, self._size))
+        memory, sign, x = _memory(self._room), np.empty(1), np.empty((4, self._size))
         data = nonzeros, row, sizes, least, memory, sign, x, x[3]
-        return None if kernels()["collocation_factors"](self.layout, *data) else (memory, float(sign[0]), x[0])
+        if kernels()["collocation_factors"](self.layout, *data):
+            give_back(memory)
+            return None
+        return memory, float(sign[0]), x[0]
 
     def solve(self, memory: Array, x: Array) -> None:
         """Overwrite right-hand sides, (count, size), by solutions with the factors in `memory`."""

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.native import MOST, BorderedKernel, Structure, kernels
-from casadi_skin.native.collocation import CollocationKernel
+from casadi_skin.native.collocation import CollocationKernel, give_back
 from casadi_skin.zero.collocation import CollocationEquations
 from casadi_skin.zero.problem import Array, Indices, Problem, SingularError, Solve
 
@@ -55,6 +55,9 @@ class CollocationFactors:
 
     def __init__(self, kernel: CollocationKernel, memory: Array, orientation: float, along: Array) -> None:
         self.kernel, self.memory, self.orientation, self.along = kernel, memory, orientation, along
+
+    def __del__(self) -> None:
+        give_back(self.memory)
 
     def __call__(self, b: Array) -> Array:
         x = np.array(b.reshape(b.shape[0], -1).T, order="C")

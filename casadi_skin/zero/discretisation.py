@@ -18,6 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.model.expressions import Expression
+from casadi_skin.native import Structure as Compiled
+from casadi_skin.native import kernels
+from casadi_skin.native.collocation import EQUATIONS
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.problem import Array, Buffers, Indices
 
@@ -233,13 +236,23 @@ class Discretisation:
         self._integrals = formulation.integrals
         if self._integrals:
             self._integrands = Buffers(formulation.integrand_function.map(places), places)
-        counts = int(formulation.conditions.numel()), formulation.integrals
+        self._counts = counts = int(formulation.conditions.numel()), formulation.integrals
         sizes = self._n, intervals, table.stages, self._R, self._m
         large = places * self._R * len(formulation.patterns[0][0]) > LARGE_NONZEROS
         structure = structure_of.__wrapped__ if large else structure_of
         self.structure: Structure = structure(*sizes, counts, *formulation.patterns)
         self.rows, self.columns = self.structure.rows, self.structure.columns
         self._stage, self._start = self.structure.stage, self.structure.start
+        self._compiled = self._layout() if kernels() else None
+
+    def _layout(self) -> Compiled:
+        """Of the compiled kernel that assembles the equations."""
+        of, (condition, *by_ends) = self.structure, self._conditions.results
+        numbers = [self._n, self._K, self._R, self._d, self._m, len(self.formulation.patterns[0][0]), *self._counts]
+        integrals = self._integrands.results if self._integrals else 3 * [np.zeros(0)]
+        arrays = [np.ascontiguousarray(self.table.extended), of.differences, of.stiff, of.rest, *self._field.results]
+        sizes = [of.rows.size, *(part.size for part in by_ends)]
+        return Compiled(EQUATIONS, *numbers, *sizes, *arrays, condition, *by_ends, *integrals)
 
     def __call__(self, z: Array, numbers: Array) -> tuple[Array, Array]:
         """Residual, and the non-zeros of the Jacobian in the order of `rows` and `columns`; not to be written to.
@@ -288,6 +301,13 @@ class Discretisation:
         values, (_, _, scalars, constants), weights = z[: self._states].reshape(-1, n), arguments, self._weights
         field, by_states, by_scalars = self._at_stages(self._field, arguments)
         self._by_states = by_states.copy()
+        if self._compiled is not None:
+            self._conditions(values[0], values[-1], scalars, constants)
+            if self._integrals:
+                self._integrands(*arguments)
+            found = np.empty(self._states - n + sum(self._counts)), np.empty(self.rows.size)
+            kernels()["collocation_equations"](self._compiled, np.ascontiguousarray(z), numbers, *found)
+            return found
         increments = weights @ field.reshape(K, d, n)
         ends = values[1:].reshape(K, R, n) - values[self._start][:, None, :]
         condition, *derivatives = self._conditions(values[0], values[-1], scalars, constants)

@@ -63,16 +63,17 @@ def sparse_matrix(shape: tuple[int, int], rows: Indices, columns: Indices, value
 class Buffers:
     """Calls of a compiled function without conversions: arguments and results live in arrays given to it once.
 
-    Of a function that is mapped to `count` places every argument has a row for each, or one for all of them.
+    Of a function that is mapped to `count` places every argument has a row for each, or one for all of them. The arrays
+    of the `results` are the same for all calls.
     """
 
     def __init__(self, function: ca.Function, count: int = 1) -> None:
         self._arguments = [np.zeros((count, function.nnz_in(i) // count)) for i in range(function.n_in())]
-        self._results = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
+        self.results = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
         self._buffer, self._trigger = function.buffer()
         for i, argument in enumerate(self._arguments):
             self._buffer.set_arg(i, argument.data)
-        for i, result in enumerate(self._results):
+        for i, result in enumerate(self.results):
             self._buffer.set_res(i, result.data)
 
     def __call__(self, *arguments: Array) -> list[Array]:
@@ -80,7 +81,7 @@ class Buffers:
         for own, given in zip(self._arguments, arguments, strict=True):
             own[:] = given
         self._trigger()
-        return self._results
+        return self.results
 
 
 class Problem(ABC):
